@@ -14,7 +14,7 @@ import numpy as np
 from discrepancy.data.collisions import split_held_out
 from synthcam.library import library
 from synthcam.model import Model
-from synthcam.scene.clip import UPSTREAM, Clip
+from synthcam.scene.clip import CONTACT_UPSTREAM_S, Clip
 from synthcam.scene.scene import Scene, check_scene
 from tracker.camera.camera import Camera
 
@@ -136,7 +136,7 @@ def launched_a(clip: Clip) -> bool:
 def launch_of(clip: Clip) -> Any:
     """x, y, t_c, v0, heading, b; and how the striker spins, where it does not roll."""
     launch = clip.drawn["launch"]
-    place = -UPSTREAM * launch["v0"] * np.array([np.cos(launch["heading"]), np.sin(launch["heading"])])
+    place = -CONTACT_UPSTREAM_S * launch["v0"] * np.array([np.cos(launch["heading"]), np.sin(launch["heading"])])
     return np.array([*place, clip.launch.time, launch["v0"], launch["heading"], launch["b"], *worlds.spins(launch)])
 
 

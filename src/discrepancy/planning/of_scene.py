@@ -138,7 +138,7 @@ def _launch(clip: Clip) -> Array:
 def _errors(clip: Clip, noise_px: float | None, where: str) -> Errors:
     if noise_px is not None:
         return StatedErrors(noise_px)
-    if clip.look is not None:
+    if clip.finish is not None:
         raise InputError(
             f"{where}: surface: the errors of balls under room light are not worked out; say them (--noise PX)"
         )

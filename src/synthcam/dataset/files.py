@@ -141,7 +141,7 @@ def _write_rows(root: Path) -> tuple[int, list[str]]:
     text = ("seed_key", "scene", "striker", "effects", "frames_sha256", "pixels_sha256")
     before = [("clip", pa.int64()), ("seed_key", pa.string()), ("scene", pa.string())]
     schema = pa.schema(
-        [*before, *((c, pa.float64()) for c in ground_truth.COLLISION), *((c, pa.string()) for c in text[2:])]
+        [*before, *((c, pa.float64()) for c in ground_truth.COLLISION_COLUMNS), *((c, pa.string()) for c in text[2:])]
     )
     clips, names = clip_folders(root), dict[str, None]()
     with (root / "truth" / "clips.parquet").open("wb") as file, pq.ParquetWriter(file, schema) as writer:

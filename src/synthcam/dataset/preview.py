@@ -73,7 +73,7 @@ def write_animation(clip: Clip, path: Path) -> float:
     def shown() -> Iterator[NDArray[np.uint8]]:
         for k, counts in enumerate(clip.pictures()):
             patch = _eight_bits(counts, clip)[rows, columns]
-            large = _enlarge(patch if clip.look else _brighten(_remove_noise(patch, floor), _black(clip)), zoom)
+            large = _enlarge(patch if clip.finish else _brighten(_remove_noise(patch, floor), _black(clip)), zoom)
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
 
     check_writable(path)
@@ -146,7 +146,7 @@ def _brighten(picture: NDArray[np.uint8], black: float) -> NDArray[np.uint8]:
 def _eight_bits(counts: Counts, clip: Clip) -> NDArray[np.uint8]:
     """As a screen shows it: under room light with its gamma, else as it is."""
     bits = clip.sensor.bits
-    if clip.look is None:
+    if clip.finish is None:
         return (counts >> (bits - 8)).astype(np.uint8) if bits > 8 else counts.astype(np.uint8)
     above = np.maximum(counts - clip.sensor.black_level, 0) / (2**bits - 1 - clip.sensor.black_level)
     return np.asarray(255 * adjust_gamma(above, 1 / 2.2)).astype(np.uint8)
@@ -167,7 +167,7 @@ def _with_inset(picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify
     left = int(np.clip(round(middle[0]) - across // 2, 0, picture.shape[1] - across))
     top = int(np.clip(round(middle[1]) - down // 2, 0, max(picture.shape[0] - down, 0)))
     part = picture[top : top + down, left : left + across]
-    large = _enlarge(part if clip.look else _brighten(part, _black(clip)), magnify)
+    large = _enlarge(part if clip.finish else _brighten(part, _black(clip)), magnify)
     strip = np.zeros((large.shape[0] + 4, *picture.shape[1:]), np.uint8)
     strip[:4] = 90
     strip[4:, : large.shape[1]] = large

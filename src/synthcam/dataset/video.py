@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from synthcam.dataset.recorded_clip import RecordedClip
-from synthcam.scene.apparatus import AVI_FPS, VideoSettings, find_video_problem
+from synthcam.scene.apparatus import MAX_AVI_FPS, VideoSettings, find_video_problem
 from synthcam.settings import parse_yaml, to_input_error
 from synthcam_shared.errors import InputError
 
@@ -40,7 +40,7 @@ class VideoWriter:
 
     def __init__(self, folder: Path, how: dict[str, Any], fps: float, size: tuple[int, int], bits: int) -> None:
         codec = how["codec"]
-        self.path = folder / ("frames.mp4" if codec == "h264" else "frames.avi" if fps <= AVI_FPS else "frames.mov")
+        self.path = folder / ("frames.mp4" if codec == "h264" else "frames.avi" if fps <= MAX_AVI_FPS else "frames.mov")
         self._how, self._size, self._bits = how, size, bits
         self._wide = bits > 8 and codec == "ffv1"
         white = 2**bits - 1

@@ -1,4 +1,4 @@
-"""What the experimenter set up and knows: camera, lamp, surfaces and sensor, as a scene and camera.json name them."""
+"""The apparatus of an experiment: camera, lamp, surfaces and sensor, as a scene and camera.json name them."""
 
 from __future__ import annotations
 
@@ -17,17 +17,20 @@ from synthcam.settings import Fraction, NotNegative, Positive, Settings
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Position = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]
 
-
-HIDDEN = {"room", "ambient", "glint_peak", "white", *MaterialSettings.model_fields}  # from the experimenter
-AVI_FPS = 1000  # that container counts no finer
+HIDDEN_KEYS = {"room", "ambient", "glint_peak", "white", *MaterialSettings.model_fields}  # from the experimenter
+MAX_AVI_FPS = 1000  # the container's clock is no finer
 
 
 class CameraSettings(Settings):
     """`camera:` known to the experimenter.
 
-    psf_sigma_px, defocus_px: the optics' Gaussian and the radius of the disc of defocus. f_number: of diffraction, 0:
-    none, with pixel_pitch and wavelength, m. vignetting: share of the light lost in the corners. line_time: of a
-    rolling shutter, s from row to row. colour: three channels, each with a chip of its own.
+    - size: px; scale: m/px at the height of the balls' centres; height: m; tilt: rad, about x, then y
+    - distortion: OpenCV's k1, k2, p1, p2, k3
+    - psf_sigma_px: Gaussian blur of the optics; defocus_px: radius of the disc of defocus
+    - f_number: for diffraction, 0 for none; it needs pixel_pitch and wavelength, m
+    - vignetting: share of the light that is lost in the corners
+    - line_time: delay of a rolling shutter from row to row, s
+    - colour: three channels, each with a chip of its own
     """
 
     size: Annotated[list[Annotated[int, Field(ge=16, le=8192)]], Field(min_length=2, max_length=2)] = Field([640, 480])
@@ -47,7 +50,7 @@ class CameraSettings(Settings):
 
 
 class FlickerSettings(Settings):
-    """`lamp.flicker:` light 1 + depth cos(2 pi frequency t + phase); on the mains, at twice their frequency."""
+    """`lamp.flicker:` light 1 + depth cos(2 pi frequency t + phase); mains light has twice the mains' frequency."""
 
     depth: Fraction = 0.0
     frequency: Positive = 100.0
@@ -75,9 +78,11 @@ class SecondLampSettings(OneLampSettings):
 
 
 class LampSettings(OneLampSettings):
-    """`lamp:` by default a disc that faces down. room: what a ball mirrors beside the lamp, over the glint's peak.
+    """`lamp:` by default a disc that faces down.
 
-    ambient: with `surface.ball` or `.plate`, the share of the light on the plate that comes from the whole room alike.
+    - room: radiance of the surroundings that a mirror ball shows, over the peak of its glint
+    - ambient: share of the light on the plate that the whole room sends; with `surface.ball` or `surface.plate`
+    - second: a further lamp
     """
 
     room: NotNegative = 0.02
@@ -86,10 +91,13 @@ class LampSettings(OneLampSettings):
 
 
 class SurfaceSettings(MaterialSettings):
-    """`surface:` of balls and plate. steel: a law of reflection, or a metal's n and k.
+    """`surface:` of balls and plate.
 
-    roughness, scratch_slope, plate_roughness: rms slopes. scratches: share of a ball's light in the wider lobe.
-    plate_gloss: reflectance. plate_texture: rms of its brightness, in grains of plate_grain m.
+    - steel: a law of reflection, or a metal's n and k
+    - roughness, scratch_slope, plate_roughness: rms slopes
+    - scratches: share of a ball's light in the wider lobe
+    - plate_gloss: reflectance
+    - plate_texture: rms of the brightness; plate_grain: size of the grains, m
     """
 
     steel: Literal["schlick", "iron"] | Pair = "schlick"
@@ -104,10 +112,12 @@ class SurfaceSettings(MaterialSettings):
 
 
 class SensorSettings(Settings):
-    """`sensor:` EMVA 1288's numbers. glint_peak: counts above black at a resting ball's glint, before clipping; with
-    `surface.ball` or `.plate` white instead: of a white plate at the world's origin.
+    """`sensor:` the quantities of EMVA 1288.
 
-    hot_pixels: share of the pixels that leak, hot_dark: their mean dark current, e-/s.
+    - gain: e-/count; read_noise, full_well, dsnu: e-; dark: e-/s; black_level: counts
+    - glint_peak: counts above black at the peak of a resting ball's glint, before clipping
+    - white: with `surface.ball` or `surface.plate` counts of a white plate at the origin, not glint_peak
+    - hot_pixels: share of the pixels that leak; hot_dark: their mean dark current, e-/s
     """
 
     bits: Annotated[int, Field(ge=8, le=16)] = 8
@@ -125,9 +135,11 @@ class SensorSettings(Settings):
 
 
 class VideoSettings(Settings):
-    """`video:` a video beside the frames. crf: of h264, 0 to 51, the less the better; q: of mjpeg, 1 to 31.
+    """`video:` a video beside the frames.
 
-    gamma: of the curve 255 (counts / white)^(1/gamma). chroma: its subsampling, not of ffv1, which is without loss.
+    - crf: of h264, 0 (best) to 51; q: of mjpeg, 1 (best) to 31
+    - gamma: of the curve 255 (counts / white)^(1/gamma)
+    - chroma: subsampling; ffv1 is lossless and has none
     """
 
     codec: Literal["h264", "mjpeg", "ffv1"] = "h264"
@@ -139,7 +151,7 @@ class VideoSettings(Settings):
     @model_validator(mode="before")
     @classmethod
     def _fill_codec_defaults(cls, given: Any) -> Any:
-        """What a codec has no use for is refused, and what it needs filled in."""
+        """Refuse keys that the codec does not have, and fill in the defaults of those that it has."""
         if not isinstance(given, dict):
             return given
         codec = given.get("codec", "h264")
@@ -151,16 +163,16 @@ class VideoSettings(Settings):
 
 
 def find_video_problem(how: dict[str, Any], size: Sequence[int], fps: float) -> str:
-    """Why a video's codec cannot take such pictures; '' where it can."""
-    if how["codec"] == "ffv1" and fps > AVI_FPS:
-        return f"expected at most {AVI_FPS} frames a second for ffv1, found {fps:g}"
+    """Say why a video's codec cannot take pictures of this size and rate; '' if it can."""
+    if how["codec"] == "ffv1" and fps > MAX_AVI_FPS:
+        return f"expected at most {MAX_AVI_FPS} frames a second for ffv1, found {fps:g}"
     if how["codec"] == "h264" and how["chroma"] != 444 and any(side % 2 for side in size):
         return f"expected even sizes for h264 of chroma {how['chroma']}, found {size[0]} x {size[1]}; 444 takes any"
     return ""
 
 
 def build_camera(drawn: dict[str, Any], ball_radius: float) -> PinholeCamera:
-    """The nominal camera of checked settings."""
+    """Build the nominal camera of checked settings."""
     camera, timing = drawn["camera"], drawn["timing"]
     return PinholeCamera.overhead(
         size=tuple(camera["size"]),
@@ -180,7 +192,7 @@ def build_camera(drawn: dict[str, Any], ball_radius: float) -> PinholeCamera:
 
 
 def build_lamp(settings: dict[str, Any]) -> Lamp:
-    """The lamp of checked settings. Raises ValueError for one without area."""
+    """Build the lamp of checked settings. Raises ValueError for a lamp without area."""
     values = {k: v for k, v in settings.items() if k not in ("room", "ambient", "facing", "second")}
     values |= {"position": np.array(values["position"]), "flicker": Flicker(**values["flicker"])}
     towards = np.zeros(3) if settings["facing"] == "centre" else None
@@ -189,7 +201,7 @@ def build_lamp(settings: dict[str, Any]) -> Lamp:
 
 
 def build_surface(settings: dict[str, Any]) -> Surface:
-    """The surfaces of checked settings."""
+    """Build the surfaces of checked settings."""
     steel = settings["steel"]
     law = {"schlick": None, "iron": IRON}[steel] if isinstance(steel, str) else (steel[0], steel[1])
     own = {k: v for k, v in settings.items() if k not in MaterialSettings.model_fields}
@@ -197,7 +209,7 @@ def build_surface(settings: dict[str, Any]) -> Surface:
 
 
 def list_deviations(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """By section of camera.json, what a scene sets beyond a plain camera under a plain lamp."""
+    """List by section of camera.json the settings that differ from a plain camera under a plain lamp."""
     camera = drawn["camera"]
     out: dict[str, dict[str, Any]] = {"psf": {}, "lens": {}, "shutter": {}}
     if camera["defocus_px"]:
@@ -210,13 +222,13 @@ def list_deviations(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
         out["shutter"] = {"kind": "rolling", "line_time": camera["line_time"]}
     for section, kind in (("lamp", LampSettings), ("surface", SurfaceSettings), ("sensor", SensorSettings)):
         usual = kind.model_validate({}).model_dump(exclude_none=True)
-        given = {k: v for k, v in drawn[section].items() if k not in HIDDEN}
+        given = {k: v for k, v in drawn[section].items() if k not in HIDDEN_KEYS}
         out[section] = {k: v for k, v in given.items() if v != usual.get(k)}
     return {section: values for section, values in out.items() if values}
 
 
 def camera_json(nominal: PinholeCamera, drawn: dict[str, Any]) -> dict[str, Any]:
-    """The keys of camera.json: what the experimenter knows of camera, lamp and sensor, and which ball was launched."""
+    """Make the keys of camera.json: the experimenter's knowledge of camera, lamp and sensor, and the launched ball."""
     known: dict[str, Any] = {
         "K": nominal.K.tolist(),
         "dist": nominal.dist.tolist(),
@@ -230,7 +242,7 @@ def camera_json(nominal: PinholeCamera, drawn: dict[str, Any]) -> dict[str, Any]
         "striker": drawn["launch"]["striker"],
         "lamp": {"position": list(drawn["lamp"]["position"]), "radius": drawn["lamp"]["radius"]},
         "psf": {"sigma_px": nominal.psf_sigma_px},
-        "sensor": {k: v for k, v in drawn["sensor"].items() if k not in (*HIDDEN, "hot_pixels", "hot_dark")},
+        "sensor": {k: v for k, v in drawn["sensor"].items() if k not in (*HIDDEN_KEYS, "hot_pixels", "hot_dark")},
     }
     if is_under_room_light(drawn):
         surface = drawn["surface"]

@@ -30,35 +30,36 @@ if TYPE_CHECKING:
 
     from synthcam.dynamics.orientation import OrientationHistory
 
-LABELS = {"a": ("b", "a"), "b": ("a", "b")}  # of ball 1 and ball 2, by the striker
-UPSTREAM = 0.015 / 0.6  # s: at 0.6 m/s the contact lies 15 mm before the centre, so that the slide's end is in view
+CONTACT_UPSTREAM_S = 0.015 / 0.6  # at 0.6 m/s, contact is 15 mm before the centre: the slide ends in view
 
 
 @dataclass(frozen=True, repr=False)
 class Clip:
-    """One drawn clip: everything that decides its frames.
+    """A clip with all its numbers drawn: everything that decides its frames.
 
     Attributes
     ----------
     number : int
-        In its dataset. Sensor noise, and all that is drawn, follow from it and `seed`.
+        Its number in the dataset. It and `seed` decide all that is random, sensor noise included.
     drawn : dict
-        The plain settings it came from, without distributions.
+        The settings of the clip, without distributions.
     model : Model
         Ball, base model and effects.
     launch : Launch
-        The balls' states at one instant.
-    nominal, camera : Camera
-        The camera that the experimenter knows; the camera as it is, with the effects on it.
+        The states of the balls at one instant.
+    nominal : PinholeCamera
+        The camera that the experimenter knows.
+    camera : PinholeCamera
+        The real camera, which differs from the nominal one by the effects.
     lamp : Lamp
     surface : Surface
     sensor : Sensor
     frames : int
-        How many.
+        Their number.
     seed : int
         Of everything drawn.
-    look : Look, optional
-        Of matte balls, or of a plate with texture, under room light; None: mirrors on a black plate.
+    finish : SurfaceFinish, optional
+        Of matte balls, or of a plate with texture, under room light. None: mirror balls on a black plate.
 
     Examples
     --------
@@ -81,7 +82,7 @@ class Clip:
     sensor: Sensor
     frames: int
     seed: int = 0
-    look: SurfaceFinish | None = None
+    finish: SurfaceFinish | None = None
 
     def __repr__(self) -> str:
         launch, (width, height) = self.drawn["launch"], self.camera.size
@@ -92,16 +93,16 @@ class Clip:
 
     @property
     def room(self) -> float:
-        """What a ball mirrors beside the lamp, over the glint's peak."""
+        """Radiance of the surroundings that a mirror ball shows, over the peak of its glint."""
         return float(self.drawn["lamp"]["room"])
 
     @cached_property
     def view(self) -> FilmedMotion:
-        """The motion over all frames as the camera takes it: against film time, where clock and shutter have a part."""
+        """The motion over all frames in film time, with the effects of clock and shutter."""
         return FilmedMotion.solve(self.model, self.launch, self.camera, self.frames)
 
     def solve(self) -> Motion:
-        """Solve the motion, exactly, for as long as the film lasts.
+        """Solve the motion exactly, for the duration of the film.
 
         Returns
         -------
@@ -111,12 +112,12 @@ class Clip:
         Raises
         ------
         ValueError
-            Where the model has no motion for this launch.
+            If the model has no motion for this launch.
         """
         return Motion(self.view.motion, self.camera.fps)
 
     def pictures(self) -> Iterator[Counts]:
-        """Draw and expose the frames one after the other, for clips too long for memory.
+        """Render and expose the frames one after the other, for clips too long for memory.
 
         Yields
         ------
@@ -126,18 +127,19 @@ class Clip:
         Raises
         ------
         NoGL
-            Where no OpenGL can draw; `synthcam doctor` says what to install.
+            If no OpenGL can render; `synthcam doctor` says what to install.
         """
-        mirror = build_varnish(self.surface, self.drawn) if self.look else None
+        varnish = build_varnish(self.surface, self.drawn) if self.finish else None
         radii = self.launch.bodies.radius.tolist()
-        seen = OpticalSetup(self.camera, self.lamp, radii, self.room, self.surface, self.look, mirror)
+        setup = OpticalSetup(self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish)
         colour = bool(self.drawn["camera"].get("colour"))
-        return expose_frames(self.view, seen, self.sensor, self.frames, (self.seed, self.number), self.turning, colour)
+        key = (self.seed, self.number)
+        return expose_frames(self.view, setup, self.sensor, self.frames, key, self.orientation, colour)
 
     @cached_property
-    def turning(self) -> OrientationHistory | None:
-        """How the balls are turned, where a pattern shows it: at random as the motion starts."""
-        if self.look is None or not self.look.shows_rotation:
+    def orientation(self) -> OrientationHistory | None:
+        """The orientation of balls with a pattern, which is random when the motion starts."""
+        if self.finish is None or not self.finish.shows_rotation:
             return None
         from scipy.spatial.transform import Rotation  # here alone: slow to load, and few balls have a pattern
 
@@ -148,7 +150,7 @@ class Clip:
         return OrientationHistory(self.view.motion, first.as_quat())
 
     def film(self) -> NDArray[Any]:
-        """Draw and expose all frames: the same pixels as a dataset of this scene and seed has in ``frames.tif``.
+        """Render and expose all frames: the pixels of ``frames.tif`` in a dataset of this scene and seed.
 
         Returns
         -------
@@ -159,7 +161,7 @@ class Clip:
         Raises
         ------
         NoGL
-            Where no OpenGL can draw; `synthcam doctor` says what to install.
+            If no OpenGL can render; `synthcam doctor` says what to install.
 
         Examples
         --------
@@ -174,33 +176,34 @@ class Clip:
 
     @property
     def camera_json(self) -> dict[str, Any]:
-        """What the experimenter knows, with the keys of ``camera.json``: what `tracker.track` takes."""
+        """The experimenter's knowledge, with the keys of ``camera.json``; `tracker.track` takes it."""
         return camera_json(self.nominal, self.drawn)
 
     @property
     def truth(self) -> dict[str, float]:
-        """The scalars of the collision, SI, by the names of docs/format.md; NaN where nothing collides."""
+        """The scalars of the collision, SI units, by the names of docs/format.md; NaN if nothing collides."""
         return ground_truth.scalars(self.model, self.launch, self.view.motion)
 
     @property
     def tracks(self) -> pd.DataFrame:
-        """The true tracks, a row for each ball and frame, at mid-exposure.
+        """The true tracks: a row for each ball and frame, at mid-exposure.
 
-        Columns: frame; t_s (s); particle (0: ball 1, the target); x_px, y_px and glint_x_px, glint_y_px (px); x, y, z
-        (m); vx, vy, vz (m/s); wx, wy, wz (rad/s); x_mean_px, y_mean_px (px, means over the exposure); state (rest,
-        roll, slide, fly); visible. For balls with a pattern qx, qy, qz, qw: the rotation from the ball's axes to the
-        world's.
+        - frame; t_s: time, s; particle: 0 is ball 1 (the target)
+        - x_px, y_px: centre; glint_x_px, glint_y_px: primary glint; x_mean_px, y_mean_px: mean over the exposure
+        - x, y, z: m; vx, vy, vz: m/s; wx, wy, wz: rad/s
+        - state: rest, roll, slide or fly; visible: the whole outline is in the picture
+        - qx, qy, qz, qw, of balls with a pattern: the rotation from the ball's axes to the world's
         """
-        return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames, self.turning)
+        return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames, self.orientation)
 
 
 def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
-    """The clip of plain, checked settings. Raises InputError when they contradict each other."""
+    """Build the clip of checked settings without distributions. Raises InputError if they contradict each other."""
     model, where = build(drawn), where or drawn["name"]
     timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
     for effect in model.effects:
         if effect.active and "measure" in effect.laws:
-            raise InputError(f"{where}: effects.{effect.name()}: a defect of trackers; expected none in a scene")
+            raise InputError(f"{where}: effects.{effect.name()}: is a defect of trackers; expected none in a scene")
     if timing["exposure"] > 1 / timing["fps"]:
         raise InputError(f"{where}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
     if camera["height"] <= 2 * model.ball.diameter:
@@ -214,9 +217,9 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
     except ValueError as e:
         raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
     nominal = build_camera(drawn, model.ball.radius)
-    look = build_finish(drawn, _ball_labels(launch), where)
+    finish = build_finish(drawn, _ball_labels(launch), where)
     sensor = {k: v for k, v in drawn["sensor"].items() if k != "white"}
-    if look:
+    if finish:
         sensor["glint_peak"] = drawn["sensor"].get("white", 200.0)
     return Clip(
         number=number,
@@ -230,7 +233,7 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         surface=build_surface(drawn["surface"]),
         sensor=Sensor(**sensor),
         frames=timing["frames"],
-        look=look,
+        finish=finish,
     )
 
 
@@ -240,13 +243,14 @@ def _apply_effects(model: Model, nominal: PinholeCamera) -> PinholeCamera:
 
 
 def _ball_labels(launch: dict[str, Any]) -> tuple[str, ...]:
-    return (launch["striker"],) if launch["kind"] == "single" else LABELS[launch["striker"]]
+    """Labels of ball 1, the target, and ball 2, the striker."""
+    return (launch["striker"],) if launch["kind"] == "single" else {"a": ("b", "a"), "b": ("a", "b")}[launch["striker"]]
 
 
 def _build_launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
     heading, v0, position = launch["heading"], launch["v0"], launch["contact"]
     if position == "upstream":
-        position = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
+        position = -CONTACT_UPSTREAM_S * v0 * np.array([np.cos(heading), np.sin(heading)])
     bodies, spin = model.bodies(_ball_labels(launch)), [launch[name] for name in SPIN_COLUMNS]
     if launch["kind"] == "single":
         if any(spin):

@@ -1,4 +1,4 @@
-"""Values that are drawn anew for each clip: {uniform: [lo, hi]}, {normal: [mean, sd]}, {choice: [...]}."""
+"""Distributions in a scene, drawn for each clip: {uniform: [lo, hi]}, {normal: [mean, sd]}, {choice: [...]}."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ import numpy as np
 
 from synthcam_shared.errors import InputError
 
-LARGEST = float(np.finfo(float).max)  # YAML has integers beyond it
-MOST = 1000  # different options of a choice that are no numbers
-WIDEST = 4.0  # a normal distribution is cut at so many standard deviations
+NORMAL_CUT_SIGMA = 4.0  # a normal distribution is cut off there, so that its extremes can be checked
 
 
 def parse_distribution(value: Any, key: str, where: str) -> tuple[str, list[Any]] | None:
-    """(kind, numbers) when a value is a distribution. Raises InputError when it is a wrong one."""
+    """Return (kind, numbers) if a value is a distribution. Raises InputError if it is a wrong one."""
     if not (isinstance(value, dict) and len(value) == 1 and next(iter(value)) in ("uniform", "normal", "choice")):
         return None
     kind, args = next(iter(value.items()))
+    largest = float(np.finfo(float).max)  # YAML has integers beyond it
     numbers = isinstance(args, list) and all(
-        isinstance(a, int | float) and not isinstance(a, bool) and abs(a) <= LARGEST for a in args
+        isinstance(a, int | float) and not isinstance(a, bool) and abs(a) <= largest for a in args
     )
     if kind == "choice":
         if not isinstance(args, list) or not args:
@@ -36,13 +35,13 @@ def parse_distribution(value: Any, key: str, where: str) -> tuple[str, list[Any]
 
 
 def replace_by_extremes(value: Any, which: str, key: str, where: str) -> Any:
-    """Settings with every distribution replaced by its lowest or highest value."""
+    """Replace every distribution in settings by its lowest ("low") or highest ("high") value."""
     found = parse_distribution(value, key, where)
     if found:
         kind, args = found
         sign = -1 if which == "low" else 1
         if kind == "normal":
-            return args[0] + sign * WIDEST * args[1]
+            return args[0] + sign * NORMAL_CUT_SIGMA * args[1]
         return args[0] if which == "low" else args[-1]
     if isinstance(value, dict):
         return {k: replace_by_extremes(v, which, f"{key}.{k}" if key else str(k), where) for k, v in value.items()}
@@ -50,7 +49,7 @@ def replace_by_extremes(value: Any, which: str, key: str, where: str) -> Any:
 
 
 def find_choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], list[Any]]]:
-    """Every choice in the settings: its key and its options."""
+    """Find every choice in the settings: its key and its options."""
     if isinstance(value, dict):
         if set(value) == {"choice"}:
             yield key, value["choice"]
@@ -59,16 +58,19 @@ def find_choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
                 yield from find_choices(v, (*key, k))
 
 
-def pick_representatives(options: list[Any], key: str, where: str) -> list[Any]:
-    """Those options whose check is a check of all: of numbers the extremes, of others each once. Raises InputError."""
+def pick_representatives(options: list[Any], key: str, where: str, most: int = 1000) -> list[Any]:
+    """Pick the options to check: the extremes of the numbers, and each other value once.
+
+    Raises InputError for more than `most` different other values, as each is checked.
+    """
     numbers: list[Any] = []
     for kind in (int, float):
-        alike = [x for x in options if type(x) is kind]
-        numbers += {min(alike), max(alike)} if alike else set()
-        numbers += [x for x in alike if x != x][:1]
+        of_kind = [x for x in options if type(x) is kind]
+        numbers += {min(of_kind), max(of_kind)} if of_kind else set()
+        numbers += [x for x in of_kind if x != x][:1]
     others = {repr(x): x for x in options if type(x) not in (int, float)}
-    if len(others) > MOST:
-        raise InputError(f"{where}: {key}.choice: expected at most {MOST} different values, found {len(others)}")
+    if len(others) > most:
+        raise InputError(f"{where}: {key}.choice: expected at most {most} different values, found {len(others)}")
     return [*numbers, *others.values()]
 
 
@@ -78,7 +80,7 @@ def replace_at(plain: Any, key: tuple[str, ...], value: Any) -> Any:
 
 
 def draw(value: Any, number: int, seed: int, key: str = "") -> Any:
-    """Settings with every distribution drawn, each from its own stream: (seed, clip number, key)."""
+    """Draw every distribution in settings, each from its own random stream: (seed, clip number, key)."""
     found = parse_distribution(value, key, "")
     if found:
         kind, args = found
@@ -87,7 +89,7 @@ def draw(value: Any, number: int, seed: int, key: str = "") -> Any:
         if kind == "uniform":
             return float(rng.uniform(*args))
         if kind == "normal":
-            return float(args[0] + args[1] * np.clip(rng.standard_normal(), -WIDEST, WIDEST))
+            return float(args[0] + args[1] * np.clip(rng.standard_normal(), -NORMAL_CUT_SIGMA, NORMAL_CUT_SIGMA))
         return args[int(rng.integers(len(args)))]
     if isinstance(value, dict):
         return {k: draw(v, number, seed, f"{key}.{k}" if key else str(k)) for k, v in value.items()}

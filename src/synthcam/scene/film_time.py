@@ -1,4 +1,4 @@
-"""A motion as a camera takes it: which moments a frame holds, where clock or shutter are not as stated."""
+"""Film time: which moments of the motion a frame shows if the clock is wrong or the shutter rolls."""
 
 from __future__ import annotations
 
@@ -14,13 +14,24 @@ from synthcam.dynamics.solve import solve
 from synthcam.dynamics.trajectory import Trajectory, average_over_spans
 from synthcam.model import Model
 
-TURNS = 20  # of the fixed points below, at most; each gains a factor, how many rows a ball passes while one is read
-SETTLED = 1e-14  # s
+# Fixed points are iterated until they change by less than the rounding of a time, s, or at most so often. Each turn
+# gains a factor: the time in which a ball crosses a row over the time in which the shutter does.
+TURNS_AND_ROUNDING_S = 20, 1e-14
 
 
 @dataclass(frozen=True)
 class FilmedMotion:
-    """The camera as it is, and the motion against film time: frame k opens at k/fps by the film's own count."""
+    """A motion as a camera films it. On the film's own clock, frame k opens at k/fps.
+
+    Attributes
+    ----------
+    model : Model
+        Its effects on the clock are applied.
+    camera : PinholeCamera
+        The real camera, not the nominal one.
+    motion : Trajectory
+        In true time.
+    """
 
     model: Model
     camera: PinholeCamera
@@ -28,7 +39,7 @@ class FilmedMotion:
 
     @classmethod
     def solve(cls, model: Model, launch: Launch, camera: PinholeCamera, frames: int) -> FilmedMotion:
-        """Solve the motion for as long as `frames` frames last."""
+        """Solve the motion for the duration of `frames` frames."""
         corners = np.array([[0.0], [frames / camera.fps]])
         rows = np.array([0.0, camera.size[1] - 1.0])
         times = model.laws("clock", corners + camera.line_time * rows, {"fps": camera.fps, "row": rows}) + np.zeros(
@@ -37,12 +48,12 @@ class FilmedMotion:
         return cls(model, camera, solve(model, launch, min(float(times.min()), 0.0), float(times.max())))
 
     def spans(self, frames: int) -> Array:
-        """Film time at which each exposure opens and closes, (frames, 2)."""
+        """Film time at which each exposure opens and closes: (frames, 2), s."""
         starts = np.arange(frames) / self.camera.fps
         return np.stack([starts, starts + self.camera.exposure], axis=1)
 
     def as_drawn(self) -> FilmedMotion:
-        """The same for a renderer, which sees to the delay of each row itself."""
+        """The same motion for a renderer, which applies the delay of each row itself."""
         return replace(self, camera=replace(self.camera, line_time=0.0))
 
     @property
@@ -50,37 +61,38 @@ class FilmedMotion:
         return bool(self.camera.line_time) or self.model.laws.has_effect_on("clock")
 
     def times(self, film: Array) -> Array:
-        """The moments (balls, m) at which film time (m,) really shows each ball."""
+        """True times (balls, m) at which film times (m,) show each ball, s."""
         out = np.repeat(film[None], len(self.motion.legs), axis=0)
         by_row = self.camera.line_time or self.model.laws.needs("clock", "row")
-        for _ in range(TURNS if by_row else 1):
+        turns, rounding = TURNS_AND_ROUNDING_S
+        for _ in range(turns if by_row else 1):
             before, out = out, self._clock(film, out)
-            if np.abs(out - before).max(initial=0.0) < SETTLED:
+            if np.abs(out - before).max(initial=0.0) < rounding:
                 break
         return out
 
     def at(self, film: Array) -> Array:
-        """States (balls, m, 9) at film time (m,)."""
+        """States (balls, m, 9) at film times (m,), s."""
         times = self.times(film)
         if not self._has_own_clock:
             return self.motion.at(times[0])
         return np.stack([self.motion.at(t)[k] for k, t in enumerate(times)])
 
     def breaks(self) -> Array:
-        """Film time of every event, rising."""
-        out = []
+        """Film times of all events, rising, s."""
+        out, (turns, rounding) = [], TURNS_AND_ROUNDING_S
         for event, ball in ((e, k) for e in self.motion.events for k in {e.i, e.j} - {-1}):
             film = event.t
-            for _ in range(TURNS):
+            for _ in range(turns):
                 late = event.t - float(self.times(np.array([film]))[ball, 0])
                 film += late
-                if abs(late) < SETTLED:
+                if abs(late) < rounding:
                     break
             out.append(film)
         return np.sort(np.array(out))
 
     def mean(self, spans: Array, of: Callable[[Array], Array]) -> Array:
-        """Means over spans of film time (n, 2) of a function of the states: (balls, n, k)."""
+        """Average a function of the states over spans of film time (n, 2): (balls, n, k)."""
         return average_over_spans(self.at, self.breaks(), spans, of)
 
     def _clock(self, film: Array, times: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The truth about a clip, in the terms of docs/format.md: scalars of a collision, tracks in the image, events."""
+"""The ground truth of a clip, as docs/format.md defines it: scalars of the collision, tracks, events."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from synthcam.scene.film_time import FilmedMotion
 if TYPE_CHECKING:
     from synthcam.dynamics.orientation import OrientationHistory
 
-NAN = float("nan")
-COLLISION = (
+STATE_COLUMNS = "x y z vx vy vz wx wy wz".split()
+COLLISION_COLUMNS = (
     "v0 b u2ix u2iy side2i t_c r s mu_k C drag decel tau1 tau2 v1f v2f energy_fraction momentum_fraction final_angle "
     "w1n w1t w2n w2t"
 ).split()
 
 
 def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float]:
-    """The scalars of `truth/clips.parquet`, SI; NaN where there is no collision to speak of."""
-    row = dict.fromkeys(COLLISION, NAN)
+    """Compute the scalars of `truth/clips.parquet`, SI units; NaN if there is no collision."""
+    row = dict.fromkeys(COLLISION_COLUMNS, np.nan)
     row |= {"mu_k": model.sliding_friction, "drag": model.rolling_drag, "decel": model.rolling_decel}
     hit = motion.first("contact")
     if hit is None or hit.before is None or hit.after is None:
         speeds = np.hypot(launch.states[:, 3], launch.states[:, 4])
         return row | {"v0": float(speeds.max())}
-    side = np.array(hit.n)  # of unit length but for unequal balls, which touch off their equators
+    side = np.array(hit.n)  # shorter than 1 for unequal balls, which touch off their equators
     n = side / np.hypot(*side)
     t = np.array([-n[1], n[0]])
     before, after = hit.before[:, 3:5], hit.after[:, 3:5]
@@ -48,7 +48,7 @@ def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
         "side2i": float(radius * hit.before[1, 8]),
         "t_c": hit.t,
         "r": float(-(parting @ n) / (approach @ n)),
-        "s": float(parting @ t) / across if abs(across) > 1e-12 * v0 else NAN,
+        "s": float(parting @ t) / across if abs(across) > 1e-12 * v0 else np.nan,
         "C": _spin_transfer(launch.bodies, hit),
         **{f"w{k + 1}{axis}": float(hit.after[k, 6:8] @ e) for k in (0, 1) for axis, e in (("n", n), ("t", t))},
     }
@@ -67,7 +67,7 @@ def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
 
 
 def _spin_transfer(bodies: Bodies, hit: Event) -> float:
-    """C from J = (2/5) C |u_t| 2 m and dw = (5/2) n x J / (mass R), read off the striker; m the reduced mass."""
+    """Compute C from the striker's change of spin: J = (2/5) C |u_t| 2 m, dw = (5/2) n x J / (mass R), m reduced."""
     before, after = np.asarray(hit.before), np.asarray(hit.after)
     radius, mass = bodies.radius[[hit.i, hit.j]], bodies.mass[[hit.i, hit.j]]
     n = before[0, :3] - before[1, :3]
@@ -81,9 +81,9 @@ def _spin_transfer(bodies: Bodies, hit: Event) -> float:
 def tracks(
     bodies: Bodies, view: FilmedMotion, lamp: Lamp, frames: int, turning: OrientationHistory | None = None
 ) -> pd.DataFrame:
-    """The table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure, with the exposure's mean.
+    """Make the table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure.
 
-    turning: of balls with a pattern.
+    x_mean_px, y_mean_px are means over the exposure. turning: of balls with a pattern.
     """
     spans, camera = view.spans(frames), view.camera
     times = view.times(spans.mean(axis=1))
@@ -96,7 +96,7 @@ def tracks(
         px, glint = camera.project(state[:, :3]), project_glint(camera, lamp, state[:, :3], radius)
         columns: dict[str, Any] = {"frame": np.arange(frames), "t_s": times[ball], "particle": np.full(frames, ball)}
         columns |= {"x_px": px[:, 0], "y_px": px[:, 1], "glint_x_px": glint[:, 0], "glint_y_px": glint[:, 1]}
-        columns |= dict(zip("x y z vx vy vz wx wy wz".split(), state.T, strict=True))
+        columns |= dict(zip(STATE_COLUMNS, state.T, strict=True))
         columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
         columns |= {"state": kinds[ball], "visible": _is_whole(camera, state[:, :3], radius)}
         if turning:
@@ -106,7 +106,7 @@ def tracks(
 
 
 def _is_whole(camera: PinholeCamera, centres: Array, radius: float) -> Any:
-    """True where the ball's whole outline lies in the picture: (n,)."""
+    """Tell whether the ball's whole outline lies in the picture: (n,)."""
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     ring = radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     px = camera.project(centres[:, None] + ring)
@@ -116,7 +116,7 @@ def _is_whole(camera: PinholeCamera, centres: Array, radius: float) -> Any:
 
 
 def events(motion: Trajectory, fps: float) -> pd.DataFrame:
-    """The table of `truth/events.parquet`; impulses in N s."""
+    """Make the table of `truth/events.parquet`; impulses in N s."""
     names = "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
     kinds = {"kind": "str", "i": "int64", "j": "int64"}
     rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, e.impulse_n, e.impulse_t) for e in motion.events]

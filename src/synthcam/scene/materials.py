@@ -1,4 +1,4 @@
-"""What balls and plate are made of, as a scene's `surface` names it, where they are not mirrors on a black plate."""
+"""The materials of matte balls and of plates under room light, as a scene's `surface` names them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from synthcam.camera.surface import Surface
 from synthcam.settings import Fraction, NotNegative, Settings
 from synthcam_shared.errors import InputError
 
-COLOURS = {  # of light, not of a screen: shares that are reflected, over the brightest's
+REFLECTANCE_OF_COLOUR = {  # of red, green and blue light, over that of the brightest; not a screen's colours
     "white": (1.0, 0.97, 0.9),
     "grey": (0.5, 0.5, 0.5),
     "black": (0.04, 0.04, 0.04),
@@ -24,22 +24,24 @@ COLOURS = {  # of light, not of a screen: shares that are reflected, over the br
     "brown": (0.35, 0.18, 0.08),
     "pink": (1.0, 0.45, 0.5),
 }
-PLATES = {  # reflectance of the brightest channel, and colour
+REFLECTANCE_OF_PLATE = {  # of the brightest channel, and of red, green and blue over it
     "black": (0.04, (1.0, 1.0, 1.0)),
     "plain": (0.5, (1.0, 1.0, 1.0)),
     "cloth": (0.3, (0.13, 1.0, 0.35)),
     "wood": (0.5, (1.0, 0.62, 0.33)),
     "paper": (0.8, (1.0, 0.99, 0.96)),
 }
-NAMES = Literal["white", "grey", "black", "red", "orange", "yellow", "green", "blue", "brown", "pink"]
-ColourSetting = NAMES | Annotated[list[Fraction], Field(min_length=3, max_length=3)]
-CLASSIC = ("scratches", "plate_gloss", "plate_texture", "plate_shadow")  # of mirrors on a black plate alone
+ColourName = Literal["white", "grey", "black", "red", "orange", "yellow", "green", "blue", "brown", "pink"]
+ColourSetting = ColourName | Annotated[list[Fraction], Field(min_length=3, max_length=3)]
 
 
 class BallFinishSettings(Settings):
-    """A matte ball. colour: a name, or what it reflects of red, green and blue; albedo: times so much.
+    """A matte ball.
 
-    second_colour: the pattern's other. gloss: reflectance of its varnish head-on, 0: none.
+    - albedo: factor on both colours
+    - colour: a name, or the reflectance of red, green and blue
+    - second_colour: the other colour of the pattern
+    - pattern: see `BallFinish`
     """
 
     albedo: Fraction | None = None
@@ -49,7 +51,12 @@ class BallFinishSettings(Settings):
 
 
 class MaterialSettings(BallFinishSettings):
-    """Keys of `surface:` for balls and plates under room light. b: of ball b, where it differs."""
+    """Keys of `surface:` for balls and plates under room light.
+
+    - gloss: reflectance of the balls' varnish at normal incidence; 0: none
+    - b: the keys in which ball b differs
+    - plate_contrast: factor on the relief of the plate's texture
+    """
 
     ball: Literal["steel", "matte"] | None = None
     gloss: Annotated[float, Field(ge=0, le=0.2)] | None = None
@@ -61,26 +68,26 @@ class MaterialSettings(BallFinishSettings):
 
 
 def is_under_room_light(drawn: dict[str, Any]) -> bool:
-    """Whether a scene is more than mirrors on a black plate."""
+    """Tell whether a scene is lit by a room: it has matte balls or a plate of some material."""
     return bool(drawn["surface"].get("ball") or drawn["surface"].get("plate"))
 
 
 def build_finish(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> SurfaceFinish | None:
-    """How balls of these labels look on their plate; None for mirrors on a black plate."""
+    """Build the finish of balls with these labels and of their plate; None for mirror balls on a black plate."""
     surface = drawn["surface"]
     of_rooms = [key for key in MaterialSettings.model_fields if key in surface]
     if not is_under_room_light(drawn):
         if of_rooms or "ambient" in drawn["lamp"] or "white" in drawn["sensor"]:
             key = f"surface.{of_rooms[0]}" if of_rooms else "lamp.ambient, sensor.white"
-            raise InputError(f"{where}: {key}: expected surface.ball or surface.plate beside")
+            raise InputError(f"{where}: {key}: expected together with surface.ball or surface.plate")
         return None
-    for key in CLASSIC:
+    for key in ("scratches", "plate_gloss", "plate_texture", "plate_shadow"):  # of mirrors on a black plate
         if surface[key]:
-            raise InputError(f"{where}: surface.{key}: has no part beside surface.ball and surface.plate")
+            raise InputError(f"{where}: surface.{key}: has no effect together with surface.ball or surface.plate")
     colour = bool(drawn["camera"].get("colour"))
     matte = surface.get("ball") == "matte"
     plate: Any = surface.get("plate", "black")
-    albedo, tint = PLATES[plate]
+    albedo, tint = REFLECTANCE_OF_PLATE[plate]
     return SurfaceFinish(
         balls=tuple(
             _build_ball_finish(surface | surface.get("b", {}) if k == "b" else surface, matte, colour) for k in labels
@@ -95,7 +102,10 @@ def build_finish(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> 
 
 
 def build_varnish(surface: Surface, drawn: dict[str, Any]) -> Surface | None:
-    """What the balls of a room mirror with: their metal, or a varnish that is a glass of such reflectance head-on."""
+    """Build the mirror on balls under room light: their metal, or a varnish of glass with the `gloss` asked for.
+
+    A glass of index n reflects ((n - 1)/(n + 1))^2 at normal incidence.
+    """
     if drawn["surface"].get("ball") != "matte":
         return surface
     gloss = np.sqrt(drawn["surface"].get("gloss", 0.04))
@@ -104,8 +114,8 @@ def build_varnish(surface: Surface, drawn: dict[str, Any]) -> Surface | None:
 
 def _build_ball_finish(surface: dict[str, Any], matte: bool, colour: bool) -> BallFinish:
     albedo = surface.get("albedo", 0.85) if matte else 0.0
-    first = _parse_colour(surface.get("colour"), COLOURS["white"])
-    second = _parse_colour(surface.get("second_colour"), COLOURS["red"])
+    first = _parse_colour(surface.get("colour"), REFLECTANCE_OF_COLOUR["white"])
+    second = _parse_colour(surface.get("second_colour"), REFLECTANCE_OF_COLOUR["red"])
     pattern: Pattern = surface.get("pattern", "plain") if matte else "plain"
     return BallFinish(
         _channel_reflectance(albedo, first, colour), _channel_reflectance(albedo, second, colour), pattern
@@ -115,10 +125,10 @@ def _build_ball_finish(surface: dict[str, Any], matte: bool, colour: bool) -> Ba
 def _parse_colour(given: Any, usual: tuple[float, ...]) -> tuple[float, ...]:
     if given is None:
         return usual
-    return COLOURS[given] if isinstance(given, str) else tuple(given)
+    return REFLECTANCE_OF_COLOUR[given] if isinstance(given, str) else tuple(given)
 
 
 def _channel_reflectance(albedo: float, rgb: tuple[float, ...], colour: bool) -> Colour:
-    """Reflectance in each channel of a camera."""
+    """Reflectance in each channel of a camera: three, or one of a grey camera."""
     whole = albedo * np.array(rgb)
     return tuple(whole.tolist()) if colour else (float(whole @ GREY),)

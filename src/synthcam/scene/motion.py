@@ -1,4 +1,4 @@
-"""A solved motion for people: states and events as tables, and a plot of the paths."""
+"""A solved motion as the library returns it: tables of states and events, and a plot of the paths."""
 
 from __future__ import annotations
 
@@ -17,11 +17,6 @@ from synthcam_shared.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-STATE = "x y z vx vy vz wx wy wz".split()
-COLOURS = ("#2166ac", "#b2182b")  # of particle 0 and 1
-MARKS = {"contact": "k*", "slide_end": "o", "stop": "s", "start": "^", "land": "v"}
-SAMPLES = 400  # of a path
-
 
 @dataclass(frozen=True, repr=False)
 class Motion:
@@ -30,9 +25,9 @@ class Motion:
     Attributes
     ----------
     trajectory : Trajectory
-        Its legs and events; ``trajectory.at(t)`` gives arrays (balls, times, 9).
+        Its legs and events; ``trajectory.at(t)`` returns arrays (balls, times, 9).
     fps : float
-        Frames a second of the clip's camera, for events counted in frames.
+        Frame rate of the clip's camera, 1/s, for events counted in frames.
 
     Examples
     --------
@@ -55,16 +50,15 @@ class Motion:
     def __repr__(self) -> str:
         balls, events = len(self.trajectory.legs), self.trajectory.events
         happened = ", ".join(f"{e.kind} {e.t:.3g}" for e in events)
-        said = f": {happened} s" if events else ", without events"
-        return (
-            f"Motion of {balls} ball{'s' * (balls > 1)} from {self.trajectory.t0:g} to {self.trajectory.t1:g} s{said}"
-        )
+        summary = f": {happened} s" if events else ", without events"
+        start, end = self.trajectory.t0, self.trajectory.t1
+        return f"Motion of {balls} ball{'s' * (balls > 1)} from {start:g} to {end:g} s{summary}"
 
     def _repr_html_(self) -> str:
         return f"<p>{self!r}</p>{self.events[['t_s', 'kind', 'i', 'j']].to_html(index=False)}"
 
     def at(self, t: ArrayLike) -> pd.DataFrame:
-        """States at any times.
+        """Compute the states at any times.
 
         Parameters
         ----------
@@ -74,14 +68,19 @@ class Motion:
         Returns
         -------
         DataFrame
-            A row for each ball and time, ball by ball. t_s: time, s. particle: 0, ball 1 (the target), or 1, ball 2
-            (the striker). x, y, z: centre, m. vx, vy, vz: m/s. wx, wy, wz: spin, rad/s. state: rest, roll, slide or
-            fly. At an event, the state just after it.
+            A row for each ball and time, ball by ball; at an event, the state just after it. The columns:
+
+            - t_s: time, s
+            - particle: 0 is ball 1 (the target), 1 is ball 2 (the striker)
+            - x, y, z: centre, m
+            - vx, vy, vz: velocity, m/s
+            - wx, wy, wz: spin, rad/s
+            - state: rest, roll, slide or fly
 
         Raises
         ------
         InputError
-            For times that are no numbers, or outside those solved.
+            If a time is not a number, or outside the solved interval.
         """
         try:
             times = np.atleast_1d(np.asarray(t, dtype=float)).ravel()
@@ -90,47 +89,51 @@ class Motion:
             raise InputError(f"t: {error}") from None
         balls = len(states)
         columns: dict[str, Any] = {"t_s": np.tile(times, balls), "particle": np.repeat(np.arange(balls), len(times))}
-        columns |= dict(zip(STATE, states.reshape(-1, 9).T, strict=True))
+        columns |= dict(zip(ground_truth.STATE_COLUMNS, states.reshape(-1, 9).T, strict=True))
         return pd.DataFrame(columns | {"state": kinds.ravel()})
 
     @cached_property
     def events(self) -> pd.DataFrame:
-        """All events in order of time, as ``truth/events.parquet`` has them.
+        """All events in order of time, with the columns of ``truth/events.parquet``.
 
-        t_s: time, s. frame_float: the same in frames. kind: contact, slide_end, stop, start or land. i, j: particles
-        (j is -1 where one ball alone has part). nx, ny: at a contact, unit vector from ball j's centre to ball i's.
-        impulse_n, impulse_t: along it, and along z x n, on ball i, N s.
+        - t_s: time, s; frame_float: the same time in frames
+        - kind: contact, slide_end, stop, start or land
+        - i, j: the particles; j is -1 for an event of one ball
+        - nx, ny: at a contact, the unit vector n from the centre of ball j to that of ball i
+        - impulse_n, impulse_t: impulse on ball i along n, and along z x n, N s
         """
         return ground_truth.events(self.trajectory, self.fps)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Plot the paths seen from above, with the events on them.
+        """Plot the paths from above, with the events on them.
 
         Parameters
         ----------
         ax : Axes, optional
-            Where to draw; default: a new figure.
+            Axes to draw on; default: a new figure.
 
         Returns
         -------
         Axes
-            x and y of the plate, mm, both on one scale.
+            x and y on the plate, mm, on equal scales.
         """
         if ax is None:
             import matplotlib.pyplot as plt
 
             ax = plt.subplots(layout="constrained")[1]
-        path = self.at(np.linspace(self.trajectory.t0, self.trajectory.t1, SAMPLES))
+        path = self.at(np.linspace(self.trajectory.t0, self.trajectory.t1, 400))
+        colours = ("#2166ac", "#b2182b")  # of particle 0 and 1
+        marks = {"contact": "k*", "slide_end": "o", "stop": "s", "start": "^", "land": "v"}
         for ball, rows in path.groupby("particle"):
-            colour = COLOURS[int(str(ball)) % 2]
+            colour = colours[int(str(ball)) % 2]
             ax.plot(1e3 * rows["x"], 1e3 * rows["y"], color=colour, label=f"ball {int(str(ball)) + 1}", zorder=1)
         for event in self.trajectory.events:
             for ball in {event.i, event.j} - {-1}:
                 x, y = 1e3 * self.trajectory.at(event.t)[ball, 0, :2]
                 label = event.kind.replace("_", " ")
                 known = ax.get_legend_handles_labels()[1]
-                style: dict[str, Any] = {} if event.kind == "contact" else {"color": COLOURS[ball % 2], "mfc": "white"}
-                ax.plot(x, y, MARKS[event.kind], label=None if label in known else label, ms=6, zorder=2, **style)
+                style: dict[str, Any] = {} if event.kind == "contact" else {"color": colours[ball % 2], "mfc": "white"}
+                ax.plot(x, y, marks[event.kind], label=None if label in known else label, ms=6, zorder=2, **style)
         ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
         ax.legend(fontsize="small")
         return ax

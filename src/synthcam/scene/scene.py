@@ -1,4 +1,4 @@
-"""A scene: an experiment whose numbers may be distributions; drawn, it is one clip."""
+"""A scene: an experiment whose numbers may be distributions. Each draw is one clip."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ Position = Annotated[
 
 Speed = Annotated[float, Field(ge=-1e3, le=1e3)]  # m/s
 
-MOST_RADIANS = 10.0  # of a heading: more is one in degrees
-SHOWN = 4  # distributions, in a scene's repr
-
 
 def _check_radians(angle: float) -> float:
-    if abs(angle) > MOST_RADIANS:
-        raise ValueError(f"expected radians from {-MOST_RADIANS:g} to {MOST_RADIANS:g}")
+    largest = 10.0  # a larger angle must be in degrees
+    if abs(angle) > largest:
+        raise ValueError(f"expected radians from {-largest:g} to {largest:g}")
     return angle
 
 
 class LaunchSettings(Settings):
     """`launch:` a pair that collides, or a single ball that rolls through `contact` at the contact frame.
 
-    slip_along, slip_across, side: of a striker that does not roll, as of `Launch.pair`.
+    - v0: speed of the striker at contact, m/s; b: impact parameter over the sum of the radii; heading: rad
+    - striker: the ball that moves; contact: where the balls touch, m, or "upstream" of the origin
+    - slip_along, slip_across, side: spin of a striker that does not roll, m/s; see `Launch.pair`
     """
 
     kind: Literal["pair", "single"] = "pair"
@@ -80,7 +80,7 @@ class TimingSettings(Settings):
 
 @cache_until_effects_change
 def scene_file() -> type[Settings]:
-    """What a scene may hold, as numbers; any number may be a distribution instead."""
+    """The sections of a scene as a pydantic model, for numbers; any number may be a distribution instead."""
     sections: dict[str, Any] = {
         "ball": BallSettings,
         "model": ModelSettings,
@@ -107,15 +107,15 @@ def scene_file() -> type[Settings]:
 
 @dataclass(frozen=True, repr=False)
 class Scene:
-    """An experiment: checked, plain settings in which a number may be a distribution, drawn anew for each clip.
+    """An experiment: checked settings in which a number may be a distribution that is drawn for each clip.
 
     Attributes
     ----------
     name : str
     settings : dict
-        By section, as the scene's file has them; what is left out has the paper's value. See docs/format.md.
+        By section, as in the scene's file. Missing keys have the paper's value. See docs/format.md.
     where : str
-        The file, for messages.
+        Name of the file, for messages.
 
     Examples
     --------
@@ -140,8 +140,8 @@ class Scene:
         path : str or Path
             A file, or the name of one that comes with synthcam ("painter_behringer", "scenes/oblique.yaml").
         **sections
-            Values that replace the file's: ``launch={"v0": 0.3}`` changes that key of its section alone, and
-            ``effects={"plate_tilt": {"x": 1e-3}}`` adds that effect to those of the file.
+            Values that replace the file's. ``launch={"v0": 0.3}`` changes only that key of its section;
+            ``effects={"plate_tilt": {"x": 1e-3}}`` adds an effect to those of the file.
 
         Returns
         -------
@@ -150,7 +150,7 @@ class Scene:
         Raises
         ------
         InputError
-            One line, with file and key, for what is no scene.
+            If the file is not a scene: one line with file and key.
         """
         loaded = read_yaml(Path(path))
         for name, values in sections.items():
@@ -163,9 +163,9 @@ class Scene:
         sections = ((s, values) for s, values in self.settings.items() if isinstance(values, dict))
         found = {f"{s}.{k}": v for s, values in sections for k, v in values.items()}
         spread = {k: v for k, v in found.items() if isinstance(v, dict) and set(v) <= {"uniform", "normal", "choice"}}
-        said = [f"{k} {kind} {value}" for k, v in spread.items() for kind, value in v.items()]
-        said[SHOWN:] = [f"{len(said) - SHOWN} more"] if len(said) > SHOWN else []
-        return f"Scene {self.name}: {', '.join(said) or 'all clips alike, but for noise'}"
+        listed = [f"{k} {kind} {value}" for k, v in spread.items() for kind, value in v.items()]
+        listed[4:] = [f"{len(listed) - 4} more"] if len(listed) > 4 else []
+        return f"Scene {self.name}: {', '.join(listed) or 'all clips are the same except for noise'}"
 
     def draw(self, number: int = 0, seed: int = 0) -> Clip:
         """Draw a clip.
@@ -173,9 +173,9 @@ class Scene:
         Parameters
         ----------
         number : int
-            Which one. Each value has its own stream, of seed, number and key, so that no value moves another.
+            Its number. Each value has its own random stream, by seed, number and key, independent of the others.
         seed : int
-            Of everything drawn, the sensor's noise included.
+            Of everything random, the sensor's noise included.
 
         Returns
         -------
@@ -185,14 +185,14 @@ class Scene:
         Raises
         ------
         InputError
-            Where the drawn values contradict each other.
+            If the drawn values contradict each other.
         """
         where = f"{self.where}, clip {number}"
         return build_clip(number, _validate(draw(self.settings, number, seed), where), seed, where)
 
 
 def _plain(value: Any) -> Any:
-    """As YAML would give it: numbers of numpy, arrays and tuples as plain ones."""
+    """Convert numpy's numbers, arrays and tuples to the types that YAML gives."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if hasattr(value, "tolist"):
@@ -201,9 +201,9 @@ def _plain(value: Any) -> Any:
 
 
 def read_scene(path: Path, overrides: tuple[str, ...] = (), model: Path | None = None) -> Scene:
-    """Read and check a scene file, `overrides` as "launch.v0=0.2". Raises InputError.
+    """Read and check a scene file. Raises InputError.
 
-    model: a model file, whose ball, model, effects and free laws take the place of the scene's.
+    overrides: as "launch.v0=0.2". model: a model file, whose ball, model, effects and free laws replace the scene's.
     """
     loaded = read_yaml(path)
     if model is not None:
@@ -213,14 +213,14 @@ def read_scene(path: Path, overrides: tuple[str, ...] = (), model: Path | None =
 
 
 def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] = ()) -> Scene:
-    """Check plain settings: every extreme of every distribution must pass as a number would.
+    """Check settings: both extremes of every distribution must be valid numbers.
 
     Parameters
     ----------
     loaded : dict
-        As the YAML file has them.
+        As in the YAML file.
     where : str
-        What messages call the file.
+        Name of the file, for messages.
     overrides : tuple of str
         As "launch.v0=0.2".
 
@@ -270,12 +270,12 @@ def _apply_override(settings: dict[str, Any], text: str) -> None:
 
 
 def schema() -> dict[str, Any]:
-    """JSON Schema of a scene, distributions included."""
+    """Make the JSON Schema of a scene, distributions included."""
     plain = scene_file().model_json_schema()
     number = {"type": "number"}
     pair = {"type": "array", "items": number, "minItems": 2, "maxItems": 2}
     plain["$defs"]["Distribution"] = {
-        "title": "drawn anew for each clip",
+        "title": "drawn for each clip",
         "oneOf": [
             {"type": "object", "properties": {k: v}, "required": [k], "additionalProperties": False}
             for k, v in (("uniform", pair), ("normal", pair), ("choice", {"type": "array", "minItems": 1}))

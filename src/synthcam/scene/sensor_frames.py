@@ -1,4 +1,4 @@
-"""A solved motion drawn and exposed: frames as the sensor gives them, one at a time."""
+"""Render and expose a solved motion: the frames as the sensor gives them, one at a time."""
 
 from __future__ import annotations
 
@@ -19,15 +19,27 @@ from synthcam.scene.film_time import FilmedMotion
 if TYPE_CHECKING:
     from synthcam.dynamics.orientation import OrientationHistory
 
-APART = 1 << 64  # between the seeds of a colour camera's chips
 Array = NDArray[np.float64]
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class OpticalSetup(NamedTuple):
-    """All that a camera sees, but for where the balls are. radii: of the balls, m; room: what they mirror beside.
+    """Everything that decides a picture except where the balls are.
 
-    look, mirror: of matte balls, or a plate with texture, and of what the balls mirror with.
+    Attributes
+    ----------
+    camera : PinholeCamera
+    lamp : Lamp
+    radii : list of float
+        One a ball, m.
+    room : float
+        Radiance of the surroundings that a mirror ball shows, over the peak of its glint.
+    surface : Surface
+        Of mirror balls on a black plate.
+    finish : SurfaceFinish or None
+        Of matte balls, or of a plate with texture.
+    varnish : Surface or None
+        The mirror on the balls of a `finish`; None: they are dull.
     """
 
     camera: PinholeCamera
@@ -35,55 +47,69 @@ class OpticalSetup(NamedTuple):
     radii: list[float]
     room: float
     surface: Surface
-    look: SurfaceFinish | None = None
-    mirror: Surface | None = None
+    finish: SurfaceFinish | None = None
+    varnish: Surface | None = None
 
 
 def expose_frames(
-    view: FilmedMotion,
-    seen: OpticalSetup,
+    motion: FilmedMotion,
+    setup: OpticalSetup,
     sensor: Sensor,
     frames: int,
     key: tuple[int, int],
-    turning: OrientationHistory | None,
+    orientation: OrientationHistory | None,
     colour: bool,
 ) -> Iterator[Counts]:
-    """The frames as the sensor gives them, one at a time. key: seed, and number of the clip, of the chips' noise.
+    """Yield the frames as the sensor gives them.
 
-    turning: of balls with a pattern. colour: three channels, (h, w, 3).
+    Parameters
+    ----------
+    motion : FilmedMotion
+    setup : OpticalSetup
+    sensor : Sensor
+    frames : int
+        Their number.
+    key : tuple of int
+        Seed and number of the clip, for the chips' noise.
+    orientation : OrientationHistory or None
+        Of balls with a pattern.
+    colour : bool
+        Three channels, each with a chip of its own: (h, w, 3).
     """
     seed, number = key
-    chips = [_chip(sensor, seen.camera.size, seen.camera.exposure, seed + c * APART) for c in range(3 if colour else 1)]
-    drawn = _renderer(pickle.dumps(tuple(seen)))
-    view = view.as_drawn()
+    apart = 1 << 64  # the seeds of the three chips are further apart than any two seeds that a user may give
+    camera = setup.camera
+    chips = [_chip(sensor, camera.size, camera.exposure, seed + c * apart) for c in range(3 if colour else 1)]
+    renderer = _renderer(pickle.dumps(tuple(setup)))
+    motion = motion.as_drawn()
 
     def centres(t: Array) -> Array:
-        return view.at(t)[:, :, :3].transpose(1, 0, 2)
+        return motion.at(t)[:, :, :3].transpose(1, 0, 2)
 
-    def turns(t: Array) -> Array:
-        times = view.times(t)
-        if turning is None:
+    def rotations(t: Array) -> Array:
+        times = motion.times(t)
+        if orientation is None:
             return np.broadcast_to(np.eye(3), (len(t), len(times), 3, 3))
-        return np.stack([turning.at(ball, own).as_matrix() for ball, own in enumerate(times)], axis=1)
+        return np.stack([orientation.at(ball, own).as_matrix() for ball, own in enumerate(times)], axis=1)
 
-    how = (centres, turns) if seen.look else (centres,)
-    for k, found in enumerate(drawn.frames(*how, view.spans(frames), view.breaks())):
-        pictures = found if isinstance(found, tuple) else (found,) * len(chips)
+    paths = (centres, rotations) if setup.finish else (centres,)
+    for k, rendered in enumerate(renderer.frames(*paths, motion.spans(frames), motion.breaks())):
+        pictures = rendered if isinstance(rendered, tuple) else (rendered,) * len(chips)
         exposed = (chip.expose(picture, number, k) for chip, picture in zip(chips, pictures, strict=True))
         yield np.stack(list(exposed), axis=-1) if colour else next(exposed)
 
 
 @lru_cache(maxsize=2)
-def _renderer(seen: bytes) -> Any:
-    """One film serves all clips that are seen alike: its plate and its unit take as long as ten frames.
+def _renderer(setup: bytes) -> Any:
+    """The renderer of all clips with one setup: its plate and its unit take as long as ten frames.
 
-    seen: what a film is made of, pickled, as arrays have no hash.
+    setup: pickled, because arrays have no hash.
     """
-    camera, lamp, radii, room, surface, look, mirror = pickle.loads(seen)
-    if look:
+    camera, lamp, radii, room, surface, finish, varnish = pickle.loads(setup)
+    if finish:
         from synthcam.camera.room.room_renderer import RoomRenderer
 
-        return RoomRenderer(camera, lamp, radii, look, mirror)
+        return RoomRenderer(camera, lamp, radii, finish, varnish)
     from synthcam.camera.render import MirrorRenderer  # here alone: everything else works without OpenGL
 
     return MirrorRenderer(camera, lamp, radii, room, surface)
@@ -91,5 +117,5 @@ def _renderer(seen: bytes) -> Any:
 
 @lru_cache(maxsize=6)
 def _chip(sensor: Sensor, size: tuple[int, int], exposure: float, seed: int) -> Chip:
-    """One chip serves all clips of a camera: its fixed pattern takes as long to draw as many frames."""
+    """The chip of all clips of a camera: its fixed pattern takes as long to draw as many frames."""
     return Chip(sensor, size, exposure, seed)

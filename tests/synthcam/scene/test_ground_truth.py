@@ -153,7 +153,7 @@ def test_without_a_collision():
     row = scalars(Model(), Launch.single(ALONE, 0.1, 0.2, 0.3, (0, 0)))
     assert row["v0"] == pytest.approx(0.2)
     assert (row["mu_k"], row["drag"], row["decel"]) == (0.232, 0.135, 0.0103)
-    assert all(np.isnan(row[k]) for k in set(ground_truth.COLLISION) - {"v0", "mu_k", "drag", "decel"})
+    assert all(np.isnan(row[k]) for k in set(ground_truth.COLLISION_COLUMNS) - {"v0", "mu_k", "drag", "decel"})
 
 
 @pytest.mark.parametrize("exposure", [5e-4, 4e-3])

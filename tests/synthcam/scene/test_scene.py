@@ -199,4 +199,4 @@ def test_a_section_that_is_none_is_one_line(sections, said):
 def test_the_repr_says_what_varies():
     assert repr(Scene.read("benchmark")).startswith("Scene benchmark: model.restitution uniform [0.75, 0.98], ")
     assert repr(Scene.read("benchmark")).endswith(", 5 more")
-    assert "all clips alike" in repr(check_scene({}, "x"))
+    assert "all clips are the same" in repr(check_scene({}, "x"))

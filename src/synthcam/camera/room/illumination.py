@@ -56,18 +56,18 @@ class BallsAtMoment(NamedTuple):
 class Illumination:
     """lamp, look: as in a film. radii: (N,) m. mirror: the balls' varnish or bare metal, None: dull."""
 
-    def __init__(self, lamp: Lamp, look: SurfaceFinish, radii: Array, mirror: Surface | None) -> None:
-        self.look, self.radii, self.mirror = look, radii, mirror
-        self.colours = [ball.mean for ball in look.balls]
-        self.plate = np.array(look.plate)
+    def __init__(self, lamp: Lamp, finish: SurfaceFinish, radii: Array, mirror: Surface | None) -> None:
+        self.finish, self.radii, self.mirror = finish, radii, mirror
+        self.colours = [ball.mean for ball in finish.balls]
+        self.plate = np.array(finish.plate)
         cells = [cell for each in lamp.all for cell in _cells(each)]
         whole = sum(_irradiance(cell, np.zeros((1, 3)), UP[None])[0, 0] for cell in cells)
-        self.unit = (1 - look.ambient) / whole  # of a radiance over pi
+        self.unit = (1 - finish.ambient) / whole  # of a radiance over pi
         self.cells = [LampCell(c.position, c.area, c.facing, c.strength * self.unit) for c in cells]
         tables: dict[tuple[bytes, float], PlateExchange] = {}
         for colour, radius in zip(self.colours, radii.tolist(), strict=True):
             if (colour.tobytes(), radius) not in tables:
-                made = solve_plate_exchange(partial(self._sources, radius), look.ambient, colour, self.plate)
+                made = solve_plate_exchange(partial(self._sources, radius), finish.ambient, colour, self.plate)
                 tables[colour.tobytes(), radius] = made
         self.bounces = [tables[c.tobytes(), r] for c, r in zip(self.colours, radii.tolist(), strict=True)]
         slant = max(np.hypot(*c.position[:2]) / c.position[2] for c in self.cells)
@@ -87,7 +87,7 @@ class Illumination:
     def _lights(self, points: Array) -> Array:
         """Light (n, 1 + cells) of the sky and of the lamps on the bare plate."""
         up = np.broadcast_to(UP, points.shape)
-        sky = np.full((len(points), 1), self.look.ambient)
+        sky = np.full((len(points), 1), self.finish.ambient)
         return np.concatenate([sky, *(_irradiance(cell, points, up) for cell in self.cells)], axis=1)
 
     def on_plate(self, points: Array, centres: Array, soft: float = 0.0) -> Array:
@@ -97,7 +97,7 @@ class Illumination:
         for ball, centre in enumerate(centres):
             near, kept = self._unshadowed_shares(ball, points, centre, soft)
             shares[ball, near] = kept
-        total = np.repeat((bare * shares.prod(axis=0)).sum(axis=1)[:, None], self.look.channels, axis=1)
+        total = np.repeat((bare * shares.prod(axis=0)).sum(axis=1)[:, None], self.finish.channels, axis=1)
         local = self.bare(centres * [1, 1, 0])
         for ball, centre in enumerate(centres):
             near, fade = self._near(ball, points, centre)
@@ -138,7 +138,7 @@ class Illumination:
                 if k != ball:
                     light = light * self._visible_share(cell, points, centres[k], self.radii[k])
             lamps += light
-        sky = self.look.ambient * (1 + normals[:, 2]) / 2
+        sky = self.finish.ambient * (1 + normals[:, 2]) / 2
         total = (lamps + sky)[:, None] + self._from_plate(ball, normals, centres)
         if exchange is not None:
             total += exchange.on_ball(ball, normals)
@@ -180,7 +180,7 @@ class Illumination:
                 given = self.colours[b] * self.on_ball(b, centres[b] + self.radii[b] * face, face, centres, found)
                 plate = self._from_plate(a, normals, centres) / np.maximum((1 - normals[:, 2:]) / 2, 1e-3)
                 up = ways[..., 2:] > 0
-                hidden = np.where(up, self.look.ambient, plate[:, None])
+                hidden = np.where(up, self.finish.ambient, plate[:, None])
                 net = (weights[..., None] * (given.reshape(hidden.shape) - hidden)).sum(axis=1)
                 share = form_factor(normals, centres[b] - points, self.radii[b])
                 tables[a, b] = axes, ReflectionTable((share[:, None] * net).reshape(NEARS, TURNS, -1))
@@ -203,7 +203,7 @@ class Illumination:
         paint: its reflectance there, (n, c).
         """
         normals = _units(points - among.centres[ball])
-        out = np.zeros((len(points), self.look.channels))
+        out = np.zeros((len(points), self.finish.channels))
         if paint.any():
             out += paint * self.on_ball(ball, points, normals, *among)
         if mirrors is None:
@@ -216,7 +216,7 @@ class Illumination:
     def _around(self, ball: int, points: Array, ways: Array, among: BallsAtMoment, mirrors: int) -> Array:
         """What a ball mirrors (n, c): sky, plate or another ball."""
         centres = among.centres
-        out = np.full((len(points), self.look.channels), self.look.ambient)
+        out = np.full((len(points), self.finish.channels), self.finish.ambient)
         nearest = np.full(len(points), np.inf)
         meets = np.full(len(points), -1)
         for k in range(len(centres)):
@@ -234,7 +234,7 @@ class Illumination:
             own = np.flatnonzero(meets == k)
             if len(own):
                 at = points[own] + nearest[own, None] * ways[own]
-                paint = np.broadcast_to(self.colours[k], (len(own), self.look.channels))
+                paint = np.broadcast_to(self.colours[k], (len(own), self.finish.channels))
                 out[own] = self.radiance(k, at, ways[own], among, paint, mirrors)
         return out
 

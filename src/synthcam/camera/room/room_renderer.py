@@ -53,17 +53,17 @@ class RoomRenderer:
     """
 
     def __init__(
-        self, camera: PinholeCamera, lamp: Lamp, radii: Sequence[float], look: SurfaceFinish, mirror: Surface | None
+        self, camera: PinholeCamera, lamp: Lamp, radii: Sequence[float], finish: SurfaceFinish, mirror: Surface | None
     ) -> None:
-        self.camera, self.lamp, self.look = camera, lamp, look
+        self.camera, self.lamp, self.finish = camera, lamp, finish
         self.radii = np.array(radii, float)
-        if not (len(self.radii) == len(look.balls) and np.all(self.radii > 0)):
-            raise ValueError(f"radii: expected {len(look.balls)}, all larger than 0, got {self.radii.tolist()}")
+        if not (len(self.radii) == len(finish.balls) and np.all(self.radii > 0)):
+            raise ValueError(f"radii: expected {len(finish.balls)}, all larger than 0, got {self.radii.tolist()}")
         for each in lamp.all:
             at = camera.project(each.position)
             if np.all((at > -0.5) & (at < np.array(camera.size) - 0.5)):
                 raise ValueError(f"lamp position {each.position.tolist()} stands between the camera and the plate")
-        self.shade = Illumination(lamp, look, self.radii, mirror)
+        self.shade = Illumination(lamp, finish, self.radii, mirror)
         self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
         self._vignette = compute_vignette(camera)
         self._points, _ = self._on_plate(*(np.arange(n, dtype=float) for n in camera.size))
@@ -96,17 +96,17 @@ class RoomRenderer:
         w, h = self.camera.size
         sigma = np.hypot(self.camera.psf_sigma_px, self.camera.defocus_px / 2)
         shade = np.ones((h, w)) if self._vignette is None else self._vignette
-        even = [np.asarray(self._bare * shade * c) for c in self.look.plate]
-        if self.look.texture != "plain":
+        even = [np.asarray(self._bare * shade * c) for c in self.finish.plate]
+        if self.finish.texture != "plain":
             margin = int(np.ceil(4 * sigma))
             across = (np.arange((w + 2 * margin) * PLATE) + 0.5) / PLATE - 0.5 - margin
             rows = blur_matrix(w + 4 * margin, margin, PLATE, sigma)[2 * margin : 2 * margin + w]
-            relief = np.zeros((h, w, self.look.channels))
+            relief = np.zeros((h, w, self.finish.channels))
             for top in range(0, h, 64):
                 n = min(64, h - top)
                 down = (np.arange((n + 2 * margin) * PLATE) + 0.5) / PLATE - 0.5 - margin + top
                 points, _ = self._on_plate(across, down)
-                fine = texture.factors(self.look, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:2], -1)
+                fine = texture.factors(self.finish, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:2], -1)
                 columns = blur_matrix(n + 4 * margin, margin, PLATE, sigma)[2 * margin : 2 * margin + n]
                 for c in range(fine.shape[2]):
                     relief[top : top + n, :, c] = columns @ fine[..., c] @ rows.T
@@ -266,14 +266,14 @@ class RoomRenderer:
         way = self._rays(at + low[0], at + low[1])
         share = self._shares(ball, centres, way)
         rows, columns = np.nonzero(share > 0)
-        tiles = np.zeros((1 + self.look.channels, *share.shape), np.float32)
+        tiles = np.zeros((1 + self.finish.channels, *share.shape), np.float32)
         tiles[0] = share
         if len(rows):
             ways = way[rows, columns]
             points = self._meet_ball(centres[ball], self.radii[ball], ways)
-            finish = self.look.balls[ball]
+            own_finish = self.finish.balls[ball]
             sharp = self.camera.scale / (FINENESS * self.radii[ball])
-            paint = finish.paint((points - centres[ball]) / self.radii[ball] @ turned[ball], sharp)
+            paint = own_finish.paint((points - centres[ball]) / self.radii[ball] @ turned[ball], sharp)
             seen = self.shade.radiance(ball, points, ways, among, paint)
             tiles[1:, rows, columns] = (share[rows, columns, None] * seen).T
         blur = blur_matrix(width, self.psf.margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
@@ -322,7 +322,7 @@ class RoomRenderer:
         """Share of a box that balls cover, and what they show there, by channel: (1 + c, h, w)."""
         rows, columns = box
         shape = (rows.stop - rows.start, columns.stop - columns.start)
-        total = np.zeros((1 + self.look.channels, *shape), np.float32)
+        total = np.zeros((1 + self.finish.channels, *shape), np.float32)
         for low, images in tiles:
             x, y, width = int(low[0]) - columns.start, int(low[1]) - rows.start, images.shape[1]
             top, bottom, left, right = max(y, 0), min(y + width, shape[0]), max(x, 0), min(x + width, shape[1])

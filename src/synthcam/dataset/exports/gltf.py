@@ -41,7 +41,7 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
         balls = []
         drawn = check_scene(clip.drawn, f"{clip.stack.parent}, scene.json").draw(0, 0)
-        look, matte = drawn.look, drawn.drawn["surface"].get("ball") == "matte"
+        finish, matte = drawn.finish, drawn.drawn["surface"].get("ball") == "matte"
         tracks = clip.tracks.sort_values("frame")
         for number in range(int(tracks["particle"].max()) + 1):
             ball = tracks[tracks["particle"] == number]
@@ -49,9 +49,9 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             resting = ball.loc[ball["state"] != "fly", "z"]
             radius = float(resting.median()) if len(resting) else clip.camera["ball_diameter"] / 2
             first = ball[list(TURN)].iloc[0].to_numpy(float) if "qx" in ball else None
-            paint = partial(look.balls[number].paint, sharp=SHARP) if look and matte else None
+            paint = partial(finish.balls[number].paint, sharp=SHARP) if finish and matte else None
             balls.append(BallMotion(radius, times, positions, *_turns(times, spins, first), paint))
-        appearance = (_lit if look else _appearance)(drawn)
+        appearance = (_lit if finish else _appearance)(drawn)
         (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls, appearance))
 
 
@@ -59,7 +59,7 @@ def _lit(clip: Clip) -> Appearance:
     """Matte balls, or a plate of a colour. glTF has no light from all sides: the lamps have the room's share too."""
     from synthcam.camera.render.gltf import Appearance
 
-    assert clip.look
+    assert clip.finish
     lamps = clip.lamp.all
     middle = np.zeros(3)
     each = [lamp.radiance * _area(lamp) * _towards(lamp, middle) for lamp in lamps]
@@ -71,7 +71,7 @@ def _lit(clip: Clip) -> Appearance:
         lamps=tuple(zip(lamps, (i * white for i in each), strict=True)),
         steel=clip.surface.head_on,
         roughness=0.3,
-        plate=clip.look.plate * (3 // clip.look.channels),
+        plate=clip.finish.plate * (3 // clip.finish.channels),
         dull=True,
     )
 

@@ -51,7 +51,7 @@ def test_a_black_ball_hides_its_outline(shift, change):
     camera = overhead(**change)
     film = RoomRenderer(camera, LAMP, [R], look(BLACK, ambient=0.0), None)
     film.shade.cells, centre = [], np.array([shift[0] * 8e-4, shift[1] * 8e-4, R])
-    film.shade.look = SurfaceFinish((BLACK,), (0.5,), ambient=1.0)
+    film.shade.finish = SurfaceFinish((BLACK,), (0.5,), ambient=1.0)
     film.shade._unshadowed_shares = lambda ball, points, centre, soft=0.0: (np.zeros(0, int), np.ones((0, 1)))
     film._bare = np.ones(film._bare.shape)
     image = one(film, centre)[0].image / film.plate[0]
