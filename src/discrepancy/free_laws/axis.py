@@ -1,4 +1,4 @@
-"""What a free law depends on, and the series that it is made of: cosines of a range, waves of an angle, or numbers."""
+"""The axis of a free law and its series: cosines of a range, harmonics of an angle, or a number for each clip."""
 
 from __future__ import annotations
 
@@ -9,16 +9,25 @@ import numpy as np
 
 from discrepancy.arrays import Array
 
-WIDER = 1.2  # the cosines' range over the data's
-LEAST = 1e-6  # of a smooth curve's variance: that of every coefficient at least
-
 
 @dataclass(frozen=True)
 class Axis:
-    """What a law is left free in. kind: line, circle (an angle, rad) or set (of clips: a number for each).
+    """The quantity that a free law depends on, with the series over it.
 
-    On a line, cosines of a range somewhat wider than the data's, so that no slope is forced on its ends; on a circle
-    sines and cosines of the angle. All are smooth, as the integration of motion wants its laws.
+    All terms are smooth, as the integration of motion requires.
+
+    Attributes
+    ----------
+    name, unit : str
+    low, high : float
+        Ends of the covered range.
+    count : int
+        Coefficients.
+    kind : str
+        "line": cosines over 1.2 times the range, so that the slope at its ends is free. "circle": sines and cosines of
+        an angle, rad. "set": a number for each clip.
+    letter : str
+        For formulas.
     """
 
     name: str
@@ -27,46 +36,46 @@ class Axis:
     high: float
     count: int
     kind: str = "line"
-    letter: str = ""  # for formulas
+    letter: str = ""
 
     @property
     def _waves(self) -> Array:
         """Wave numbers, (count,)."""
         if self.kind == "circle":
             return np.asarray((np.arange(self.count) + 1) // 2, dtype=float)
-        return np.asarray(np.arange(self.count) * np.pi / (WIDER * max(self.high - self.low, 1e-12)), dtype=float)
+        return np.asarray(np.arange(self.count) * np.pi / (1.2 * max(self.high - self.low, 1e-12)), dtype=float)
 
     def basis(self, x: Any) -> Array:
-        """(..., count) at x."""
+        """Evaluate all terms at x, (..., count)."""
         x = np.asarray(x)[..., None]
         if self.kind == "set":
             return np.asarray(x == np.arange(self.count), dtype=float)
         if self.kind == "circle":
             return np.asarray(np.cos(self._waves * x - np.pi / 2 * (np.arange(self.count) % 2)))
-        start = (self.low + self.high) / 2 - WIDER * (self.high - self.low) / 2
+        start = (self.low + self.high) / 2 - 1.2 * (self.high - self.low) / 2
         return _cosines(self._waves[1] * (x[..., 0] - start), self.count)
 
     def prior_variances(self, length: float) -> Array:
-        """Prior variances (count,) of the coefficients of a curve that changes over `length`, of the range or of a
-        radian; its own variance is about one.
+        """Prior variances (count,) of the coefficients of a curve whose own variance is about one.
 
-        The spectrum of a Gaussian process: Solin & Saerkkae, Statistics and Computing 30 (2020) 419.
+        They are the spectrum of a Gaussian process with a squared exponential covariance: Solin & Saerkkae, Statistics
+        and Computing 30 (2020) 419. length: over which the curve changes, in ranges or in radians.
         """
         if self.kind == "set":
             return np.ones(self.count)
         range_ = 1.0 if self.kind == "circle" else self.high - self.low
-        out = np.exp(-((self._waves * length * range_) ** 2) / 2) + LEAST
+        out = np.exp(-((self._waves * length * range_) ** 2) / 2) + 1e-6  # no coefficient is excluded
         return np.asarray(out / out.sum())
 
     def grid(self, count: int) -> Array:
-        """Places (count,) over the range, or each member of the set."""
+        """Evenly spaced coordinates (count,) over the range, or every member of a set."""
         if self.kind == "set":
             return np.arange(self.count, dtype=float)
         return np.linspace(self.low, self.high, count)
 
 
 def _cosines(angle: Array, count: int) -> Array:
-    """cos(k angle), (..., count), by Chebyshev's recurrence: each is a multiplication, where a cosine takes ten."""
+    """cos(k angle), (..., count), by Chebyshev's recurrence, which is ten times faster than as many cosines."""
     out = np.ones((count, *angle.shape))
     out[1] = np.cos(angle)
     twice = 2 * out[1]

@@ -1,10 +1,11 @@
-"""The band of a fitted curve: the law is smooth, or it has a step; the data weigh which.
+"""Compute the credible band of a fitted curve, which may be smooth or have a step.
 
-A smooth curve cannot follow a step, and its covariance does not know that. So the band is that of a mixture: the
-smooth curve, and steps at many places and of some widths, each with its marginal likelihood for a weight. Either sort
-is as likely beforehand, and so is every step of its sort. A step's height has a Gaussian prior of the size that makes
-the data likeliest, as the curve's coefficients have: z standard deviations from zero, it costs 1 + ln z^2 of chi^2.
-The same weights say what the free law as a whole is worth beside the library's models.
+A smooth curve cannot follow a step, and its covariance does not include that error. The band is therefore that of a
+mixture: the smooth curve, and steps of many positions and widths, each weighted by its marginal likelihood. Curve and
+step have the same prior probability, and so have all steps among themselves. The height of a step has a Gaussian
+prior whose size maximises the likelihood, as for the coefficients of the curve. A height of z standard deviations then
+costs 1 + ln z^2 in chi^2. The same weights rate the free law against the models of the library.
+
 Bayesian model averaging: Hoeting et al., Statistical Science 14 (1999) 382.
 """
 
@@ -22,19 +23,19 @@ from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.marginal_likelihood import maximise_evidence
 
-PLACES, WIDTHS = 40, 6  # of steps that are tried at once
-WIDTH = (0.004, 0.15)  # of a step's tanh, from, to: shares of the range; by its logarithm
-AT_ONCE = 60  # columns
-ENOUGH = 12.0  # steps that share the weight: the tries are close enough
-ZOOMS = 6  # at most, into where the weight is
-LEAST = 1e-6  # of the weight: components with less have no part
-SEEN = 1e-6  # of a step's information were all else known: with less it is in the span of all else, or error of slopes
-HALVINGS = 60  # of an interval in which a quantile lies
+MIN_WEIGHT = 1e-6  # components of a smaller weight are dropped
 
 
 @dataclass(frozen=True)
 class NormalMixture:
-    """A law at n places by normal components. weight: (k,), of sum one; mean, std: (k, n, parts)."""
+    """The posterior of a law at n points, as a mixture of normal distributions.
+
+    Attributes
+    ----------
+    weight : (k,) array
+        They add up to one.
+    mean, std : (k, n, parts) array
+    """
 
     weight: Array
     mean: Array
@@ -42,7 +43,7 @@ class NormalMixture:
 
     @classmethod
     def of(cls, fitted_law: FittedLaw, *x: Array) -> NormalMixture:
-        """The law at x. Maps, laws of an angle and numbers of each clip have no steps."""
+        """Evaluate the law at x. Maps, laws of an angle and numbers of each clip have no steps."""
         mean, covariance = fitted_law.curve(*x)
         std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)).T
         if not _can_have_step(fitted_law):
@@ -50,24 +51,24 @@ class NormalMixture:
         odds, means, stds = _weigh_steps(fitted_law, x[0])
         odds = np.array([0.0, *odds])
         weight = np.exp(odds - logsumexp(odds))
-        kept = weight > LEAST
+        kept = weight > MIN_WEIGHT
         mean, std = np.concatenate([mean[None], means]), np.concatenate([std[None], stds])
         return cls(weight[kept] / weight[kept].sum(), mean[kept], std[kept])
 
     def quantile(self, deviations: float) -> Array:
-        """(n, parts): below it lies as much as of a normal below so many standard deviations."""
+        """Find by bisection the quantile, (n, parts), that a normal has at so many standard deviations."""
         ends = self.mean + deviations * self.std
         low, high = ends.min(axis=0), ends.max(axis=0)
-        for _ in range(HALVINGS if len(self.weight) > 1 else 0):
+        for _ in range(60 if len(self.weight) > 1 else 0):
             middle = (low + high) / 2
-            spread = np.maximum(self.std, 1e-300)  # of a centred law some place may have none
+            spread = np.maximum(self.std, 1e-300)  # a centred law may have no error somewhere
             below = np.tensordot(self.weight, ndtr((middle - self.mean) / spread), 1) < ndtr(deviations)
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         return np.asarray((low + high) / 2)
 
 
 def gain_of_steps(fitted_law: FittedLaw) -> float:
-    """How much likelier, in chi^2, the clips are where the law may be smooth or have a step than where it is smooth."""
+    """How much the mixture of smooth curve and steps gains over the smooth curve, in chi^2."""
     if not _can_have_step(fitted_law):
         return 0.0
     odds, _, _ = _weigh_steps(fitted_law, fitted_law.law.axes[0].grid(1))
@@ -80,57 +81,83 @@ def _can_have_step(fitted_law: FittedLaw) -> bool:
 
 @dataclass(frozen=True)
 class _StepAxis(Axis):
-    """An axis whose series is steps. where: (count, 2), places and ln of widths, shares of the range."""
+    """An axis whose series is steps. steps: (count, 2), positions and ln of widths, as shares of the range."""
 
-    where: Array | None = None
+    steps: Array | None = None
 
     def basis(self, x: Any) -> Array:
-        assert self.where is not None
+        assert self.steps is not None
         share = (np.asarray(x)[..., None] - self.low) / (self.high - self.low)
-        return np.asarray((1 + np.tanh((share - self.where[:, 0]) / np.exp(self.where[:, 1]))) / 2)
+        return np.asarray((1 + np.tanh((share - self.steps[:, 0]) / np.exp(self.steps[:, 1]))) / 2)
 
 
-def _weigh_steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
-    """ln of the odds (k,) of each step against the smooth curve; their laws at x: means and deviations, (k, n, 1).
+def _weigh_steps(
+    fitted_law: FittedLaw,
+    x: Array,
+    *,
+    counts: tuple[int, int] = (40, 6),
+    widths: tuple[float, float] = (0.004, 0.15),
+    max_refinements: int = 6,
+    min_effective_steps: float = 12.0,
+    batch: int = 60,
+) -> tuple[Array, Array, Array]:
+    """Weigh a grid of steps against the smooth curve; refine the grid where the weight is.
 
-    Tried anew within the box of places and widths that holds the weight, until that is shared by enough of them.
+    Parameters
+    ----------
+    counts : (int, int)
+        Positions and widths of one grid.
+    widths : (float, float)
+        The smallest and the largest width of a step's tanh, as shares of the range.
+    max_refinements, min_effective_steps
+        The grid is refined until at least this many steps share the weight, or it no longer halves.
+    batch : int
+        Steps fitted at once, to limit memory.
+
+    Returns
+    -------
+    log_odds : (k,) array
+        Of each step against the smooth curve.
+    mean, std : (k, n, 1) array
+        The law at x, given each step.
     """
-    bare = replace(fitted_law, fit=fitted_law.fit.subtract(fitted_law.slopes, -fitted_law.coefs))  # of no curve
+    bare = replace(fitted_law, fit=fitted_law.fit.subtract(fitted_law.slopes, -fitted_law.coefs))  # without curve
     smooth = maximise_evidence(fitted_law.law, *_reduce_to_columns(bare, fitted_law.slopes)[:2]).gain
-    whole = box = np.array([[0.0, 1.0], np.log(WIDTH)])
-    counts = np.array([PLACES, WIDTHS])
-    for _ in range(ZOOMS):
-        cell = np.ptp(box, axis=1) / counts
+    whole = box = np.array([[0.0, 1.0], np.log(widths)])
+    for _ in range(max_refinements):
+        cell = np.ptp(box, axis=1) / np.array(counts)
         sides = [low + side * (np.arange(n) + 0.5) for low, side, n in zip(box[:, 0], cell, counts, strict=True)]
-        where = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
-        tried = [_fit_steps(bare, some, x) for some in np.array_split(where, -(-len(where) // AT_ONCE))]
+        steps = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
+        tried = [_fit_steps(bare, some, x) for some in np.array_split(steps, -(-len(steps) // batch))]
         gains, means, stds = (np.concatenate(each) for each in zip(*tried, strict=True))
         odds = (gains - smooth) / 2 + np.log(np.prod(cell / np.ptp(whole, axis=1)))
         weight = np.exp(odds - logsumexp(odds))
-        heavy = where[weight > LEAST]
+        heavy = steps[weight > MIN_WEIGHT]
         closer = np.clip(np.stack([heavy.min(axis=0) - cell, heavy.max(axis=0) + cell], 1), whole[:, :1], whole[:, 1:])
-        if 1 / (weight @ weight) > ENOUGH or np.prod(np.ptp(closer, axis=1)) > 0.5 * np.prod(np.ptp(box, axis=1)):
+        if 1 / (weight @ weight) > min_effective_steps or np.prod(np.ptp(closer, axis=1)) > 0.5 * np.prod(
+            np.ptp(box, axis=1)
+        ):
             break
         box = closer
     return odds, means, stds
 
 
-def _fit_steps(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, Array]:
-    """Of steps: what each gains over no curve, in chi^2, its freedom paid for; means and deviations, (k, n, 1), at x.
+def _fit_steps(bare: FittedLaw, steps: Array, x: Array) -> tuple[Array, Array, Array]:
+    """Fit each of some steps alone, with the law's own parameters.
 
-    Like the curve, a step stands on those of the law's own parameters that are fitted.
+    Returns the gain over no curve in chi^2, freedom subtracted, and mean and std (k, n, 1) of the law at x.
     """
     law, fit, axis = bare.law, bare.fit, bare.law.axes[0]
-    step = replace(law, axes=(_StepAxis(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
-    moves = bare.evidence.whiten(step.derivatives(fit.model, fit.launches, bare.evidence.clips))
+    step = replace(law, axes=(_StepAxis(axis.name, axis.unit, axis.low, axis.high, len(steps), steps=steps),))
+    moves = bare.evidence.white(step.derivatives(fit.model, fit.launches, bare.evidence.clips))
     information, pull, own, spread, back = _reduce_to_columns(bare, moves)
     alone = sum((m**2).sum(axis=0) for m in moves) + np.finfo(float).tiny
-    seen = np.maximum(np.diag(information), SEEN * alone)
-    z2 = np.maximum(pull**2 / seen, 1.0)
-    size = (1 - 1 / z2) / seen  # the height's variance: none of a step that hardly shows
+    known = np.maximum(np.diag(information), 1e-6 * alone)  # below 1e-6 it is in the span of the rest, or rounding
+    z2 = np.maximum(pull**2 / known, 1.0)
+    size = (1 - 1 / z2) / known  # the height's variance; 0 for a step below one standard deviation
     here = np.array([x**power for _, power in bare.owners]).reshape(-1, len(x)).T
-    known = law.value_in_model(fit.model, x)[:, 0]
-    parts = [known + here @ own, here, step.basis(x) - here @ back]
+    in_model = law.value_in_model(fit.model, x)[:, 0]
+    parts = [in_model + here @ own, here, step.basis(x) - here @ back]
     middle, base, curve = (p - p.mean(axis=0) for p in parts) if law.centred else parts
     mean = middle[:, None] + curve * (size * pull)
     std = np.sqrt(np.einsum("ni,ij,nj->n", base, spread, base)[:, None] + curve**2 * size)
@@ -138,8 +165,10 @@ def _fit_steps(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, A
 
 
 def _reduce_to_columns(fitted_law: FittedLaw, moves: Sequence[Array]) -> tuple[Array, Array, Array, Array, Array]:
-    """Of columns, the law's own parameters marginal: information and pull; of those, without the columns: by how much
-    they change, and covariance; and by how much a unit of each column makes them less, (own, columns).
+    """Marginalise columns over the law's own parameters.
+
+    Returns five arrays: the columns' information and pull; the change and the covariance of the own parameters without
+    the columns; and by how much a unit of each column lowers the own parameters, (own, columns).
     """
     fit, names = fitted_law.fit, [name for name, _ in fitted_law.owners]
     own = [s[:, fit.columns_of(names)] for s in fit.slopes]

@@ -1,4 +1,4 @@
-"""A free law fitted in full: the coefficients of its law with everything else, and the law's curve."""
+"""A free law fitted together with all other parameters, and its curve."""
 
 from __future__ import annotations
 
@@ -17,25 +17,24 @@ from synthcam.model import Model
 
 @dataclass(frozen=True)
 class FittedLaw:
-    """A free law fitted in full.
+    """A free law fitted together with all other parameters.
 
     Attributes
     ----------
     law : FreeLaw
     coefs : (size,) array
     prior : Prior
-    fit : Fit
-        The fit beside it, its model with the law in it where an effect can hold it.
-    plain : Model
-        The model without the law.
-    evidence : Evidence
-        The clips, with what the law moved taken out of them where no effect can hold it.
-    moves : tuple of (2n, size) arrays
-        Whitened derivatives by the coefficients, of each clip.
+    fit : ModelFit
+        The fit of all other parameters. Its model has the law as an effect, if an effect can express it.
+    model_without_law : Model
+    evidence : WhitenedClips
+        The clips. If no effect can express the law, what it moves is subtracted from the tracks.
+    slopes : tuple of (2n, size) arrays
+        Whitened derivatives by the coefficients, for each clip.
     sigma : float
-        Of the law against the fit without it.
+        Significance of the law against the fit without it.
     score : float
-        chi^2 with the cost of all freedom.
+        chi^2 plus the cost of all freedom.
     """
 
     law: FreeLaw
@@ -50,20 +49,19 @@ class FittedLaw:
 
     @property
     def joint_fit(self) -> ModelFit:
-        """The fit with the coefficients among its parameters."""
+        """The fit with the coefficients as parameters."""
         names = [f"{self.law.name} {j}" for j in range(self.law.size)]
         return self.fit.extend(self.fit.model, names, self.slopes)
 
     @property
     def owners(self) -> list[tuple[str, int]]:
-        """Those of the law's own parameters that the fit changed."""
+        """The base parameters of the law that are fitted, with their powers of the axis."""
         return [(name, power) for name, power in self.law.owners if name in self.fit.names]
 
     def curve(self, *x: Array) -> tuple[Array, Array]:
-        """The law at x: values (n, parts), and their covariances over the places, (parts, n, n)."""
-        values = self.law.value_in_model(self.fit.model, *x) + self.law.values(self.coefs, *x).reshape(
-            -1, self.law.parts
-        )
+        """Evaluate the law at x: values (n, parts), and their covariances between the points, (parts, n, n)."""
+        series = self.law.values(self.coefs, *x).reshape(-1, self.law.parts)
+        values = self.law.value_in_model(self.fit.model, *x) + series
         spread, extra, one = self._covariance(), len(self.owners), self.law.size // self.law.parts
         own = np.stack([x[0] ** power for _, power in self.owners], axis=-1) if extra else np.zeros((len(x[0]), 0))
         covariances = []
@@ -76,7 +74,7 @@ class FittedLaw:
         return (values - values.mean(axis=0) if self.law.centred else values), np.stack(covariances)
 
     def _covariance(self) -> Array:
-        """Of the law's own parameters and the coefficients, all else marginal."""
+        """Covariance of the law's own parameters and the coefficients, marginal over all others."""
         names = [name for name, _ in self.owners]
         own = [s[:, self.fit.columns_of(names)] for s in self.fit.slopes]
         both = [np.concatenate(pair, axis=1) for pair in zip(own, self.slopes, strict=True)]
@@ -86,9 +84,9 @@ class FittedLaw:
         return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
 
     def significances_of_effects(self, base: ModelFit) -> dict[str, float]:
-        """Sigma of what is fitted beside the free law and not in the base, by effect, the free law being free.
+        """Significance, in sigma, of each effect that is fitted beside the free law and is not in the base fit.
 
-        How far its strengths are from what the base holds them at.
+        It compares the effect's strengths with their values in the base fit, marginal over the free law.
         """
         fit, found = self.joint_fit, {}
         for effect, names in self.fit.added_names(base).items():
@@ -100,9 +98,9 @@ class FittedLaw:
         return found
 
     def likelihood_of_curve(self) -> tuple[Array, Array]:
-        """Of the whole law as coefficients, its own parameters among them: where it is largest, and its information.
+        """The maximum of the likelihood over the coefficients, (J,), and their information, (J, J), without a prior.
 
-        (J,) and (J, J), no prior in either; relative to the law's own parameters as fitted.
+        The law's own parameters are part of the coefficients. These are relative to the fitted own parameters.
         """
         names = [name for name, _ in self.owners]
         information, pull = self.fit.drop(self.fit.model, names).information(self.slopes)

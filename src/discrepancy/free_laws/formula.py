@@ -1,6 +1,6 @@
-"""A short formula for a fitted curve: of some shapes the one that the data like best, simple ones preferred (BIC).
+"""Propose a short formula for a fitted curve: the shape with the best Bayesian information criterion (BIC).
 
-Each shape is fitted to the likelihood of the curve's coefficients, so that the curve's prior has no part in it.
+Each shape is fitted to the likelihood of the curve's coefficients, so the prior of the curve does not matter.
 """
 
 from __future__ import annotations
@@ -19,16 +19,25 @@ from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.shapes import LawShape, Terms, iterate_shapes
 from discrepancy.policy import current_policy
 
-GRID, SIDE = 200, 25  # places at which a shape is drawn: on a line, along each side of a map
-SEEN = 1e-10  # of the largest information
-REFINED = 200  # steps of the search for a shape's own parameters, at most
-
 
 @dataclass(frozen=True)
 class Formula:
-    """text: with numbers and units. chi2: over the free curve's. refused: the data tell it from the free curve.
+    """A short formula for a free law.
 
-    factors, numbers: by name, of the terms and of the shape, whose name is `shape`; none where it has no code.
+    Attributes
+    ----------
+    text : str
+        With numbers and units.
+    chi2 : float
+        By how much chi^2 exceeds that of the free curve.
+    parameters : int
+        Fitted numbers.
+    is_rejected : bool
+        Whether the data reject it against the free curve.
+    factors, numbers : dict of str to float
+        Of the terms and of the shape, by name; empty if the shape has no code.
+    shape : str
+        Its name.
     """
 
     text: str
@@ -41,11 +50,11 @@ class Formula:
 
 
 def propose_formula(fitted_law: FittedLaw) -> Formula:
-    """The best formula by BIC."""
+    """Fit every shape and return the formula with the best BIC."""
     law = fitted_law.law
     if law.is_per_clip:
         mean = sum(fitted_law.fit.model.value(name) for name, _ in law.owners) + float(fitted_law.coefs.mean())
-        text = f"{law.title} = {mean:.4g}, and other in each clip, by {fitted_law.prior.size:.2g} rms"
+        text = f"{law.title} = {mean:.4g}, and differs from clip to clip by {fitted_law.prior.size:.2g} rms"
         return Formula(text, 0.0, 2, False)
     drawn = _ShapeFitter(fitted_law)
     found = [
@@ -57,40 +66,39 @@ def propose_formula(fitted_law: FittedLaw) -> Formula:
 
 
 class _ShapeFitter:
-    """The curve's coefficients as the data see them, and what a drawn shape would have them be."""
+    """Fits shapes, evaluated on a grid, to the likelihood of a curve's coefficients."""
 
     def __init__(self, fitted_law: FittedLaw) -> None:
         law = self.law = fitted_law.law
-        if len(law.axes) == 1:
-            places: tuple[Array, ...] = (law.axes[0].grid(GRID),)
-        else:
-            places = tuple(s.ravel() for s in np.meshgrid(*(a.grid(SIDE) for a in law.axes), indexing="ij"))
-        self.x = [_display_scale(a) * p for a, p in zip(law.axes, places, strict=True)]
+        points = law.grid(200, side=25)
+        self.x = [_display_scale(a) * p for a, p in zip(law.axes, points, strict=True)]
         peak, information = fitted_law.likelihood_of_curve()
         values, axes = np.linalg.eigh(information)
-        seen = values > SEEN * values[-1]
-        self.weight = (axes[:, seen] * np.sqrt(values[seen])).T
-        self.inverse = np.linalg.pinv(law.basis(*places), rcond=1e-6)
-        self.target = self.weight @ peak + self.project(law.value_in_model(fitted_law.fit.model, *places))
+        informative = values > 1e-10 * values[-1]  # below that it is rounding error
+        self.weight = (axes[:, informative] * np.sqrt(values[informative])).T
+        self.inverse = np.linalg.pinv(law.basis(*points), rcond=1e-6)
+        self.target = self.weight @ peak + self.project(law.value_in_model(fitted_law.fit.model, *points))
         self.slight = current_policy().formula_tolerated_share * fitted_law.sigma**2
 
     def project(self, column: Array) -> Array:
+        """Whitened coefficients of a function on the grid, (n,) or (n, 2)."""
         return np.asarray(self.weight @ (self.inverse @ column.reshape(len(column), -1)).T.ravel())
 
     def terms(self, shape: LawShape, *extra: float) -> Terms:
-        """Those that say anything: of a centred law no constant."""
+        """The terms of a shape; for a centred law without constants."""
         return [t for t in shape.terms(*extra) if not self.law.centred or np.ptp(t.column, axis=0).any()]
 
     def fitted(self, shape: LawShape, extra: Array) -> tuple[float, Array]:
-        """Fit the factors of a shape's terms: chi^2, and the factors (terms,). extra: the shape's own numbers."""
+        """Fit the factors (terms,) of a shape with the numbers `extra`; return chi^2 and the factors."""
         columns = [t.column for t in self.terms(shape, *extra)]
         matrix = np.stack([self.project(c) for c in columns], axis=1)
         scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
         factors = np.linalg.lstsq(matrix / scale, self.target, rcond=1e-9)[0]
-        left = self.target - matrix / scale @ factors
-        return float(left @ left), factors / scale
+        residuals = self.target - matrix / scale @ factors
+        return float(residuals @ residuals), factors / scale
 
     def fit_shape(self, shape: LawShape) -> Formula:
+        """Fit a shape: its numbers by a grid and Nelder-Mead, its factors by linear least squares."""
         extra = np.zeros(0)
         if shape.tries:
             extra = np.array(min(itertools.product(*shape.tries), key=lambda t: self.fitted(shape, np.array(t))[0]))
@@ -101,7 +109,7 @@ class _ShapeFitter:
             def cost(z: Array) -> float:
                 return self.fitted(shape, np.clip(start + z * scale, *ends))[0]
 
-            options: Any = {"maxiter": REFINED, "initial_simplex": simplex}
+            options: Any = {"maxiter": 200, "initial_simplex": simplex}
             refined = minimize(cost, np.zeros(len(extra)), method="Nelder-Mead", options=options)
             extra = np.clip(start + refined.x * scale, *ends)
         chi2, factors = self.fitted(shape, extra)
@@ -119,7 +127,7 @@ class _ShapeFitter:
 
 
 def _write_sum(words: list[str], factors: Array, relative: bool) -> str:
-    """The sum; a sine and a cosine of the same as one sine. relative: a (1 + ...)."""
+    """Write a sum of terms. A sine and a cosine of one argument become one sine. relative: as a (1 + ...)."""
     lead = float(factors[0])
     if not relative or words[0] or len(words) == 1:
         relative, lead = False, 1.0
@@ -129,8 +137,8 @@ def _write_sum(words: list[str], factors: Array, relative: bool) -> str:
         if word.startswith("sin(") and rest and rest[0][0] == "cos(" + word[4:]:
             other = rest.pop(0)[1]
             phase = float(np.arctan2(other, factor))
-            inside, _, way = word.rpartition(")")
-            factor, word = float(np.hypot(factor, other)), f"{inside} {_format_signed(phase, 2)}){way}"
+            inside, _, end = word.rpartition(")")
+            factor, word = float(np.hypot(factor, other)), f"{inside} {_format_signed(phase, 2)}){end}"
         parts.append(f"{_format_signed(factor, 4 if not word else 3)} {word}".strip())
     text = " ".join(parts).removeprefix("+ ")
     return f"{lead:.4g} ({text})" if relative else text
@@ -141,7 +149,7 @@ def _format_signed(x: float, digits: int) -> str:
 
 
 def _display_scale(axis: Axis) -> float:
-    """Lengths are written in mm."""
+    """1000 for lengths, which are written in mm; 1 for others."""
     return 1e3 if axis.unit == "m" else 1.0
 
 

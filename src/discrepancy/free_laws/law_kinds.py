@@ -1,6 +1,6 @@
-"""Define a free law: a law of the model that a search leaves free as a smooth curve or map, in place of a formula.
+"""Define a free law: a law of the model that a search leaves free as a smooth curve or map, instead of a formula.
 
-A law is an instance of one of these kinds; `laws/table.py` lists most of them:
+`laws/table.py` lists most laws. Each is an instance of one of these kinds.
 
 - `MotionLaw` acts all along the motion, as friction does.
 - `ImpactLaw` acts once in each collision, as restitution does.
@@ -117,18 +117,24 @@ class FreeLaw(ABC):
 
     @property
     def paced(self) -> bool:
-        """Whether it is a rolling loss of a constant term and a term proportional to the speed."""
+        """True for a rolling loss of a constant term and a term proportional to the speed."""
         return self.parts == 2 and self.bends is not None and self.bends[0] == "rolling"
 
     @property
     def is_per_clip(self) -> bool:
-        """Whether it is a number for each clip."""
+        """True for a number for each clip."""
         return self.axes[0].kind == "set"
 
     @property
     def size(self) -> int:
         """The number of coefficients. Those of the second part follow those of the first."""
         return self.parts * int(np.prod([a.count for a in self.axes]))
+
+    def grid(self, count: int, side: int) -> tuple[Array, ...]:
+        """Coordinates (n,) for each axis, of `count` points on a line, or of `side` x `side` points of a map."""
+        if len(self.axes) == 1:
+            return (self.axes[0].grid(count),)
+        return tuple(x.ravel() for x in np.meshgrid(*(a.grid(side) for a in self.axes), indexing="ij"))
 
     @cached_property
     def _mean_of_basis(self) -> Array | float:
@@ -199,7 +205,7 @@ class FreeLaw(ABC):
         return (np.asarray(np.hypot(what[..., 0], what[..., 1])) if is_vector else what,)
 
     def factors(self, what: Any, speed: Any) -> Array | None:
-        """What each part is multiplied with, as for the tables of a model (`synthcam.tabulated_law.Kind.parts`).
+        """The factor of each part, as for the tables of a model (`synthcam.tabulated_law.Kind.parts`).
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""What a free law found, for people and files: its curve with its band, in physical units, and a short formula."""
+"""Summarise a fitted free law: its curve with credible bands, in physical units, and a short formula."""
 
 from __future__ import annotations
 
@@ -13,31 +13,29 @@ from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.formula import Formula, propose_formula
 from discrepancy.free_laws.law_kinds import FreeLaw
 
-PLACES, SIDE = 41, 25  # at which a curve is given; along each side of a map
-BANDS = {"band68": 1.0, "band": 1.96}  # standard deviations of a normal
-
 
 @dataclass(frozen=True)
 class LawSummary:
-    """A free law for people and files.
+    """A fitted free law as a curve or map, for pages and files.
 
     Attributes
     ----------
     law : FreeLaw
     description : str
-        The law in words.
+        As "mu that depends on the slip speed".
     x : tuple of (n,) arrays
-        Places, an array for each axis.
+        Coordinates, an array for each axis.
     curve : (n, parts) array
     bands : dict of str to (n, parts, 2) array
-        Low and high, by name.
+        Lower and upper ends, by name: "band68" and "band" (95 %).
     formula : str
-    refused : bool
-        Whether the data want more than the formula.
+    formula_rejected : bool
+        Whether the data reject the formula against the free curve.
     sigma : float
+        Significance of the law.
     covariance : (n, n) array or None
-        Of the curve where it is smooth and of one part; None otherwise.
-    formula_parts : Formula
+        Of a smooth curve of one part; None for others.
+    formula_parts : Formula or None
         The formula's shape, and its numbers by name.
     """
 
@@ -55,25 +53,30 @@ class LawSummary:
     @classmethod
     def of(cls, fitted_law: FittedLaw) -> LawSummary:
         law = fitted_law.law
-        if len(law.axes) == 1:
-            x: tuple[Array, ...] = (law.axes[0].grid(PLACES),)
-        else:
-            x = tuple(side.ravel() for side in np.meshgrid(*(a.grid(SIDE) for a in law.axes), indexing="ij"))
+        x = law.grid(41, side=25)
         mixture, formula = NormalMixture.of(fitted_law, *x), propose_formula(fitted_law)
         covariance = fitted_law.curve(*x)[1][0] if len(law.axes) == law.parts == 1 else None
         if law.is_per_clip:
             x = (np.array([float(c.clip) for c in fitted_law.evidence.clips]),)
-        bands = {
-            k: np.stack([mixture.quantile(-times), mixture.quantile(times)], axis=-1) for k, times in BANDS.items()
-        }
-        description, curve = describe_law(law), mixture.quantile(0.0)
+        widths = {"band68": 1.0, "band": 1.96}  # standard deviations of a normal distribution
         return cls(
-            law, description, x, curve, bands, formula.text, formula.is_rejected, fitted_law.sigma, covariance, formula
+            law=law,
+            description=describe_law(law),
+            x=x,
+            curve=mixture.quantile(0.0),
+            bands={k: np.stack([mixture.quantile(-s), mixture.quantile(s)], axis=-1) for k, s in widths.items()},
+            formula=formula.text,
+            formula_rejected=formula.is_rejected,
+            sigma=fitted_law.sigma,
+            covariance=covariance,
+            formula_parts=formula,
         )
 
     def document(self) -> dict[str, Any]:
-        """Its part in discrepancy.json. Of a curve x is a list of numbers, of a map a list of pairs; of a force or a
-        warp the curve is a list of pairs. A band holds [low, high], of each number of the curve.
+        """The entry of discrepancy.json.
+
+        x is a list of numbers for a curve and of pairs for a map. The curve is a list of numbers, or of pairs for a law
+        of two parts. A band holds [low, high] for each number of the curve.
         """
         one = self.law.parts == 1
         return {
@@ -103,9 +106,9 @@ class LawSummary:
 
 
 def describe_law(law: FreeLaw) -> str:
-    """ "mu that depends on the slip speed" """
+    """Describe a law in words, as "mu that depends on the slip speed"."""
     if len(law.axes) == 2:
-        return f"{law.title} that depends on the {'velocity' if law.axes[0].unit == 'm/s' else 'place'}"
+        return f"{law.title} that depends on the {'velocity' if law.axes[0].unit == 'm/s' else 'position'}"
     if law.is_per_clip:
-        return f"{law.title} that is another from clip to clip"
+        return f"{law.title} that differs from clip to clip"
     return f"{law.title} that depends on the {law.axes[0].name}"

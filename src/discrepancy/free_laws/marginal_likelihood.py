@@ -1,7 +1,10 @@
-"""How much a free curve explains, and what its freedom costs: Gaussian prior on the coefficients, size by the data.
+"""Compute the marginal likelihood of a free curve: what it explains, and what its freedom costs.
 
-With F the coefficients' information (all that the fit absorbs taken out), g their pull and s^2 K their prior
-covariance, -2 ln of the marginal likelihood over that of no curve is  -g' (F + K^-1/s^2)^-1 g + ln det(1 + s^2 K F).
+The coefficients have a Gaussian prior, whose size maximises the marginal likelihood. F is the information of the
+coefficients, marginal over all that the fit absorbs; g is their pull, the gradient of -chi^2/2; s^2 K is their prior
+covariance. Then -2 ln of the marginal likelihood, relative to no curve, is
+    -g' (F + K^-1/s^2)^-1 g + ln det(1 + s^2 K F).
+
 MacKay, Neural Computation 4 (1992) 415; Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), ch. 5.
 """
 
@@ -19,19 +22,24 @@ from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.policy import current_policy
 
-LENGTHS = (0.05, 0.12, 0.35, 1.0)  # over which the prior's curves change, shares of the range
-FLAT = 5.0  # likewise, of a field that hardly changes along an axis
-SMOOTH = 0.35  # likewise, of the curves that a free law's significance is looked for in first
-SEEN = 1e-8  # of the largest information: directions that show less count for nothing
-IDLE = 1e-9  # times the variance of a part that acts: of one that does not
-SIZES = np.linspace(-4, 9, 79)  # ln of the prior's size over what the data could just see
+PRIOR_LENGTHS = (0.05, 0.12, 0.35, 1.0)  # over which curves of a prior change, as shares of the range
+IDLE_VARIANCE = 1e-9  # prior variance of a part that does not act, relative to one that does
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent coefficients: a curve of the standard deviation `size` that changes over `length`; spread: (J,).
+    """A Gaussian prior of independent coefficients.
 
-    cost: of its choice, in chi^2.
+    Attributes
+    ----------
+    length : float
+        Over which its curves change, as a share of the range.
+    size : float
+        The standard deviation of its curves.
+    spread : (J,) array
+        The coefficients' variances at size one.
+    cost : float
+        Of choosing this prior among all, in chi^2.
     """
 
     length: float
@@ -41,13 +49,22 @@ class Prior:
 
     @property
     def precision(self) -> Array:
-        """(J, J)"""
+        """The inverse covariance, (J, J)."""
         return np.diag(1 / (self.size**2 * self.spread))
 
 
 @dataclass(frozen=True)
 class CurveEvidence:
-    """What a free law's coefficients explain: gain > 0 is better than no law, in units of chi^2, freedom paid for."""
+    """The best prior of a free law, and how much the law then explains.
+
+    Attributes
+    ----------
+    gain : float
+        In chi^2 over no law, freedom subtracted; positive is better than no law.
+    prior : Prior
+    coefs : (J,) array
+        The most probable coefficients.
+    """
 
     gain: float
     prior: Prior
@@ -55,21 +72,21 @@ class CurveEvidence:
 
 
 def cost_of_choice(count: int) -> float:
-    """What it costs to choose one of so many that are alike beforehand, in chi^2."""
+    """The cost in chi^2 of choosing one of `count` alternatives of equal prior probability."""
     return current_policy().choice_cost * math.log(count)
 
 
 def cost_of_strengths(information: Array, found: Array) -> float:
-    """What the freedom of an effect's strengths costs, by the same rule as of a free law's coefficients.
+    """The cost of an effect's free strengths, by the same rule as for a free law's coefficients.
 
-    Either all of them may differ from zero or only one, whichever is the likelier.
+    Either all strengths may differ from zero or one of them alone, whichever has the larger marginal likelihood.
 
     Parameters
     ----------
     information : (k, k) array
         In units in which realistic strengths are one.
     found : (k,) array
-        The strengths fitted, in the same units.
+        The fitted strengths, in the same units.
 
     Returns
     -------
@@ -77,59 +94,64 @@ def cost_of_strengths(information: Array, found: Array) -> float:
         In chi^2.
     """
     pull, one = information @ found, cost_of_choice(1 + len(found))
-    ways = [(np.arange(len(found)), 0.0)] + [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
+    subsets = [(np.arange(len(found)), 0.0)] + [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
     gains = []
-    for way, cost in ways:
-        values, axes = np.linalg.eigh(information[np.ix_(way, way)])
+    for subset, cost in subsets:
+        values, axes = np.linalg.eigh(information[np.ix_(subset, subset)])
         values = np.maximum(values, 1e-300)
-        _, each = _gain_at_sizes(values, axes.T @ pull[way])
+        _, each = _gain_at_sizes(values, axes.T @ pull[subset])
         gains.append(each.max() - cost)
     return float(found @ pull - max(*gains, 0.0))
 
 
 def _gain_at_sizes(values: Array, pulls: Array) -> tuple[Array, Array]:
-    """The sizes tried of a prior, and the gain of each, from the information (rising) and the pull along its axes."""
-    sizes = np.exp(SIZES) / np.sqrt(max(values[-1], 1e-300))
+    """Sizes of a prior and the gain of each. values, pulls: the information, ascending, and pull along its axes.
+
+    The sizes run from 0.02 to 8,000 times what the data could just detect, in steps of a sixth in the logarithm.
+    """
+    sizes = np.exp(np.linspace(-4, 9, 79)) / np.sqrt(max(values[-1], 1e-300))
     square = sizes[:, None] ** 2
     return sizes, (square * pulls**2 / (1 + square * values) - np.log1p(square * values)).sum(axis=1)
 
 
-def iterate_priors(law: FreeLaw) -> Iterator[tuple[float, Array, float]]:
-    """What the coefficients may be like: the length of change, their variances (J,), and the cost of the choice.
+def iterate_priors(law: FreeLaw, flat: float = 5.0) -> Iterator[tuple[float, Array, float]]:
+    """Yield the priors of a law: the length of change, the variances (J,), and the cost of the choice.
 
-    A field changes along both axes or along one, and acts along both or along one: three ways of each.
+    A map may change along both axes or along one of them, and a vector may have both components or one of them. Each of
+    the three alternatives costs a choice. flat: the length along an axis of no change, in ranges.
     """
     one = cost_of_choice(3)
-    for length in LENGTHS:
-        ways = [(law.prior_variances(length), 0.0)]
+    for length in PRIOR_LENGTHS:
+        shapes = [(law.prior_variances(length), 0.0)]
         if len(law.axes) == 2:
-            ways += [(law.prior_variances(length, FLAT), one), (law.prior_variances(FLAT, length), one)]
-        for spread, cost in ways:
+            shapes += [(law.prior_variances(length, flat), one), (law.prior_variances(flat, length), one)]
+        for spread, cost in shapes:
             yield length, spread, cost
             for part in range(law.parts if law.parts > 1 else 0):
                 acts = np.repeat(np.arange(law.parts) == part, law.size // law.parts)
-                yield length, np.where(acts, spread, IDLE * spread), cost + one
+                yield length, np.where(acts, spread, IDLE_VARIANCE * spread), cost + one
 
 
 def maximise_evidence(law: FreeLaw, information: Array, pull: Array) -> CurveEvidence:
-    """Choose a free law's prior by the evidence, and the coefficients that are likeliest with it.
+    """Choose the prior of a free law that maximises the marginal likelihood, and its most probable coefficients.
 
-    All lengths are as likely beforehand: the gain is that of their mean likelihood, which the best one's choice costs.
+    All lengths have the same prior probability, so the gain is that of their mean likelihood. The difference from the
+    best length is the cost of choosing it.
 
     Parameters
     ----------
     law : FreeLaw
     information, pull : (J, J) array, (J,) array
-        Of its J coefficients, as of `Fit.information`.
+        Of its J coefficients, as `ModelFit.information` gives them.
 
     Returns
     -------
-    Weight
+    CurveEvidence
     """
     best: CurveEvidence | None = None
-    gains = dict.fromkeys(LENGTHS, -math.inf)
+    gains = dict.fromkeys(PRIOR_LENGTHS, -math.inf)
     for length, spread, cost in iterate_priors(law):
-        acts = np.flatnonzero(spread > IDLE * spread.max())  # of a part that does not, next to nothing is explained
+        acts = np.flatnonzero(spread > IDLE_VARIANCE * spread.max())  # an idle part explains next to nothing
         root = np.sqrt(spread[acts])
         values, axes = np.linalg.eigh(root[:, None] * information[np.ix_(acts, acts)] * root)
         values = np.maximum(values, 0.0)
@@ -149,18 +171,26 @@ def maximise_evidence(law: FreeLaw, information: Array, pull: Array) -> CurveEvi
     return replace(best, gain=mean, prior=prior)
 
 
-def compute_significance(law: FreeLaw, information: Array, pull: Array) -> float:
-    """How significant a free law is, in sigma: the best of its chi^2 in 1, 2, 4, ... directions, less these trials.
+def compute_significance(law: FreeLaw, information: Array, pull: Array, length: float = 0.35) -> float:
+    """Compute the significance of a free law, in sigma.
 
-    The directions are those in which a smooth curve would show most. With nothing hidden the pull along them is
-    independent and of unit variance. Arguments as of `weigh`.
+    It is the largest significance of chi^2 in the first 1, 2, 4, ... directions, corrected for these trials. The
+    directions are ordered by how well a smooth curve would be detected along them. Without a hidden law the pulls along
+    them are independent and of unit variance.
+
+    Parameters
+    ----------
+    law, information, pull
+        As for `maximise_evidence`.
+    length : float
+        Over which smooth curves change, as a share of the range.
     """
-    root = np.sqrt(law.prior_variances(SMOOTH))
+    root = np.sqrt(law.prior_variances(length))
     values, axes = np.linalg.eigh(root[:, None] * information * root)
-    seen = values > SEEN * max(values[-1], 1e-300)
-    if not seen.any():
+    informative = values > 1e-8 * max(values[-1], 1e-300)  # below that it is rounding error
+    if not informative.any():
         return 0.0
-    pulls = (axes[:, seen].T @ (root * pull)) / np.sqrt(values[seen])
+    pulls = (axes[:, informative].T @ (root * pull)) / np.sqrt(values[informative])
     chi2 = np.cumsum(pulls[::-1] ** 2)
     counts = sorted({min(2**k, len(chi2)) for k in range(len(chi2).bit_length() + 1)})
     best = max(chi2_to_sigma(float(chi2[m - 1]), m) for m in counts)

@@ -103,7 +103,7 @@ def compute_ranges(
 def over_range(
     name: str, letter: str, values: Array, low: float | None = None, unit: str = "m/s", count: int = 20
 ) -> tuple[Axis, ...]:
-    """The axis of a curve over values (n,), from the least of them or from `low`; none where there are no values.
+    """The axis of a curve over values (n,), from the least of them or from `low`; empty without values.
 
     The 20 cosines resolve a step of a tenth of the range; the prior decides how many of them count.
     """
@@ -114,7 +114,7 @@ def over_range(
 
 
 def over_heading(values: Array | None = None, count: int = 9) -> tuple[Axis, ...]:
-    """The axis of a curve over all directions, rad, up to the fourth harmonic; none where `values` is empty."""
+    """The axis of a curve over all directions, rad, up to the fourth harmonic; empty if `values` is."""
     if values is not None and not len(values):
         return ()
     return (Axis("heading", "rad", -np.pi, np.pi, count, "circle", "th"),)
@@ -131,7 +131,7 @@ def over_clips(count: int, max_count: int = 120) -> tuple[Axis, ...]:
 
 
 def over_plane(values: Array, unit: str = "m", count: int = 8) -> tuple[Axis, ...]:
-    """Two axes of a map over vectors (n, 2), with `count` coefficients a side; none where there are no vectors."""
+    """Two axes of a map over vectors (n, 2), with `count` coefficients a side; empty without vectors."""
     if not len(values):
         return ()
     ends = zip("xy", values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""The shapes that are tried as short formulas: sums of terms, in words, drawn on a grid, and as code."""
+"""The shapes that are tried as short formulas: sums of terms as text, as values on a grid, and as Python code."""
 
 from __future__ import annotations
 
@@ -13,14 +13,22 @@ from discrepancy.arrays import Array
 from discrepancy.free_laws.law_kinds import FreeLaw
 from synthcam.tabulated_law import REFERENCE_SPEED_M_S
 
-SHARP = 0.01  # of the range: over so much a step in words is a slope in code, for motion to be integrated
-
 
 class Term(NamedTuple):
-    """A term of a sum, but for its factor.
+    """A term of a sum, without its factor.
 
-    text: with its numbers. column: drawn on the grid, (n,) of a number, (n, 2) of a vector. Of a curve, name: what its
-    factor is called; code: Python of {x} and the shape's numbers; power: that of {x} in its unit.
+    Attributes
+    ----------
+    text : str
+        For people, with its numbers.
+    column : (n,) or (n, 2) array
+        Its values on the grid.
+    name : str
+        Of its factor; for curves only, as are `code` and `power`.
+    code : str
+        Python code with {x} and the shape's numbers.
+    power : float
+        The power of {x} in its unit.
     """
 
     text: str
@@ -36,10 +44,18 @@ CONSTANT = "constant"
 
 @dataclass(frozen=True)
 class LawShape:
-    """A sum of terms, whose factors are fitted, given shape parameters; those are tried, then fitted too.
+    """A sum of terms with fitted factors.
 
-    numbers: the names of the shape parameters, as in the terms' code, each with the power of x in its unit. name: of a
-    shape with numbers, to tell it from others.
+    Attributes
+    ----------
+    terms : callable
+        Takes the shape's numbers and returns its terms.
+    tries : tuple of arrays
+        Starting values of each number.
+    numbers : tuple of (str, float)
+        Names of the numbers, as in the terms' code, each with the power of x in its unit.
+    name : str
+        Identifies a shape with numbers in files.
     """
 
     terms: Callable[..., Terms]
@@ -53,14 +69,14 @@ def _over(k: float) -> str:
 
 
 def iterate_shapes(law: FreeLaw, x: list[Array]) -> Iterator[LawShape]:
-    """The shapes that are tried for a law, drawn at places x, an array for each axis."""
+    """Yield the shapes that are tried for a law, evaluated at x, an array for each axis."""
     if law.paced:
-        return _paced(_turns(x[0]) if law.axes[0].kind == "circle" else _maps(*x))
+        return _iterate_with_speed(_iterate_angular(x[0]) if law.axes[0].kind == "circle" else _iterate_maps(*x))
     if law.axes[0].kind == "circle":
-        return _turns(x[0]) if law.parts == 1 else _pulls(x[0])
+        return _iterate_angular(x[0]) if law.parts == 1 else _iterate_angular_vectors(x[0])
     if len(x) == 1:
-        return _curves(law.axes[0].letter, x[0], [power for _, power in law.owners])
-    return _maps(*x) if law.parts == 1 else _fields(*x)
+        return _iterate_curves(law.axes[0].letter, x[0], [power for _, power in law.owners])
+    return _iterate_maps(*x) if law.parts == 1 else _iterate_vector_maps(*x)
 
 
 def _constant(count: int) -> Term:
@@ -68,7 +84,7 @@ def _constant(count: int) -> Term:
 
 
 def _sines(word: str, phase: Array, order: int | None = None) -> Terms:
-    """order: of sines of an angle; without one, of waves."""
+    """A sine and a cosine of a phase: of `order` times an angle, or of a wave without `order`."""
     inside, name = ("{wave_number} * {x}", "") if order is None else (f"{order} * {{x}}" if order > 1 else "{x}", order)
     return [
         Term(f"sin({word})", np.sin(phase), f"sine{name}", f"np.sin({inside})"),
@@ -76,15 +92,15 @@ def _sines(word: str, phase: Array, order: int | None = None) -> Terms:
     ]
 
 
-def _turns(th: Array) -> Iterator[LawShape]:
+def _iterate_angular(th: Array) -> Iterator[LawShape]:
     one = _constant(len(th))
     for orders in ((), (1,), (2,), (3,), (4,), (1, 2), (1, 2, 3)):
         sines = [t for n in orders for t in _sines(f"{n} th" if n > 1 else "th", n * th, n)]
         yield LawShape(lambda sines=sines: [one, *sines])
 
 
-def _paced(shapes: Iterator[LawShape]) -> Iterator[LawShape]:
-    """Of a rolling loss: each shape constant, in proportion to the speed, or both."""
+def _iterate_with_speed(shapes: Iterator[LawShape]) -> Iterator[LawShape]:
+    """Shapes of a rolling loss of two terms: each shape constant, proportional to the speed, or both."""
     words = "", f"v/{REFERENCE_SPEED_M_S:g}"
     for shape, parts in itertools.product(list(shapes), ((0,), (1,), (0, 1))):
 
@@ -98,8 +114,8 @@ def _paced(shapes: Iterator[LawShape]) -> Iterator[LawShape]:
         yield LawShape(terms, shape.tries)
 
 
-def _pulls(th: Array) -> Iterator[LawShape]:
-    """A vector of the heading, in t along the motion and n a quarter turn from it."""
+def _iterate_angular_vectors(th: Array) -> Iterator[LawShape]:
+    """Vectors that depend on the heading; t is along the motion and n a quarter turn from it."""
     zero = np.zeros(len(th))
 
     def both(word: str, column: Array) -> Terms:
@@ -117,8 +133,8 @@ def _pulls(th: Array) -> Iterator[LawShape]:
     yield LawShape(lambda: [Term("sin(th) ey", other * np.sin(th)[:, None])])
 
 
-def _curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
-    """owned: the powers that the model's own law has already."""
+def _iterate_curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
+    """Curves over v. owned: the powers of v that the model's own law has already."""
     span, top = float(np.ptp(x)), float(x[-1])
     powers = [
         Term(v, x, "linear", "{x}", 1),
@@ -152,7 +168,8 @@ def _curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
     inner = x[0] + span * np.linspace(0.05, 0.95, 37)
 
     def step(a: float) -> Terms:
-        sharp = f"(1 + np.tanh(({{x}} - {{at}}) / {SHARP * span:.2g})) / 2"
+        # as code a slope over a hundredth of the range, so that the motion can be integrated
+        sharp = f"(1 + np.tanh(({{x}} - {{at}}) / {0.01 * span:.2g})) / 2"
         return [*one, Term(f"[{v} > {a:.3g}]", np.where(x > a, 1.0, 0.0), "size", sharp)]
 
     yield LawShape(step, (inner,), (("at", 1.0),), "step")
@@ -172,7 +189,7 @@ def _curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
     yield LawShape(lambda k: [*one, *_sines(f"{v} / {_over(k)}", k * x)], (waves,), (("wave_number", -1.0),), "waves")
 
 
-def _maps(x: Array, y: Array) -> Iterator[LawShape]:
+def _iterate_maps(x: Array, y: Array) -> Iterator[LawShape]:
     one, span = _constant(len(x)), float(np.ptp(x))
     slopes = [Term("x", x), Term("y", y)]
     for terms in ([], slopes, [*slopes, Term("x^2", x**2), Term("x y", x * y), Term("y^2", y**2)]):
@@ -200,7 +217,7 @@ def _maps(x: Array, y: Array) -> Iterator[LawShape]:
     yield LawShape(spot, (places + x.mean(), places + y.mean(), widths))
 
 
-def _fields(x: Array, y: Array) -> Iterator[LawShape]:
+def _iterate_vector_maps(x: Array, y: Array) -> Iterator[LawShape]:
     zero, span = np.zeros(len(x)), float(np.ptp(x))
 
     def both(word: str, column: Array) -> Terms:

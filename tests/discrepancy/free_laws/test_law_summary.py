@@ -11,7 +11,7 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
-from discrepancy.free_laws.law_summary import SIDE, LawSummary, describe_law
+from discrepancy.free_laws.law_summary import LawSummary, describe_law
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.select.free_law_contest import FreeLawContest
@@ -30,13 +30,13 @@ def test_bands_lie_about_the_curve_and_one_in_the_other(law):
 def test_a_map_is_given_at_pairs_within_its_ranges():
     found = outsider("friction_place")
     x = np.array(found.document()["outside"][0]["x"])
-    assert x.shape == (SIDE * SIDE, 2)
+    assert x.shape == (25 * 25, 2)
     for values, axis in zip(x.T, found.free_law.law.axes, strict=True):
         assert (values.min(), values.max()) == pytest.approx((axis.low, axis.high))
 
 
 def test_words():
-    assert describe_law(outsider("friction_place").free_law.law) == "mu that depends on the place"
+    assert describe_law(outsider("friction_place").free_law.law) == "mu that depends on the position"
     assert describe_law(outsider("restitution_speed").free_law.law) == "r that depends on the normal speed"
 
 

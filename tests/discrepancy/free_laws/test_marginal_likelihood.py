@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.library import library
 from discrepancy.free_laws.marginal_likelihood import (
-    LENGTHS,
+    PRIOR_LENGTHS,
     compute_significance,
     cost_of_strengths,
     maximise_evidence,
@@ -39,9 +39,9 @@ def test_the_gain_is_the_mean_marginal_likelihood_of_all_lengths_each_of_its_bes
         found = minimize_scalar(lambda s: -evidence(left, some, np.exp(s)), bounds=(-6, 6), method="bounded")
         return -found.fun
 
-    every = np.array([best(length) for length in LENGTHS])
+    every = np.array([best(length) for length in PRIOR_LENGTHS])
     assert weight.gain == pytest.approx(2 * np.log(np.exp((every - every.max()) / 2).mean()) + every.max(), abs=0.1)
-    assert prior.length == LENGTHS[every.argmax()]
+    assert prior.length == PRIOR_LENGTHS[every.argmax()]
     assert evidence(left, prior, prior.size) - prior.cost == pytest.approx(weight.gain)
     for other in (0.7, 1.4):
         assert evidence(left, prior, other * prior.size) < evidence(left, prior, prior.size)
@@ -73,7 +73,7 @@ def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
     spread = law.prior_variances(weight.prior.length)
     matrix = np.eye(128) + weight.prior.size**2 * spread[:, None] * (design.T @ design)
     alike = pull @ np.linalg.solve(matrix, weight.prior.size**2 * spread * pull) - np.linalg.slogdet(matrix)[1]
-    assert 0 < weight.prior.cost - 4 * np.log(3) < 2 * np.log(len(LENGTHS))
+    assert 0 < weight.prior.cost - 4 * np.log(3) < 2 * np.log(len(PRIOR_LENGTHS))
     assert weight.gain > alike + 10
     assert np.abs(weight.coefs[64:]).max() < 1e-6 * np.abs(weight.coefs).max()
 

@@ -1,7 +1,8 @@
 """The table of free laws: what each is, which law it bends and by what, and its axes.
 
-A row is (name, description), the law that it bends with its argument, the axes over the covered ranges, and the base
-parameters that the series adds to (`law_kinds.FreeLaw` describes all fields).
+A row has a name and a description, then the bent law with its argument, and then the axes over the covered ranges. The
+rest is what the law is: its symbol, its unit and the base parameters that it adds to. `law_kinds.FreeLaw` describes all
+fields.
 """
 
 from typing import Any
@@ -16,22 +17,11 @@ from synthcam.tabulated_law import REFERENCE_SPEED_M_S
 FRICTION: dict[str, Any] = {"symbol": "mu", "owners": (("sliding_friction", 0),)}
 RESTITUTION: dict[str, Any] = {"symbol": "r", "owners": (("restitution", 0),)}
 SPIN_TRANSFER: dict[str, Any] = {"symbol": "C", "owners": (("spin_transfer", 0),)}
-ROLLING_AT_REST: dict[str, Any] = {
-    "symbol": "rolling loss at rest", "unit": "m/s^2", "owners": (("rolling_decel", 0),),
-}  # fmt: skip
-ROLLING: dict[str, Any] = {
-    "symbol": "rolling loss", "unit": "m/s^2", "owners": (("rolling_decel", 0), ("rolling_drag", 1)),
-}  # fmt: skip
 ADDED_ROLLING: dict[str, Any] = {
     "symbol": "added rolling loss", "unit": "m/s^2", "centred": True,
     "part_names": ("constant", f"with the speed, at {REFERENCE_SPEED_M_S:g} m/s"),
 }  # fmt: skip
 FORCE: dict[str, Any] = {"symbol": "force over mass", "unit": "m/s^2", "part_names": ("x", "y"), "one_ball": True}
-FORCE_ALONG: dict[str, Any] = {"symbol": "force over mass along the motion", "unit": "m/s^2", "one_ball": True}
-FORCE_PER_SPEED: dict[str, Any] = {
-    "symbol": "force over mass and speed", "unit": "1/s", "part_names": ("along", "across"),
-}  # fmt: skip
-
 # fmt: off
 LAWS = (
     # all along the motion
@@ -44,19 +34,22 @@ LAWS = (
     MotionLaw("friction_place", "Sliding friction over the position", bends=("friction", "position"),
               over=lambda covered: over_plane(covered.slip_places, count=12), **FRICTION),
     MotionLaw("rolling_speed", "Rolling loss over the speed", bends=("rolling", "speed"),
-              over=lambda covered: over_range("speed", "v", covered.roll_speeds, 0.0), one_ball=True, **ROLLING),
+              over=lambda covered: over_range("speed", "v", covered.roll_speeds, 0.0), one_ball=True,
+              symbol="rolling loss", unit="m/s^2", owners=(("rolling_decel", 0), ("rolling_drag", 1))),
     MotionLaw("rolling_heading", "Rolling loss added by the direction of motion", bends=("rolling", "velocity"),
               over=lambda covered: over_heading(covered.roll_speeds), **ADDED_ROLLING),
     MotionLaw("rolling_place", "Rolling loss added by the position", bends=("rolling", "position"),
               over=lambda covered: over_plane(covered.roll_places), **ADDED_ROLLING),
     MotionLaw("force_speed", "Force along the motion over the speed", bends=("push", "velocity"),
-              over=lambda covered: over_range("speed", "v", covered.speeds, 0.0), **FORCE_ALONG),
+              over=lambda covered: over_range("speed", "v", covered.speeds, 0.0), one_ball=True,
+              symbol="force over mass along the motion", unit="m/s^2"),
     MotionLaw("force_velocity", "Force over the velocity (wind, curved paths)", bends=("push", "velocity"),
               over=lambda covered: over_plane(covered.velocities, "m/s"), **FORCE),
     MotionLaw("force_place", "Force over the position", bends=("push", "position"),
               over=lambda covered: over_plane(covered.places), **FORCE),
     MotionLaw("force_heading", "Force over the heading, proportional to the speed", bends=("push", "velocity"),
-              over=lambda covered: over_heading(), **FORCE_PER_SPEED),
+              over=lambda covered: over_heading(),
+              symbol="force over mass and speed", unit="1/s", part_names=("along", "across")),
     # once in each collision
     ImpactLaw("restitution_speed", "Restitution over the normal speed", bends=("restitution", "normal_speed"),
               over=lambda covered: over_range("normal speed", "v_n", normal_speed(covered.launches)),
@@ -74,7 +67,8 @@ LAWS = (
               over=lambda covered: over_heading(), at_impact=lambda launches: launches[:, HEADING], **SPIN_TRANSFER),
     # a number for each clip
     ClipNumber("friction_clip", "Sliding friction of each clip", **FRICTION),
-    ClipNumber("rolling_clip", "Rolling loss at rest of each clip", **ROLLING_AT_REST),
+    ClipNumber("rolling_clip", "Rolling loss at rest of each clip",
+               symbol="rolling loss at rest", unit="m/s^2", owners=(("rolling_decel", 0),)),
     ClipNumber("restitution_clip", "Restitution of each clip", **RESTITUTION),
     ClipNumber("spin_transfer_clip", "Spin transfer of each clip", **SPIN_TRANSFER),
 )

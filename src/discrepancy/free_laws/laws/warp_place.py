@@ -33,7 +33,7 @@ def _pixels(clip: MeasuredCollision, xy: Array) -> Array:
 
 
 def _over(covered: CoveredRanges) -> tuple[Axis, ...]:
-    """Cover the measured positions alone: the predicted motion goes on outside the picture."""
+    """Cover the measured positions alone: the predicted motion continues outside the picture."""
     measured = np.concatenate([c.xy for c in covered.clips])
     return over_plane(_pixels(covered.clips[0], measured), "px")
 
