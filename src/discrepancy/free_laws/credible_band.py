@@ -149,7 +149,7 @@ def _fit_steps(bare: FittedLaw, steps: Array, x: Array) -> tuple[Array, Array, A
     """
     law, fit, axis = bare.law, bare.fit, bare.law.axes[0]
     step = replace(law, axes=(_StepAxis(axis.name, axis.unit, axis.low, axis.high, len(steps), steps=steps),))
-    moves = bare.evidence.white(step.derivatives(fit.model, fit.launches, bare.evidence.clips))
+    moves = bare.evidence.whiten(step.derivatives(fit.model, fit.launches, bare.evidence.clips))
     information, pull, own, spread, back = _reduce_to_columns(bare, moves)
     alone = sum((m**2).sum(axis=0) for m in moves) + np.finfo(float).tiny
     known = np.maximum(np.diag(information), 1e-6 * alone)  # below 1e-6 it is in the span of the rest, or rounding
