@@ -232,7 +232,7 @@ def plan(
         return
     print(found.sentence())
     for w in found.wanted:
-        print(f"{w.strength} = {w.limit:g}: {w.clips or 'no number of'} collisions would show it")
+        print(f"{w.sentence()}.")
     print(f"{output / 'index.html'}  ({time.monotonic() - started:.0f} s)")
 
 

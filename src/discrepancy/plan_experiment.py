@@ -1,4 +1,4 @@
-"""A plan for people: from a scene to what its experiment could show, as a table, a sentence and a report."""
+"""Plan an experiment: from a scene to the effects that its films could detect, as a table, a sentence and a report."""
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ from discrepancy.planning.compare import (
     largest_cosine,
     limits_with_changes,
 )
-from discrepancy.planning.of_scene import DesignedExperiment, design_experiment
-from discrepancy.planning.outcome import IndistinguishablePair, PlanResult
+from discrepancy.planning.from_scene import DesignedExperiment, design_experiment
+from discrepancy.planning.limits import Limit, Signatures, count_draws, median_limits
 from discrepancy.planning.pair_advice import AS_FILMED, ComparedDesign, advise
-from discrepancy.planning.signatures import Limit, Signatures
-from discrepancy.planning.typical import count_draws, median_limits
+from discrepancy.planning.plan_result import IndistinguishablePair, PlanResult
 from discrepancy.report import plan_page
 from discrepancy.report.staging import PLAN, aside
 from synthcam.library import library
@@ -34,43 +33,50 @@ from synthcam.scene.scene import Scene
 from synthcam.settings import did_you_mean
 from synthcam_shared.errors import InputError
 
-MAX_COLLISIONS_DRAWN = 400  # collisions drawn to work out a limit that is wanted
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """What an experiment could show, before a recording is made.
+    """The effects that an experiment could detect, before a recording is made.
 
     Attributes
     ----------
-    outcome : Planned
-        All of it: limits, likest rivals, changes.
+    outcome : PlanResult
+        All values: limits, rivals, pairs and changes.
     """
 
     outcome: PlanResult
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row for each strength of each effect, those that show best first.
+        """A row for each strength of each effect, those with the best limits first.
 
-        effect, strength, unit; typical: a realistic size; limit: the strength that half of such experiments show at 5
-        sigma, the median over several draws; naming_limit: from which it is told from its likest rival; shows; rival,
-        cosine: the likest; alike: all that it could not be told from; best_change, limit_then, naming_then: the change
-        that lowers its naming limit most, and the limits with it. And shapes, limit_over_shapes, limit_over_draws.
+        The columns are
+
+        - effect, strength, unit, and typical: a realistic size;
+        - limit: the strength that half of such experiments detect at 5 sigma, the median over several draws;
+        - naming_limit: the strength from which it is distinguished from its most similar rival;
+        - shows: whether it is detectable; rival, cosine: the most similar effect;
+        - alike: all effects that it could not be distinguished from;
+        - best_change, limit_then, naming_then: the change that lowers its naming limit most, and the limits with it;
+        - shapes, limit_over_shapes, limit_over_draws.
         """
         return pd.DataFrame(self.outcome.rows())
 
     @property
     def changes(self) -> pd.DataFrame:
-        """A row for each change of the experiment, the best first: name, words, limit and naming (how many times
-        smaller those limits become), parts, joins (pairs of effects)."""
+        """A row for each change of the experiment, the best first.
+
+        The columns are name and words; limit and naming, the factors by which these limits fall; parts and joins, the
+        pairs of effects that it makes distinguishable and indistinguishable.
+        """
         names = ["name", "words", "limit", "naming", "parts", "joins"]
         return pd.DataFrame([[getattr(g, n) for n in names] for g in self.outcome.gains], columns=names)
 
     @property
     def wanted(self) -> tuple[CollisionsNeeded, ...]:
-        """For each limit asked for, how many collisions it takes."""
+        """For each wanted limit, how many collisions it takes."""
         return self.outcome.wanted
 
     def sentence(self) -> str:
@@ -105,7 +111,7 @@ class Plan:
         Parameters
         ----------
         folder : str or Path
-            Made, or replaced where it holds an earlier plan.
+            It is made, or replaced if it holds an earlier plan.
 
         Returns
         -------
@@ -115,7 +121,7 @@ class Plan:
         Raises
         ------
         InputError
-            Where the folder holds something else, or cannot be written.
+            If the folder holds something else, or cannot be written.
         """
         with aside(Path(folder), PLAN) as place:
             plan_page.write(self.outcome, place)
@@ -132,27 +138,27 @@ def plan(
     changes: bool = True,
     progress: Progress = lambda done, total: None,
 ) -> Plan:
-    """Work out what a search could find in an experiment, before a recording is made.
+    """Predict which effects a search could detect and name in an experiment, before a recording is made.
 
     Parameters
     ----------
     scene : Scene, str or Path
         The experiment: a scene, its file, or the name of one that comes with synthcam.
     effects : sequence of str, optional
-        Effects of interest; default: all of the library. Rivals are always all.
+        Effects of interest; default: all of the library. All effects are their rivals.
     clips : int
-        Collisions to record, of which a search keeps a quarter out of its fits.
+        Collisions to record, of which a search holds out a quarter.
     noise : float, optional
         Error of a position, each axis, px; default: the Cramer-Rao bound of the scene's camera and lamp, which the
         tracker attains.
     limits : mapping of str to float, optional
-        Limits that are wanted, by effect or by dotted strength: how many collisions would they take?
+        Wanted limits, by effect or by dotted strength, for which the number of collisions is estimated.
     seed : int
-        Of everything drawn.
+        Of all random numbers.
     changes : bool
         Whether to try changes of the experiment, which takes most of the time.
     progress : callable
-        Takes experiments worked out and their number.
+        Takes the experiments that are done, and their number.
 
     Returns
     -------
@@ -161,7 +167,7 @@ def plan(
     Raises
     ------
     InputError
-        One line: what is no scene, no effect, or no experiment with collisions.
+        The scene or an effect does not exist, or the scene has no collisions.
 
     Examples
     --------
@@ -178,7 +184,6 @@ def plan(
     chosen, wished = _choose_effects(effects, known), _parse_wanted(limits or {}, known)
     tick = _ProgressCounter(progress, count_draws(clips) + changes * (len(CHANGES) + 2) + 2 * len(wished))
     found = _typical_limits(given, clips, noise, seed, tick)
-    rows = tuple(x for x in found if x.effect in chosen)
     before, after = limits_with_changes(designed.experiment, tick) if changes else (found, ())
     gains = sorted((compute_gain(before, t, chosen) for t in after), key=lambda g: -g.naming)
 
@@ -188,16 +193,26 @@ def plan(
         return _limit_of(there, strength).limit
 
     wanted = [
-        count_collisions_needed(one, size, _limit_of(found, one), clips, partial(limit_at, one), MAX_COLLISIONS_DRAWN)
+        count_collisions_needed(one, size, _limit_of(found, one), clips, partial(limit_at, one))
         for one, size in wished.items()
     ]
     tick.end()
-    pairs = _pairs_with_advice(found, before, after, chosen, designed)
-    return Plan(PlanResult(given.name, designed, rows, pairs, before, after, tuple(gains), tuple(wanted)))
+    return Plan(
+        PlanResult(
+            name=given.name,
+            designed=designed,
+            limits=tuple(x for x in found if x.effect in chosen),
+            pairs=_pairs_with_advice(found, before, after, chosen, designed),
+            before=before,
+            tried=after,
+            gains=tuple(gains),
+            wanted=tuple(wanted),
+        )
+    )
 
 
 class _ProgressCounter:
-    """Counts the experiments worked out."""
+    """Counts the experiments that are done."""
 
     def __init__(self, progress: Progress, total: int) -> None:
         self.progress, self.total, self.done = progress, total, 0
@@ -218,7 +233,7 @@ def _typical_limits(
     tick: Callable[[], None] = lambda: None,
     only: Sequence[str] = (),
 ) -> tuple[Limit, ...]:
-    """Limits of a typical draw of a scene's experiment."""
+    """The median limits over several draws of a scene's experiment."""
     draws = []
     for k in range(count_draws(count)):
         draws.append(Signatures.of(design_experiment(scene, count, noise, seed + k).experiment, only).limits())
@@ -242,13 +257,13 @@ def _check_effect(name: str, known: Sequence[str]) -> None:
     if name in known:
         return
     if name in library():
-        raise InputError(f"{name}: is free in this scene; expected an effect that the fit does not have")
+        raise InputError(f"{name}: free in this scene, so that every fit has it; expected another effect")
     near = did_you_mean(name, known) or f"; there are {', '.join(known)}"
     raise InputError(f"{name}: no such effect{near}")
 
 
 def _parse_wanted(limits: Mapping[str, float], known: Sequence[str]) -> dict[str, float]:
-    """The limits wanted by dotted strength. Raises InputError."""
+    """The wanted limits by dotted strength. Raises InputError."""
     found: dict[str, float] = {}
     for key, size in limits.items():
         effect = key if key in known else key.partition(".")[0]
@@ -269,7 +284,7 @@ def _pairs_with_advice(
     chosen: Sequence[str],
     here: DesignedExperiment,
 ) -> tuple[IndistinguishablePair, ...]:
-    """The pairs that could not be told apart, each with what would part it."""
+    """The indistinguishable pairs, each with the advice how to distinguish it."""
     known = {c.name: c for c in list_candidates(here.experiment.model, here.experiment.names)}
     out = []
     for pair in indistinguishable_pairs(found, chosen):
@@ -277,6 +292,6 @@ def _pairs_with_advice(
             ComparedDesign(AS_FILMED, largest_cosine(before, pair)),
             *(ComparedDesign(t.words, largest_cosine(t.limits, pair)) for t in after),
         ]
-        said = advise(known[pair[0]], known[pair[1]], tries) if after else ""
-        out.append(IndistinguishablePair(pair, largest_cosine(found, pair), said))
+        advice = advise(known[pair[0]], known[pair[1]], tries) if after else ""
+        out.append(IndistinguishablePair(pair, largest_cosine(found, pair), advice))
     return tuple(out)

@@ -67,6 +67,13 @@ def test_the_number_of_collisions_brings_the_limit_down_to_what_is_wanted(planne
     assert there["limit"][0] == pytest.approx(0.01, rel=0.05)
 
 
+def test_both_numbers_of_collisions_are_given(planned):
+    (wanted,) = planned.wanted
+    sentence = wanted.sentence()
+    assert f" {wanted.clips} collisions detect it" in sentence
+    assert f" {wanted.clips_to_name} distinguish it" in sentence
+
+
 def test_the_sentence_and_the_repr_are_short(planned):
     assert repr(planned) == planned.sentence()
     assert planned.sentence().startswith("8 collisions of oblique, positions to 0.0088 px (1.4 um): 2 of 2 effects")
@@ -121,7 +128,7 @@ def test_the_command_writes_what_python_gives(tmp_path, monkeypatch, capsys):
         (["--set", "launch.kind=single"], "launch.kind: expected pair, found single"),
         (["--set", "launch.kid=single"], "launch.kid: unknown key"),
         (["--set", "timing.contact_frame=300"], "in 0 of 30 clips"),
-        (["--set", "free=[hop.share]", "--effects", "hop"], "hop: is free in this scene"),
+        (["--set", "free=[hop.share]", "--effects", "hop"], "hop: free in this scene"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, capsys, words, message):

@@ -1,1 +1,1 @@
-"""What an experiment could show before a recording is made, and which change of it would show more."""
+"""Predict which effects a planned experiment could detect, and which change of it would detect more."""

@@ -1,4 +1,4 @@
-"""The changes of an experiment that are tried: of launches, of film and camera, of the plate."""
+"""The changes of an experiment that a plan compares: of launches, of film and camera, and of the plate."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ from discrepancy.fitting.parameters import list_candidates
 from discrepancy.planning.experiment import Experiment
 from tracker.camera.camera import Camera
 
-ASIDE = 0.25  # of the picture's size, from its middle
-HOLDS = 0.5  # of the steepest tilt at which a ball at rest stays
 ALL_LAUNCHES_CHANGED = (
     "balls exchanged, oblique hits, many speeds and headings, all over the picture, films twice as long: all at once"
 )
-ChangedExperiment = tuple[str, Experiment]  # what was changed, in words; and the experiment, not yet filmed
+ChangedExperiment = tuple[str, Experiment]  # the change in words, and the experiment, not yet observed
 
 
 @dataclass(frozen=True)
@@ -30,10 +28,10 @@ class DesignChange:
     ----------
     name : str
     make : callable
-        Takes an experiment and random numbers; gives what was changed in words and the experiment, not yet filmed, or
-        None where that is not possible.
+        Takes an experiment and random numbers; returns the change in words and the changed experiment, not yet
+        observed, or None if the change is impossible.
     launches : bool
-        Whether only the launches are changed, so that it goes with all others of that kind.
+        True if only the launches change, so that it can be combined with all others of that kind.
     """
 
     name: str
@@ -42,9 +40,9 @@ class DesignChange:
 
 
 def apply_change(change: DesignChange, experiment: Experiment, seed: int = 0) -> ChangedExperiment | None:
-    """A changed experiment as it would be seen, and what was changed; None where that is not possible.
+    """Apply a change and observe the result. Returns the change in words and the experiment; None if impossible.
 
-    Raises ValueError where the model has no motion for it.
+    At least half of the collisions must stay in view. Raises ValueError if the model has no motion for it.
     """
     made = change.make(experiment, np.random.default_rng(seed))
     if made is None:
@@ -55,7 +53,7 @@ def apply_change(change: DesignChange, experiment: Experiment, seed: int = 0) ->
 
 
 def change_all_launches(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
-    """All changes of launches at once."""
+    """Apply all changes of launches at once."""
     for change in CHANGES:
         if change.launches and (made := change.make(experiment, rng)):
             experiment = made[1]
@@ -63,7 +61,7 @@ def change_all_launches(experiment: Experiment, rng: np.random.Generator) -> Cha
 
 
 def _spread_evenly(experiment: Experiment, rng: np.random.Generator, values: dict[int, Array]) -> Experiment:
-    """With columns of the launches spread evenly over the collisions; values: low and high, or one for each."""
+    """Spread columns of the launches evenly over the collisions. values: lowest and highest value by column."""
     launches = experiment.launches.copy()
     for column, ends in values.items():
         share = rng.permutation(len(launches)) / max(len(launches) - 1, 1)
@@ -96,7 +94,7 @@ def _halve_speeds(experiment: Experiment, rng: np.random.Generator) -> ChangedEx
 
 
 def _set_speeds(experiment: Experiment, speeds: Array) -> Experiment:
-    """With strikers of these speeds (clips,), m/s; slips and spins, where they have any, in proportion."""
+    """Set the strikers' speeds (clips,), m/s; slips and spins change in proportion."""
     launches = experiment.launches.copy()
     launches[:, V0] = speeds
     launches[:, SLIP.start : SIDE + 1] *= (speeds / experiment.launches[:, V0])[:, None]
@@ -110,8 +108,8 @@ def _vary_headings(experiment: Experiment, rng: np.random.Generator) -> ChangedE
 
 def _vary_positions(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
     camera, launches = experiment.camera, experiment.launches.copy()
-    number = rng.permutation(len(launches))
-    corner = np.stack([np.where(number & 1, ASIDE, -ASIDE), np.where(number & 2, ASIDE, -ASIDE)], axis=-1)
+    number, aside = rng.permutation(len(launches)), 0.25  # of the picture's size, from its middle
+    corner = np.stack([np.where(number & 1, aside, -aside), np.where(number & 2, aside, -aside)], axis=-1)
     launches[:, [X, Y]] = camera.unproject((0.5 + corner) * np.array(camera.size))[0]
     return "collisions spread over the picture", dataclasses.replace(experiment, launches=launches)
 
@@ -122,7 +120,7 @@ def _double_length(experiment: Experiment, rng: np.random.Generator) -> ChangedE
 
 
 def _double_frame_rate(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
-    """The same time filmed in twice the frames, with the same exposure where it fits between them."""
+    """Film the same time in twice as many frames, with the same exposure if it fits between them."""
     camera = experiment.camera
     fps = 2 * camera.fps
     cut = _set_exposure(experiment, min(camera.exposure, 1 / fps))
@@ -151,7 +149,7 @@ def _set_possible_exposure(experiment: Experiment, exposure: float) -> ChangedEx
 
 
 def _set_exposure(experiment: Experiment, exposure: float) -> Experiment | None:
-    """With another exposure, and light in proportion; None where nobody knows what that does to the errors."""
+    """Set the exposure, with light in proportion; None if its effect on the errors is unknown."""
     camera = experiment.camera
     if exposure == camera.exposure:
         return experiment
@@ -186,17 +184,17 @@ def _double_collisions(experiment: Experiment, rng: np.random.Generator) -> Chan
 
 
 def _tilt_plate(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
-    """The plate tilted on purpose, as nobody knows to a part in a thousand: the fit finds by how much."""
+    """Tilt the plate by half of the steepest tilt at which a ball stays at rest. The fit then finds the tilt."""
     model = experiment.model
-    held = 7 / 5 * model.rolling_decel / model.gravity
+    steepest = 7 / 5 * model.rolling_decel / model.gravity
     slopes = ("plate_tilt.x", "plate_tilt.y")
     level = any(c.strengths == slopes and not any(c.held) for c in list_candidates(model, experiment.names))
-    if held == 0 or not level:
+    if steepest == 0 or not level:
         return None
     changed = dataclasses.replace(
-        experiment, model=model.replace({slopes[0]: HOLDS * held}), names=(*experiment.names, *slopes)
+        experiment, model=model.replace({slopes[0]: steepest / 2}), names=(*experiment.names, *slopes)
     )
-    return f"the plate tilted by about {1e3 * HOLDS * held:.2g} mrad along x", changed
+    return f"the plate tilted by about {1e3 * steepest / 2:.2g} mrad along x", changed
 
 
 CHANGES = (

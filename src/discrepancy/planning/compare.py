@@ -1,4 +1,4 @@
-"""What each change of an experiment would gain: limits that fall, effects that it parts."""
+"""Compare changes of an experiment: by how much limits fall, and which effects become distinguishable."""
 
 from __future__ import annotations
 
@@ -11,18 +11,16 @@ import numpy as np
 
 from discrepancy.planning.changes import CHANGES, TOGETHER, apply_change
 from discrepancy.planning.experiment import Experiment
-from discrepancy.planning.pair_advice import thin_out
-from discrepancy.planning.signatures import Limit, Signatures
+from discrepancy.planning.limits import Limit, Signatures
 from discrepancy.policy import current_policy
 
-LEAST_APART = 1e-2  # sine between signatures: alike beyond that, a change of it is no gain
 Limits = tuple[Limit, ...]
 Pair = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class ChangeLimits:
-    """A change of the experiment, and the limits with it. name: as of `changes`; words: what was changed."""
+    """A change of the experiment, by name and in words, and the limits with it."""
 
     name: str
     words: str
@@ -31,19 +29,19 @@ class ChangeLimits:
 
 @dataclass(frozen=True)
 class ChangeGain:
-    """What a change would gain.
+    """The gain of a change.
 
     Attributes
     ----------
     name, words : str
         Of the change.
     limit, naming : float
-        How many times smaller limits and naming limits become: geometric mean over the strengths that show with and
-        without the change.
+        By which factor limits and naming limits fall: the geometric mean over the strengths that are detectable with
+        and without the change.
     parts, joins : tuple of (str, str)
-        Pairs of effects that could not be told apart without it, and that cannot with it.
+        Pairs of effects that only the change makes distinguishable, and that it makes indistinguishable.
     shows, hides : tuple of str
-        Strengths that show with it alone, and without it alone.
+        Strengths that are detectable only with it, and only without it.
     """
 
     name: str
@@ -59,22 +57,22 @@ class ChangeGain:
 def limits_with_changes(
     experiment: Experiment, progress: Callable[[], None] = lambda: None
 ) -> tuple[Limits, tuple[ChangeLimits, ...]]:
-    """The limits of all effects as the experiment is, and under every change that is possible.
+    """Compute the limits of all effects for the experiment as it is, and with every possible change.
 
-    Of a large experiment some collisions are taken; limits are of these.
+    A large experiment is thinned out first, and the limits are those of the remaining collisions.
 
     Parameters
     ----------
     experiment : Experiment
     progress : callable
-        Told after each.
+        Called after each.
 
     Returns
     -------
     before : tuple of Limit
     after : tuple of Tried
     """
-    part = thin_out(experiment)
+    part = experiment.thin_out()
     before, after = Signatures.of(part).limits(), []
     progress()
     for change in (*CHANGES, TOGETHER):
@@ -89,26 +87,26 @@ def limits_with_changes(
 
 
 def compute_gain(before: Limits, after: ChangeLimits, of: Sequence[str]) -> ChangeGain:
-    """What a change gains for the effects named."""
+    """Compute the gain of a change for the effects named in `of`."""
     one, other = ({x.strength: x for x in limits if x.effect in of} for limits in (before, after.limits))
     both = [(one[k], other[k]) for k in one if k in other and one[k].shows and other[k].shows]
     pairs, again = indistinguishable_pairs(before, of), indistinguishable_pairs(after.limits, of)
     seen = {x.effect for x in after.limits if x.shows}
     return ChangeGain(
-        after.name,
-        after.words,
-        _geometric_mean([a.limit / b.limit for a, b in both]),
-        _geometric_mean([_naming_limit(a) / _naming_limit(b) for a, b in both]),
-        tuple(p for p in pairs if p not in again and seen.issuperset(p)),
-        tuple(p for p in again if p not in pairs),
-        tuple(k for k in one if k in other and other[k].shows and not one[k].shows),
-        tuple(k for k in one if k in other and one[k].shows and not other[k].shows),
+        name=after.name,
+        words=after.words,
+        limit=_geometric_mean([a.limit / b.limit for a, b in both]),
+        naming=_geometric_mean([_naming_limit(a) / _naming_limit(b) for a, b in both]),
+        parts=tuple(p for p in pairs if p not in again and seen.issuperset(p)),
+        joins=tuple(p for p in again if p not in pairs),
+        shows=tuple(k for k in one if k in other and other[k].shows and not one[k].shows),
+        hides=tuple(k for k in one if k in other and one[k].shows and not other[k].shows),
     )
 
 
 def _naming_limit(limit: Limit) -> float:
     cosine = limit.rivals[0].cosine if limit.rivals else 0.0
-    return limit.limit / max(math.sqrt(1 - cosine**2), LEAST_APART)
+    return limit.limit / max(math.sqrt(1 - cosine**2), 1e-2)  # a change of a smaller sine is no gain
 
 
 def _geometric_mean(ratios: Sequence[float]) -> float:
@@ -116,7 +114,7 @@ def _geometric_mean(ratios: Sequence[float]) -> float:
 
 
 def largest_cosine(limits: Limits, pair: Pair) -> float:
-    """The largest cosine between the signatures of two effects; 1 where one of them has none."""
+    """The largest cosine between the signatures of two effects; 1 if one of them has none."""
     found = [
         r.cosine
         for one, other in (pair, pair[::-1])
@@ -129,7 +127,7 @@ def largest_cosine(limits: Limits, pair: Pair) -> float:
 
 
 def indistinguishable_pairs(limits: Limits, of: Sequence[str]) -> tuple[Pair, ...]:
-    """Pairs of effects, one of them at least among those named, that could not be told apart; the likest first."""
+    """Pairs of indistinguishable effects, at least one of them named in `of`; the most similar first."""
     shown = sorted({x.effect for x in limits if x.shows})
     known = {frozenset((x.effect, a)) for x in limits if x.shows for a in x.indistinguishable}
     pairs = [p for p in combinations(shown, 2) if frozenset(p) in known and set(p) & set(of)]
@@ -138,15 +136,15 @@ def indistinguishable_pairs(limits: Limits, of: Sequence[str]) -> tuple[Pair, ..
 
 @dataclass(frozen=True)
 class CollisionsNeeded:
-    """A limit that is asked for.
+    """The collisions that a wanted limit takes.
 
     Attributes
     ----------
     strength : str
     limit : float
-        That is wanted.
+        The wanted limit.
     clips, clips_to_name : int or None
-        Collisions to record for a detection limit, and a naming limit, of that size; None where no number would do.
+        Collisions to record for a detection limit, and for a naming limit, of that size; None if no number suffices.
     at : dict of int to float
         The detection limit at some numbers of collisions.
     """
@@ -157,25 +155,35 @@ class CollisionsNeeded:
     clips_to_name: int | None
     at: dict[int, float]
 
+    def sentence(self) -> str:
+        """How many collisions detect the strength, and how many name it."""
+        detect, name = (n or "no number of" for n in (self.clips, self.clips_to_name))
+        return (
+            f"{self.strength} = {self.limit:g}: {detect} collisions detect it; {name} distinguish it from the most "
+            "similar effect, so that a search names it"
+        )
+
 
 def count_collisions_needed(
-    strength: str, wanted: float, here: Limit, count: int, limit_at: Callable[[int], float], most: int
+    strength: str, wanted: float, here: Limit, count: int, limit_at: Callable[[int], float], most: int = 400
 ) -> CollisionsNeeded:
-    """How many collisions would bring a strength's limit down to one that is wanted.
+    """Estimate how many collisions bring a strength's limit down to the wanted one.
 
-    The limit is worked out for `count` and twice as many; a power law through both leads to a number, at which it is
-    worked out once more unless it exceeds `most`. From there it falls as one over the root of the number.
+    The limit is computed for `count` collisions and for twice as many. A power law through both gives a number, at
+    which the limit is computed once more unless the number exceeds `most`. From there the limit falls as one over the
+    square root of the number.
 
     Parameters
     ----------
     strength : str
     wanted : float
     here : Limit
-        Of `count` collisions.
+        For `count` collisions.
     count : int
     limit_at : callable
-        The limit for a number of collisions.
+        Takes a number of collisions; returns their limit.
     most : int
+        Collisions for which the limit may still be computed.
 
     Returns
     -------

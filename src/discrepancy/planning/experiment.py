@@ -1,4 +1,4 @@
-"""An experiment that could be filmed: collisions with launches, a camera, and the errors that positions would have."""
+"""Describe a planned experiment: its collisions, its camera, and the errors that positions would have."""
 
 from __future__ import annotations
 
@@ -16,13 +16,77 @@ from discrepancy.fitting.gauss_newton import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.predict import predict_tracks, predict_velocities
 from discrepancy.noise.model import Noise
-from discrepancy.planning.position_errors import Errors
 from discrepancy.policy import current_policy
 from synthcam.model import Model
 from tracker.camera.camera import Camera
+from tracker.detection.likelihood.cramer_rao import glint_shape, localisation_bound, localisation_bound_fixed
 
-OUTLINE = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-NEVER = np.full(2, np.inf)
+
+@dataclass(frozen=True)
+class StatedErrors:
+    """Errors that the user states: white, and the same everywhere. std: each axis, px."""
+
+    std: float
+
+    def covariances(self, camera: Camera, glints: Array, blur: Array) -> tuple[Array, Array]:
+        """Covariances as `GlintErrors` returns them; no part is the same in all frames."""
+        return np.tile(self.std**2 * np.eye(2), (len(glints), 1, 1)), np.zeros((len(glints), 2, 2))
+
+    def brighter(self, times: float) -> None:
+        """None: the effect of more light on stated errors is unknown."""
+        return
+
+
+@dataclass(frozen=True)
+class GlintErrors:
+    """Errors of glints, predicted from the light that reaches the sensor.
+
+    Attributes
+    ----------
+    peak : float
+        Counts above black at the peak of a resting ball's glint, before clipping.
+    room : float
+        Light of the room that a ball reflects, over that peak.
+    """
+
+    peak: float
+    room: float = 0.0
+
+    def covariances(self, camera: Camera, glints: Array, blur: Array) -> tuple[Array, Array]:
+        """Predict the covariances of positions.
+
+        Parameters
+        ----------
+        camera : Camera
+        glints : (n, 2) array
+            Positions of the glints, px.
+        blur : (n, 2) array
+            Their motion in an exposure, px.
+
+        Returns
+        -------
+        covariance, fixed : (n, 2, 2) array
+            px^2. The second is the part of the first that is the same in every frame of a ball at rest.
+
+        References
+        ----------
+        `tracker.detection.likelihood.cramer_rao.localisation_bound`: position, flux and background free, the sensor's
+        noise by EMVA 1288, with clipping. `make bench-localisation` compares the tracker with it.
+        """
+        if camera.sigma is None:
+            raise ValueError("the bound needs psf.sigma_px")
+        half = int(np.ceil(4 * camera.sigma))  # px; the window holds all light of a glint
+        share = float(glint_shape(np.zeros((1, 2)), np.zeros((1, 2)), camera.sigma, half).value.max())
+        flux = np.full(len(glints), self.peak / share)
+        ground = camera.sensor.black_level + self.room * self.peak
+        return localisation_bound(camera, flux, glints, blur, ground), localisation_bound_fixed(camera, flux, glints)
+
+    def brighter(self, times: float) -> GlintErrors:
+        """The errors with so many times as much light."""
+        return dataclasses.replace(self, peak=times * self.peak)
+
+
+Errors = StatedErrors | GlintErrors
 
 
 @dataclass(frozen=True)
@@ -32,17 +96,17 @@ class Experiment:
     Attributes
     ----------
     model : Model
-        Of which the tracks are.
+        Makes the tracks.
     names : tuple of str
         The shared parameters that a search would fit.
     clips : tuple of Measured
-        Where each ball is seen, by which errors; all of one camera.
+        The visible positions and their errors; all of one camera.
     launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
     films : tuple of range
-        The frames of each clip's film, whether a ball is in view or not.
+        The frames of each clip's film, with or without a ball in view.
     errors : Errors
-        By which positions would be off.
+        The errors that positions would have.
     noise : Noise
         Of positions, in units of those errors.
     """
@@ -64,41 +128,46 @@ class Experiment:
         return WhitenedClips.of(self.clips, self.noise)
 
     def fit(self) -> ModelFit:
-        """The fit that tracks without any noise or missing effect would have: with derivatives, nothing left.
+        """The fit to tracks without noise or missing effect: derivatives, and residuals of zero.
 
-        Raises ValueError where the model has no motion for these launches.
+        Raises ValueError if the model has no motion for these launches.
         """
         return linearise(self.evidence, self.model, self.names, self.launches)
 
     @property
     def error_px(self) -> float:
-        """Error of a position, rms over all that are seen, each axis, px."""
+        """The rms error of a position, each axis, px."""
         squares = np.concatenate([c.claimed_std() ** 2 + (c.offset * (c.resting_offset > 0)) ** 2 for c in self.clips])
         return float(np.sqrt(squares.mean()) / self.camera.scale)
 
     def through_camera(self, camera: Camera) -> Experiment:
-        """Through another camera."""
+        """The same collisions through another camera."""
         return dataclasses.replace(self, clips=tuple(dataclasses.replace(c, camera=camera) for c in self.clips))
 
     def select(self, rows: Sequence[int]) -> Experiment:
-        """Some of its collisions."""
+        """Select some of its collisions."""
         clips, films = tuple(self.clips[k] for k in rows), tuple(self.films[k] for k in rows)
         return dataclasses.replace(self, clips=clips, films=films, launches=self.launches[list(rows)])
 
-    def observe(self) -> Experiment:
-        """The same with rows for every frame in which a ball is whole in the picture, and errors as they are there.
+    def thin_out(self, max_collisions: int = 24) -> Experiment:
+        """Select at most so many collisions, evenly, to change and compare: more would not change a cosine."""
+        count = len(self.clips)
+        return self.select(np.unique(np.linspace(0, count - 1, min(max_collisions, count)).astype(int)).tolist())
 
-        Collisions of which too little is seen are left out.
+    def observe(self) -> Experiment:
+        """Predict the positions in every frame that shows a whole ball, with their errors there.
+
+        Collisions with too few frames before or after the contact are left out.
 
         Returns
         -------
         Experiment
-            Perhaps of no collision at all.
+            It may have no collision at all.
 
         Raises
         ------
         ValueError
-            Where the model has no motion for these launches.
+            If the model has no motion for these launches.
         """
         blank = [_make_blank_clip(*each) for each in zip(self.clips, self.launches, self.films, strict=True)]
         places, speeds = (f(self.model, self.launches, blank) for f in (predict_tracks, predict_velocities))
@@ -114,9 +183,11 @@ class Experiment:
 
 
 def make_unfilmed_clip(number: int, striker: str, camera: Camera, launch: Array) -> MeasuredCollision:
-    """A collision of which nothing is seen yet."""
-    none = np.zeros(0, dtype=np.int64)
-    return MeasuredCollision(number, striker, camera, none, none, np.zeros((0, 2)), np.zeros((0, 2, 2)), launch, NEVER)
+    """A collision without positions yet."""
+    none, unlimited = np.zeros(0, dtype=np.int64), np.full(2, np.inf)
+    return MeasuredCollision(
+        number, striker, camera, none, none, np.zeros((0, 2)), np.zeros((0, 2, 2)), launch, unlimited
+    )
 
 
 def _make_blank_clip(clip: MeasuredCollision, launch: Array, film: range) -> MeasuredCollision:
@@ -127,8 +198,9 @@ def _make_blank_clip(clip: MeasuredCollision, launch: Array, film: range) -> Mea
 
 
 def _rows_in_picture(camera: Camera, xy: Array) -> Ints:
-    """Rows (k,) at which the ball's whole outline is in the picture."""
-    ring = camera.radius * np.stack([np.cos(OUTLINE), np.sin(OUTLINE)], axis=-1)
+    """Rows (k,) in which the whole outline of the ball, at 16 points, is in the picture."""
+    angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    ring = camera.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     around = xy[:, None] + ring
     pixels = camera.project(np.concatenate([around, np.full((*around.shape[:2], 1), camera.radius)], axis=-1))
     inside = (pixels > -0.5) & (pixels < np.array(camera.size) - 0.5)
@@ -136,7 +208,7 @@ def _rows_in_picture(camera: Camera, xy: Array) -> Ints:
 
 
 def _is_usable(clip: MeasuredCollision) -> bool:
-    """Whether both balls are seen long enough before the contact, and after it."""
+    """True if both balls have enough frames before the contact, and after it."""
     opens = clip.frame / clip.fps
     early, late = opens + clip.exposure <= clip.launch[T_C], opens >= clip.launch[T_C]
     least = current_policy().min_frames_before_contact
@@ -146,7 +218,7 @@ def _is_usable(clip: MeasuredCollision) -> bool:
 def _with_errors(
     clips: Sequence[MeasuredCollision], speeds: Sequence[Array], errors: Errors
 ) -> tuple[MeasuredCollision, ...]:
-    """The clips with claimed covariances; speeds (n, 2) m/s of each."""
+    """Set the covariances of the clips. speeds: velocities (n, 2), m/s, of each."""
     camera = clips[0].camera
     xy, velocity = np.concatenate([c.xy for c in clips]), np.concatenate(list(speeds))
     level = np.full((len(xy), 1), camera.radius)

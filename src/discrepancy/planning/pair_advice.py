@@ -1,4 +1,4 @@
-"""The experiment that would part two effects: how alike their signatures are in collisions yet to be filmed."""
+"""Advise which experiment would distinguish two effects, by the cosine of their signatures in it."""
 
 from __future__ import annotations
 
@@ -13,28 +13,18 @@ from discrepancy.fitting.parameters import Candidate
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
 from discrepancy.planning import changes
-from discrepancy.planning.experiment import Experiment
-from discrepancy.planning.position_errors import StatedErrors
+from discrepancy.planning.experiment import Experiment, StatedErrors
 from discrepancy.policy import current_policy
 from discrepancy.select.score_test import ScoreTests, derive_trial, largest_cosine
 
 Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shape parameters
 
-MOST = 24  # collisions in a design
 AS_FILMED = "these collisions"
-OUTSIDE: dict[str, str] = {
-    "camera": "film a plate of known lengths with the same camera",
-    "measure": "film balls at rest at known places, or move the lamp",
-    "clock": "film a clock with the same camera",
-    "exposure": "film a flashing light with the same camera",
-    "mass": "weigh the balls",
-    "radius": "measure the balls' diameters",
-}
 
 
 @dataclass(frozen=True)
 class ComparedDesign:
-    """Collisions that could be filmed. cosine: between the two effects' signatures in them."""
+    """Collisions that could be filmed, in words, and the cosine of the two effects' signatures in them."""
 
     words: str
     cosine: float
@@ -47,39 +37,39 @@ def compare_designs(
     one: Shaped,
     other: Shaped,
 ) -> tuple[ComparedDesign, ...]:
-    """How alike the signatures of two effects are, in the collisions filmed and in others that could be filmed.
+    """Compute the cosine of two effects' signatures in the filmed collisions and in others that could be filmed.
 
-    Both are taken at zero strength, everything else as it was fitted.
+    Both effects have zero strength; all other parameters have their fitted values.
 
     Parameters
     ----------
-    clips : sequence of Measured
-        The collisions filmed, of which at most MOST are taken and changed.
+    clips : sequence of MeasuredCollision
+        The filmed collisions; `Experiment.thin_out` selects some of them.
     noise : Noise
-    fit : Fit
+    fit : ModelFit
         Of these clips.
     one, other : (Candidate, dict of str to float)
         The effects, each with values of its shape parameters.
 
     Returns
     -------
-    tuple of Design
-        The collisions as they are; changed in each of `changes.CHANGES` that is possible; changed in all launches.
+    tuple of ComparedDesign
+        First the collisions as they are, then with each possible change of `changes.CHANGES`, then with all changes of
+        launches at once.
     """
     for candidate, _ in (one, other):
         fit = fit.drop(candidate.remove_from(fit.model), candidate.strengths + candidate.shapes)
     claimed = np.concatenate([c.claimed_std() for c in clips])
     error_px = float(np.sqrt((claimed**2).mean())) / clips[0].camera.scale
     filmed = Experiment(
-        fit.model,
-        fit.names,
-        tuple(clips),
-        fit.launches,
-        tuple(range(int(c.frame.min()), int(c.frame.max()) + 1) for c in clips),
-        StatedErrors(error_px),
-        noise,
-    )
-    filmed = thin_out(filmed)
+        model=fit.model,
+        names=fit.names,
+        clips=tuple(clips),
+        launches=fit.launches,
+        films=tuple(range(int(c.frame.min()), int(c.frame.max()) + 1) for c in clips),
+        errors=StatedErrors(error_px),
+        noise=noise,
+    ).thin_out()
     found = [ComparedDesign(AS_FILMED, _cosine(filmed, one, other))]
     for change in (*changes.CHANGES, changes.TOGETHER):
         try:
@@ -91,14 +81,8 @@ def compare_designs(
     return tuple(found)
 
 
-def thin_out(experiment: Experiment) -> Experiment:
-    """At most MOST of its collisions, to change and compare."""
-    count = len(experiment.clips)
-    return experiment.select(np.unique(np.linspace(0, count - 1, min(MOST, count)).astype(int)).tolist())
-
-
 def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
-    """The cosine between two effects' signatures; 1 where there is no motion, or the fit absorbs one of the two."""
+    """The cosine between two effects' signatures; 1 without a motion, or if the fit absorbs one of the two."""
     evidence, launches = experiment.evidence, experiment.launches
     try:
         here = experiment.fit()
@@ -114,21 +98,35 @@ def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
 
 
 def advise(one: Candidate, other: Candidate, found: Sequence[ComparedDesign]) -> str:
-    """The experiment that parts two effects best, in a sentence; found: as of `designs`."""
-    fit, *proposed = found
+    """Advise, in a sentence, on the design that distinguishes two effects best.
+
+    A single change is preferred to all changes at once, unless these lower the cosine much more.
+
+    Parameters
+    ----------
+    one, other : Candidate
+    found : sequence of ComparedDesign
+        As from `compare_designs`.
+    """
+    as_filmed, *proposed = found
+    policy = current_policy()
     best = min(proposed, key=lambda d: d.cosine)
     single = min(proposed[:-1], key=lambda d: d.cosine)
-    best = (
-        single
-        if single.cosine < current_policy().separated_cosine
-        or single.cosine < best.cosine + current_policy().min_cosine_gain
-        else best
-    )
+    if single.cosine < policy.separated_cosine or single.cosine < best.cosine + policy.min_cosine_gain:
+        best = single
     pair = f"{one.name} and {other.name}"
-    if best.cosine < min(current_policy().separated_cosine, fit.cosine):
-        falls = f"the cosine of their signatures falls from {fit.cosine:.3f} to {best.cosine:.3f}"
-        return f"To part {pair}: {best.words}; {falls}."
-    laws = [law for s in (one, other) if s.kind is not None for law in s.kind.laws]
-    means = list(dict.fromkeys(OUTSIDE[law] for law in laws if law in OUTSIDE))
+    if best.cosine < min(policy.separated_cosine, as_filmed.cosine):
+        falls = f"the cosine of their signatures falls from {as_filmed.cosine:.3f} to {best.cosine:.3f}"
+        return f"To distinguish {pair}: {best.words}; {falls}."
+    other_measurements = {  # by the law that an effect bends
+        "camera": "film a plate of known lengths with the same camera",
+        "measure": "film balls at rest at known positions, or move the lamp",
+        "clock": "film a clock with the same camera",
+        "exposure": "film a flashing light with the same camera",
+        "mass": "weigh the balls",
+        "radius": "measure the balls' diameters",
+    }
+    laws = dict.fromkeys(law for c in (one, other) if c.kind is not None for law in c.kind.laws)
+    means = list(dict.fromkeys(other_measurements[law] for law in laws if law in other_measurements))
     otherwise = "; ".join(means) if means else "one of the two must be measured by other means"
-    return f"No collisions of two balls part {pair} (cosine {best.cosine:.3f} at best): {otherwise}."
+    return f"No collisions of two balls distinguish {pair} (cosine {best.cosine:.3f} at best): {otherwise}."

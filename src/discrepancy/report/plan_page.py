@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from discrepancy.planning.changes import ALL_LAUNCHES_CHANGED
-from discrepancy.planning.outcome import PlanResult
-from discrepancy.planning.signatures import Limit
+from discrepancy.planning.limits import Limit
+from discrepancy.planning.plan_result import PlanResult
 from discrepancy.policy import current_policy
 from discrepancy.report.figures import AFTER, BEFORE, FLOOR, OTHER, STYLE, inline
 from discrepancy.report.html import plain

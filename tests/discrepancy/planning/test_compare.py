@@ -12,7 +12,7 @@ from discrepancy.planning.compare import (
     indistinguishable_pairs,
     largest_cosine,
 )
-from discrepancy.planning.signatures import Limit, Rival
+from discrepancy.planning.limits import Limit, Rival
 
 
 def limit(effect, size, rival="other", cosine=0.5, shows=True):

@@ -41,7 +41,7 @@ def test_the_advice_is_the_best_of_the_designs():
         CANDIDATES["mass_mismatch"],
         [ComparedDesign(w, c) for w, c in found("hop", "mass_mismatch").items()],
     )
-    assert said.startswith("To part hop and mass_mismatch: the balls exchanged in half of the collisions;")
+    assert said.startswith("To distinguish hop and mass_mismatch: the balls exchanged in half of the collisions;")
     hopeless = advise(
         CANDIDATES["mass_mismatch"], CANDIDATES["diameter_mismatch"], [ComparedDesign("these collisions", 1.0)] * 3
     )
@@ -55,7 +55,7 @@ def test_nothing_parts_an_effect_from_one_that_the_fit_absorbs():
     cosines = found(*pair)
     assert set(cosines.values()) == {1.0}
     said = advise(*(CANDIDATES[n] for n in pair), [ComparedDesign(w, c) for w, c in cosines.items()])
-    assert said.startswith("No collisions of two balls part ")
+    assert said.startswith("No collisions of two balls distinguish ")
 
 
 @pytest.mark.parametrize(("cosine", "parted"), [(0.87, True), (0.93, False)])
@@ -65,4 +65,4 @@ def test_two_effects_are_parted_under_nine_tenths(cosine, parted):
         *pair,
         [ComparedDesign("these collisions", 0.99), ComparedDesign("longer films", cosine), ComparedDesign("all", 0.99)],
     )
-    assert ("To part hop and mass_mismatch: longer films" in said) is parted
+    assert ("To distinguish hop and mass_mismatch: longer films" in said) is parted

@@ -1,4 +1,4 @@
-"""The experiment of a scene: its collisions solved, not drawn, with the errors that its camera would leave."""
+"""Design the experiment of a scene: its collisions without rendering, with the errors of its camera."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.collisions import split_held_out
 from discrepancy.data.launch import equalise_launches
 from discrepancy.fitting.parameters import names_to_fit
-from discrepancy.planning.experiment import Experiment, make_unfilmed_clip
-from discrepancy.planning.position_errors import Errors, GlintErrors, StatedErrors
+from discrepancy.planning.experiment import Errors, Experiment, GlintErrors, StatedErrors, make_unfilmed_clip
 from discrepancy.policy import current_policy
 from synthcam.dynamics.launch import SPIN_COLUMNS
 from synthcam.model import Model
@@ -25,16 +24,16 @@ from tracker.camera.same_view import first_difference
 
 @dataclass(frozen=True)
 class DesignedExperiment:
-    """What a scene's experiment comes to.
+    """The experiment of a scene.
 
     Attributes
     ----------
     experiment : Experiment
-        The collisions that a search would fit: a quarter is kept out.
+        The collisions that a search would fit; it holds out a quarter of them.
     drawn, usable : int
-        How many collisions were drawn, and of how many enough is in view.
+        Collisions drawn, and those with enough frames in view.
     notes : tuple of str
-        What was not counted.
+        Influences that the errors do not include.
     """
 
     experiment: Experiment
@@ -44,7 +43,7 @@ class DesignedExperiment:
 
 
 def design_experiment(scene: Scene, count: int, noise_px: float | None = None, seed: int = 0) -> DesignedExperiment:
-    """Draw a scene's collisions and work out what would be seen of them.
+    """Draw the collisions of a scene and predict what its camera would see of them.
 
     Parameters
     ----------
@@ -52,38 +51,35 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
     count : int
         Collisions to record.
     noise_px : float, optional
-        Error of a position, each axis; default: what the scene's camera and lamp allow.
+        Error of a position, each axis; default: the limit of the scene's camera and lamp.
     seed : int
-        Of everything drawn.
+        Of all random numbers.
 
     Returns
     -------
-    Designed
+    DesignedExperiment
 
     Raises
     ------
     InputError
-        Where no search could be made of such clips.
+        If no search is possible with such clips.
     """
     least = current_policy().min_collisions
     if count < least:
-        raise InputError(f"clips: expected {least} or more, some to fit, some to keep out; found {count}")
+        raise InputError(f"clips: expected {least} or more, to fit some and hold out others; found {count}")
     if noise_px is not None and not 0 < noise_px < np.inf:
         raise InputError(f"noise: expected an error of positions over 0 px, found {noise_px:g}")
     clips = [_draw_collision(scene, number, seed) for number in range(count)]
     model, camera = _shared_model_and_camera(scene, clips)
-    strikers, launches = (
-        [str(c.drawn["launch"]["striker"]) for c in clips],
-        equalise_launches([_launch(c) for c in clips]),
-    )
-    rows = [make_unfilmed_clip(k, striker, camera, launches[k]) for k, striker in enumerate(strikers)]
+    strikers = [str(c.drawn["launch"]["striker"]) for c in clips]
+    launches = equalise_launches([_launch(c) for c in clips])
     whole = Experiment(
-        model,
-        names_to_fit(model),
-        tuple(rows),
-        np.array(launches),
-        tuple(range(c.frames) for c in clips),
-        _errors(clips[0], noise_px, scene.where),
+        model=model,
+        names=names_to_fit(model),
+        clips=tuple(make_unfilmed_clip(k, striker, camera, launches[k]) for k, striker in enumerate(strikers)),
+        launches=np.array(launches),
+        films=tuple(range(c.frames) for c in clips),
+        errors=_errors(clips[0], noise_px, scene.where),
     )
     try:
         filmed = whole.observe()
@@ -92,12 +88,12 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
     usable = len(filmed.clips)
     if usable < least:
         raise InputError(
-            f"{scene.where}: both balls are seen before and after the contact in {usable} of {count} clips; expected "
-            f"{least} or more"
+            f"{scene.where}: both balls are in view before and after the contact in {usable} of {count} clips; "
+            f"expected {least} or more"
         )
     kept = {c.clip for c in split_held_out(filmed.clips)[0]}
     rest = filmed.select([k for k, c in enumerate(filmed.clips) if c.clip in kept])
-    return DesignedExperiment(rest, count, usable, _notes(clips[0], noise_px))
+    return DesignedExperiment(experiment=rest, drawn=count, usable=usable, notes=_notes(clips[0], noise_px))
 
 
 def _draw_collision(scene: Scene, number: int, seed: int) -> Clip:
@@ -110,25 +106,25 @@ def _draw_collision(scene: Scene, number: int, seed: int) -> Clip:
 
 
 def _shared_model_and_camera(scene: Scene, clips: list[Clip]) -> tuple[Model, Camera]:
-    """The model and the camera that all clips have. Raises InputError where they have several."""
+    """The model and the camera that all clips share. Raises InputError if they differ."""
     first = clips[0]
     camera = Camera.from_dict(first.camera_json, scene.where)
     for clip in clips[1:]:
         if clip.model != first.model:
             raise InputError(
-                f"{scene.where}: ball, model or effects are drawn anew for each clip; a search fits one model to all: "
+                f"{scene.where}: ball, model or effects differ from clip to clip, but a search fits one model to all; "
                 "expected numbers, as by --model MODEL.yaml"
             )
         if key := first_difference(Camera.from_dict(clip.camera_json, scene.where), camera):
-            raise InputError(f"{scene.where}: the camera's {key} is drawn anew for each clip; expected one camera")
+            raise InputError(f"{scene.where}: the camera's {key} differs from clip to clip; expected one camera")
     free = tuple(scene.settings.get("free") or ())
     return dataclasses.replace(first.model, free=free), camera
 
 
 def _launch(clip: Clip) -> Array:
-    """Columns of `discrepancy.data.launch`."""
+    """The columns of `discrepancy.data.launch`, (p,)."""
     radius, (target, striker) = clip.launch.bodies.radius, clip.launch.states[:, :2]
-    share = radius[0] / radius.sum()  # of the way between the centres, from the target
+    share = radius[0] / radius.sum()  # of the distance between the centres, from the target
     drawn = clip.drawn["launch"]
     place = target + share * (striker - target)
     spin = [drawn[name] for name in SPIN_COLUMNS]
@@ -140,12 +136,12 @@ def _errors(clip: Clip, noise_px: float | None, where: str) -> Errors:
         return StatedErrors(noise_px)
     if clip.finish is not None:
         raise InputError(
-            f"{where}: surface: the errors of balls under room light are not worked out; say them (--noise PX)"
+            f"{where}: surface: the errors of balls under room light cannot be predicted; give them (--noise PX)"
         )
     return GlintErrors(clip.sensor.glint_peak, clip.room)
 
 
 def _notes(clip: Clip, noise_px: float | None) -> tuple[str, ...]:
     if noise_px is None and clip.drawn.get("video"):
-        return ("what the video's encoder takes away is not counted; --noise PX says the error of a position instead",)
+        return ("the errors do not include the video encoder's loss; --noise PX sets the error of a position instead",)
     return ()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from discrepancy_plans import scene, small
 
-from discrepancy.planning.of_scene import design_experiment
+from discrepancy.planning.from_scene import design_experiment
 from synthcam_shared.errors import InputError
 
 
@@ -33,10 +33,10 @@ def test_a_stated_error_is_taken():
     ("given", "message"),
     [
         (scene("single_roller"), "launch.kind: expected pair, found single"),
-        (scene("benchmark"), "model or effects are drawn anew"),
-        (scene(camera={"scale": {"uniform": [1e-4, 2e-4]}}), "the camera's K is drawn anew"),
+        (scene("benchmark"), "model or effects differ from clip to clip"),
+        (scene(camera={"scale": {"uniform": [1e-4, 2e-4]}}), "the camera's K differs from clip to clip"),
         (scene(timing={"frames": 60, "contact_frame": 80.0}), "before and after the contact in 0 of 8 clips"),
-        (scene(surface={"ball": "matte"}), "say them .--noise PX."),
+        (scene(surface={"ball": "matte"}), "give them .--noise PX."),
     ],
 )
 def test_what_is_no_experiment_is_said(given, message):

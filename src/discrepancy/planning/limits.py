@@ -1,7 +1,11 @@
-"""What each effect would do to an experiment's tracks that nothing fitted can do: its limits, its likeness."""
+"""Compute which strength of each effect an experiment could detect and name, from the effects' signatures.
+
+The signature of an effect is its change of the whitened tracks, less all that shared parameters and launches absorb.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,12 +23,10 @@ from discrepancy.select.score_test import ScoreTests, detectable_axes
 from discrepancy.select.scored import CandidateTrial, RealisticSizes
 from synthcam.model import Model
 
-SAME = 1e-9  # of 1 - cosine^2: nothing parts two signatures that are nearer
-
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect with nearly the signature of another. cosine: between the two; shapes: at which it is likest."""
+    """An effect with a similar signature: the cosine between the two, and the shapes at which it is largest."""
 
     effect: str
     cosine: float
@@ -33,7 +35,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Limit:
-    """What an experiment could tell of one strength.
+    """The limits of one strength in an experiment.
 
     Attributes
     ----------
@@ -45,18 +47,18 @@ class Limit:
     shapes : dict of str to float
         The effect's shape parameters, by dotted name, for which the limits hold.
     limit : float
-        The strength of which half of such experiments show more than `SearchPolicy.detection_limit_sigma`; infinite
+        The strength that half of such experiments detect at more than `SearchPolicy.detection_limit_sigma`; infinite
         where the fit absorbs it.
     naming_limit : float
-        The strength at which it is as far from what its likest rival can do.
+        The strength at which half of them distinguish it from its most similar rival as well.
     shows : bool
-        Whether the limit is of a size that a search takes seriously, and that the effect allows.
+        Whether the limit is small enough for a search to consider, and is a size that the effect allows.
     rivals : tuple of Rival
-        The likest first.
+        The most similar first.
     best, worst : float
-        The limits over all shapes that a search tries.
+        The smallest and largest limit over all shapes that a search tries.
     scatter : (float, float)
-        The least and the largest limit over several draws of the experiment.
+        The smallest and largest limit over several draws of the experiment.
     """
 
     effect: str
@@ -74,7 +76,7 @@ class Limit:
 
     @property
     def indistinguishable(self) -> tuple[str, ...]:
-        """Effects that such an experiment could not tell from it, whatever their shapes."""
+        """Effects that such an experiment could not distinguish from it, whatever their shapes."""
         return tuple(r.effect for r in self.rivals if r.cosine > current_policy().alias_cosine)
 
 
@@ -100,12 +102,12 @@ class Signatures:
 
     @classmethod
     def of(cls, experiment: Experiment, only: Sequence[str] = ()) -> Signatures:
-        """Work out the signatures of all candidates, or of those named.
+        """Compute the signatures of all candidates, or of those named in `only`.
 
         Raises
         ------
         ValueError
-            Where the model has no motion for these launches.
+            If the model has no motion for these launches.
         """
         every = list_candidates(experiment.model, experiment.names)
         chosen = [c for c in every if not only or c.name in only]
@@ -121,7 +123,7 @@ class Signatures:
 
     @cached_property
     def _axes(self) -> list[Array]:
-        """Of each trial, (k, m) that makes an orthonormal basis of its signature."""
+        """For each trial the (k, m) array that makes an orthonormal basis of its signature."""
         lengths = [np.sqrt(sum((c**2).sum(axis=0) for c in t.columns)) for t in self.trials]
         return [detectable_axes(self.gram[s, s], length) for s, length in zip(self._spans, lengths, strict=True)]
 
@@ -130,7 +132,7 @@ class Signatures:
         return {c: RealisticSizes.of(c, self.model) for c in dict.fromkeys(t.candidate for t in self.trials)}
 
     def _limit(self, trial: int, strength: int) -> float:
-        """Of one strength of a trial, alone."""
+        """The limit of one strength of a trial, alone."""
         axes, span = self._axes[trial], self._spans[trial]
         shown = float(((axes.T @ self.gram[span, span.start + strength]) ** 2).sum()) if axes.size else 0.0
         if shown <= 0:
@@ -139,7 +141,7 @@ class Signatures:
         return math.sqrt(chi2_to_detect(axes.shape[1], factor) / shown)
 
     def limits(self) -> tuple[Limit, ...]:
-        """Of every strength of every candidate, in the candidates' order."""
+        """Compute the limits of every strength of every candidate, in the candidates' order."""
         known = {c: self._least(c) for c in self._sizes}
         rivals = [k for k, t in enumerate(self.trials) if self._shows(t.candidate, known[t.candidate])]
         return tuple(
@@ -150,7 +152,7 @@ class Signatures:
         return [k for k, t in enumerate(self.trials) if t.candidate == candidate]
 
     def _least(self, candidate: Candidate) -> float:
-        """The least limit of a candidate over its strengths and shapes, in realistic sizes."""
+        """The smallest limit of a candidate over its strengths and shapes, in realistic sizes."""
         sizes = self._sizes[candidate].sizes
         return min(self._limit(k, i) / float(size) for k in self._numbers(candidate) for i, size in enumerate(sizes))
 
@@ -163,7 +165,6 @@ class Signatures:
         limit, every = self._limit(at, strength), [self._limit(k, strength) for k in numbers]
         p, seen = find_parameter(self.model, name), [x for x in every if math.isfinite(x)]
         rivals = self._rivals(at, strength, others) if math.isfinite(limit) else ()
-        apart = 1 - rivals[0].cosine ** 2 if rivals else 1.0
         return Limit(
             effect=candidate.name,
             strength=name,
@@ -171,7 +172,7 @@ class Signatures:
             typical=p.typical or 1.0,
             shapes=self.trials[at].shapes,
             limit=limit,
-            naming_limit=limit / math.sqrt(apart) if apart > SAME else math.inf,
+            naming_limit=_naming_limit(limit, rivals),
             shows=self._shows(candidate, limit / (p.typical or 1.0)),
             rivals=rivals,
             best=min(seen, default=math.inf),
@@ -180,15 +181,15 @@ class Signatures:
         )
 
     def _rivals(self, trial: int, strength: int, others: Sequence[int]) -> tuple[Rival, ...]:
-        """What each other candidate can do of this, at the shapes at which it can do most."""
+        """The cosine with each other candidate, at the shapes at which it is largest."""
         candidate, column = self.trials[trial].candidate, self._spans[trial].start + strength
         own, best = self.gram[column, column], dict[str, Rival]()
-        one_way = self._sizes[candidate].side
+        side = self._sizes[candidate].side
         for k in others:
             other, span = self.trials[k].candidate, self._spans[k]
             pull = self.gram[span, column]
-            way = one_way * self._sizes[other].side * pull[0]
-            if other == candidate or way < 0:  # each can only have the sign that is the wrong one for the other
+            same_sign = side * self._sizes[other].side * pull[0] >= 0  # false if neither can have the other's sign
+            if other == candidate or not same_sign:
                 continue
             share = float(((self._axes[k].T @ pull) ** 2).sum()) / own
             cosine = math.sqrt(min(share, 1.0))
@@ -197,10 +198,16 @@ class Signatures:
         return tuple(sorted(best.values(), key=lambda r: -r.cosine))
 
 
-def chi2_to_detect(dof: int, trials_factor: float) -> float:
-    """The chi^2 that an effect must make for half of all experiments to show it at the sigma of a detection limit.
+def _naming_limit(limit: float, rivals: Sequence[Rival]) -> float:
+    """The limit over the sine between the signature and the most similar rival's; infinite if they coincide."""
+    apart = 1 - rivals[0].cosine ** 2 if rivals else 1.0
+    return limit / math.sqrt(apart) if apart > 1e-9 else math.inf
 
-    The median of a non-central chi^2 is that of its centre plus dof - 1, nearly: Sankaran, Biometrika 46 (1959) 235.
+
+def chi2_to_detect(dof: int, trials_factor: float) -> float:
+    """The chi^2 of an effect that half of all experiments detect at the significance of a detection limit.
+
+    The median of a non-central chi^2 is nearly its non-centrality plus dof - 1: Sankaran, Biometrika 46 (1959) 235.
     """
     wanted = current_policy().detection_limit_sigma
 
@@ -212,7 +219,7 @@ def chi2_to_detect(dof: int, trials_factor: float) -> float:
 
 
 def _distance_from_typical(model: Model, shapes: Mapping[str, float]) -> float:
-    """How far shape parameters are from their realistic sizes, to choose those tried that are nearest."""
+    """The distance of shape parameters from their realistic sizes, to choose the nearest of those tried."""
     far = 0.0
     for name, value in shapes.items():
         p = find_parameter(model, name)
@@ -221,3 +228,50 @@ def _distance_from_typical(model: Model, shapes: Mapping[str, float]) -> float:
         else:
             far += abs(value - p.typical) / (abs(p.typical) or 1.0)
     return far
+
+
+def count_draws(clips: int) -> int:
+    """How many draws of so many collisions give stable medians: 150 collisions in all, at most five draws.
+
+    The limits of 30 collisions scatter by a fifth from one draw to the next.
+    """
+    return min(5, math.ceil(150 / clips))
+
+
+def median_limits(draws: Sequence[tuple[Limit, ...]]) -> tuple[Limit, ...]:
+    """The median over draws of each strength's limits, and of its cosine with each other effect.
+
+    Parameters
+    ----------
+    draws : sequence of tuple of Limit
+        Of the same scene, in the same order.
+
+    Returns
+    -------
+    tuple of Limit
+    """
+    return tuple(_median(rows) for rows in zip(*draws, strict=True))
+
+
+def _median(rows: Sequence[Limit]) -> Limit:
+    cosines: dict[str, list[Rival]] = {}
+    for row in rows:
+        for rival in row.rivals:
+            cosines.setdefault(rival.effect, []).append(rival)
+    rivals = [
+        dataclasses.replace(found[0], cosine=float(np.median([r.cosine for r in found])))
+        for found in cosines.values()
+        if 2 * len(found) > len(rows)
+    ]
+    rivals.sort(key=lambda r: -r.cosine)
+    limit, best, worst = (float(np.median([getattr(r, key) for r in rows])) for key in ("limit", "best", "worst"))
+    return dataclasses.replace(
+        rows[0],
+        limit=limit,
+        naming_limit=_naming_limit(limit, rivals),
+        shows=2 * sum(r.shows for r in rows) > len(rows),
+        rivals=tuple(rivals),
+        best=best,
+        worst=worst,
+        scatter=(min(r.limit for r in rows), max(r.limit for r in rows)),
+    )

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from discrepancy.planning.signatures import Limit, Rival
-from discrepancy.planning.typical import count_draws, median_limits
+from discrepancy.planning.limits import Limit, Rival, count_draws, median_limits
 
 
 def limit(size, shows=True, **cosines):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from discrepancy.planning.position_errors import GlintErrors, StatedErrors
+from discrepancy.planning.experiment import GlintErrors, StatedErrors
 from tracker.camera.camera import Camera
 
 READ_NOISE = 60.0

@@ -1,4 +1,4 @@
-"""A plan, as values: what an experiment could show, what it could not tell apart, what would gain."""
+"""Hold the values of a plan: limits of effects, indistinguishable pairs, and gains of changes."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 
 from discrepancy.data.launch import V0, B
 from discrepancy.planning.compare import ChangeGain, ChangeLimits, CollisionsNeeded
-from discrepancy.planning.of_scene import DesignedExperiment
-from discrepancy.planning.signatures import Limit
+from discrepancy.planning.from_scene import DesignedExperiment
+from discrepancy.planning.limits import Limit
 
-USEFUL = 1.05  # times: a change that gains less is not recommended
+MIN_USEFUL_GAIN = 1.05  # a change that lowers limits by a smaller factor is not recommended
 
 
 @dataclass(frozen=True)
 class IndistinguishablePair:
-    """Two effects that could not be told apart; cosine: of their signatures; advice: what would part them."""
+    """Two indistinguishable effects, the cosine of their signatures, and the advice how to distinguish them."""
 
     effects: tuple[str, str]
     cosine: float
@@ -36,7 +36,7 @@ class BestChange:
 
 @dataclass(frozen=True)
 class PlanResult:
-    """What an experiment could show.
+    """The effects that an experiment could detect and name, and the changes that help.
 
     Attributes
     ----------
@@ -45,15 +45,15 @@ class PlanResult:
     designed : Designed
         The collisions, and the errors that their positions would have.
     limits : tuple of Limit
-        Of the effects asked for.
+        Of the requested effects.
     pairs : tuple of AlikePair
-        That could not be told apart.
+        Of effects that the experiment could not distinguish.
     before : tuple of Limit
-        Of all effects, for the collisions that changes were tried on.
+        Limits of all effects, for the collisions that changes were applied to.
     tried : tuple of Tried
-        Changes of these, with the limits of all effects.
+        Each change of these collisions, with the limits of all effects.
     gains : tuple of Gain
-        What each change would gain, the best first.
+        The gain of each change, the best first.
     wanted : tuple of Wanted
     """
 
@@ -68,12 +68,12 @@ class PlanResult:
 
     @property
     def shown(self) -> tuple[Limit, ...]:
-        """The limits of the strengths that such an experiment could show, the best first."""
+        """The limits of the detectable strengths, the best first."""
         return tuple(sorted((x for x in self.limits if x.shows), key=lambda x: x.limit / x.typical))
 
     @property
     def hidden(self) -> tuple[Limit, ...]:
-        """The others."""
+        """The limits of the undetectable strengths."""
         return tuple(x for x in self.limits if not x.shows)
 
     def best_change(self, limit: Limit) -> BestChange | None:
@@ -86,7 +86,9 @@ class PlanResult:
         words, x = best
         falls = now.naming_limit / x.naming_limit
         return (
-            BestChange(words, limit.limit * x.limit / now.limit, limit.naming_limit / falls) if falls > USEFUL else None
+            BestChange(words, limit.limit * x.limit / now.limit, limit.naming_limit / falls)
+            if falls > MIN_USEFUL_GAIN
+            else None
         )
 
     def rows(self) -> list[dict[str, Any]]:
@@ -120,22 +122,26 @@ class PlanResult:
         return 1e6 * self.designed.experiment.error_px * self.designed.experiment.camera.scale
 
     def sentence(self) -> str:
-        """What was planned and what it could show."""
+        """The plan in a sentence or two: how many effects it detects, and the most useful change."""
         here = self.designed
         effects = {x.effect for x in self.limits}
         shows = {x.effect for x in self.shown if x.limit <= x.typical}
-        said = (
+        text = (
             f"{here.drawn} collisions of {self.name}, positions to {here.experiment.error_px:.2g} px "
-            f"({self.error_um:.2g} um): {len(shows)} of {len(effects)} effects would show at a realistic size"
+            f"({self.error_um:.2g} um): {len(shows)} of {len(effects)} effects would be detected at a realistic size"
         )
-        said += f"; {len(self.pairs)} pairs could not be told apart." if self.pairs else ", each told from all others."
-        useful = [g for g in self.gains if g.naming > USEFUL]
+        text += (
+            f"; {len(self.pairs)} pairs could not be distinguished."
+            if self.pairs
+            else ", each distinguishable from all."
+        )
+        useful = [g for g in self.gains if g.naming > MIN_USEFUL_GAIN]
         if useful:
-            said += f" Most would gain from {useful[0].words}: naming limits fall {useful[0].naming:.2g} times."
-        return said
+            text += f" The best change: {useful[0].words}; naming limits fall by a factor of {useful[0].naming:.2g}."
+        return text
 
     def experiment(self) -> dict[str, Any]:
-        """What was planned, in numbers."""
+        """The planned experiment in numbers."""
         here, speeds = self.designed, self.designed.experiment.launches[:, V0]
         camera = here.experiment.camera
         return {

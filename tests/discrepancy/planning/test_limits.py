@@ -9,7 +9,7 @@ from discrepancy_plans import small
 
 from discrepancy.fitting.jacobian import differentiate
 from discrepancy.fitting.significance import chi2_to_sigma
-from discrepancy.planning.signatures import Signatures, chi2_to_detect
+from discrepancy.planning.limits import Signatures, chi2_to_detect
 
 PAIR = ("air_drag", "rolling_quadratic")
 
