@@ -31,7 +31,7 @@ from rich.table import Table
 from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
 from tracker.detection.likelihood.cramer_rao import localisation_bound, localisation_bound_fixed
-from tracker.measurement.estimate import FREE_LIMITS, LIMITS, LINEAR_UP_TO
+from tracker.measurement.estimate import largest_error
 from tracker.measurement.noise.whitening import position_covariance
 from tracker.scoring.score import score
 
@@ -112,7 +112,7 @@ def verdict(name: str, row: dict[str, float], clips: int, claims: float) -> list
 
 def told_share(table: pd.DataFrame, name: str, kind: str) -> float:
     """Of the clips whose bound is well under the limit of a claim, the share that claims."""
-    limit = (FREE_LIMITS if kind else LIMITS).get(name, LINEAR_UP_TO * table[f"{name}_true"].abs())
+    limit = largest_error(name, table[f"{name}_true"].to_numpy(float), bool(kind))
     able = table[f"{name}{kind}_bound"] < 0.8 * limit
     if name == "s":  # a ratio by b: the hit must be oblique enough
         able &= table["b_true"].abs() > 12 * table[f"b{kind}_bound"]

@@ -19,12 +19,13 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress, run_all_jobs, use_one_thread
 from synthcam_shared.outputs import check_writable, resume_folder
 from tracker import results
+from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource, open_source
 from tracker.detection.channel import select_channel
 from tracker.detection.choose import choose_detector
 from tracker.detection.detect import load_detector, load_linker
-from tracker.notes import Note, NoteKind, describe_camera_gaps, note_all
+from tracker.notes import Note, NoteKind, note_all
 from tracker.recording import measure_tracks, track_and_measure
 from tracker.tables.read import read_tracks
 

@@ -16,6 +16,7 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import format_with_error
 from tracker import results
 from tracker.camera.camera import Camera
+from tracker.camera.camera_notes import describe_camera_gaps, describe_exposure, describe_frame_rate
 from tracker.camera.film_in_memory import FILM, wrap_frames
 from tracker.camera.recordings import Recording, make_recording, open_frames, open_source
 from tracker.detection.channel import select_channel
@@ -33,14 +34,7 @@ from tracker.detection.diagnose import FEWEST, explain_no_discs, explain_no_glin
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.notes import (
-    Note,
-    NoteKind,
-    describe_camera_gaps,
-    describe_exposure,
-    describe_frame_rate,
-    note_all,
-)
+from tracker.notes import Note, NoteKind, note_all
 from tracker.tables.read import GivenCamera, read_tracks, to_pixels
 from tracker.tables.rows import tracks_table
 from tracker.tables.table import TrackTable
@@ -354,8 +348,7 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT) -> tuple[Tracks,
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     """Rows of estimates, and the table of motion about the first collision."""
-    from tracker.measurement.estimate import failure_status, measure, motion_table
-    from tracker.measurement.estimate_row import empty_row
+    from tracker.measurement.estimate import empty_row, failure_status, measure, motion_table
 
     try:
         rows = measure(tracks, camera)

@@ -1,4 +1,4 @@
-"""The settings of the tracker that a user may change: how balls are detected and linked into tracks."""
+"""The settings of the tracker that a user may change: how balls are detected, linked into tracks and measured."""
 
 from __future__ import annotations
 
@@ -83,6 +83,40 @@ class LinkSettings(Settings):
     """The same in px per frame where no camera file gives a scale. At least two diameters are always allowed."""
 
 
+class FitSettings(Settings):
+    """How tracks are fitted, and what of a fit is believed."""
+
+    rejection_level: Annotated[float, Field(gt=0, lt=0.5)] = 1e-6
+    """p-value below which the data reject a fit. The model describes one clip in a million so badly by chance."""
+
+    impossible_sigma: Positive = 3.0
+    """Standard errors by which a value must pass a physical limit, such as a restitution of 1, to be flagged.
+    Such a restitution or spin transfer makes the collision a misfit."""
+
+    outlier_sigma: Positive = 6.0
+    """Distance from the fit, in standard errors, beyond which a position is left out.
+    With normal errors that is one position in 10^8."""
+
+    max_outlier_share: Fraction = 0.05
+    """Most positions, as a share of all, that may be left out. Where more are far off, the model is wrong."""
+
+    slide_end_chi2: Positive = 25.0
+    """Rise of chi^2 without the end of a slide from which on the tracks show that end: five standard errors."""
+
+    noise_sigma: Positive = 5.0
+    """Standard errors by which the scatter of the positions must differ from the claimed errors to replace them."""
+
+    max_relative_error: Positive = 0.2
+    """Largest standard error of a quantity, relative to it, that is reported. Beyond it errors of first order no
+    longer describe the estimate. Quantities that may be zero have limits of their own."""
+
+    contact_distance_tolerance: Positive = 0.03
+    """Deviation from one diameter, in diameters, at which balls that touch are not yet flagged."""
+
+    lone_ball_sigma: Positive = 10.0
+    """Standard deviations of chi^2 beyond which a ball that meets no other does not roll freely."""
+
+
 class TrackerSettings(Settings):
     """All settings of the tracker: ``tracker.track(film, camera, settings=...)``, ``tracker track --settings FILE``.
 
@@ -99,6 +133,9 @@ class TrackerSettings(Settings):
 
     link: LinkSettings = LinkSettings()
     """How detections are joined into tracks."""
+
+    fit: FitSettings = FitSettings()
+    """How tracks are measured."""
 
     def changed(self) -> dict[str, Any]:
         """The sections and keys that differ from their defaults."""

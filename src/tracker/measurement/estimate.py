@@ -1,12 +1,17 @@
 """From the tracks of one clip to its physics: r, mu_k, C, slide times, energy, momentum, with standard errors.
 
-Three readings stand beside each other: NAME from the tied fit (one physical model of impact, sliding and rolling),
-NAME_free from the free fit (any velocities and slide times after the hit), NAME_paper from the paper's finite
-differences. Where the first two disagree, the model is wrong. What a clip does not show is NaN.
+Each quantity is measured in three ways:
+
+- NAME by the tied fit: one physical model of impact, sliding and rolling;
+- NAME_free by the free fit: any velocities and slide times after the hit;
+- NAME_paper by the finite differences of the paper.
+
+Where the first two disagree, the model is wrong. Quantities that a clip does not show are NaN.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +21,6 @@ from numpy.typing import NDArray
 from tracker.measurement import painter_behringer
 from tracker.measurement.camera_errors import add_camera_errors, effects_to_json, measure_contact_distance
 from tracker.measurement.collision.adequacy import (
-    LEVEL,
     MEASURED,
     MISFIT,
     Flag,
@@ -28,11 +32,11 @@ from tracker.measurement.collision.collision_model import FREE, SPIN, TARGET, TI
 from tracker.measurement.collision.contacts import ContactCandidate, EarlierHit, find_contacts, prepare_contact
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.energy_momentum import BEFORE, motion_table
-from tracker.measurement.estimate_row import covariances, empty_row
 from tracker.measurement.joint_fit import fit_all
 from tracker.measurement.lone_ball import PARAMETERS, add_camera_errors_to_lone_ball, fit_lone_ball
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.positions import BallTrack, to_ball_tracks
+from tracker.settings import FitSettings
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -42,102 +46,101 @@ __all__ = ["fit_all", "fit_collision", "measure", "motion_table", "select_claims
 
 Floats = NDArray[np.float64]
 
-LINEAR_UP_TO = 0.2  # a relative error above this, and first-order errors no longer describe the estimate
-# quantities whose size may be zero have limits of their own, in their own units
-LIMITS = {"b": 0.05, "t_c": np.inf, "s": 0.1, "r": 0.05, "C": 0.05, "final_angle": 0.1}
-LIMITS |= {"energy_fraction": 0.05, "momentum_fraction": 0.05, "drag": 2.0, "decel": 0.2}
-FREE_LIMITS = LIMITS | {"r": 0.02}
-NEEDS = {  # what falls with a slide end that the clip does not show, by ball
-    1: ("tau1", "v1f", "w1n", "w1t"),
-    2: ("tau2", "v2f", "w2n", "w2t"),
-}
-NEEDS_START = ("r", "s", "mu_k", "C")  # what falls with a slide too short to show the velocity just after the hit
-BY_LAWS = ("C", "w1n", "w1t", "w2n", "w2t")  # what the free fit infers of spins by laws that a misfit puts in doubt
-AT_THE_HIT = ("t_c", "v0", "b", "r", "s")  # what differences show whatever the balls do afterwards
-NEEDS_BOTH = ("energy_fraction", "momentum_fraction", "final_angle")
-UNLIKELY = 10.0  # standard deviations of chi^2 beyond which a lone ball was not rolling freely
-NO_DIAMETER = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
-UNLIKE = 5.0  # standard errors by which the tracks' own scatter differs from what a table claims
-CONFIRMED = 1e-3  # p-value from which on whole fits confirm that errors are smaller than claimed
-# Diameters, and frames' worth of approach beyond, within which balls that change track are thought to have met.
-FAR_CONTACT, FAR_STEPS = 1.5, 2.0
+# Largest standard errors that are reported of quantities that may be zero, in their own units; see `largest_error`.
+_LARGEST_ERRORS = {"b": 0.05, "t_c": np.inf, "s": 0.1, "r": 0.05, "C": 0.05, "final_angle": 0.1}
+_LARGEST_ERRORS |= {"energy_fraction": 0.05, "momentum_fraction": 0.05, "drag": 2.0, "decel": 0.2}
+_SPINS_FROM_LAWS = ("w1n", "w1t", "w2n", "w2t")  # the free fit infers spins by laws that a misfit puts in doubt
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a fit of what is no collision may lead anywhere
-def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
-    """One row per collision of a clip, in the columns of estimates.parquet without `clip`; never empty.
+def measure(tracks: Tracks, camera: Camera, settings: FitSettings | None = None) -> list[dict[str, Any]]:
+    """Measure the collisions of a clip.
 
-    SI units. status: "ok", "misfit" where the data reject the tied fit (then NAME has no error), "no_collision"
-    (then v0, drag and decel of the ball that rolls), or the reason why nothing can be measured.
+    Parameters
+    ----------
+    tracks : Tracks
+    camera : Camera
+    settings : FitSettings, optional
+
+    Returns
+    -------
+    list of dict
+        One row for each collision, never empty, in the columns of estimates.parquet without `clip`, in SI units.
+        Its `status` is
+
+        - "ok";
+        - "misfit": the data reject the tied fit or its values are impossible, and NAME has no error;
+        - "no_collision": v0, drag and decel are those of the ball that rolls;
+        - or the reason why nothing can be measured.
     """
+    settings = settings or FitSettings()
     if not camera.metric:
         return [empty_row(camera, "no scale: lengths need a camera file, which tracker calibrate makes")]
     balls = to_ball_tracks(tracks, camera)
     if not any(len(track) >= 2 for track in balls):
         return [empty_row(camera, "too few detections")]
     size = measure_scatter(balls) if balls[0].has_errors else None
-    if size is None or abs(size.sigmas) < UNLIKE:
-        return _measure_balls(balls, camera)
+    if size is None or abs(size.sigmas) < settings.noise_sigma:
+        return _measure_balls(balls, camera, settings)
     resized = [track.scale_errors(size) for track in balls]
     if size.ratio > 1:
-        rows = _measure_balls(resized, camera)
-        return _measure_between(rows, balls, size, camera) if p_free(rows, size) > 1 - LEVEL else rows
-    rows = _measure_balls(balls, camera)
-    slow = any(row["noise"] == "scatter" for row in rows)  # errors that last scatter little from frame to frame
-    return rows if slow or not p_free(rows, size, size.ratio) > CONFIRMED else _measure_balls(resized, camera)
+        rows = _measure_balls(resized, camera, settings)
+        too_good = p_free(rows, size) > 1 - settings.rejection_level
+        return _measure_between(rows, balls, size, camera, settings) if too_good else rows
+    rows = _measure_balls(balls, camera, settings)
+    correlated = any(row["noise"] == "scatter" for row in rows)  # such errors scatter little from frame to frame
+    confirmed = p_free(rows, size, size.ratio) > 1e-3  # whole fits confirm that errors are smaller than claimed
+    return _measure_balls(resized, camera, settings) if confirmed and not correlated else rows
 
 
 def _measure_between(
-    wide: list[dict[str, Any]], balls: list[BallTrack], size: ScatterRatio, camera: Camera
+    wide: list[dict[str, Any]], balls: list[BallTrack], size: ScatterRatio, camera: Camera, settings: FitSettings
 ) -> list[dict[str, Any]]:
-    """The rows where free fits leave less than the scatter (by which `wide` went): it held kinks, or is uneven.
+    """The rows where the residuals of the free fits are smaller than the scatter, by which `wide` was measured.
 
-    What is claimed holds if the free fits bear it; else errors are as large as these leave.
+    The scatter then included kinks of the paths, or is uneven. The claimed errors are kept if the free fits accept
+    them. Otherwise the residuals of the free fits give the size of the errors.
     """
-    rows = _measure_balls(balls, camera)
-    if p_free(rows, replace(size, dof=np.inf)) >= LEVEL:
+    rows = _measure_balls(balls, camera, settings)
+    if p_free(rows, replace(size, dof=np.inf)) >= settings.rejection_level:
         return rows
     square, dof = np.sum([(row["chi2_free"], row["dof_free"]) for row in wide if row["dof_free"] > 0], axis=0)
     left = ScatterRatio(size.ratio * float(square / dof), float(dof))
-    return _measure_balls([track.scale_errors(left) for track in balls], camera)
+    return _measure_balls([track.scale_errors(left) for track in balls], camera, settings)
 
 
-def _measure_balls(balls: list[BallTrack], camera: Camera) -> list[dict[str, Any]]:
-    """The rows of a clip, its errors given."""
+def _measure_balls(balls: list[BallTrack], camera: Camera, settings: FitSettings) -> list[dict[str, Any]]:
+    """The rows of a clip, the size of its errors given."""
     noise = _noise_columns(balls[0], camera)
     if len(balls) > 1 and not camera.knows_diameter:
-        return [empty_row(camera, NO_DIAMETER) | noise]
-    met = find_contacts(balls, camera.ball_diameter) if len(balls) > 1 else []
-    if met:
-        return _measure_collisions(met, noise, camera)
-    near = find_contacts(balls, FAR_CONTACT * camera.ball_diameter, FAR_STEPS) if len(balls) > 1 else []
-    rows = _measure_collisions(
-        near, noise, camera
-    )  # a filter that smooths tracks parts the balls, or the scale is wrong
+        reason = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
+        return [empty_row(camera, reason) | noise]
+    found = find_contacts(balls, camera.ball_diameter) if len(balls) > 1 else []
+    if found:
+        return _measure_collisions(found, noise, camera, settings)
+    # A filter that smooths tracks keeps the balls apart, and so does a wrong scale: search within 1.5 diameters.
+    found = find_contacts(balls, 1.5 * camera.ball_diameter, 2.0) if len(balls) > 1 else []
+    rows = _measure_collisions(found, noise, camera, settings)
     if any(row["status"] in MEASURED for row in rows):
         return rows
-    return [
-        empty_row(camera, "no_collision")
-        | noise
-        | _lone_ball(balls, camera)
-        | ({"flags": str(Flag.NO_TOUCH)} if near else {})
-    ]
+    flags = {"flags": str(Flag.NO_TOUCH)} if found else {}
+    return [empty_row(camera, "no_collision") | noise | _lone_ball(balls, camera, settings) | flags]
 
 
-def _measure_collisions(met: list[ContactCandidate], noise: dict[str, Any], camera: Camera) -> list[dict[str, Any]]:
+def _measure_collisions(
+    found: list[ContactCandidate], noise: dict[str, Any], camera: Camera, settings: FitSettings
+) -> list[dict[str, Any]]:
     """A row for each contact, in order of time."""
-    rows, pasts = [], dict[int, EarlierHit]()
-    for i, candidate in enumerate(met):
+    rows, earlier = [], dict[int, EarlierHit]()
+    for i, candidate in enumerate(found):
         try:
-            row, left = _measure_collision(candidate, pasts, camera, i)
+            row, left = _measure_collision(candidate, earlier, camera, i, settings)
         except (ArithmeticError, ValueError, IndexError) as error:  # one collision never costs the others
-            particles = [track.particle for track in (candidate.one, candidate.other)]
-            row = empty_row(camera, failure_status(error), i) | dict(
-                zip(("particle1", "particle2"), particles, strict=True)
-            )
-            left = {particle: EarlierHit(np.inf) for particle in particles}
+            one, two = candidate.one.particle, candidate.other.particle
+            row = empty_row(camera, failure_status(error), i) | {"particle1": one, "particle2": two}
+            left = dict.fromkeys((one, two), EarlierHit(np.inf))
         rows.append(noise | row if row["noise"] == "scatter" else row | noise)
-        pasts |= left
+        earlier |= left
     return rows
 
 
@@ -156,10 +159,10 @@ def _noise_columns(track: BallTrack, camera: Camera) -> dict[str, Any]:
 
 
 def _measure_collision(
-    candidate: ContactCandidate, pasts: dict[int, EarlierHit], camera: Camera, index: int
+    candidate: ContactCandidate, earlier: dict[int, EarlierHit], camera: Camera, index: int, settings: FitSettings
 ) -> tuple[dict[str, Any], dict[int, EarlierHit]]:
     """The row of one collision, and by particle what it leaves of its balls for the next."""
-    contact = prepare_contact(candidate, camera.ball_diameter, pasts)
+    contact = prepare_contact(candidate, camera.ball_diameter, earlier, settings)
     row = empty_row(camera, contact.reason or "ok", index)
     row |= {f"particle{i}": track.particle for i, track in contact.pair.balls}
     frames = np.concatenate([track.frame for _, track in contact.pair.balls])
@@ -172,11 +175,12 @@ def _measure_collision(
         return row | {"status": read}, unknown
     read = _with_camera_errors(read, camera)
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
-    row |= _judge(read, flag_contact_distance(*measure_contact_distance(read.free, camera)))
+    row |= _judge(read, flag_contact_distance(*measure_contact_distance(read.free, camera), settings))
     row |= painter_behringer.paper_columns(contact, camera)
-    if row["status"] == MISFIT:
-        row |= {f"{name}_paper_std": np.nan for name in QUANTITY_NAMES if name not in AT_THE_HIT}
-    return (row, unknown) if row["status"] == MISFIT else (row, _earlier_hits(read, pasts))
+    if row["status"] == MISFIT:  # differences show some quantities whatever the balls do after the hit
+        lost = [name for name in QUANTITY_NAMES if name not in ("t_c", "v0", "b", "r", "s")]
+        row |= {f"{name}_paper_std": np.nan for name in lost}
+    return (row, unknown) if row["status"] == MISFIT else (row, _earlier_hits(read, earlier))
 
 
 def _with_camera_errors(read: CollisionFits, camera: Camera) -> CollisionFits:
@@ -190,7 +194,7 @@ def _value_columns(read: CollisionFits, camera: Camera) -> dict[str, Any]:
     """What both fits say, with errors where the data accept the fit."""
     tied, free = select_claims(read)
     common = effects_to_json(camera, {"tied": tied.shared, "free": free.shared})
-    row: dict[str, Any] = {"cov": covariances({"tied": tied.cov, "free": free.cov}, QUANTITY_NAMES, common)}
+    row: dict[str, Any] = {"cov": _covariances_to_json({"tied": tied.cov, "free": free.cov}, QUANTITY_NAMES, common)}
     for suffix, values in (("", tied), ("_free", free)):
         for i, name in enumerate(QUANTITY_NAMES):
             row[f"{name}{suffix}"], row[f"{name}{suffix}_std"] = values.value[i], values.std[i]
@@ -215,7 +219,7 @@ def _judge(read: CollisionFits, flags: list[Flag]) -> dict[str, Any]:
     }
 
 
-def _earlier_hits(read: CollisionFits, pasts: dict[int, EarlierHit]) -> dict[int, EarlierHit]:
+def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[int, EarlierHit]:
     """What the hit leaves of both balls: until when they slide, by the later of both fits, and their new spin."""
     pair, tied = read.contact.pair, read.tied.parameters
     ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
@@ -226,50 +230,62 @@ def _earlier_hits(read: CollisionFits, pasts: dict[int, EarlierHit]) -> dict[int
     turn = -c * (v0 * np.sin(beta) + pair.spin + side)  # R dw = (5/2) n x J/m, the same for both
     particles, own = [track.particle for _, track in pair.balls], (0.0, side)
     return {
-        p: EarlierHit(float(end), pasts.get(p, EarlierHit()).spin + float(turn + spin))
+        p: EarlierHit(float(end), earlier.get(p, EarlierHit()).spin + float(turn + spin))
         for p, end, spin in zip(particles, late, own, strict=True)
     }
 
 
 def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
-    """What each fit claims: NaN where the clip does not show it, no errors where the data reject the fit."""
+    """Select what each fit may claim: NaN where the clip does not show it, no errors where the data reject the fit.
+
+    Returns
+    -------
+    tied, free : DerivedValues
+    """
+    settings = read.settings
     # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed
     if all(read.slide_ends_seen) and not read.free.converged:
-        free_nan = set(QUANTITY_NAMES)
+        unseen = set(QUANTITY_NAMES)
     else:
-        free_nan = {name for ball, seen in enumerate(read.slide_ends_seen, 1) if not seen for name in NEEDS[ball]}
-        if not all(read.slide_ends_seen):
-            free_nan |= {*NEEDS_BOTH, "mu_k", "C"}
-        for ball, name in ((1, "log_tau1"), (2, "log_tau2")):
-            k = FREE.index(name)
-            if (
-                read.slide_ends_seen[ball - 1] and read.free.cov[k, k] > LINEAR_UP_TO**2
-            ):  # too short to show how it began
-                free_nan |= {*NEEDS_START, f"w{ball}n", f"w{ball}t"}
-        if not _is_oblique(read.free_values.value, read.free_values.std):
-            free_nan |= {"s"}
+        unseen = set[str]()
+        for ball, seen in enumerate(read.slide_ends_seen, 1):
+            k = FREE.index(f"log_tau{ball}")
+            if not seen:
+                unseen |= {f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "mu_k", "C"}
+                unseen |= {"energy_fraction", "momentum_fraction", "final_angle"}
+            elif read.free.cov[k, k] > settings.max_relative_error**2:  # too short to show the velocity after the hit
+                unseen |= {"r", "s", "mu_k", "C", f"w{ball}n", f"w{ball}t"}
+        b = QUANTITY_NAMES.index("b")
+        if not abs(read.free_values.value[b]) > 10 * read.free_values.std[b]:  # s is a ratio by b
+            unseen |= {"s"}
         if read.contact.pair.fitted_spin:
-            free_nan |= {"C"}  # how the striker spins before the hit is not in the free fit
-    tied, free = (
-        _within_limits(read.tied_values, LIMITS, set()),
-        _within_limits(read.free_values, FREE_LIMITS, free_nan),
-    )
+            unseen |= {"C"}  # the free fit has no spin of the striker before the hit
+    tied = _within_limits(read.tied_values, False, set(), settings)
+    free = _within_limits(read.free_values, True, unseen, settings)
     if read.is_misfit:
-        tied, free = tied.without_errors(QUANTITY_NAMES), free.without_errors(BY_LAWS)
+        tied, free = tied.without_errors(QUANTITY_NAMES), free.without_errors(("C", *_SPINS_FROM_LAWS))
     return tied, free if read.is_free_accepted else free.without_errors(QUANTITY_NAMES)
 
 
-def _is_oblique(value: Floats, std: Floats) -> bool:
-    """Whether the hit is oblique enough for a tangential restitution, a ratio by b, to have a meaning."""
-    b = QUANTITY_NAMES.index("b")
-    return bool(abs(value[b]) > 10 * std[b])
+def largest_error(name: str, value: Floats, is_free: bool, max_relative_error: float = 0.2) -> Floats:
+    """Find the largest standard error with which a quantity is reported.
+
+    Quantities that may be zero have limits in their own units, spins have none, and all others have
+    `max_relative_error` of their value.
+    """
+    if name == "r" and is_free:
+        return np.full_like(value, 0.02)
+    if name in _SPINS_FROM_LAWS or name in _LARGEST_ERRORS:
+        return np.full_like(value, _LARGEST_ERRORS.get(name, np.inf))
+    return max_relative_error * np.abs(value)
 
 
-def _within_limits(values: DerivedValues, limits: dict[str, float], unseen: set[str]) -> DerivedValues:
+def _within_limits(values: DerivedValues, is_free: bool, unseen: set[str], settings: FitSettings) -> DerivedValues:
+    """The values with NaN for those that are unseen or whose errors are too large."""
     value, lost = values.value.copy(), []
     for i, name in enumerate(QUANTITY_NAMES):
         std = values.std[i]
-        limit = limits.get(name, LINEAR_UP_TO * abs(value[i]) if not name.startswith("w") else np.inf)
+        limit = largest_error(name, value[i], is_free, settings.max_relative_error)
         folded = name == "final_angle" and value[i] < 3 * std  # an angle cannot be negative: near zero it is biased
         if name in unseen or not np.isfinite(value[i]) or not std <= limit or folded:
             value[i] = np.nan
@@ -277,17 +293,46 @@ def _within_limits(values: DerivedValues, limits: dict[str, float], unseen: set[
     return replace(values, value=value).without_errors(lost)
 
 
-def _lone_ball(balls: list[BallTrack], camera: Camera) -> dict[str, Any]:
-    """What a rolling ball shows without a collision: its speed when first seen, drag and decel."""
+def _lone_ball(balls: list[BallTrack], camera: Camera, settings: FitSettings) -> dict[str, Any]:
+    """The columns of a ball that rolls without a collision: its speed when first seen, drag and decel."""
     fits = [f for f in map(fit_lone_ball, balls) if f is not None]
     if not fits:
         return {}
     best, common = add_camera_errors_to_lone_ball(max(fits, key=lambda f: f.speed), camera)
-    if best.chi2 > best.dof + UNLIKELY * np.sqrt(2 * best.dof):
+    if best.chi2 > best.dof + settings.lone_ball_sigma * np.sqrt(2 * best.dof):
         return {"status": "no collision in view, and no ball rolls freely", "chi2": best.chi2, "dof": best.dof}
     out: dict[str, Any] = {"particle2": best.particle, "chi2": best.chi2, "dof": best.dof}
     for name, value, std in best.table():
-        within = std <= LIMITS.get(name, np.inf)
+        within = std <= _LARGEST_ERRORS.get(name, np.inf)
         out[name], out[f"{name}_std"] = (value, std) if within else (np.nan, np.nan)
-    out["cov"] = covariances({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:], common)
+    out["cov"] = _covariances_to_json({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:], common)
     return out
+
+
+def empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
+    """Make a row in which nothing is measured."""
+    row: dict[str, Any] = {"collision": index, "striker": camera.striker, "status": status}
+    for name in QUANTITY_NAMES:
+        for kind in ("", "_free", "_paper"):
+            row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
+    row |= dict.fromkeys(("particle1", "particle2", "frame_first", "frame_last"), -1)
+    row |= {"cov": "{}", "heading": np.nan, "x1": np.nan, "y1": np.nan}
+    row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
+    row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
+    row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}
+    for suffix in ("", "_free"):
+        row |= {f"chi2{suffix}": np.nan, f"dof{suffix}": 0, f"dropped{suffix}": 0}
+    return row
+
+
+def _covariances_to_json(blocks: dict[str, Floats], names: tuple[str, ...], shared: dict[str, Any]) -> str:
+    """Covariances by fit as JSON, in the order of `names`.
+
+    Seven digits keep a matrix positive definite. Where errors of the camera file are part of it, all digits are
+    needed, because that part may be far larger than the rest.
+    """
+    out: dict[str, Any] = {"names": list(names)}
+    digits = 17 if shared else 7
+    for fit, cov in blocks.items():
+        out[fit] = [[float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in line] for line in cov]
+    return json.dumps(out | ({"shared": shared} if shared else {}), separators=(",", ":"))

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pandas as pd
 
-from tracker.measurement.collision.adequacy import LEVEL, MEASURED, MISFIT, Flag
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT, Flag
 from tracker.notes import Note, NoteKind
 
 _IMPOSSIBLE = (
@@ -34,7 +34,7 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
 }
 
 
-def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Note]:
+def list_messages(estimates: pd.DataFrame, results: str = "RESULTS", rejection_level: float = 1e-6) -> list[Note]:
     """List what the reader of the estimates has to know.
 
     Parameters
@@ -43,6 +43,8 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
         With the columns of estimates.parquet.
     results : str
         The folder that the messages name.
+    rejection_level : float
+        p-value below which the data rejected a fit; other misfits have impossible values, which their flags say.
 
     Returns
     -------
@@ -53,7 +55,7 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
         return []
     notes = []
     p_values = estimates[["adequate", "adequate_free", "agree"]].min(axis=1)
-    rejected = estimates[(estimates["status"] == MISFIT) & (p_values < LEVEL)]
+    rejected = estimates[(estimates["status"] == MISFIT) & (p_values < rejection_level)]
     if len(rejected):
         measured = int(estimates["status"].isin(MEASURED).sum())
         median = float((rejected["chi2"] / rejected["dof"]).median())

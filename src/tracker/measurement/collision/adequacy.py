@@ -12,10 +12,10 @@ from scipy.special import chdtrc, fdtrc
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.noise.position_noise import ScatterRatio
+from tracker.settings import FitSettings
 
 MISFIT = "misfit"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
-LEVEL = 1e-6  # p-value below which a fit is rejected: one clip in a million that the model describes
 
 
 class Flag(StrEnum):
@@ -107,7 +107,7 @@ def agreement(tied: CollisionFit, free: CollisionFit, known: float) -> float:
     return float(chdtrc(more, rise) if np.isinf(known) else fdtrc(more, known, rise / more))
 
 
-def find_impossible_values(values: DerivedValues, stretch: float, errors: float = 3.0) -> list[Flag]:
+def find_impossible_values(values: DerivedValues, stretch: float, errors: float) -> list[Flag]:
     """Find the quantities that two equal rolling balls cannot have.
 
     Parameters
@@ -134,18 +134,16 @@ def find_impossible_values(values: DerivedValues, stretch: float, errors: float 
     return flags
 
 
-def flag_contact_distance(distance: float, std: float, tolerance: float = 0.03, errors: float = 3.0) -> list[Flag]:
+def flag_contact_distance(distance: float, std: float, settings: FitSettings) -> list[Flag]:
     """Flag balls that touch at another distance than one diameter.
 
     Parameters
     ----------
     distance, std : float
         In diameters, with the standard error.
-    tolerance : float
-        Deviation that is not flagged, in diameters.
-    errors : float
-        Number of standard errors by which the deviation must exceed the tolerance.
+    settings : FitSettings
+        A deviation is flagged where it exceeds `contact_distance_tolerance` by `impossible_sigma` standard errors.
     """
-    if abs(distance - 1) - errors * std < tolerance:
+    if abs(distance - 1) - settings.impossible_sigma * std < settings.contact_distance_tolerance:
         return []
     return [Flag.OVERLAP if distance < 1 else Flag.NO_TOUCH]

@@ -8,21 +8,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.adequacy import LEVEL, Flag, agreement, find_impossible_values, p_value
+from tracker.measurement.collision.adequacy import Flag, agreement, find_impossible_values, p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import Contact, guess_parameters
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
-from tracker.measurement.collision.least_squares import COARSE, BallPair, CollisionFit, fit_motion
+from tracker.measurement.collision.least_squares import BallPair, CollisionFit, fit_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
-from tracker.measurement.collision.striker import CONVINCING, alternative_strikers, is_believable
+from tracker.measurement.collision.striker import alternative_strikers, is_believable
+from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
-
-SEEN = 25.0  # chi^2 by which the end of a slide must beat a slide without end: five standard errors
-POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
-ENDLESS = (0.9, 0.5)  # restitutions from which a fit of balls that slide on all the while starts
-AS_GOOD = 10.0  # chi^2 by which a motion that is possible may fit worse than one that is not
-WORTH_A_SPIN = 0.25  # of chi^2 per degree of freedom, under which a striker that does not roll describes tracks better
 
 
 @dataclass(frozen=True)
@@ -36,6 +31,11 @@ class CollisionFits:
     tied_values: DerivedValues
     free_values: DerivedValues
     flags: tuple[Flag, ...] = ()
+
+    @property
+    def settings(self) -> FitSettings:
+        """The settings of both fits."""
+        return self.contact.pair.settings
 
     @property
     def noise_dof(self) -> float:
@@ -60,17 +60,19 @@ class CollisionFits:
     @property
     def is_free_accepted(self) -> bool:
         """Whether the data accept the free fit; they reject nothing where the errors' size is not known."""
-        return not self.p_free < LEVEL
+        return not self.p_free < self.settings.rejection_level
 
     @property
     def is_tied_accepted(self) -> bool:
         """Whether the data accept the tied fit beside the free one."""
-        return self.is_free_accepted and not (self.p_tied < LEVEL or self.p_agree < LEVEL)
+        level = self.settings.rejection_level
+        return self.is_free_accepted and not (self.p_tied < level or self.p_agree < level)
 
     @cached_property
     def impossible_values(self) -> list[Flag]:
         """Quantities of the tied fit that two balls cannot have, its errors widened where it fits badly."""
-        return find_impossible_values(self.tied_values, float(np.sqrt(max(1.0, self.tied.chi2 / self.tied.dof))))
+        stretch = float(np.sqrt(max(1.0, self.tied.chi2 / self.tied.dof)))
+        return find_impossible_values(self.tied_values, stretch, self.settings.impossible_sigma)
 
     @property
     def is_misfit(self) -> bool:
@@ -83,11 +85,11 @@ class CollisionFits:
 
     @property
     def is_convincing(self) -> bool:
-        """Whether the data accept both fits well, as they must where a freedom was added after a rejection."""
-        return bool(min(self.p_tied, self.p_free, self.p_agree) > CONVINCING)
+        """Whether the data accept both fits well, as they must where a parameter was added after a rejection."""
+        return bool(min(self.p_tied, self.p_free, self.p_agree) > 1e-3)
 
 
-def fit_collision(contact: Contact) -> CollisionFits | str:
+def fit_collision(contact: Contact, better_striker: float = 0.25) -> CollisionFits | str:
     """Tied and free fit of one collision; or the reason why there is none."""
     guesses = guess_parameters(contact)
     if not guesses:
@@ -99,11 +101,12 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         read = min(read, again, key=_reduced_chi2)
     if _is_accepted(read):
         return read
-    least = np.inf if isinstance(read, str) else WORTH_A_SPIN * read.tied.chi2 / read.tied.dof
+    least = np.inf if isinstance(read, str) else better_striker * read.tied.chi2 / read.tied.dof
+    level = contact.pair.settings.rejection_level
     for other in alternative_strikers(contact, guess if isinstance(read, str) else read.tied.parameters):
-        rough = fit_motion(other.contact.pair, True, other.starts, COARSE)
+        rough = fit_motion(other.contact.pair, True, other.starts, tolerance=1e-4)
         per = rough.chi2 / max(rough.dof, 1)
-        if per > least and p_value(rough.chi2, rough.dof, other.contact.pair.striker.noise_dof) < LEVEL:
+        if per > least and p_value(rough.chi2, rough.dof, other.contact.pair.striker.noise_dof) < level:
             continue
         found = _fit_with_noise(other.contact, [rough.parameters])
         if isinstance(found, str) or found.impossible_values or not is_believable(found.tied, found.free):
@@ -111,7 +114,7 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         if found.is_convincing:
             return replace(found, flags=other.flags)
         if per < least:
-            read, least = replace(found, flags=other.flags), WORTH_A_SPIN * per
+            read, least = replace(found, flags=other.flags), better_striker * per
     return read
 
 
@@ -153,7 +156,7 @@ def _fit_both(contact: Contact, starts: list[Floats]) -> CollisionFits | str:
         tied_values=derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin),
         free_values=derive_from_free(free.parameters, free.cov, pair.diameter),
     )
-    if free.chi2 > POOR_FIT * free.dof:
+    if free.chi2 > 1e4 * free.dof:  # 100 sigma off everywhere is no description of the motion
         return "no collision of two rolling balls fits the tracks"
     return read if tied.converged or not read.is_tied_accepted else "the fit did not converge"
 
@@ -170,23 +173,24 @@ def _fit_same_positions(
     return replace(tied, dropped=fewer.dropped), replace(free, dropped=fewer.dropped), seen
 
 
-def _prefer_possible(pair: BallPair, tied: CollisionFit) -> CollisionFit:
+def _prefer_possible(pair: BallPair, tied: CollisionFit, worse: float = 10.0) -> CollisionFit:
     """The tied fit, or one as good by which the balls slide on all the while.
 
     Balls that go straight on after the hit either did all their sliding at once or never roll: the positions do not
     decide, but the first may take a restitution that cannot be.
     """
-    if not find_impossible_values(derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0):
+    sigma = pair.settings.impossible_sigma
+    if not find_impossible_values(derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0, sigma):
         return tied
     start = tied.parameters.copy()
-    for r in ENDLESS:
+    for r in (0.9, 0.5):
         start[[TIED.index(name) for name in ("r", "log_mu", "C")]] = r, np.log(1e-3), 0.0
         other = fit_motion(pair, True, [start])
         values = derive_from_tied(other.parameters, other.cov, pair.diameter, pair.spin)
         if (
             other.dropped <= tied.dropped
-            and other.chi2 < tied.chi2 + AS_GOOD
-            and not find_impossible_values(values, 1.0)
+            and other.chi2 < tied.chi2 + worse
+            and not find_impossible_values(values, 1.0, sigma)
         ):
             return other
     return tied
@@ -212,10 +216,12 @@ def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[
             seen[i] = False
         elif np.exp(best.parameters[end]) > 0.5 * left:
             endless = _without_slide_end(best.parameters, 1 + i, left)
-            without = fit_motion(pair, False, [endless], COARSE, whole)
+            without = fit_motion(pair, False, [endless], 1e-4, whole)
             if without.chi2 < best.chi2:
                 best = without = fit_motion(pair, False, [without.parameters], whole=whole)
-            seen[i] = without.chi2 - best.chi2 > SEEN and bool(np.exp(best.parameters[end]) < left)
+            seen[i] = without.chi2 - best.chi2 > pair.settings.slide_end_chi2 and bool(
+                np.exp(best.parameters[end]) < left
+            )
     return best, (seen[0], seen[1])
 
 

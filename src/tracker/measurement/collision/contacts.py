@@ -12,16 +12,10 @@ from numpy.typing import NDArray
 from tracker.measurement.collision.collision_model import AFTER, SPIN, TIED, directions, tied_to_free
 from tracker.measurement.collision.least_squares import BallPair
 from tracker.measurement.positions import BallTrack
+from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
-APPROACH = 6  # positions from which the approach is read
-LONGEST = 15  # frames; older positions say nothing about the moment of contact
-CREEPING = 0.002  # of the relative speed: a target this slow is at rest for every purpose
-STILL = 150  # frames at rest, beyond which more of them add nothing: their shared error is the limit
-GRID = (0.5, 0.75, 0.95), (0.1, 0.2, 0.4), (0.1, 0.35)  # r, mu_k and C, from which a fit starts
-ROLLS = (0.0,) * len(SPIN)
-SAME = 0.3  # of a glint's width, within which a ball that has not moved is seen
-NEAR = 0.75  # frames' worth of approach, by which balls that touch may be apart in the frames to either side
+MAX_POSITIONS_OF_APPROACH = 6  # from which velocities before and after the contact are read
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +47,7 @@ class ContactCandidate:
     frame: int
 
 
-def find_contacts(balls: list[BallTrack], diameter: float, steps: float = NEAR) -> list[ContactCandidate]:
+def find_contacts(balls: list[BallTrack], diameter: float, steps: float = 0.75) -> list[ContactCandidate]:
     """Find all contacts of a recording.
 
     Parameters
@@ -83,7 +77,9 @@ def find_contacts(balls: list[BallTrack], diameter: float, steps: float = NEAR) 
     return out
 
 
-def prepare_contact(candidate: ContactCandidate, diameter: float, pasts: Mapping[int, EarlierHit]) -> Contact:
+def prepare_contact(
+    candidate: ContactCandidate, diameter: float, earlier: Mapping[int, EarlierHit], settings: FitSettings
+) -> Contact:
     """Prepare a contact to be fitted: which ball strikes, and which of their positions count.
 
     Parameters
@@ -91,8 +87,9 @@ def prepare_contact(candidate: ContactCandidate, diameter: float, pasts: Mapping
     candidate : ContactCandidate
     diameter : float
         m.
-    pasts : mapping of int to Past
+    earlier : mapping of int to EarlierHit
         By particle, what earlier hits left of a ball: positions while it still slid are left out.
+    settings : FitSettings
 
     Returns
     -------
@@ -101,7 +98,7 @@ def prepare_contact(candidate: ContactCandidate, diameter: float, pasts: Mapping
     """
     balls, spin = [], 0.0
     for track in (candidate.one, candidate.other):
-        past = pasts.get(track.particle, EarlierHit())
+        past = earlier.get(track.particle, EarlierHit())
         rolls = track.where(track.start > past.rolls_from)
         if not (rolls.frame < candidate.frame).any() and (track.frame < candidate.frame).any():
             reason = "a ball still slides when it is hit again: how it spins then is not known well enough"
@@ -110,7 +107,7 @@ def prepare_contact(candidate: ContactCandidate, diameter: float, pasts: Mapping
             return Contact(BallPair(candidate.one, candidate.other, diameter), candidate.frame, reason)
         balls.append(_shorten_rest(rolls, candidate.frame))
         spin += past.spin
-    return _assign_roles(BallPair(balls[0], balls[1], diameter, spin=spin), candidate.frame)
+    return _assign_roles(BallPair(balls[0], balls[1], diameter, spin=spin, settings=settings), candidate.frame)
 
 
 def fit_velocity(track: BallTrack) -> tuple[Floats, Floats, float]:
@@ -124,21 +121,21 @@ def fit_velocity(track: BallTrack) -> tuple[Floats, Floats, float]:
     return t @ track.position / spread, track.position.mean(axis=0), std
 
 
-def _before(track: BallTrack, frame: int) -> BallTrack:
-    """The last few positions before a frame."""
-    return track.where((track.frame >= frame - LONGEST) & _first_or_last(track.frame < frame, last=True))
+def _before(track: BallTrack, frame: int, longest: int = 15) -> BallTrack:
+    """The last few positions before a frame; those older than `longest` frames do not show the contact."""
+    return track.where((track.frame >= frame - longest) & _first_or_last(track.frame < frame, last=True))
 
 
-def _after(track: BallTrack, frame: int) -> BallTrack:
-    """The first few positions after a frame."""
-    return track.where((track.frame <= frame + LONGEST) & _first_or_last(track.frame > frame, last=False))
+def _after(track: BallTrack, frame: int, longest: int = 15) -> BallTrack:
+    """The first few positions after a frame, as `_before`."""
+    return track.where((track.frame <= frame + longest) & _first_or_last(track.frame > frame, last=False))
 
 
 def _first_or_last(rows: NDArray[np.bool_], last: bool) -> NDArray[np.bool_]:
-    """The first or the last APPROACH of the rows that are set."""
+    """The first or the last MAX_POSITIONS_OF_APPROACH of the rows that are set."""
     chosen = np.flatnonzero(rows)
     out = np.zeros_like(rows)
-    out[chosen[-APPROACH:] if last else chosen[:APPROACH]] = True
+    out[chosen[-MAX_POSITIONS_OF_APPROACH:] if last else chosen[:MAX_POSITIONS_OF_APPROACH]] = True
     return out
 
 
@@ -191,7 +188,7 @@ def _assign_roles(pair: BallPair, frame: int) -> Contact:
     speeds = [float(np.linalg.norm(fit_velocity(e)[0])) for e in early]
     if speeds[0] > speeds[1]:
         pair = replace(pair, struck=pair.striker, striker=pair.struck)
-    rest = _rest_start(pair.struck, frame, CREEPING * max(speeds))
+    rest = _rest_start(pair.struck, frame, 0.002 * max(speeds))  # slower than this is at rest for every purpose
     if rest is not None:
         pair = replace(pair, struck=pair.struck.where(pair.struck.frame >= rest))
     if min(int((c.frame > frame).sum()) for _, c in pair.balls) < 4:
@@ -209,7 +206,7 @@ def _rest_start(track: BallTrack, frame: int, slow: float) -> int | None:
     if len(rows) < 2:
         rows = np.flatnonzero(track.frame < frame)
     first = None
-    count = min(APPROACH, len(rows))
+    count = min(MAX_POSITIONS_OF_APPROACH, len(rows))
     while count <= len(rows):
         mask = np.zeros(len(track), dtype=bool)
         mask[rows[-count:]] = True
@@ -224,19 +221,23 @@ def _rest_start(track: BallTrack, frame: int, slow: float) -> int | None:
     return first
 
 
-def _shorten_rest(track: BallTrack, frame: int) -> BallTrack:
-    """The ball without the part of a rest that is more than STILL positions from the contact: it adds nothing."""
-    if len(track) <= STILL or track.width <= 0:
+def _shorten_rest(track: BallTrack, frame: int, longest: int = 150, same: float = 0.3) -> BallTrack:
+    """The ball without the part of a rest that is more than `longest` positions from the contact.
+
+    More of them add nothing, because their shared error is the limit. same: widths of a glint within which a ball is
+    seen that has not moved.
+    """
+    if len(track) <= longest or track.width <= 0:
         return track
     keep = np.ones(len(track), dtype=bool)
-    still = np.hypot(*(track.position[STILL:] - track.position[:-STILL]).T) < SAME * track.width
-    keep[:-STILL] &= ~(still & (track.frame[STILL:] < frame))
-    keep[STILL:] &= ~(still & (track.frame[:-STILL] > frame))
+    still = np.hypot(*(track.position[longest:] - track.position[:-longest]).T) < same * track.width
+    keep[:-longest] &= ~(still & (track.frame[longest:] < frame))
+    keep[longest:] &= ~(still & (track.frame[:-longest] > frame))
     return track.where(keep)
 
 
 def guess_parameters(contact: Contact) -> list[Floats]:
-    """Tied parameters (16,) to start from, the likeliest first; none where the approach leads past the other ball.
+    """Tied parameters (16,) to start from, the best first; none where the approach leads past the other ball.
 
     The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter
     apart. What the impact did comes from a coarse grid over all that is physical, the best for each friction. Where
@@ -244,11 +245,12 @@ def guess_parameters(contact: Contact) -> list[Floats]:
     """
     near = np.arange(contact.frame - 2, contact.frame + 3)
     whole = all(np.isin(near, track.frame).all() for _, track in contact.pair.balls)
-    starts = []
+    grid = (0.5, 0.75, 0.95), (0.1, 0.2, 0.4), (0.1, 0.35)  # r, mu_k and C
+    starts, rolling = [], [0.0] * len(SPIN)
     for frame in (contact.frame,) if whole else (contact.frame - 1, contact.frame, contact.frame + 1):
         launch = _guess_launch(contact.pair, frame)
         if launch is not None:
-            starts += [[*launch[:8], r, np.log(mu), c, *ROLLS, *launch[8:]] for r, mu, c in product(*GRID)]
+            starts += [[*launch[:8], r, np.log(mu), c, *rolling, *launch[8:]] for r, mu, c in product(*grid)]
     if not starts:
         return []
     guesses = np.array(starts)

@@ -8,7 +8,7 @@ itself, and is then not claimed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -26,12 +26,9 @@ from tracker.measurement.collision.collision_model import (
     tied_to_free_jacobian,
 )
 from tracker.measurement.positions import BallTrack
+from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
-OUTLIER = 36.0  # Mahalanobis distance squared: 6 sigma, one in 10^8 for a position with normal errors
-OUTLIER_SHARE = 0.05
-FINE, COARSE = 1e-10, 1e-4  # steps and gains, as shares, that end a descent
-WORTH = 1e-3  # of half the chi^2: less is the same minimum again
 
 # name: (centre, width). Wide enough to weigh nothing against data, stated here and nowhere else.
 BROAD_PRIORS: Mapping[str, tuple[float, float]] = {
@@ -63,6 +60,7 @@ class BallPair:
         m/s; see `tied_to_free`.
     fitted_spin : tuple of str
         Names of SPIN that are fitted. The others are zero: the striker rolls.
+    settings : FitSettings
     """
 
     struck: BallTrack
@@ -71,6 +69,7 @@ class BallPair:
     target_moves: bool = False
     spin: float = 0.0
     fitted_spin: tuple[str, ...] = ()
+    settings: FitSettings = field(default_factory=FitSettings)
 
     @property
     def striker_slides(self) -> bool:
@@ -201,32 +200,53 @@ class Problem(Protocol):
     def slope(self, x: Floats) -> Floats: ...
 
 
-def minimise(problem: Problem, starts: Sequence[Floats], close: float = FINE) -> tuple[Floats, bool]:
-    """The best of several descents (Levenberg-Marquardt, MINPACK): parameters, and whether that descent converged.
+def minimise(
+    problem: Problem,
+    starts: Sequence[Floats],
+    tolerance: float = 1e-10,
+    rough_tolerance: float = 1e-4,
+    least_gain: float = 1e-3,
+) -> tuple[Floats, bool]:
+    """Find the best of several minima by Levenberg-Marquardt (MINPACK).
 
-    The first start's minimum is found to `close`; from the others only so far as to distinguish it from that one.
+    Parameters
+    ----------
+    problem : Problem
+    starts : sequence of (p,) arrays
+    tolerance : float
+        Relative change of parameters and chi^2 that ends the descent from the first start.
+    rough_tolerance : float
+        The same for the descents from the other starts, which are only told apart by it.
+    least_gain : float
+        Gain in half the chi^2 from which on another start has found another, better minimum.
+
+    Returns
+    -------
+    (p,) array
+    bool
+        Whether that descent converged.
     """
-    best, cost, converged = _descend(problem, starts[0], close)
+    best, cost, converged = _descend(problem, starts[0], tolerance)
     for start in starts[1:]:
-        other, rough, _ = _descend(problem, start, COARSE)
-        if rough < cost - WORTH:
-            found, better, fine = _descend(problem, other, FINE)
+        other, rough, _ = _descend(problem, start, rough_tolerance)
+        if rough < cost - least_gain:
+            found, better, fine = _descend(problem, other, 1e-10)
             if better < cost:
                 best, cost, converged = found, better, fine
     return best, converged
 
 
-def _descend(problem: Problem, start: Floats, close: float) -> tuple[Floats, float, bool]:
-    """Parameters, half their chi^2, whether a step or a gain under `close`, as a share, ended it."""
+def _descend(problem: Problem, start: Floats, tolerance: float) -> tuple[Floats, float, bool]:
+    """Parameters, half their chi^2, whether a relative step or gain under `tolerance` ended the descent."""
     x, _, found, _, ended = leastsq(  # type: ignore[call-overload]
-        problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=close,
-        ftol=close, gtol=FINE, maxfev=100,
+        problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=tolerance,
+        ftol=tolerance, gtol=1e-10, maxfev=100,
     )  # fmt: skip
     return np.asarray(x, dtype=np.float64), float(found["fvec"] @ found["fvec"]) / 2, ended in (1, 2, 3, 4)
 
 
 def fit_motion(
-    pair: BallPair, tied: bool, starts: list[Floats], close: float = FINE, whole: bool = False
+    pair: BallPair, tied: bool, starts: list[Floats], tolerance: float = 1e-10, whole: bool = False
 ) -> CollisionFit:
     """Fit a motion to two balls. A few outliers are dropped once.
 
@@ -236,10 +256,10 @@ def fit_motion(
     tied : bool
         Which motion: TIED, of 16 parameters, or FREE, of 22.
     starts : list of ndarray of shape (16,) or (22,)
-    close : float
-        Steps and gains, as shares, that end a descent.
+    tolerance : float
+        Relative change of parameters and chi^2 that ends a descent.
     whole : bool
-        Drop no outliers.
+        Keep the outliers.
 
     Returns
     -------
@@ -247,7 +267,7 @@ def fit_motion(
     """
     problem = WhitenedResiduals(pair, tied)
     p = len(problem.names)
-    best, converged = minimise(problem, [start[problem.index] for start in starts], close)
+    best, converged = minimise(problem, [start[problem.index] for start in starts], tolerance)
     problem, dropped = (problem, 0) if whole else _drop_outliers(problem, best)
     if dropped:
         best, converged = minimise(problem, [best])
@@ -288,8 +308,8 @@ def _try_across_frame_edge(problem: WhitenedResiduals, best: Floats, converged: 
 
 def _drop_outliers(problem: WhitenedResiduals, best: Floats) -> tuple[WhitenedResiduals, int]:
     distance = problem.distances(best)
-    far = distance > OUTLIER
-    if not far.any() or far.sum() > OUTLIER_SHARE * len(far):
+    far = distance > problem.pair.settings.outlier_sigma**2
+    if not far.any() or far.sum() > problem.pair.settings.max_outlier_share * len(far):
         return problem, 0
     cut, pair = len(problem.pair.struck), problem.pair
     kept = replace(pair, struck=pair.struck.where(~far[:cut]), striker=pair.striker.where(~far[cut:]))

@@ -17,7 +17,7 @@ from tracker.cli import app
 from tracker.detection.link import Tracks
 from tracker.measurement import estimate
 from tracker.measurement.collision import collision_fit, noise_correlation
-from tracker.measurement.collision.adequacy import LEVEL, Flag, p_value
+from tracker.measurement.collision.adequacy import Flag, p_value
 from tracker.measurement.collision.collision_model import mean_positions, tied_to_free
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure
@@ -26,8 +26,10 @@ from tracker.notes import NoteKind
 from tracker.recording import measure_clip
 from tracker.scoring.score import score
 from tracker.scoring.score_page import write_report
+from tracker.settings import FitSettings
 
 CLIPS = 14
+LEVEL = FitSettings().rejection_level
 SHOWN = ("v0", "b", "r", "mu_k", "C", "tau1", "energy_fraction")
 
 
