@@ -3,10 +3,13 @@
 from . import benchmark as benchmark
 from .camera.camera import Camera as Camera
 from .camera.camera_json import InputError as InputError
+from .notes import Note as Note
+from .notes import NoteKind as NoteKind
 from .recording import Result as Result
 from .recording import measure as measure
 from .recording import track as track
 from .settings import DetectionSettings as DetectionSettings
+from .settings import FitSettings as FitSettings
 from .settings import LinkSettings as LinkSettings
 from .settings import TrackerSettings as TrackerSettings
 
@@ -14,8 +17,11 @@ __version__: str
 __all__ = [
     "Camera",
     "DetectionSettings",
+    "FitSettings",
     "InputError",
     "LinkSettings",
+    "Note",
+    "NoteKind",
     "Result",
     "TrackerSettings",
     "__version__",

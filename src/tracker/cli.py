@@ -35,6 +35,9 @@ WithPages = Annotated[
     bool | None,
     typer.Option("--pages/--no-pages", help="Write a page for each recording; default: where there is one recording."),
 ]
+SettingsFile = Annotated[
+    Path | None, typer.Option("--settings", metavar="YAML", help="Thresholds that differ from the defaults.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
 
@@ -50,6 +53,7 @@ def track(
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
     pages: WithPages = None,
+    settings: SettingsFile = None,
     as_json: Json = False,
 ) -> None:
     """Find, follow and measure the balls of every clip. Interrupted, the same command goes on.
@@ -60,7 +64,9 @@ def track(
 
     started = time.monotonic()
     with progress_bar("clips") as progress:
-        outcome = track_all(source, output, camera, detector, workers or 0, progress, channel, scheduler=scheduler)
+        outcome = track_all(
+            source, output, camera, detector, workers or 0, progress, channel, scheduler=scheduler, settings=settings
+        )
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:
@@ -86,6 +92,7 @@ def measure(
     columns: Annotated[str, typer.Option(help="x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID: its own names.")] = "",
     unit: Annotated[str, typer.Option(help="Of lengths: px, m, cm, mm, um, ... Default: as the file says.")] = "",
     pages: WithPages = None,
+    settings: SettingsFile = None,
     as_json: Json = False,
 ) -> None:
     """Measure the collisions in tracks that any program made.
@@ -99,7 +106,7 @@ def measure(
 
     if point not in ("centre", "glint"):
         raise InputError(f"--point: expected centre or glint, not {point!r}")
-    outcome, extra = measure_tables(tracks, output, camera, point, columns, unit), dict[str, Any]()
+    outcome, extra = measure_tables(tracks, output, camera, point, columns, unit, settings), dict[str, Any]()
     if pages or (pages is None and outcome.clips == 1):
         extra["page"] = _pages(outcome, output, tracks, 0)
     _report(outcome, output, extra, as_json)

@@ -8,7 +8,14 @@ from enum import Enum
 
 
 class NoteKind(Enum):
-    """What a note is about; decisions read this, never the text."""
+    """What a note is about; decisions read this, never the text.
+
+    Examples
+    --------
+    >>> import tracker
+    >>> tracker.NoteKind("noise") is tracker.NoteKind.NOISE
+    True
+    """
 
     CHANNEL = "channel"  # which colour channel was taken
     GREY = "grey"  # colour was converted to grey
@@ -39,6 +46,12 @@ class Note:
         The recording it is about; two notes are equal whatever their clip and frames.
     frames : tuple of int
         The frames it is about; empty: all of them.
+
+    Examples
+    --------
+    >>> import tracker
+    >>> print(tracker.Note(tracker.NoteKind.GREY, "colour converted to grey"))
+    colour converted to grey
     """
 
     kind: NoteKind

@@ -27,6 +27,7 @@ from tracker.detection.choose import choose_detector
 from tracker.detection.detect import load_detector, load_linker
 from tracker.notes import Note, NoteKind, note_all
 from tracker.recording import measure_tracks, track_and_measure
+from tracker.settings import SettingsSource, TrackerSettings
 from tracker.tables.read import read_tracks
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ def run(
     channel: str | None = None,
     only: Collection[int] | None = None,
     scheduler: str = "",
+    settings: SettingsSource | None = None,
 ) -> ClipOutcome:
     """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
 
@@ -91,15 +93,17 @@ def run(
         The clips wanted, by number; default: all.
     scheduler : str
         Address of a Dask scheduler, whose workers see the same folders.
+    settings : TrackerSettings, dict, str or Path, optional
 
     Returns
     -------
-    Outcome
+    ClipOutcome
 
     Raises
     ------
     InputError
     """
+    chosen = TrackerSettings.of(settings)
     if name is not None:
         load_detector(name)
     source = open_source(path, camera)
@@ -117,7 +121,7 @@ def run(
     if name is None:
         name, why = choose_detector(first.frames, first.camera)
         said += note_all(NoteKind.DETECTOR, [why])
-    plan = _plan(source, name)
+    plan = _plan(source, name, chosen)
     numbers = [number for number, _ in source.clips]
     if output.exists():
         _same_or_refuse(output, plan)
@@ -127,7 +131,7 @@ def run(
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         progress(len(source) - len(todo), len(source))
         work = functools.partial(
-            _track_clip, _resolve_paths(source) if scheduler else source, partial=partial, name=name
+            _track_clip, _resolve_paths(source) if scheduler else source, partial=partial, name=name, settings=chosen
         )
         for done, clip in enumerate(run_all_jobs(work, todo, workers, source.path, scheduler), 1):
             frames += clip.frames
@@ -138,7 +142,13 @@ def run(
 
 
 def measure_tables(
-    path: Path, output: Path, camera: Path, point: str = "centre", columns: str = "", unit: str = ""
+    path: Path,
+    output: Path,
+    camera: Path,
+    point: str = "centre",
+    columns: str = "",
+    unit: str = "",
+    settings: SettingsSource | None = None,
 ) -> ClipOutcome:
     """Measure tracks that any program made, as `run` does its own.
 
@@ -154,19 +164,21 @@ def measure_tables(
         What x and y are.
     columns, unit : str
         As `read_tracks` takes them.
+    settings : TrackerSettings, dict, str or Path, optional
 
     Returns
     -------
-    Outcome
+    ClipOutcome
 
     Raises
     ------
     InputError
     """
+    chosen = TrackerSettings.of(settings)
     given = read_tracks(path, camera, columns, unit)
     base, tables = given.camera, given.clips
     digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + f"{point}{columns}{unit}".encode()).hexdigest()
-    plan = {"made_by": "tracker measure", "input": digest}
+    plan = {"made_by": "tracker measure", "input": digest, **_settings_entry(chosen)}
     numbers = sorted(tables)
     output = output.resolve()
     if output.exists():
@@ -177,7 +189,7 @@ def measure_tables(
         for number in todo:
             tracks, striker = tables[number]
             own = replace(base, striker=striker) if striker is not None else base
-            result = measure_tracks(tracks, own, number, point)
+            result = measure_tracks(tracks, own, number, point, chosen)
             results.write_clip(partial, number, result.found, result.motion, result.rows, own)
         table = results.finish(partial, output, numbers)
     said = (*given.notes, *describe_camera_gaps(base))
@@ -229,7 +241,12 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
         raise InputError(f"{folder}: holds the results of another run, expected a new folder for the results")
 
 
-def _plan(source: RecordingSource, name: str) -> dict[str, Any]:
+def _settings_entry(settings: TrackerSettings) -> dict[str, Any]:
+    """The entry of run.json for settings that differ from the defaults; none where none does."""
+    return {"settings": settings.changed()} if settings.changed() else {}
+
+
+def _plan(source: RecordingSource, name: str, settings: TrackerSettings) -> dict[str, Any]:
     """What distinguishes one run from another, without paths or times."""
     mark = hashlib.sha256()
     for number, location in source.clips:
@@ -245,10 +262,11 @@ def _plan(source: RecordingSource, name: str) -> dict[str, Any]:
     for file in source.camera_files():
         mark.update(file.read_bytes())
     colour = {} if source.channel == GREY else {"channel": source.channel}
-    return {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()} | colour
+    run = {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()}
+    return run | colour | _settings_entry(settings)
 
 
-def _track_clip(source: RecordingSource, index: int, partial: Path, name: str) -> ClipDone:
+def _track_clip(source: RecordingSource, index: int, partial: Path, name: str, settings: TrackerSettings) -> ClipDone:
     """Track one clip in a worker. A clip that a lost worker had finished is done."""
     number, path = source.clips[index]
     if results.is_done(partial, number):
@@ -256,7 +274,7 @@ def _track_clip(source: RecordingSource, index: int, partial: Path, name: str) -
     use_one_thread()
     clip = source.open_clip(index)
     try:
-        result = track_and_measure(clip, name)
+        result = track_and_measure(clip, name, settings)
     except (MemoryError, cv2.error) as error:
         if isinstance(error, cv2.error) and error.code != cv2.Error.StsNoMem:
             raise

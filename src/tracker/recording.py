@@ -35,6 +35,7 @@ from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.notes import Note, NoteKind, note_all
+from tracker.settings import FitSettings, SettingsSource, TrackerSettings
 from tracker.tables.read import GivenCamera, read_tracks, to_pixels
 from tracker.tables.rows import tracks_table
 from tracker.tables.table import TrackTable
@@ -79,7 +80,7 @@ class Result:
     >>> clip = synthcam.Scene.read("painter_behringer").draw(seed=1)
     >>> table = clip.tracks[["frame", "particle"]].assign(x=clip.tracks.x_mean_px, y=clip.tracks.y_mean_px)
     >>> print(repr(tracker.measure(table, clip.camera_json)).partition(":")[0])
-    Recording 0
+    Clip 0
     """
 
     number: int
@@ -176,6 +177,7 @@ def track(
     detector: DetectorChoice | None = None,
     channel: str | None = None,
     number: int | None = None,
+    settings: SettingsSource | None = None,
 ) -> Result:
     """Find, follow and measure the balls of one recording.
 
@@ -192,6 +194,8 @@ def track(
         Of a film in colour; default: grey, unless another shows more balls.
     number : int, optional
         Of the clip; default: its folder's, else 0.
+    settings : TrackerSettings, dict, str or Path, optional
+        Thresholds that differ from the defaults: an object, its keys, or a YAML file of them.
 
     Returns
     -------
@@ -213,10 +217,11 @@ def track(
     >>> abs(result.estimates["r"][0] - clip.truth["r"]) < 4 * result.estimates["r_std"][0]
     np.True_
     """
+    chosen = TrackerSettings.of(settings)
     if detector is not None:
         load_detector(detector)  # an unknown one is reported before a film is read
     clip, why = select_channel(_open(film, camera), channel)
-    result = track_and_measure(clip if number is None else replace(clip, number=number), detector)
+    result = track_and_measure(clip if number is None else replace(clip, number=number), detector, chosen)
     return replace(result, notes=(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
 
 
@@ -241,7 +246,13 @@ def _camera(given: GivenCamera | None) -> Camera | None:
 
 
 def measure(
-    tracks: pd.DataFrame | str | Path, camera: GivenCamera, *, point: str = "centre", columns: str = "", unit: str = ""
+    tracks: pd.DataFrame | str | Path,
+    camera: GivenCamera,
+    *,
+    point: str = "centre",
+    columns: str = "",
+    unit: str = "",
+    settings: SettingsSource | None = None,
 ) -> Result:
     """Measure the collisions in tracks that any program made.
 
@@ -258,6 +269,8 @@ def measure(
         Of a file, its own names of columns, as in "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID".
     unit : str
         Of lengths: px, m, cm, mm, ...; default: what the file says, or px.
+    settings : TrackerSettings, dict, str or Path, optional
+        As `track` takes them; only the section `fit` counts.
 
     Returns
     -------
@@ -291,12 +304,15 @@ def measure(
         raise InputError(f"{TRACKS}: {clips} clips, expected one; give them one by one, as of groupby('clip')")
     ((number, (found, striker)),) = given.clips.items()
     known = given.camera if striker is None else replace(given.camera, striker=striker)
-    result = measure_tracks(found, known, number, point)
+    result = measure_tracks(found, known, number, point, TrackerSettings.of(settings))
     return replace(result, notes=(*given.notes, *result.notes))
 
 
-def track_and_measure(clip: Recording, name: DetectorChoice | None = None) -> Result:
-    """A clip through the whole chain, by the detector ``name`` or the one that its film asks for."""
+def track_and_measure(
+    clip: Recording, name: DetectorChoice | None = None, settings: TrackerSettings | None = None
+) -> Result:
+    """Track and measure one recording, by the detector `name` or the one that its film asks for."""
+    settings = settings or TrackerSettings()
     why, other = "", ""
     if name is None:
         name, why = choose_detector(clip.frames, clip.camera)
@@ -307,7 +323,7 @@ def track_and_measure(clip: Recording, name: DetectorChoice | None = None) -> Re
         if not second[2] and len(second[0]) >= FEWEST:
             why = f"detector: {other}, for {name} finds nothing ({reason}); --detector forces"
             tracks, camera, reason, said = second
-    rows, motion = measure_clip(tracks, camera)
+    rows, motion = measure_clip(tracks, camera, settings.fit)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
     notes = (
@@ -321,11 +337,13 @@ def track_and_measure(clip: Recording, name: DetectorChoice | None = None) -> Re
     return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
 
 
-def measure_tracks(tracks: Tracks, camera: Camera, number: int, point: str) -> Result:
-    """Tracks made elsewhere, measured as `track_and_measure` does its own."""
+def measure_tracks(
+    tracks: Tracks, camera: Camera, number: int, point: str, settings: TrackerSettings | None = None
+) -> Result:
+    """Measure tracks made elsewhere as `track_and_measure` does its own."""
     if point == "glint":
         tracks = results.to_centres(tracks, camera)
-    rows, motion = measure_clip(tracks, camera)
+    rows, motion = measure_clip(tracks, camera, (settings or TrackerSettings()).fit)
     notes = tuple(note for note in describe_camera_gaps(camera) if note.kind is not NoteKind.ASSUMED)
     return Result(number, camera, tracks, tuple(rows), motion, notes)
 
@@ -346,12 +364,14 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT) -> tuple[Tracks,
     return tracks, view.camera, why, notes
 
 
-def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
-    """Rows of estimates, and the table of motion about the first collision."""
+def measure_clip(
+    tracks: Tracks, camera: Camera, settings: FitSettings | None = None
+) -> tuple[list[dict[str, Any]], pd.DataFrame]:
+    """Measure a clip: rows of estimates, and the table of motion about the first collision."""
     from tracker.measurement.estimate import empty_row, failure_status, measure, motion_table
 
     try:
-        rows = measure(tracks, camera)
+        rows = measure(tracks, camera, settings)
         return rows, motion_table(tracks, camera, rows[0])
     except InputError:
         raise

@@ -14,7 +14,14 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class DetectionSettings(Settings):
-    """How balls are found in frames. Detectors read these as ``view.settings.detection``."""
+    """How balls are found in frames. Detectors read these as ``view.settings.detection``.
+
+    Examples
+    --------
+    >>> import tracker
+    >>> tracker.DetectionSettings(glint_sigma=4.5).glint_sigma
+    4.5
+    """
 
     candidate_sigma: Positive = 6.5
     """How far a sum of pixels must exceed the plate to be a candidate, in standard deviations of its noise.
@@ -53,7 +60,14 @@ class DetectionSettings(Settings):
 
 
 class LinkSettings(Settings):
-    """How the detections of successive frames are joined into tracks."""
+    """How the detections of successive frames are joined into tracks.
+
+    Examples
+    --------
+    >>> import tracker
+    >>> tracker.LinkSettings(max_gap_frames=8).max_gap_frames
+    8
+    """
 
     max_gap_frames: Annotated[int, Field(ge=0)] = 5
     """Frames for which a ball may stay undetected. Longer gaps make wrong links likely."""
@@ -84,7 +98,14 @@ class LinkSettings(Settings):
 
 
 class FitSettings(Settings):
-    """How tracks are fitted, and what of a fit is believed."""
+    """How tracks are fitted, and what of a fit is believed.
+
+    Examples
+    --------
+    >>> import tracker
+    >>> tracker.FitSettings(outlier_sigma=5.0).outlier_sigma
+    5.0
+    """
 
     rejection_level: Annotated[float, Field(gt=0, lt=0.5)] = 1e-6
     """p-value below which the data reject a fit. The model describes one clip in a million so badly by chance."""
@@ -138,12 +159,26 @@ class TrackerSettings(Settings):
     """How tracks are measured."""
 
     def changed(self) -> dict[str, Any]:
-        """The sections and keys that differ from their defaults."""
+        """List the sections and keys that differ from their defaults.
+
+        Returns
+        -------
+        dict
+            Keys and values by section.
+        """
         return self.model_dump(exclude_defaults=True)
 
     @staticmethod
     def of(given: SettingsSource | None) -> TrackerSettings:
-        """Settings from an object, from keys and values, or from a YAML file; None gives the defaults.
+        """Make settings from an object, from keys and values, or from a YAML file; None gives the defaults.
+
+        Parameters
+        ----------
+        given : TrackerSettings, dict, str, Path or None
+
+        Returns
+        -------
+        TrackerSettings
 
         Raises
         ------

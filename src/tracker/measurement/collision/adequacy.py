@@ -60,11 +60,11 @@ VALUE_RANGES = (
 )
 
 
-def p_value(square: float, dof: float, known: float) -> float:
-    """The probability of a chi^2 at least so large.
+def p_value(square: float, dof: float, noise_dof: float) -> float:
+    """Compute the probability of a chi^2 at least so large.
 
-    Where the errors' size was found from a part of the same residuals, the rest is held against that part, by the ratio
-    of the two mean squares.
+    Where the size of the errors was found from a part of the same residuals, an F test compares the rest with that
+    part.
 
     Parameters
     ----------
@@ -80,31 +80,35 @@ def p_value(square: float, dof: float, known: float) -> float:
     float
         NaN without degrees of freedom.
     """
-    if not dof > 0 or not known > 0:
+    if not dof > 0 or not noise_dof > 0:
         return np.nan
-    if np.isinf(known):
+    if np.isinf(noise_dof):
         return float(chdtrc(dof, square))
-    if known > 0.9 * dof:
-        return float(fdtrc(dof, known, square / dof))
-    return float(fdtrc(dof - known, known, max(square - known, 0.0) / (dof - known)))
+    if noise_dof > 0.9 * dof:
+        return float(fdtrc(dof, noise_dof, square / dof))
+    return float(fdtrc(dof - noise_dof, noise_dof, max(square - noise_dof, 0.0) / (dof - noise_dof)))
 
 
 def p_free(rows: list[dict[str, Any]], size: ScatterRatio, ratio: float = 1.0) -> float:
-    """p-value of all free fits together, were the errors' variance `ratio` times what they went by; NaN without any."""
+    """Compute the p-value of all free fits together; NaN without any.
+
+    ratio: factor on the variance of the errors with which the fits were made.
+    """
     fits = [(row["chi2_free"], row["dof_free"]) for row in rows if row["dof_free"] > 0]
     square, dof = np.sum(fits, axis=0) if fits else (np.nan, 0)
     return p_value(float(square) / ratio, float(dof), size.dof)
 
 
-def agreement(tied: CollisionFit, free: CollisionFit, known: float) -> float:
-    """The probability of so large a rise of chi^2 from the free fit to the tied one; `known` as of `p_value`.
+def compare_fits(tied: CollisionFit, free: CollisionFit, noise_dof: float) -> float:
+    """Compute the probability of so large a rise of chi^2 from the free fit to the tied one.
 
-    NaN where the tied fit has no more degrees of freedom than the free one. Both are of the same positions.
+    Both are fits of the same positions; `noise_dof` as in `p_value`. NaN where the tied fit has no more degrees of
+    freedom than the free one.
     """
     more, rise = tied.dof - free.dof, max(tied.chi2 - free.chi2, 0.0)
-    if not more > 0 or not known > 0:
+    if not more > 0 or not noise_dof > 0:
         return np.nan
-    return float(chdtrc(more, rise) if np.isinf(known) else fdtrc(more, known, rise / more))
+    return float(chdtrc(more, rise) if np.isinf(noise_dof) else fdtrc(more, noise_dof, rise / more))
 
 
 def find_impossible_values(values: DerivedValues, stretch: float, errors: float) -> list[Flag]:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.adequacy import Flag, agreement, find_impossible_values, p_value
+from tracker.measurement.collision.adequacy import Flag, compare_fits, find_impossible_values, p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import Contact, guess_parameters
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
@@ -55,7 +55,7 @@ class CollisionFits:
     @cached_property
     def p_agree(self) -> float:
         """p-value of what the tied fit's chi^2 has beyond the free one's."""
-        return agreement(self.tied, self.free, self.noise_dof)
+        return compare_fits(self.tied, self.free, self.noise_dof)
 
     @property
     def is_free_accepted(self) -> bool:

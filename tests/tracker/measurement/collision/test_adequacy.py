@@ -11,7 +11,9 @@ from tracker_forces import tied
 from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, results, scalars_of, truth_of
 from typer.testing import CliRunner
 
+import tracker
 from discrepancy.data.collisions import build_collision
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.cli import app
 from tracker.detection.link import Tracks
@@ -26,7 +28,7 @@ from tracker.notes import NoteKind
 from tracker.recording import measure_clip
 from tracker.scoring.score import score
 from tracker.scoring.score_page import write_report
-from tracker.settings import FitSettings
+from tracker.settings import FitSettings, TrackerSettings
 
 CLIPS = 14
 LEVEL = FitSettings().rejection_level
@@ -259,6 +261,30 @@ def test_a_value_within_three_errors_of_its_limit_stays(own, noise, claims, stat
     assert (row["flags"] == "r over 1") == (status == "misfit")
     if status == "ok":
         assert 1 < row["r"] < 1 + 3 * row["r_std"]
+
+
+def test_the_thresholds_of_a_fit_are_settings(own, tmp_path):
+    """By argument, by keys and by a YAML file; other settings are another run, and a wrong key is named."""
+    camera = truth_of(own, 0)[1]
+    tracks, strict, loose = follow_model(camera, NOISE, r=1.088), FitSettings(), FitSettings(impossible_sigma=1e4)
+    assert [measure(tracks, camera, s)[0]["status"] for s in (strict, loose)] == ["misfit", "ok"]
+    table = pd.DataFrame({name: getattr(tracks, name) for name in ("frame", "particle", "x", "y")})
+    table = table.assign(x_std=NOISE, y_std=NOISE)
+    table.to_csv(tmp_path / "tracks.csv", index=False)
+    for settings in (TrackerSettings(fit=loose), {"fit": {"impossible_sigma": 1e4}}):
+        assert tracker.measure(table, camera, settings=settings).rows[0]["status"] == "ok"
+    (tmp_path / "settings.yaml").write_text("fit: {impossible_sigma: 1.0e+4}\n")
+    (tmp_path / "wrong.yaml").write_text("fit: {impossible_sigmas: 5}\n")
+    words = ["measure", str(tmp_path / "tracks.csv"), "--camera", str(own / "clips/000000/camera.json")]
+    words += ["-o", str(tmp_path / "out"), "--no-pages"]
+    done = CliRunner().invoke(app, [*words, "--json", "--settings", str(tmp_path / "settings.yaml")])
+    assert json.loads(done.stdout)["status"] == {"ok": 1}
+    run = json.loads((tmp_path / "out/run.json").read_text())
+    assert run["settings"] == {"fit": {"impossible_sigma": 1e4}}
+    with pytest.raises(InputError, match="holds the results of another run"):
+        CliRunner().invoke(app, words, catch_exceptions=False)
+    with pytest.raises(InputError, match=r"wrong\.yaml: fit\.impossible_sigmas"):
+        CliRunner().invoke(app, [*words, "--settings", str(tmp_path / "wrong.yaml")], catch_exceptions=False)
 
 
 @pytest.mark.parametrize(
