@@ -28,7 +28,8 @@ from rich.table import Table
 import discrepancy
 import tracker
 from benchmarks.harness import ROOT, save
-from discrepancy.data.collisions import read_collisions, split_held_out
+from discrepancy.data.reading import read_collisions
+from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.base_fit import estimate_noise, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import list_candidates

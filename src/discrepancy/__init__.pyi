@@ -1,6 +1,6 @@
 """The public names, listed once."""
 
-from .data.collisions import InputError as InputError
+from .data.reading import InputError as InputError
 from .finding import Finding as Finding
 from .finding import find as find
 from .plan_experiment import Plan as Plan

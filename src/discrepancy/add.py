@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.outlier_points import describe_removed_points, remove_outliers
+from discrepancy.data.outlier_points import note_removed_points, remove_outliers
 from discrepancy.fitting.base_fit import (
     Progress,
     check_clips,
@@ -136,5 +136,5 @@ def add(
     sigma = chi2_to_sigma(base.chi2 - fit.chi2, len(candidate.strengths), tests.trials_factors[effect])
     std = fit.std | profile_std(evidence, base, fit, candidate)
     return AddedEffect(
-        base, fit, EffectClaim.of(candidate, fit, std, sigma), tuple(describe_removed_points(given, clips))
+        base, fit, EffectClaim.of(candidate, fit, std, sigma), tuple(map(str, note_removed_points(given, clips)))
     )

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from synthcam.library import add_effects
 from synthcam.model import read_model, write_model
-from synthcam_shared.application import PROGRESS_INTERVAL_S, command_line, progress_bar, run
+from synthcam_shared.application import EVERY, command_line, progress_bar, run
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable
 from tracker.camera.camera import Camera
@@ -60,7 +60,7 @@ def show_stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
             told = stage + (f", round {turn}" if turn > 1 else "")
             bar.update(task, completed=passed, description=told)
             now = time.monotonic()
-            if bar.disable and now - said >= PROGRESS_INTERVAL_S:
+            if bar.disable and now - said >= EVERY:
                 said = now
                 print(f"{told} after {now - began:.0f} s", file=sys.stderr, flush=True)
 
@@ -87,7 +87,7 @@ def find(
 
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
-    from discrepancy.data.collisions import read_collisions
+    from discrepancy.data.reading import read_collisions
     from discrepancy.finding import searched
     from discrepancy.policy import SearchPolicy, applied_policy, read_policy
     from discrepancy.report import html
@@ -98,7 +98,8 @@ def find(
     given, thresholds = read_model(model), read_policy(policy) if policy else SearchPolicy()
     with applied_policy(thresholds), aside(output) as folder:
         _print_camera_notes(measured, camera)
-        clips, left_out = read_collisions(measured, camera)
+        clips, notes = read_collisions(measured, camera)
+        left_out = [str(n) for n in notes]
         with show_stages(STAGES) as progress:
             found = searched(clips, given, left_out, progress, 60 * minutes)
             progress("report")
@@ -130,7 +131,7 @@ def add(
     """
     from discrepancy.add import add as fitted
     from discrepancy.add import check_effect
-    from discrepancy.data.collisions import read_collisions
+    from discrepancy.data.reading import read_collisions
 
     _add_effect_folders(effects_dir)
     given = read_model(model)
@@ -139,7 +140,8 @@ def add(
         raise InputError(f"{output}: a folder; expected the name of a model file")
     check_writable(output)
     _print_camera_notes(measured, camera)
-    clips, left_out = read_collisions(measured, camera)
+    clips, notes = read_collisions(measured, camera)
+    left_out = [str(n) for n in notes]
     with show_stages(("noise", "fit", "search")) as progress:
         new = fitted(clips, given, effect, progress)
     output.parent.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from discrepancy.data.collisions import MeasuredCollision, read_collisions
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.reading import read_collisions
 from discrepancy.fitting.base_fit import Progress
 from discrepancy.found import SearchResult
 from discrepancy.policy import SearchPolicy, applied_policy
@@ -203,7 +204,7 @@ def find(
     source = Path(results) if isinstance(results, str) else results
     with applied_policy(policy or SearchPolicy()):
         clips, left_out = read_collisions(source, None if camera is None else Path(camera))
-        return searched(clips, given, left_out, progress, 60 * minutes)
+        return searched(clips, given, [str(n) for n in left_out], progress, 60 * minutes)
 
 
 def searched(

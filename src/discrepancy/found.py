@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.prior_processing import SMOOTHED
+from discrepancy.data.notes import Note, NoteKind
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
@@ -174,7 +174,7 @@ class SearchResult:
             return self._cut_short(self.so_far)
         if self.data.smoothed:
             agree = "" if self.verdict == "none" else f" They disagree most at {self.left[0]}."
-            return f"Nothing is named, since {SMOOTHED}.{agree}{slow}"
+            return f"Nothing is named, since {Note(NoteKind.SMOOTHED)}.{agree}{slow}"
         if self.verdict == "none":
             return f"Nothing is missing: simulation and measurement agree to within the noise.{dropped}{slow}"
         if self.verdict == "inadequate":

@@ -7,15 +7,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from discrepancy.data.collisions import MeasuredCollision, find_uniform_conditions, split_held_out
-from discrepancy.data.outlier_points import describe_removed_points, remove_outliers
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.outlier_points import note_removed_points, remove_outliers
 from discrepancy.data.prior_processing import (
-    NOTHING_LEFT,
-    SMOOTHED,
     covers_contact,
     detect_processing,
     remove_filtered_rows,
 )
+from discrepancy.data.study_design import find_uniform_conditions, split_held_out
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.fitting.base_fit import (
     Progress,
@@ -105,12 +105,12 @@ def find(
         left,
         shown,
         _experiment(chosen.selected, named, data) if verdict == "ambiguous" else "",
-        tuple(find_uniform_conditions(clips)),
+        tuple(map(str, find_uniform_conditions(clips))),
         steps.unidentifiable(chosen.selected.state),
         stands.claims,
         stands.withdrawn,
         held,
-        detect_processing(clips),
+        tuple(map(str, detect_processing(clips))),
     )
 
 
@@ -147,12 +147,14 @@ def read(clips: Sequence[MeasuredCollision], model: Model, progress: Progress) -
     usual = remove_outliers(clips)
     some, kept_out = split_held_out(usual)
     if estimate_noise(some).is_smoothed:
-        return _beyond_reach(usual, describe_removed_points(clips, usual))
+        return _beyond_reach(usual, [str(n) for n in note_removed_points(clips, usual)])
     some, kept_out = remove_outliers_beside_model(some, kept_out, model, progress)
     noise = estimate_noise(some)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
     noise = refit_noise(some, fit_base_model(some, model, noise, progress), noise, explained=False) or noise
-    return SearchData(tuple(some), tuple(kept_out), noise, tuple(describe_removed_points(clips, [*some, *kept_out])))
+    return SearchData(
+        tuple(some), tuple(kept_out), noise, tuple(map(str, note_removed_points(clips, [*some, *kept_out])))
+    )
 
 
 def _beyond_reach(smoothed: Sequence[MeasuredCollision], outliers: Sequence[str]) -> SearchData:
@@ -161,10 +163,10 @@ def _beyond_reach(smoothed: Sequence[MeasuredCollision], outliers: Sequence[str]
     kept = [clip for clip in clips if covers_contact(clip)]
     if len(kept) < current_policy().min_collisions:
         raise InputError(
-            f"{SMOOTHED}: of {len(kept)} of {len(clips)} collisions enough is left beyond the filter's reach; expected "
-            f"{current_policy().min_collisions} or more"
+            f"{Note(NoteKind.SMOOTHED)}: {len(kept)} of {len(clips)} collisions keep enough positions that "
+            f"the filter does not move; expected {current_policy().min_collisions} or more"
         )
-    lost = tuple(f"clip {clip.clip}: {NOTHING_LEFT}" for clip in clips if not covers_contact(clip))
+    lost = tuple(str(Note(NoteKind.LOST_TO_FILTER, clip.clip)) for clip in clips if not covers_contact(clip))
     some, kept_out = split_held_out(kept)
     return SearchData(tuple(some), tuple(kept_out), estimate_noise(some), (*outliers, *lost), smoothed=True)
 
@@ -243,11 +245,12 @@ def _unnamed(
     data, shown = seen_apart(data, chosen, progress)
     progress("where")
     where = tuple(locate(data.clips, chosen.selected.base, data.noise))
-    alike = tuple(find_uniform_conditions(clips))
+    alike = tuple(map(str, find_uniform_conditions(clips)))
     missing = unexplained(where) or (chosen.so_far is not None and chosen.selected.promising)
+    processed = [*([Note(NoteKind.SMOOTHED)] if data.smoothed else []), *detect_processing(clips)]
     return SearchResult(
         "inadequate" if missing else "none", data, chosen.selected, None, None, (), where, where, shown, "",
-        alike, steps.unidentifiable(()), processed=(*([SMOOTHED] if data.smoothed else []), *detect_processing(clips)),
+        alike, steps.unidentifiable(()), processed=tuple(map(str, processed)),
         so_far=chosen.so_far,
     )  # fmt: skip
 

@@ -1,1 +1,1 @@
-"""Shared by the three packages: errors, command lines, files, settings, jobs, report pages."""
+"""What the commands of the three packages share: bad input, messages and progress, writing files."""

@@ -8,7 +8,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class JobValue(Generic[T]):
-    """A number, and the value that the work returned for it."""
+    """What the work returned for one number."""
 
     number: int
     value: T

@@ -18,7 +18,7 @@ from repository import ROOT
 
 import synthcam
 import tracker
-from discrepancy.data.collisions import read_collisions
+from discrepancy.data.reading import read_collisions
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from tracker import pipeline
 

@@ -145,8 +145,8 @@ def swapped(recorded, tmp, *clips):
 
 def test_clips_left_out_are_told_and_written(recorded, tmp_path, capsys, monkeypatch):
     only(monkeypatch)
-    monkeypatch.setattr(cli, "PROGRESS_INTERVAL_S", math.inf)  # no lines on how far it is
-    table, why = swapped(recorded, tmp_path, 6), "clip 6: the balls have exchanged their names at frame 39"
+    monkeypatch.setattr(cli, "EVERY", math.inf)  # no lines on how far it is
+    table, why = swapped(recorded, tmp_path, 6), "clip 6: the two balls exchange their numbers at frame 39"
     assert command("find", *table, "--model", MODEL, "-o", tmp_path / "report") == 0
     out, err = capsys.readouterr()
     assert f"Left out: {why}\n" in out
@@ -175,9 +175,7 @@ def test_the_camera_is_doubted_when_most_collisions_are_left_out(recorded, tmp_p
 
 def test_the_bar_goes_through_the_stages_and_back(monkeypatch):
     screen = io.StringIO()
-    monkeypatch.setattr(
-        cli, "Console", functools.partial_autocorrelations(Console, file=screen, force_terminal=True, width=80)
-    )
+    monkeypatch.setattr(cli, "Console", functools.partial(Console, file=screen, force_terminal=True, width=80))
     for told, shown in (
         (("noise", "fit", "free laws", "search", "free laws"), r"free laws .* 3/7 "),
         (("noise", "fit", "fit", "search", "fit"), r"fit, round 2 .* 1/7 "),
@@ -245,7 +243,7 @@ def no_camera(recorded, tmp):
 
 
 def one_camera_too_many(recorded, tmp):
-    return recorded / "results", ("--camera", recorded / "camera.json"), "holds its own"
+    return recorded / "results", ("--camera", recorded / "camera.json"), "contains its own"
 
 
 def all_swapped(recorded, tmp):

@@ -15,7 +15,7 @@ from repository import ROOT
 import discrepancy
 import tracker
 from discrepancy import cli
-from discrepancy.data.collisions import read_collisions
+from discrepancy.data.reading import read_collisions
 from synthcam.model import Model, read_model
 from tracker.camera.same_view import first_difference
 
@@ -53,7 +53,7 @@ def test_collisions_from_memory_are_those_of_the_folder_to_the_last_bit(recorded
     for a, b in zip(one, other, strict=True):
         assert (a.clip, a.striker, a.offset) == (b.clip, b.striker, b.offset)
         assert first_difference(a.camera, b.camera) == ""
-        for name in ("frame", "ball", "xy", "covariance", "launch", "ends"):
+        for name in ("frame", "ball", "xy", "covariance", "launch", "slide_ends"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name), name)
 
 
@@ -128,7 +128,7 @@ def test_what_is_no_model_is_one_line(results, model, said):
     ("policy", "said"),
     [
         (discrepancy.SearchPolicy(min_collisions=7), "6 measured collisions: expected 7 or more"),
-        (discrepancy.SearchPolicy(max_launch_speed_m_s=0.1), "are scale and fps of the camera right?"),
+        (discrepancy.SearchPolicy(max_launch_speed_m_s=0.1), "check scale and fps of the camera"),
     ],
 )
 def test_a_policy_reaches_reading_and_search(results, policy, said):

@@ -24,8 +24,8 @@ from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 
 from benchmarks.search.sealed.integrator import Plate, collision, means
 from discrepancy.add import add
-from discrepancy.data.collisions import split_held_out
 from discrepancy.data.launch import HEADING, X, Y
+from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.search import find
 from discrepancy.select.library_search import Stepwise

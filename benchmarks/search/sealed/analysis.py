@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.data.collisions import MeasuredCollision, read_collisions
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.reading import read_collisions
 from discrepancy.found import SearchResult
 from discrepancy.search import find
 from synthcam.model import read_model, settings_of

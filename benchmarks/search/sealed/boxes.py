@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.data.collisions import split_held_out
+from discrepancy.data.study_design import split_held_out
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.scene.clip import CONTACT_UPSTREAM_S, Clip

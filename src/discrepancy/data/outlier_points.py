@@ -1,4 +1,4 @@
-"""Single places far off the smooth path through those before and after: no motion makes such, a tracker may."""
+"""Removes single positions that no smooth motion explains: they lie far off a parabola through their neighbours."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from numpy.typing import NDArray
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
+from discrepancy.data.notes import Note, NoteKind
 from discrepancy.policy import current_policy
 
-REACH = 4  # frames to either side, of the same ball and phase, that say where a place should be
-BESIDE = 2  # of them on either side at least: where a phase ends, the path may bend
-ASIDE, FEWEST, WITHIN = 5, 4, 7  # places of one side, at most and at least, and from how many frames
+NEIGHBOUR_FRAMES = 4  # frames to either side whose positions predict one between them
+ONE_SIDE_FRAMES = 7  # frames to one side whose positions predict the next one
+MIN_PATH_POSITIONS = 4  # of such a path
 
 
 def remove_outliers(
     clips: Sequence[MeasuredCollision], expected: Sequence[Array] | None = None
 ) -> list[MeasuredCollision]:
-    """Take the outlier points out of clips.
+    """Remove outlier positions from clips.
 
     Parameters
     ----------
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
     expected : sequence of (n, 2) array, optional
-        Positions that a model predicts for each clip, m; see `find_outliers`. Outliers that both balls or several
-        clips have in the same frame are then kept: they are a fault of the clock.
+        Positions that a model predicts for each clip, m; see `find_outliers`. An outlier that both balls, or several
+        clips, have in the same frame is then kept: it is a fault of the clock.
 
     Returns
     -------
-    list of Measured
+    list of MeasuredCollision
     """
     found = [find_outliers(clip, expected[k] if expected else None) for k, clip in enumerate(clips)]
     if expected:
@@ -51,23 +52,35 @@ def remove_outliers(
     ]
 
 
-def describe_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[str]:
-    """A line for each clip that lost positions between `clips` and `kept`, with their frames."""
-    left, said = {c.clip: set(zip(c.ball.tolist(), c.frame.tolist(), strict=True)) for c in kept}, []
+def note_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[Note]:
+    """A note for each clip that lost positions between `clips` and `kept`, with their frames."""
+    left, notes = {c.clip: set(zip(c.ball.tolist(), c.frame.tolist(), strict=True)) for c in kept}, []
     for c in clips:
         gone = [f for b, f in zip(c.ball.tolist(), c.frame.tolist(), strict=True) if (b, f) not in left[c.clip]]
         if gone:
-            frames = ", ".join(map(str, sorted(set(gone))))
-            places = f"{len(gone)} of {len(c.frame)} places, in frame {frames}"
-            said.append(f"clip {c.clip}: {places}, far off the path through those before and after")
-    return said
+            count = {"count": len(gone), "total": len(c.frame)}
+            notes.append(Note(NoteKind.OUTLIERS, c.clip, tuple(sorted(set(gone))), count))
+    return notes
 
 
 def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set[int]:
-    """Rows that are outliers, the largest taken out first: what it does to its neighbours then goes too.
+    """Rows that are outliers.
 
-    expected: where a model has the places, (n, 2). If it is nearly right, what is off it bends little, but at the
-    contact: outliers are then seen there too, where a slide ends, and at both ends of the clip.
+    A position is an outlier if it is more than `SearchPolicy.outlier_point_sigma` off a parabola through its neighbours
+    of the same ball and phase, in units of the typical such distance, and the neighbours themselves are smooth. The
+    worst outlier is removed first and its neighbours are tested again, because it distorts their parabolas.
+
+    Parameters
+    ----------
+    clip : MeasuredCollision
+    expected : (n, 2) array, optional
+        Positions that a model predicts, m. If the model is nearly right, its residuals are smooth through a slide's
+        end too. Outliers are then also found near events and at both ends of the clip: positions outside both
+        extrapolations, from the past and from the future.
+
+    Returns
+    -------
+    set of int
     """
     paths, gone = _Paths.of(clip, expected), set[int]()
     if (
@@ -80,12 +93,16 @@ def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set
     typical = max(1.4826 * float(np.median(np.abs([o.off for o in inner.values()]))), 1e-300) if inner else 1.0
     outer: dict[int, _Offset] | None = None
     while True:
-        wrong = {row: offset for row, offset in inner.items() if offset.far(typical)}
+        wrong = {row: offset for row, offset in inner.items() if offset.is_outlier(typical)}
         if expected is not None and not wrong:
             if outer is None:
                 outer = paths.outer(todo, gone, current_policy().max_neighbour_rms * typical)
-            told = {row for row, offset in inner.items() if offset.rest < current_policy().max_neighbour_rms * typical}
-            wrong = {row: offset for row, offset in outer.items() if row not in told and offset.far(typical)}
+            explained = {
+                row for row, offset in inner.items() if offset.rest < current_policy().max_neighbour_rms * typical
+            }
+            wrong = {
+                row: offset for row, offset in outer.items() if row not in explained and offset.is_outlier(typical)
+            }
         if not wrong:
             return gone
         worst = max(wrong, key=lambda row: float(np.abs(wrong[row].off).max()))
@@ -99,13 +116,13 @@ def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set
 
 @dataclass(frozen=True)
 class _Offset:
-    """How far a place is off the path through others, (2,), and the rms of these; in claimed standard deviations."""
+    """A position's distance from the path through others, (2,), and the rms of these; in claimed deviations."""
 
     off: Array
     rest: float
 
-    def far(self, typical: float) -> bool:
-        """typical: the size of such numbers where there are only errors."""
+    def is_outlier(self, typical: float) -> bool:
+        """typical: the size of such distances where there are only errors."""
         return bool(
             np.abs(self.off).max() > current_policy().outlier_position_sigma * typical
             and self.rest < current_policy().max_neighbour_rms * typical
@@ -114,9 +131,9 @@ class _Offset:
 
 @dataclass(frozen=True)
 class _Path:
-    """A parabola through some places: where it is at a frame, (2,), how fast there, (2,) a frame, and errors."""
+    """A parabola through positions: its position (2,) and velocity (2,) per frame at one frame, its error, its rms."""
 
-    place: Array
+    position: Array
     velocity: Array
     std: float
     rest: float
@@ -124,8 +141,8 @@ class _Path:
 
 @lru_cache(maxsize=4096)
 def _parabola(frames: tuple[int, ...]) -> tuple[Array, Array]:
-    """Places (n, 3) at these frames by the coefficients of a parabola, and the inverse of that."""
-    design = np.vander(np.array(frames) / REACH, 3, increasing=True)
+    """Design matrix (n, 3) of a parabola at these frames, and its pseudoinverse."""
+    design = np.vander(np.array(frames) / NEIGHBOUR_FRAMES, 3, increasing=True)
     return design, np.asarray(np.linalg.pinv(design))
 
 
@@ -133,7 +150,7 @@ def _parabola(frames: tuple[int, ...]) -> tuple[Array, Array]:
 class _Paths:
     """frame, ball (n,); xy (n, 2), m; phase (n,), -1 in an exposure that holds an event; claimed (n,), m.
 
-    unsure: in frames, a quarter of the time in which that event may be.
+    unsure: a quarter of the time in which that event may be, frames.
     """
 
     frame: Ints
@@ -163,9 +180,9 @@ class _Paths:
         )
 
     def _through(self, rows: Ints, row: int) -> _Path:
-        """The smoothest path through them or through all but one, which may be an outlier itself."""
+        """The smoothest path through these rows, or through all but one, which may be an outlier itself."""
         path = self._path(rows, row)
-        if path.rest < current_policy().max_neighbour_rms or len(rows) <= FEWEST:
+        if path.rest < current_policy().max_neighbour_rms or len(rows) <= MIN_PATH_POSITIONS:
             return path
         return min((self._path(np.delete(rows, k), row) for k in range(len(rows))), key=lambda p: p.rest)
 
@@ -174,17 +191,20 @@ class _Paths:
         fitted = inverse @ self.xy[rows]
         left = (self.xy[rows] - design @ fitted) / self.claimed[rows, None]
         rest = float(np.sqrt((left**2).sum() / (2 * (len(rows) - 3))))
-        return _Path(fitted[0], fitted[1] / REACH, float(np.linalg.norm(self.claimed[rows] * inverse[0])), rest)
+        return _Path(
+            fitted[0], fitted[1] / NEIGHBOUR_FRAMES, float(np.linalg.norm(self.claimed[rows] * inverse[0])), rest
+        )
 
     def near(self, row: int) -> list[int]:
-        """The rows whose offset an outlier there may have spoilt, itself among them."""
-        within = np.abs(self.frame - self.frame[row]) <= WITHIN
+        """The rows whose distances an outlier in this row distorts, itself among them."""
+        within = np.abs(self.frame - self.frame[row]) <= ONE_SIDE_FRAMES
         return np.flatnonzero(within & (self.ball == self.ball[row])).tolist()
 
     def inner(self, rows: Iterable[int], gone: set[int]) -> dict[int, _Offset]:
-        """How far these rows are off the smooth path through their neighbours, where they have some on both sides.
+        """Distances of these rows from the path through their neighbours, of those with two or more on either side.
 
-        Neighbours are positions of the same ball and phase. The path's own uncertainty is allowed for.
+        Neighbours are positions of the same ball and phase. The distance is in units of the total standard deviation,
+        the path's included.
         """
         found: dict[int, _Offset] = {}
         for row in rows:
@@ -192,41 +212,45 @@ class _Paths:
                 continue
             off = self.frame - self.frame[row]
             same = (self.phase == self.phase[row]) & (self.ball == self.ball[row])
-            near = self._kept(same & (np.abs(off) <= REACH) & (off != 0), gone)
+            near = self._rows(same & (np.abs(off) <= NEIGHBOUR_FRAMES) & (off != 0), gone)
             early = int(np.sum(off[near] < 0))
-            if min(early, len(near) - early) >= BESIDE and len(near) > 2 * BESIDE:
+            if min(early, len(near) - early) >= 2 and len(near) > 4:
                 path = self._through(near, row)
                 std = np.hypot(self.claimed[row], path.std)
-                found[row] = _Offset((self.xy[row] - path.place) / std, path.rest)
+                found[row] = _Offset((self.xy[row] - path.position) / std, path.rest)
         return found
 
     def outer(self, rows: Iterable[int], gone: set[int], smooth: float) -> dict[int, _Offset]:
-        """How far these rows are off both paths that the positions before and after them make, continued to there.
+        """Distances of these rows from the interval between two extrapolations, from the past and from the future.
 
-        One path is enough where there is no event between. Paths that are rougher than `smooth` (rms) do not count.
+        One extrapolation is enough where no event is near. Paths with an rms above `smooth` do not count.
         """
         found: dict[int, _Offset] = {}
         for row in rows:
             if row in gone:
                 continue
-            sides = [s for s in (self._side(row, way, gone) for way in (-1, 1)) if s and s.rest < smooth]
+            sides = [
+                s for s in (self._extrapolate(row, direction, gone) for direction in (-1, 1)) if s and s.rest < smooth
+            ]
             event = self.phase[row] < 0
             if len(sides) < 1 + event:
                 continue
-            places = np.array([s.place for s in sides])
+            ends = np.array([s.position for s in sides])
             bent = self.unsure * np.abs(sides[0].velocity - sides[-1].velocity) * event
             x, std = self.xy[row], np.hypot(self.claimed[row], max(s.std for s in sides))
-            beyond = np.maximum(places.min(axis=0) - bent - x, x - places.max(axis=0) - bent)
+            beyond = np.maximum(ends.min(axis=0) - bent - x, x - ends.max(axis=0) - bent)
             found[row] = _Offset(np.maximum(beyond, 0.0) / std, max(s.rest for s in sides))
         return found
 
-    def _side(self, row: int, way: int, gone: set[int]) -> _Path | None:
-        """Through the next of the same ball on one side, in the same phase or beside an event; None: too few."""
-        phase = self.phase[row] if self.phase[row] >= 0 else (way + 1) // 2
-        off = way * (self.frame - self.frame[row])
-        near = self._kept((self.ball == self.ball[row]) & (self.phase == phase) & (off > 0) & (off <= WITHIN), gone)
-        kept = near[np.argsort(off[near], kind="stable")][:ASIDE]
-        return self._through(kept, row) if len(kept) >= FEWEST else None
+    def _extrapolate(self, row: int, direction: int, gone: set[int]) -> _Path | None:
+        """The path through the next five of the ball on one side, in one phase; None where they are too few."""
+        phase = self.phase[row] if self.phase[row] >= 0 else (direction + 1) // 2
+        off = direction * (self.frame - self.frame[row])
+        near = self._rows(
+            (self.ball == self.ball[row]) & (self.phase == phase) & (off > 0) & (off <= ONE_SIDE_FRAMES), gone
+        )
+        kept = near[np.argsort(off[near], kind="stable")][:5]
+        return self._through(kept, row) if len(kept) >= MIN_PATH_POSITIONS else None
 
-    def _kept(self, mask: NDArray[np.bool_], gone: set[int]) -> Ints:
+    def _rows(self, mask: NDArray[np.bool_], gone: set[int]) -> Ints:
         return np.array([k for k in np.flatnonzero(mask).tolist() if k not in gone], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Places at uneven times, moved along their own path to the even times that a simulation is compared at."""
+"""Moves positions at uneven times along their path to the even times at which the model predicts them."""
 
 from __future__ import annotations
 
@@ -8,48 +8,48 @@ from dataclasses import fields, replace
 import numpy as np
 
 from discrepancy.arrays import Array, Ints
+from discrepancy.data.notes import Note, NoteKind
 from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 
-FEWEST = 4  # places of a piece, for the parabola that tells its speed
-DEGREE = 2  # a ball that slides, and one that rolls, slows down evenly
-
 
 def find_clock_start(tracks: Tracks, camera: Camera) -> float:
-    """What the clock of its times shows where frame 0 would begin, s: in the median of all frames."""
+    """The time at which frame 0 begins by the tracks' own times, s: the median over the frames."""
     off = tracks.time * camera.fps - tracks.frame
     return float(np.median(off)) / camera.fps if len(off) and np.all(np.isfinite(off)) else 0.0
 
 
 def _frame_offsets(tracks: Tracks, camera: Camera) -> Array:
-    """By how many frames each place lies beside its number over the rate, (n,); zeros without times of its own."""
+    """How far each position's time is off its frame number, frames, (n,); zeros where the tracks have no times."""
     off = (tracks.time - find_clock_start(tracks, camera)) * camera.fps - tracks.frame
     return off if np.all(np.isfinite(off)) else np.zeros(len(off))
 
 
 def measure_unevenness(tracks: Tracks, camera: Camera) -> float:
-    """By how much its times lie beside an even rate, frames."""
+    """Half the range of the times' offsets from an even rate, frames."""
     off = _frame_offsets(tracks, camera)
     return float(np.ptp(off) / 2) if len(off) else 0.0
 
 
 def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: Array, camera: Camera) -> Tracks:
-    """Tracks with each ball's places moved to the frames' even times.
+    """Move each ball's positions to the frames' even times.
 
-    Each ball's path is a parabola in time before the contact, while it slides, and while it rolls; one is fitted to
-    each piece at the true times, and a place is moved by what the parabola covers between its time and the even one.
-    The parabola's own error is that of a speed over a part of a frame: small beside a place's. Left out are places
-    whose exposure, or that of the even time, holds the contact, and those of a piece too short to tell a speed.
+    A ball's path is a parabola in time before the contact, while it slides, and while it rolls, since friction is
+    constant in each. A parabola is fitted to each piece at the true times. A position then moves by what the parabola
+    covers between its own time and the even one; the parabola's error over part of a frame is small.
+
+    Two kinds of positions are left out: those whose exposure, or that of the even time, contains the contact, and
+    those of a piece with fewer than 4 positions, which do not determine a speed.
 
     Parameters
     ----------
     tracks : Tracks
-        With times of their own, that begin at frame 0.
+        With their own times, which begin at frame 0.
     balls : sequence of (n,) arrays of int
-        Rows of the target, and of the striker.
+        Rows of the target and of the striker.
     t_c : float
-        s.
+        Time of contact, s.
     ends : (2,) array
         When each ball stops sliding, s.
     camera : Camera
@@ -66,10 +66,10 @@ def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: 
         slid = tracks.time[rows] + camera.exposure / 2 > end  # a bend of the speed, not of the path
         before, after = last[rows] <= t_c, first[rows] >= t_c
         for piece in (rows[before], rows[after & ~slid], rows[after & slid]):
-            if len(piece) < FEWEST:
+            if len(piece) < 4:
                 continue
             centre = tracks.time[piece].mean()
-            path = np.polynomial.polynomial.polyfit(tracks.time[piece] - centre, moved[piece], DEGREE)
+            path = np.polynomial.polynomial.polyfit(tracks.time[piece] - centre, moved[piece], 2)
             at_even, at_own = (np.polynomial.polynomial.polyval(t[piece] - centre, path).T for t in (even, tracks.time))
             moved[piece] += at_even - at_own
             kept[piece] = True
@@ -78,9 +78,8 @@ def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: 
     return replace(tracks, **some | {"x": moved[rows, 0], "y": moved[rows, 1], "time": even[rows]})
 
 
-def explain_too_uneven(tracks: Tracks, camera: Camera) -> str | None:
-    """Why the places of a clip cannot be moved to even times, or None."""
+def note_uneven_times(tracks: Tracks, camera: Camera, clip: int) -> Note | None:
+    """A note where a clip's positions are too far off an even rate to be moved to even times, else None."""
     if np.abs(_frame_offsets(tracks, camera)).max(initial=0.0) <= current_policy().max_time_shift_frames:
         return None
-    off = measure_unevenness(tracks, camera)
-    return f"its times are up to {off:.2g} frames beside an even rate of {camera.fps:g} a second"
+    return Note(NoteKind.UNEVEN_TIMES, clip, values={"off": measure_unevenness(tracks, camera), "fps": camera.fps})

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.launch import LARGEST_SPIN, V0, WITH_SPIN, is_possible, limit_spins
+from discrepancy.data.launch import MAX_SPIN_TO_SPEED, V0, WITH_SPIN, is_possible, limit_spins
 from discrepancy.fitting.jacobian import coupling_effects, differentiate_all, differentiate_launches
 from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import find_parameter, replace_within_limits, tried_range
@@ -245,7 +245,7 @@ def zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tup
     if launches.shape[1] != WITH_SPIN:
         return slopes
     sizes = np.array([np.linalg.norm(s[:, len(LAUNCH_COLUMNS) :], axis=0) for s in slopes])
-    silent = np.pad(sizes * LARGEST_SPIN * launches[:, [V0]] < 1, ((0, 0), (len(LAUNCH_COLUMNS), 0)))
+    silent = np.pad(sizes * MAX_SPIN_TO_SPEED * launches[:, [V0]] < 1, ((0, 0), (len(LAUNCH_COLUMNS), 0)))
     return tuple(np.where(none, 0.0, s) for none, s in zip(silent, slopes, strict=True)) if silent.any() else slopes
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import split_held_out
 from discrepancy.data.launch import equalise_launches
+from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.parameters import names_to_fit
 from discrepancy.planning.experiment import Errors, Experiment, GlintErrors, StatedErrors, make_unfilmed_clip
 from discrepancy.policy import current_policy

@@ -28,9 +28,9 @@ from synthcam_shared.outputs import move_into_place, name_temporary
 
 @dataclass(frozen=True)
 class GenerationPlan:
-    """The plan of a dataset: scenes with `clips` clips each, numbered through.
+    """What a dataset is made of: scenes with `clips` clips each, numbered on from one to the next.
 
-    shard (I, N): only every N-th clip from the I-th on, so that each shard has its share of each scene.
+    shard (I, N): only every N-th clip, from the I-th, so that each shard has its share of each scene.
     """
 
     scenes: tuple[Scene, ...]
@@ -53,7 +53,7 @@ class GenerationPlan:
         return self.scenes[number // self.clips].draw(number, self.seed)
 
     def document(self) -> dict[str, Any]:
-        """Everything that must agree for two runs to make the same dataset, or the same shard of it."""
+        """What must agree for two runs to be the same dataset, or the same shard of it."""
         return {
             "scenes": [s.settings for s in self.scenes],
             "clips_per_scene": self.clips,
@@ -66,20 +66,20 @@ class GenerationPlan:
         }
 
     def _effect_files(self) -> dict[str, str]:
-        """SHA-256 of the files of those effects in the scenes that are not from a package."""
+        """SHA-256 of the files of those effects in the scenes that no package brings."""
         used = sorted({name for s in self.scenes for name in s.settings.get("effects") or {}})
         return {name: found for name in used if (found := digest(name))}
 
     @classmethod
     def from_document(cls, document: dict[str, Any]) -> GenerationPlan:
-        """Make the plan of a document without its shard."""
+        """The plan of a document, shards aside."""
         scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
         wanted = {"clips_per_scene", "seed", "video"}
         clips, seed, video = (document[k] for k in sorted(wanted))
         return cls(scenes, clips, seed, video, document.get("compression", "none"))
 
     def estimate_bytes(self, clips: int) -> int:
-        """Estimate the disk space of the frames of so many clips before compression, bytes."""
+        """Disk the frames of so many clips will take, before compression."""
         sizes = []
         for k in range(len(self.scenes)):
             clip = self.clip(k * self.clips)
@@ -125,7 +125,7 @@ def generate_dataset(
     """Make a dataset.
 
     The dataset is made in a folder beside `output`, `output`.partial, and moved into place when it is complete. A run
-    that was killed continues where it stopped.
+    that was killed goes on where it was.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def make_clip(plan: GenerationPlan, number: int, folder: Path, secret: Path | No
 
 
 def describe_machine(video: bool) -> dict[str, Any]:
-    """Describe OpenGL's renderer and this machine, which decide the pixels together with the plan."""
+    """What, beside the plan, decides the pixels: OpenGL's renderer and this machine."""
     gl: dict[str, str] = {}
     if video:
         from synthcam.camera.render import gl_info

@@ -1,4 +1,4 @@
-"""One recorded clip of a dataset with its truth, which the export formats write."""
+"""A clip of a dataset as it was recorded, with its truth: what export formats write."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 
+LARGEST = 1e9  # of any number that describes a camera or a stack
+
 
 @dataclass(frozen=True)
 class RecordedClip:
-    """One clip of a dataset, read from its files. of: the number of clips of its scene."""
+    """One clip of a dataset, as read from its files. of: how many clips its scene has in all."""
 
     number: int
     scene: str
@@ -29,10 +31,9 @@ class RecordedClip:
     stack: Path
 
     def check(self) -> None:
-        """Raise KeyError, TypeError or ValueError if something is missing that every format needs."""
+        """Raises KeyError, TypeError or ValueError where what every format needs is not there."""
         numbers = [*self.camera["size"], self.camera["fps"], self.bits, self.diameter_px, self.frames]
-        largest = 1e9  # of any number that describes a camera or a stack
-        if not all(0 < float(x) < largest for x in numbers):
+        if not all(0 < float(x) < LARGEST for x in numbers):
             raise ValueError("camera.json or tracks.parquet without size, rate, bits, ball or frames")
 
     @property
@@ -61,7 +62,7 @@ class RecordedClip:
             raise InputError(f"{self.stack}: damaged ({first_line(error)}); `synthcam verify` lists more") from None
 
     def in_view(self, ball: pd.DataFrame) -> pd.DataFrame:
-        """Select the rows of a track at which the ball's centre lies in the picture."""
+        """The rows of tracks at which the ball's centre lies in the picture."""
         width, height = self.camera["size"]
         x, y = ball["x_mean_px"], ball["y_mean_px"]
         kept: pd.DataFrame = ball.loc[(x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)]
@@ -69,5 +70,5 @@ class RecordedClip:
 
 
 def first_line(error: Exception) -> str:
-    """The message of an error in one line."""
+    """What an error says, in one line."""
     return " ".join(str(error).split())[:100] or type(error).__name__

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from discrepancy.data.first_guess import guess_spin
 from discrepancy.data.launch import (
     HEADING,
     SIDE,
@@ -15,7 +16,6 @@ from discrepancy.data.launch import (
     Y,
     equalise_launches,
     find_free_columns,
-    guess_spin,
     is_possible,
     limit_spins,
     normal_speed,

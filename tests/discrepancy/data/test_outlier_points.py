@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 
 from discrepancy.data.launch import T_C
-from discrepancy.data.outlier_points import _Offset, describe_removed_points, find_outliers, remove_outliers
+from discrepancy.data.outlier_points import _Offset, find_outliers, note_removed_points, remove_outliers
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.predict import predict_tracks
@@ -53,7 +53,7 @@ def test_a_place_is_an_outlier_beyond_eight_sigma(sigma, wrong):
 
 @pytest.mark.parametrize(("rough", "wrong"), [(1.4, True), (2.8, False)])
 def test_places_that_are_twice_as_rough_as_noise_tell_of_no_outlier(rough, wrong):
-    assert _Offset(np.array([0.0, -30.0]), 1.5 * rough).far(1.5) is wrong
+    assert _Offset(np.array([0.0, -30.0]), 1.5 * rough).is_outlier(1.5) is wrong
 
 
 @pytest.mark.parametrize(("off", "wrong"), [(7.0, True), (14.0, False)])
@@ -128,8 +128,8 @@ def test_what_is_left_is_the_clip_without_them_and_it_is_said():
     assert kept[:2] == CLIPS[:2]
     assert np.array_equal(kept[2].xy, np.delete(CLIPS[2].xy, row, axis=0))
     assert np.array_equal(kept[2].covariance, np.delete(CLIPS[2].covariance, row, axis=0))
-    (said,) = describe_removed_points(given, kept)
-    assert said == "clip 2: 1 of 160 places, in frame 70, far off the path through those before and after"
+    (said,) = note_removed_points(given, kept)
+    assert str(said) == "clip 2: 1 of 160 positions, in frame 70, far off the path through their neighbours"
 
 
 @pytest.mark.parametrize("frame", [1.0, 40.0, 78.0, 79.0])
@@ -149,4 +149,4 @@ def test_three_wrong_places_make_no_discovery(monkeypatch):
     assert found.verdict == "none"
     assert found.data.noise.scale == pytest.approx(1, abs=0.1)
     lines = sorted(line.partition(",")[0] for line in found.data.left_out)
-    assert lines == [f"clip {k}: 1 of 160 places" for k in range(3)]
+    assert lines == [f"clip {k}: 1 of 160 positions" for k in range(3)]

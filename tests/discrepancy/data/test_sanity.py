@@ -63,7 +63,7 @@ def test_units_are_told_from_balls_that_touch(unit, metre):
     one, two = head_on(0.3)
     factor = CAMERA.scale * metre
     said = detect_wrong_units([(tracks(factor * one, factor * two), CAMERA)] * 3)
-    assert said.startswith(f"the places look like {unit}: the balls come as near as")
+    assert said.startswith(f"the positions look like {unit}: the balls come as near as")
     assert detect_wrong_units([(tracks(one, two), CAMERA)] * 3) is None
 
 
@@ -103,4 +103,4 @@ def test_a_unit_is_told_where_the_nearest_places_are_a_diameter_apart_within_a_t
     """In cm; a diameter is .238."""
     one, two = (100 * CAMERA.scale * factor * places for places in head_on(0.3))
     said = detect_wrong_units([(tracks(one, two), CAMERA)])
-    assert said.startswith("the places look like cm: ") is unit
+    assert said.startswith("the positions look like cm: ") is unit

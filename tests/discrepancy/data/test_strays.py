@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import CAMERA, collisions
 
-from discrepancy.data.strays import remove_strays
+from discrepancy.data.track_checks import remove_strays
 from synthcam.model import Model
 from tracker.detection.link import Tracks
 

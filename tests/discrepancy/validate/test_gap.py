@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact, searched
 
-from discrepancy.data.collisions import split_held_out
 from discrepancy.data.launch import V0, B
+from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.noise.whitening import ClipWhitener

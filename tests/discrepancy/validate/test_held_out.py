@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import HIDDEN, collisions, only, searched
 
-from discrepancy.data.collisions import split_held_out
+from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent

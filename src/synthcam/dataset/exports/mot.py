@@ -12,6 +12,8 @@ import numpy as np
 
 from synthcam.dataset.recorded_clip import RecordedClip
 
+CORNER = 1.5  # of a pixel's centre at (0, 0), in a frame in which the picture's corner is (1, 1)
+
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
@@ -43,7 +45,7 @@ def _info(clip: RecordedClip) -> str:
 def _boxes(clip: RecordedClip) -> Iterator[str]:
     side, size = clip.diameter_px, np.array(clip.camera["size"], float)
     tracks = clip.tracks.sort_values(["frame", "particle"])
-    corners = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float) - side / 2 + 1.5  # ours (0, 0): a pixel's centre
+    corners = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float) - side / 2 + CORNER
     seen = np.clip(np.minimum(corners + side, size + 1) - np.maximum(corners, 1), 0, None).prod(axis=1) / side**2
     names = tracks[["frame", "particle", "visible"]].to_numpy(int)
     for (frame, ball, whole), (left, top), share in zip(names, corners, seen, strict=True):

@@ -12,7 +12,7 @@ from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, results, s
 from typer.testing import CliRunner
 
 import tracker
-from discrepancy.data.collisions import build_collision
+from discrepancy.data.first_guess import build_collision
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.cli import app

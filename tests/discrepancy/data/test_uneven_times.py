@@ -8,8 +8,8 @@ import pytest
 from discrepancy_files import NOISE, SCENE
 from repository import ROOT
 
-from discrepancy.data.collisions import read_collisions
 from discrepancy.data.prior_processing import detect_processing
+from discrepancy.data.reading import read_collisions
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import read_scene
 from synthcam_shared.errors import InputError
@@ -53,7 +53,7 @@ def test_places_are_those_of_even_times(fine):
     even, uneven = read(fine, 0 * late)[0], read(fine, late)[0]
     assert len(even) == len(uneven) == CLIPS
     assert detect_processing(even) == ()
-    assert "up to 0.4 frames beside an even rate" in detect_processing(uneven)[0]
+    assert "up to 0.4 frames off an even rate" in str(detect_processing(uneven)[0])
     for one, other in zip(even, uneven, strict=True):
         whole = {(b, f): xy for b, f, xy in zip(one.ball, one.frame, one.xy, strict=True)}
         off = np.array([xy - whole[b, f] for b, f, xy in zip(other.ball, other.frame, other.xy, strict=True)])
@@ -74,7 +74,5 @@ def test_a_clock_may_start_anywhere(fine):
 
 
 def test_times_of_another_frame_are_left_out(fine):
-    with pytest.raises(
-        InputError, match=r"clip 0: its times are up to 0\.4 frames beside an even rate of 250 a second"
-    ):
+    with pytest.raises(InputError, match=r"clip 0: its times are up to 0\.4 frames off an even rate of 250 per second"):
         read(fine, np.where(np.arange(110) % 3, 0, 4))

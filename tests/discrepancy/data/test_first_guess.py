@@ -9,8 +9,8 @@ import pytest
 from discrepancy_files import NOISE, SCENE
 from repository import ROOT
 
-from discrepancy.data.collisions import read_collisions
-from discrepancy.data.outgoing_hit import guess_hit_from_outgoing
+from discrepancy.data.first_guess import guess_hit_from_outgoing
+from discrepancy.data.reading import read_collisions
 from discrepancy.policy import current_policy
 from discrepancy.search import find
 from synthcam.dataset.generate import GenerationPlan, generate_dataset

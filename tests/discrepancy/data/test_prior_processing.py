@@ -43,7 +43,7 @@ def test_of_tracks_as_they_were_measured_nothing_is_said():
 @pytest.mark.parametrize("step", [0.05, 0.25, 1.0])
 def test_a_grid_is_found_with_its_step(step):
     (said,) = detect_processing([rounded(c, step) for c in CLIPS])
-    assert float(re.search(r"rounded to (\S+) px", said)[1]) == pytest.approx(step, rel=0.05)
+    assert float(re.search(r"rounded to (\S+) px", str(said))[1]) == pytest.approx(step, rel=0.05)
 
 
 def test_digits_far_beyond_the_errors_are_no_grid():
@@ -53,7 +53,7 @@ def test_digits_far_beyond_the_errors_are_no_grid():
 @pytest.mark.parametrize("least", [8e-4, 1.2e-3])
 def test_a_least_step_is_found(least):
     (said,) = detect_processing([thinned(c, least) for c in CLIPS])
-    assert float(re.search(r"less than (\S+) mm", said)[1]) == pytest.approx(1e3 * least, rel=0.1)
+    assert float(re.search(r"less than (\S+) mm", str(said))[1]) == pytest.approx(1e3 * least, rel=0.1)
 
 
 def test_frames_lost_at_random_are_no_rule():
@@ -103,11 +103,11 @@ def test_a_smoothed_collision_of_which_too_little_is_left_has_no_part():
     """12 frames on either side, less 5 at either end: 2 are left."""
     clips = smoothed()
     found = find([*clips[:3], near(clips[3], 12), *clips[4:]], Model())
-    assert [line for line in found.data.left_out if line.startswith(f"clip {clips[3].clip}: too few places")]
+    assert [line for line in found.data.left_out if line.startswith(f"clip {clips[3].clip}: too few positions")]
     assert clips[3].clip not in {clip.clip for clip in (*found.data.clips, *found.data.kept_out)}
 
 
 def test_smoothed_collisions_all_too_short_are_refused():
     clips = smoothed()
-    with pytest.raises(InputError, match=r"smoothed by a filter.*: of 5 of 8 collisions enough is left.*expected 6"):
+    with pytest.raises(InputError, match=r"smoothed by a filter.*: 5 of 8 collisions keep enough.*expected 6"):
         find([*(near(c, 12) for c in clips[:3]), *clips[3:]], Model())

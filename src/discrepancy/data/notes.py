@@ -1,0 +1,72 @@
+"""Typed notes on clips: what a search leaves out and why, and what was done to the tracks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+
+class NoteKind(Enum):
+    """What a note reports; its value is the text, with the note's values to be filled in."""
+
+    # a clip that is left out
+    BALLS_EXCHANGED = "the two balls exchange their numbers at frame {frames}"
+    UNEVEN_TIMES = "its times are up to {off:.2g} frames off an even rate of {fps:g} per second"
+    SEVERAL_COLLISIONS = "{count} collisions in one recording"
+    NOT_MEASURED = "{status}"
+    NO_ESTIMATE = "no estimate of the contact"
+    TOO_FEW_FRAMES = "a ball is seen in fewer than {least} frames before the contact"
+    LOST_TO_FILTER = (
+        "too few positions of a ball remain before or after the contact, without those that a smoothing filter moves"
+    )
+    # positions that are left out
+    STRAYS = "positions of another ball, in frame {frames}, to which a ball jumps and back"
+    OUTLIERS = "{count} of {total} positions, in frame {frames}, far off the path through their neighbours"
+    # what was done to the tracks
+    SMOOTHED = (
+        "positions have been smoothed by a filter, which moves them near hits, gaps and ends by more than their noise; "
+        "give them as they were measured"
+    )
+    ROUNDED = (
+        "positions are rounded to {step:.3g} px: their errors are not random but depend on the position; "
+        "give all digits"
+    )
+    THINNED = "positions less than {least_mm:.3g} mm from the previous one are missing: slow balls are hardly seen"
+    MOVED_TO_EVEN_TIMES = (
+        "frames are at uneven times, up to {off:.2g} frames off an even rate: positions are moved along their paths to "
+        "even times, and those at the contact are left out"
+    )
+    # what all clips have in common
+    ONE_SPEED = "all clips are at {speed:.2g} m/s: they hardly show how {laws} depends on the speed"
+    ONE_IMPACT_PARAMETER = (
+        "all clips have b near {b:.2f}: they show nothing that depends on it, and hop and mass_mismatch look the same"
+    )
+    ONE_HEADING = (
+        "all clips go one way: a tilt of the plate, a grain or a tilted camera can hardly be distinguished from drag"
+    )
+
+
+@dataclass(frozen=True)
+class Note:
+    """One note; `str` gives its text.
+
+    Attributes
+    ----------
+    kind : NoteKind
+    clip : int, optional
+        The clip that it concerns; None where it concerns all.
+    frames : tuple of int
+        The frames that it concerns.
+    values : dict
+        The numbers and words that the text of this kind contains.
+    """
+
+    kind: NoteKind
+    clip: int | None = None
+    frames: tuple[int, ...] = ()
+    values: dict[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        text = self.kind.value.format(frames=", ".join(map(str, self.frames)), **self.values)
+        return text if self.clip is None else f"clip {self.clip}: {text}"

@@ -1,0 +1,150 @@
+"""Reads measured collisions: a tracker's results, a table of tracks, or results in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.first_guess import build_collision
+from discrepancy.data.launch import V0, equalise_launches
+from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.track_checks import detect_wrong_units, find_exchange, remove_strays
+from discrepancy.data.uneven_times import note_uneven_times
+from discrepancy.policy import current_policy
+from synthcam_shared.errors import InputError as InputError
+from tracker.camera.camera import Camera
+from tracker.detection.link import Tracks
+from tracker.measurement.collision.adequacy import MISFIT
+from tracker.measurement.estimate import measure
+from tracker.recording import Result
+from tracker.results import read_clip
+from tracker.tables.read import read_tracks
+from tracker.tables.rows import split_tracks
+
+
+def read_collisions(
+    measured: Path | Sequence[Result], camera: Path | None = None
+) -> tuple[list[MeasuredCollision], list[Note]]:
+    """Read the collisions of a tracker's RESULTS, of a table of tracks, or of results in memory.
+
+    Parameters
+    ----------
+    measured : Path or sequence of Result
+    camera : Path, optional
+        camera.json of a table; RESULTS contain their own.
+
+    Returns
+    -------
+    clips : list of MeasuredCollision
+    left_out : list of Note
+        One for each clip, or positions of a clip, that cannot be used.
+
+    Raises
+    ------
+    InputError
+        A file is missing or malformed, no clip has a measured collision, or speeds and units are implausible.
+    """
+    if not isinstance(measured, Path):
+        sources, measured = _read_memory(measured), Path("results")
+    elif measured.is_dir():
+        if camera is not None:
+            raise InputError(f"--camera {camera}: {measured} contains its own; --camera is for a table of tracks")
+        sources = _read_results(measured)
+    elif camera is None:
+        if not measured.exists():
+            raise InputError(f"{measured}: no such file or folder, expected RESULTS of a tracker or a table of tracks")
+        raise InputError(f"{measured}: expected --camera camera.json with a table of tracks")
+    else:
+        sources = _read_table(measured, camera)
+    kept, rejected, left_out = [], [], []
+    for source in sources:
+        outcome, misfit = _build(source)
+        if isinstance(outcome, Note):
+            left_out.append(outcome)
+            continue
+        kept.append(outcome)
+        rejected.append(misfit)
+        if source.strays:
+            left_out.append(Note(NoteKind.STRAYS, source.number, tuple(source.strays)))
+    if not kept:
+        raise InputError(f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
+    typical = float(np.median([c.launch[V0] for c in kept]))
+    if typical > current_policy().max_launch_speed_m_s:
+        raise InputError(f"{measured}: the balls move at {typical:.3g} m/s (median); check scale and fps of the camera")
+    launches = equalise_launches([c.launch for c in kept], rejected)
+    return [replace(c, launch=one) for c, one in zip(kept, launches, strict=True)], left_out
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A clip before it is measured. estimates: gives the tracker's rows; strays: frames of removed positions."""
+
+    number: int
+    tracks: Tracks
+    camera: Camera
+    estimates: Callable[[], list[dict[Any, Any]]]
+    strays: list[int] = field(default_factory=list)
+
+
+def _build(source: _Source) -> tuple[MeasuredCollision | Note, bool]:
+    """The clip's collision, or why it cannot be used; and whether the tracker's own model of it is rejected."""
+    number, tracks, camera = source.number, source.tracks, source.camera
+    if (frame := find_exchange(tracks, camera)) is not None:
+        return Note(NoteKind.BALLS_EXCHANGED, number, (frame,)), False
+    if uneven := note_uneven_times(tracks, camera, number):
+        return uneven, False
+    rows = source.estimates()
+    if len(rows) > 1:
+        return Note(NoteKind.SEVERAL_COLLISIONS, number, values={"count": len(rows)}), False
+    return build_collision(tracks, {"clip": number} | rows[0], camera), rows[0]["status"] == MISFIT
+
+
+def _read_memory(results: Sequence[Result]) -> Iterator[_Source]:
+    """Clips as if written and read again, for the same numbers to the last bit. Equal clip numbers are renumbered."""
+    expected = "what tracker.track or tracker.measure gives"
+    if not isinstance(results, Sequence):
+        raise InputError(f"results: of type {type(results).__name__}, expected a list of {expected}")
+    for k, result in enumerate(results):
+        if not isinstance(result, Result):
+            raise InputError(f"results: number {k} is of type {type(result).__name__}, expected {expected}")
+    own = len({r.number for r in results}) == len(results)
+    for k, result in sorted(enumerate(results), key=lambda pair: pair[1].number if own else pair[0]):
+        ((_, (tracks, _)),) = split_tracks(result.tracks, f"results: number {k}").items()
+        known = Camera.from_dict(result.camera.to_dict())
+        number = result.number if own else k
+        yield _Source(number, tracks, known, partial(result.estimates.assign(clip=number).to_dict, "records"))
+
+
+def _read_results(folder: Path) -> Iterator[_Source]:
+    path = folder / "estimates.parquet"
+    if not path.is_file():
+        raise InputError(f"{folder}: expected RESULTS of a tracker (no estimates.parquet)")
+    try:
+        table = pd.read_parquet(path)
+    except (OSError, ValueError) as e:  # pyarrow's are ValueErrors
+        raise InputError(f"{path}: cannot be read as Parquet ({str(e).partition(chr(10))[0][:100]})") from None
+    needed = "clip striker status t_c v0 b tau1 tau2 particle1 particle2".split()
+    missing = [name for name in needed if name not in table]
+    if missing:
+        raise InputError(f"{path}: no column {', '.join(missing)}")
+    for number, rows in table.groupby("clip"):
+        clip = int(str(number))
+        yield _Source(clip, *read_clip(folder, clip), partial(rows.to_dict, "records"))
+
+
+def _read_table(path: Path, camera: Path) -> Iterator[_Source]:
+    given = read_tracks(path, camera)
+    base, tables = given.camera, given.clips
+    if why := detect_wrong_units((tracks, base) for tracks, _ in tables.values()):
+        raise InputError(f"{path}: {why}")
+    for number, (tracks, striker) in sorted(tables.items()):
+        own = replace(base, striker=striker) if striker is not None else base
+        tracks, strays = remove_strays(tracks, own)
+        yield _Source(number, tracks, own, partial(measure, tracks, own), strays)

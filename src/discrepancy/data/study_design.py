@@ -1,0 +1,50 @@
+"""The set of clips as an experiment: which are held out, and which conditions all clips share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import HEADING, V0, B, normal_speed
+from discrepancy.data.notes import Note, NoteKind
+from discrepancy.policy import current_policy
+
+
+def find_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[Note]:
+    """A note for each condition (speed, impact parameter, heading) that all clips share.
+
+    However many such clips there are, they cannot show what depends on that condition.
+    """
+    policy, launches = current_policy(), np.array([c.launch for c in clips])
+    speeds, headings, b = launches.T[[V0, HEADING, B]]
+    notes = []
+    # the speeds on which these laws depend; friction's varies within a clip
+    laws = {"restitution": normal_speed(launches), "spin transfer": speeds}
+    if same := [law for law, v in laws.items() if v.max() < policy.same_speed_ratio * v.min()]:
+        notes.append(Note(NoteKind.ONE_SPEED, values={"speed": np.median(speeds), "laws": " or ".join(same)}))
+    if np.ptp(b) < policy.same_impact_parameter:
+        notes.append(Note(NoteKind.ONE_IMPACT_PARAMETER, values={"b": np.median(b)}))
+    mean = np.exp(1j * headings).mean()
+    if np.abs(np.angle(np.exp(1j * headings) / mean)).max() < np.radians(policy.same_heading_deg):
+        notes.append(Note(NoteKind.ONE_HEADING))
+    return notes
+
+
+def split_held_out(clips: Sequence[MeasuredCollision]) -> tuple[list[MeasuredCollision], list[MeasuredCollision]]:
+    """(clips to fit, clips to hold out): one in `SearchPolicy.hold_out_one_in` is held out, evenly over the speeds.
+
+    From `SearchPolicy.min_clips_to_hold_out_extremes` clips on, the fastest and the most oblique collision are held
+    out, so that the test extrapolates.
+    """
+    order = sorted(range(len(clips)), key=lambda k: float(clips[k].launch[V0]))
+    count = max(len(clips) // current_policy().hold_out_one_in, 1)
+    held_out: set[int] = set()
+    if len(clips) >= current_policy().min_clips_to_hold_out_extremes:
+        held_out = {order[-1], max(order[:-1], key=lambda k: abs(float(clips[k].launch[B])))}
+    rest = [k for k in order if k not in held_out]
+    more = max(count - len(held_out), 0)
+    held_out |= {rest[(2 * k + 1) * len(rest) // (2 * more)] for k in range(more)}
+    fitted, held = ([c for k, c in enumerate(clips) if (k in held_out) is out] for out in (False, True))
+    return fitted, held
