@@ -12,6 +12,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.track_formats import split_by_particle
 
 LARGEST = 1e9  # of any number that describes a camera or a stack
 
@@ -61,12 +62,12 @@ class RecordedClip:
         except Exception as error:  # decoders raise their own kinds
             raise InputError(f"{self.stack}: damaged ({first_line(error)}); `synthcam verify` lists more") from None
 
-    def in_view(self, ball: pd.DataFrame) -> pd.DataFrame:
-        """The rows of tracks at which the ball's centre lies in the picture."""
+    def visible_tracks(self) -> list[list[tuple[Any, Any, Any]]]:
+        """(frame, x, y) of each ball where its centre lies in the picture, px."""
         width, height = self.camera["size"]
-        x, y = ball["x_mean_px"], ball["y_mean_px"]
-        kept: pd.DataFrame = ball.loc[(x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)]
-        return kept
+        x, y = self.tracks["x_mean_px"], self.tracks["y_mean_px"]
+        rows = self.tracks[(x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)]
+        return split_by_particle(*(rows[name] for name in ("particle", "frame", "x_mean_px", "y_mean_px")))
 
 
 def first_line(error: Exception) -> str:

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from synthcam.dataset.recorded_clip import RecordedClip
-
-CORNER = 1.5  # of a pixel's centre at (0, 0), in a frame in which the picture's corner is (1, 1)
+from synthcam_shared.track_formats import MOT_CORNER_PX, mot_box
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
@@ -45,9 +44,10 @@ def _info(clip: RecordedClip) -> str:
 def _boxes(clip: RecordedClip) -> Iterator[str]:
     side, size = clip.diameter_px, np.array(clip.camera["size"], float)
     tracks = clip.tracks.sort_values(["frame", "particle"])
-    corners = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float) - side / 2 + CORNER
+    corners = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float) - side / 2 + MOT_CORNER_PX
     seen = np.clip(np.minimum(corners + side, size + 1) - np.maximum(corners, 1), 0, None).prod(axis=1) / side**2
     names = tracks[["frame", "particle", "visible"]].to_numpy(int)
-    for (frame, ball, whole), (left, top), share in zip(names, corners, seen, strict=True):
+    positions = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float)
+    for (frame, ball, whole), (x, y), share in zip(names, positions, seen, strict=True):
         if share > 0:
-            yield f"{frame + 1},{ball + 1},{left:.4f},{top:.4f},{side:.4f},{side:.4f},{whole},1,{share:.4f}\n"
+            yield mot_box(frame, ball, x, y, side, f"{whole},1,{share:.4f}")

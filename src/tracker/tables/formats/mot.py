@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 
+from synthcam_shared.track_formats import MOT_CORNER_PX, mot_box
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
@@ -11,13 +12,11 @@ from tracker.tables.table import TrackTable
 NAME = "MOTChallenge's boxes"
 SUFFIX = ".txt"
 NAMES = ["frame", "particle", "left", "top", "width", "height", "confidence"]
-FEWEST, MOST = 6, 10
-CORNER = 1.5  # of a pixel's centre at (0, 0), in a frame in which the picture's corner is (1, 1)
 
 
 def read(content: Content) -> TrackTable | None:
     first = content.head[0] if content.head else []
-    if not FEWEST <= len(first) <= MOST or not all(map(_is_number, first)):
+    if not 6 <= len(first) <= 10 or not all(map(_is_number, first)):
         return None
     boxes = content.cells(names=NAMES[: len(first)] + [f"more{k}" for k in range(len(first) - len(NAMES))])
     boxes = boxes.apply(pd.to_numeric, errors="coerce")
@@ -29,7 +28,7 @@ def read(content: Content) -> TrackTable | None:
         boxes = boxes[boxes["confidence"] != 0]  # lines to be ignored
     rows = pd.DataFrame({"frame": boxes["frame"] - 1, "particle": boxes["particle"]})
     for name, corner, side in (("x", "left", "width"), ("y", "top", "height")):
-        rows[name] = boxes[corner] + boxes[side] / 2 - CORNER
+        rows[name] = boxes[corner] + boxes[side] / 2 - MOT_CORNER_PX
         rows[side] = boxes[side]
     return TrackTable(rows, NAME, "px")
 
@@ -43,9 +42,6 @@ def _is_number(cell: str) -> bool:
 
 def write(tracks: Tracks, camera: Camera) -> str:
     side = camera.diameter_px
-    lines = []
-    for k in np.lexsort((tracks.particle, tracks.frame)):
-        left, top = tracks.x[k] - side / 2 + CORNER, tracks.y[k] - side / 2 + CORNER
-        box = f"{left:.4f},{top:.4f},{side:.4f},{side:.4f}"
-        lines.append(f"{tracks.frame[k] + 1},{tracks.particle[k] + 1},{box},1,-1,-1,-1\n")
-    return "".join(lines)
+    order = np.lexsort((tracks.particle, tracks.frame))
+    rows = zip(tracks.frame[order], tracks.particle[order], tracks.x[order], tracks.y[order], strict=True)
+    return "".join(mot_box(int(frame), int(particle), x, y, side, "1,-1,-1,-1") for frame, particle, x, y in rows)

@@ -3,11 +3,9 @@
 A particle holds its detections: t counts frames from 0; x, y in px with pixel centres at integers; z is 0.
 """
 
-import xml.etree.ElementTree as ET
-
-import numpy as np
 import pandas as pd
 
+from synthcam_shared.track_formats import CHALLENGE_TAG, challenge_xml, split_by_particle
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
@@ -15,12 +13,11 @@ from tracker.tables.table import TrackTable
 
 NAME = "the Particle Tracking Challenge's XML"
 SUFFIX = ".xml"
-TAG = "TrackContestISBI2012"
 
 
 def read(content: Content) -> TrackTable | None:
     root = content.root
-    challenge = None if root is None else root if root.tag == TAG else root.find(TAG)
+    challenge = None if root is None else root if root.tag == CHALLENGE_TAG else root.find(CHALLENGE_TAG)
     if challenge is None:
         return None
     rows = [
@@ -32,12 +29,4 @@ def read(content: Content) -> TrackTable | None:
 
 
 def write(tracks: Tracks, camera: Camera) -> str:
-    root = ET.Element("root")
-    challenge = ET.SubElement(root, TAG, {"snr": "0", "density": "low", "scenario": "balls"})
-    for ball in np.unique(tracks.particle):
-        particle = ET.SubElement(challenge, "particle")
-        rows = tracks.particle == ball
-        for frame, x, y in zip(tracks.frame[rows], tracks.x[rows], tracks.y[rows], strict=True):
-            ET.SubElement(particle, "detection", {"t": str(frame), "x": f"{x:.6f}", "y": f"{y:.6f}", "z": "0"})
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return challenge_xml(split_by_particle(tracks.particle, tracks.frame, tracks.x, tracks.y))

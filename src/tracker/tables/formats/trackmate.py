@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from synthcam_shared.track_formats import split_by_particle, trackmate_xml
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
@@ -64,14 +65,4 @@ def _spots(content: Content, model: ET.Element) -> Iterator[tuple[float, ...]]:
 
 
 def write(tracks: Tracks, camera: Camera) -> str:
-    balls = np.unique(tracks.particle)
-    about = {"nTracks": str(len(balls)), "spaceUnits": "pixel", "frameInterval": repr(1 / camera.fps)}
-    root = ET.Element("Tracks", about | {"timeUnits": "sec", "from": "tracker"})
-    for ball in balls:
-        rows = np.flatnonzero(tracks.particle == ball)
-        particle = ET.SubElement(root, "particle", {"nSpots": str(len(rows))})
-        for frame, x, y in zip(tracks.frame[rows], tracks.x[rows], tracks.y[rows], strict=True):
-            position = {"t": str(frame), "x": f"{x:.6f}", "y": f"{y:.6f}", "z": "0.0"}
-            ET.SubElement(particle, "detection", position)
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return trackmate_xml(split_by_particle(tracks.particle, tracks.frame, tracks.x, tracks.y), camera.fps, "tracker")
