@@ -81,7 +81,7 @@ def write(results: Results) -> Path:
         captions.append((name, [lead, caption, f"Paper: {module.PAPER}"]))
     made = tables.all_tables(results)
     for number, table in enumerate(made, 1):
-        text = pd.DataFrame(table.rows, columns=table.heads).to_csv(index=False)
+        text = pd.DataFrame(list(table.rows), columns=list(table.heads)).to_csv(index=False)
         write_atomically(results.output / "tables" / f"table{number}.csv", text)
     summary = findings.summary(results)
     contradictions = findings.contradictions(results)
