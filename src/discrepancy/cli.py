@@ -90,20 +90,23 @@ def find(
     from discrepancy.data.reading import read_collisions
     from discrepancy.finding import searched
     from discrepancy.policy import SearchPolicy, applied_policy, read_policy
-    from discrepancy.report import html
-    from discrepancy.report.staging import aside
+    from discrepancy.report import search_page
+    from synthcam_shared.report.folder import replace_folder
 
     started = time.monotonic()
     _add_effect_folders(effects_dir)
     given, thresholds = read_model(model), read_policy(policy) if policy else SearchPolicy()
-    with applied_policy(thresholds), aside(output) as folder:
+    with (
+        applied_policy(thresholds),
+        replace_folder(output, search_page.FILES, "a report of an earlier search") as folder,
+    ):
         _print_camera_notes(measured, camera)
         clips, notes = read_collisions(measured, camera)
         left_out = [str(n) for n in notes]
         with show_stages(STAGES) as progress:
             found = searched(clips, given, left_out, progress, 60 * minutes)
             progress("report")
-            html.write(found.outcome, folder, found.left_out)
+            search_page.write(found.outcome, folder, found.left_out)
         document = json.loads((folder / "discrepancy.json").read_text())
     seconds = time.monotonic() - started
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
@@ -219,14 +222,14 @@ def plan(
     """
     from discrepancy.plan_experiment import plan as planned
     from discrepancy.report import plan_page
-    from discrepancy.report.staging import PLAN, aside
     from synthcam.scene.scene import read_scene
+    from synthcam_shared.report.folder import replace_folder
 
     started = time.monotonic()
     _add_effect_folders([Path(text) for text in effects or () if Path(text).is_dir()])
     names = [n.strip() for text in effects or () if not Path(text).is_dir() for n in text.split(",") if n.strip()]
     given, wanted = read_scene(scene, tuple(changes or ()), model), _parse_limits(limit or [])
-    with aside(output, PLAN) as folder, progress_bar("experiments") as progress:
+    with replace_folder(output, plan_page.FILES, "an earlier plan") as folder, progress_bar("experiments") as progress:
         found = planned(given, names or None, clips, noise, wanted, seed, progress=progress)
         plan_page.write(found.outcome, folder)
     if as_json:

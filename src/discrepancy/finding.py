@@ -16,13 +16,13 @@ from discrepancy.data.reading import read_collisions
 from discrepancy.fitting.base_fit import Progress
 from discrepancy.found import SearchResult
 from discrepancy.policy import SearchPolicy, applied_policy
-from discrepancy.report import html
-from discrepancy.report.figures import gap_bars
-from discrepancy.report.staging import aside
+from discrepancy.report import search_page
+from discrepancy.report.figures import draw_gap_bars
 from discrepancy.search import find as search
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.gap import Gap
 from synthcam.model import Model, as_model
+from synthcam_shared.report.folder import replace_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -94,7 +94,7 @@ class Finding:
         dict
             docs/discrepancy.md describes the keys.
         """
-        return html.document(self.outcome, self.left_out)
+        return search_page.document(self.outcome, self.left_out)
 
     def __repr__(self) -> str:
         used = len(self.outcome.data.clips) + len(self.outcome.data.kept_out)
@@ -126,7 +126,7 @@ class Finding:
             import matplotlib.pyplot as plt
 
             ax = plt.subplots(layout="constrained")[1]
-        gap_bars(ax, self.gap, "_um", ("base model", "with what was found", "noise alone"))
+        draw_gap_bars(ax, self.gap, "_um", "with what was found")
         ax.set(xlabel="phase of the collision")
         ax.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
         return ax
@@ -149,8 +149,8 @@ class Finding:
         InputError
             Where the folder holds something else, or cannot be written.
         """
-        with aside(Path(folder)) as place:
-            html.write(self.outcome, place, self.left_out)
+        with replace_folder(Path(folder), search_page.FILES, "a report of an earlier search") as place:
+            search_page.write(self.outcome, place, self.left_out)
         return Path(folder) / "index.html"
 
 

@@ -27,11 +27,11 @@ from discrepancy.planning.limits import Limit, Signatures, count_draws, median_l
 from discrepancy.planning.pair_advice import AS_FILMED, ComparedDesign, advise
 from discrepancy.planning.plan_result import IndistinguishablePair, PlanResult
 from discrepancy.report import plan_page
-from discrepancy.report.staging import PLAN, aside
 from synthcam.library import library
 from synthcam.scene.scene import Scene
 from synthcam.settings import did_you_mean
 from synthcam_shared.errors import InputError
+from synthcam_shared.report.folder import replace_folder
 
 Progress = Callable[[int, int], None]
 
@@ -123,7 +123,7 @@ class Plan:
         InputError
             If the folder holds something else, or cannot be written.
         """
-        with aside(Path(folder), PLAN) as place:
+        with replace_folder(Path(folder), plan_page.FILES, "an earlier plan") as place:
             plan_page.write(self.outcome, place)
         return Path(folder) / "index.html"
 

@@ -19,7 +19,7 @@ from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.library import library as free_laws
 from discrepancy.free_laws.shapes import iterate_shapes
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.report import html
+from discrepancy.report import search_page
 from synthcam.effect import LAWS, VECTOR_INPUTS
 from synthcam.library import add_effects, library
 from synthcam.model import BASE_PARAMETERS, Model, read_model
@@ -36,7 +36,7 @@ def reports(tmp_path_factory):
     """By free law, a folder with the report of a search that found it."""
     folder = tmp_path_factory.mktemp("reports")
     for law in OUTSIDERS:
-        html.write(outsider(law), folder / law, [])
+        search_page.write(outsider(law), folder / law, [])
     return folder
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from discrepancy.report.figures import inline
 from synthcam.library import library
+from synthcam_shared.report.page import PageFigure
 
 from .boxes import FOREIGN, UNDRAWN
 from .goals import goals, share, with_gap
@@ -48,7 +48,7 @@ def write(folder: Path, rows: Sequence[Row] | None = None) -> Path:
     """Write index.html of these boxes, or of those that lie beside it; its path."""
     rows = rows_in(folder) if rows is None else rows
     with plt.rc_context(STYLE):
-        figures = [inline(title, figure, note) for title, figure, note in _figures(rows)]
+        figures = [PageFigure.of(figure, title, note) for title, figure, note in _figures(rows)]
         plt.close("all")
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         (Path(__file__).parent / "page.html").read_text(encoding="utf-8")

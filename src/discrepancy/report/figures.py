@@ -1,4 +1,4 @@
-"""The report's figures."""
+"""Figures of a search's page: residuals, free law, candidates, and the gap on held-out collisions."""
 
 from __future__ import annotations
 
@@ -18,113 +18,128 @@ from discrepancy.fitting.predict import predict_tracks
 from discrepancy.found import SearchResult
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.validate.gap import Gap
-from synthcam_shared.report.page import embed_figure
+from synthcam_shared.report.page import PageFigure
 
-BEFORE, AFTER, FLOOR, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
+# colours of the base model, of the best model, of noise alone, and of all else
+BASE, BEST, NOISE, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
-STAGES = ("before", "sliding", "rolling")
-BINS = 8  # of a stage
-FEWEST = 3  # points of a bin
-SHOWN = 20  # candidates, at most
 
 
-def drawn(found: SearchResult) -> list[dict[str, str]]:
-    """title, note and png of each."""
+def name_of_best(found: SearchResult) -> str:
+    """Name the best model after what it has beside the base model: "with plate_tilt"."""
+    effects = sorted({claim.effect for claim in found.named})
+    return f"with {' and '.join([*(['a free law'] if found.free_law else []), *effects])}"
+
+
+def draw_figures(found: SearchResult) -> list[PageFigure]:
+    """Draw all figures of a search's page."""
     with matplotlib.rc_context(STYLE):
-        out = [
-            inline(
-                "What is left, before and after",
-                _stacked(found),
-                "Residuals of the collisions fitted, mean over clips with its standard error. Each stage from its "
-                "beginning to its end; across: to the side that the ball is deflected to.",
-            ),
-            inline(
-                "Its size",
-                _sizes(found),
-                "Root mean square of the same residuals. What changes sign from clip to clip shows here only.",
-            ),
-        ]
-        if found.answer:
-            note = "The law left free: fitted curve, with bands of 68 and 95 %."
-            if len(found.answer.x) == 2:
-                note = (
-                    "The law left free, and the half width of its band of 68 %; where no ball came by the band is wide."
-                )
-            out.append(inline(found.answer.formula, _curve(found.answer), note))
-        if found.selected.ranking:
-            note = "Score of every effect of the library against the base model alone, before any refit."
-            out.append(inline("Candidates", _ranking(found), note))
-        note = "Collisions that no fit has seen, each one's launch refitted."
-        out.append(inline("The gap by phase", _by_phase(found), note))
-        out.append(inline("The gap, clip by clip", _by_clip(found), note))
-    return out
+        return [PageFigure.of(figure, title, caption) for title, figure, caption in _draw_all(found)]
+
+
+def _draw_all(found: SearchResult) -> list[tuple[str, Figure, str]]:
+    """Titles, figures and captions."""
+    compared = f", base model and model {name_of_best(found)}" if found.anything else " of the base model"
+    only = "" if found.anything else " The search names no effect, so the base model is shown alone."
+    figures = [
+        (
+            f"Mean residuals{compared}",
+            _mean_residuals_figure(found),
+            "Mean residuals of the fitted collisions, with standard errors. Time runs from the first frame to the "
+            "contact, through sliding, to the last frame of rolling. Along: along the path of the ball after the "
+            "contact; across: towards the side to which it is deflected.",
+        ),
+        (
+            f"Size of the residuals{compared}",
+            _rms_residuals_figure(found),
+            "Root mean square of the same residuals. It also shows a disagreement whose sign changes between "
+            "collisions.",
+        ),
+    ]
+    if found.answer:
+        caption = "Law without an assumed form: fitted curve with bands of 68 and 95 %."
+        if len(found.answer.x) == 2:
+            caption = "Law without an assumed form, and half the width of its 68 % band, which is wide where no ball "
+            "passed."
+        figures.append((f"Free law: {found.answer.formula}", _law_figure(found.answer), caption))
+    if found.selected.ranking:
+        caption = "Significance of every effect of the library when it is added alone to the base model (score test)."
+        figures.append(("Significance of each candidate effect", _ranking_figure(found), caption))
+    caption = f"Collisions that entered no fit of the shared parameters; only their launches are fitted.{only}"
+    figures.append(("Residuals of held-out collisions by phase", _gap_by_phase_figure(found), caption))
+    figures.append(("Residuals of each held-out collision", _gap_by_clip_figure(found), caption))
+    return figures
 
 
 def _subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **shared: Any) -> tuple[Figure, Any]:
-    """As pyplot's, but known to nobody else: in a notebook pyplot would show what is drawn for the page."""
+    """Make a figure and its axes without pyplot, which would also show them in a notebook."""
     figure = Figure(figsize=figsize, layout="constrained")
     return figure, figure.subplots(rows, columns, **shared)
 
 
-def inline(title: str, figure: Figure, note: str) -> dict[str, str]:
-    """A figure for a self-contained page; title and note (what it shows) stand beside it."""
-    return {"title": title, "note": note, "address": embed_figure(figure)}
-
-
-def _sets(found: SearchResult) -> list[tuple[Sequence[MeasuredCollision], ModelFit, str, str]]:
-    sets: list[tuple[Sequence[MeasuredCollision], ModelFit, str, str]] = [
-        (found.data.clips, found.base, BEFORE, "before")
-    ]
+def _fits_to_draw(found: SearchResult) -> list[tuple[Sequence[MeasuredCollision], ModelFit, str, str]]:
+    """Clips, fit, colour and label of the base model and, where anything was found, of the best one."""
+    fits = [(found.data.clips, found.base, BASE, "base model")]
     if found.anything:
-        sets.append((found.free_law.evidence.clips if found.free_law else found.data.clips, found.best, AFTER, "after"))
-    return sets
+        clips = found.free_law.evidence.clips if found.free_law else found.data.clips
+        fits.append((tuple(clips), found.best, BEST, name_of_best(found)))
+    return list(fits)
 
 
-def _stacked(found: SearchResult) -> Figure:
+def _mean_residuals_figure(found: SearchResult) -> Figure:
     figure, axes = _subplots(2, 2, figsize=(8, 4.6), sharex=True)
-    for k, (clips, fit, colour, label) in enumerate(_sets(found)):
+    for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
         stage, ball, left = _residuals(clips, fit)
         for (b, axis), ax in np.ndenumerate(axes):
-            centres, values = _binned(stage[ball == b], left[ball == b, axis])
+            centres, values = _bin(stage[ball == b], left[ball == b, axis])
             means = [v.mean() for v in values]
             errors = [v.std(ddof=1) / np.sqrt(len(v)) for v in values]
             ax.errorbar(centres + 0.02 * k, means, errors, fmt="o", ms=3, lw=1, color=colour, label=label)
     for (b, axis), ax in np.ndenumerate(axes):
-        ax.axhline(0, color=FLOOR, lw=0.5)
-        _staged(ax, f"ball {b + 1}, {('along', 'across')[axis]}")
+        ax.axhline(0, color=NOISE, lw=0.5)
+        _mark_stages(ax, f"ball {b + 1}, {('along', 'across')[axis]}")
     for ax in axes[:, 0]:
-        ax.set_ylabel("mean residual (um)")
+        ax.set_ylabel("mean residual (µm)")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
 
-def _sizes(found: SearchResult) -> Figure:
+def _rms_residuals_figure(found: SearchResult) -> Figure:
     figure, axes = _subplots(1, 2, figsize=(8, 2.8), sharey=True)
-    for k, (clips, fit, colour, label) in enumerate(_sets(found)):
+    for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
         stage, ball, left = _residuals(clips, fit)
         for b, ax in enumerate(axes):
-            centres, values = _binned(stage[ball == b], np.sqrt((left[ball == b] ** 2).mean(axis=1)))
+            centres, values = _bin(stage[ball == b], np.sqrt((left[ball == b] ** 2).mean(axis=1)))
             sizes = np.array([np.sqrt(np.mean(v**2)) for v in values])
             errors = sizes / np.sqrt([4 * len(v) for v in values])
             ax.errorbar(centres + 0.02 * k, sizes, errors, fmt="o", ms=3, lw=1, color=colour, label=label)
     for b, ax in enumerate(axes):
-        ax.axhline(found.shown.gap.floor_um, color=FLOOR, lw=1, ls="--", label="noise alone")
-        _staged(ax, f"ball {b + 1}")
-    axes[0].set(ylabel="rms residual, each axis (um)", ylim=(0, None))
+        ax.axhline(found.shown.gap.floor_um, color=NOISE, lw=1, ls="--", label="noise alone")
+        _mark_stages(ax, f"ball {b + 1}")
+    axes[0].set(ylabel="rms residual in x and y (µm)", ylim=(0, None))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
-def _staged(ax: Axes, title: str) -> None:
+def _mark_stages(ax: Axes, title: str) -> None:
     for edge in (0, 1):
-        ax.axvline(edge, color=FLOOR, lw=0.5, ls=":")
+        ax.axvline(edge, color=NOISE, lw=0.5, ls=":")
     ax.set(title=title, xlim=(-1.05, 2.05))
-    ax.set_xticks([-0.5, 0.5, 1.5], STAGES)
+    ax.set_xticks([-0.5, 0.5, 1.5], ("before contact", "sliding", "rolling"))
     ax.tick_params(axis="x", length=0)
 
 
 def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit) -> tuple[Array, Array, Array]:
-    """Of each row of all clips: -1 to 0 before, to 1 sliding, to 2 rolling; ball; residual along and across, um."""
+    """Stage, ball and residuals of all positions.
+
+    Returns
+    -------
+    stage : (n,) array
+        -1 to 0 before the contact, to 1 while the ball slides, to 2 while it rolls.
+    ball : (n,) array
+    residual : (n, 2) array
+        µm along and across the path after the contact.
+    """
     stages, balls, lefts = [], [], []
     expected = predict_tracks(fit.model, fit.launches, clips)
     for clip, launch, xy in zip(clips, fit.launches, expected, strict=True):
@@ -138,31 +153,31 @@ def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit) -> tuple[Array
             edges = [min(when[0], t_c - 1e-6), t_c, over, max(when[-1], over + 1e-6)]
             stage[rows] = np.interp(when, edges, [-1, 0, 1, 2])
             after = rows & (time > t_c)
-            way = xy[after][-1] - xy[after][0] if np.any(after) else np.zeros(2)
+            path = xy[after][-1] - xy[after][0] if np.any(after) else np.zeros(2)
             rolls_in = np.array([np.cos(launch[HEADING]), np.sin(launch[HEADING])])
-            way = way / np.hypot(*way) if np.hypot(*way) > 1e-5 else rolls_in
-            side = np.array([-way[1], way[0]]) * (np.sign(rolls_in[0] * way[1] - rolls_in[1] * way[0]) or 1.0)
-            out[rows] = 1e6 * np.stack([left[rows] @ way, left[rows] @ side], axis=1)
+            path = path / np.hypot(*path) if np.hypot(*path) > 1e-5 else rolls_in
+            side = np.array([-path[1], path[0]]) * (np.sign(rolls_in[0] * path[1] - rolls_in[1] * path[0]) or 1.0)
+            out[rows] = 1e6 * np.stack([left[rows] @ path, left[rows] @ side], axis=1)
         stages.append(stage)
         balls.append(clip.ball)
         lefts.append(out)
     return np.concatenate(stages), np.concatenate(balls), np.concatenate(lefts)
 
 
-def _binned(stage: Array, left: Array) -> tuple[Array, list[Array]]:
-    """Middles of the bins, and what falls into each."""
-    which = np.floor((np.clip(stage, -1, 2 - 1e-9) + 1) * BINS).astype(int)
-    kept = [k for k in range(3 * BINS) if np.sum(which == k) >= FEWEST]
-    return (np.array(kept) + 0.5) / BINS - 1, [left[which == k] for k in kept]
+def _bin(stage: Array, left: Array, bins: int = 8, min_points: int = 3) -> tuple[Array, list[Array]]:
+    """Middles of the bins, and the residuals of each; bins: of a stage; min_points: in a bin that is shown."""
+    which = np.floor((np.clip(stage, -1, 2 - 1e-9) + 1) * bins).astype(int)
+    kept = [k for k in range(3 * bins) if np.sum(which == k) >= min_points]
+    return (np.array(kept) + 0.5) / bins - 1, [left[which == k] for k in kept]
 
 
-def _curve(answer: LawSummary) -> Figure:
+def _law_figure(answer: LawSummary) -> Figure:
     law = answer.law
     if len(answer.x) == 2:
-        return _map(answer)
+        return _law_map_figure(answer)
     figure, ax = _subplots(figsize=(6, 3.2))
     axis, x = law.axes[0], answer.x[0]
-    for part, (word, colour) in enumerate(zip(law.part_names, (AFTER, BEFORE), strict=False)):
+    for part, (word, colour) in enumerate(zip(law.part_names, (BEST, BASE), strict=False)):
         y = answer.curve[:, part]
         if law.is_per_clip:
             ax.errorbar(x, y, np.abs(answer.bands["band"][:, part].T - y), fmt="o", ms=3, lw=1, color=colour)
@@ -177,7 +192,7 @@ def _curve(answer: LawSummary) -> Figure:
     return figure
 
 
-def _map(answer: LawSummary) -> Figure:
+def _law_map_figure(answer: LawSummary) -> Figure:
     law = answer.law
     side = round(np.sqrt(len(answer.x[0])))
     scale = 1e3 if law.axes[0].unit == "m" else 1.0
@@ -192,58 +207,70 @@ def _map(answer: LawSummary) -> Figure:
     return figure
 
 
-def _ranking(found: SearchResult) -> Figure:
-    ranking = found.selected.ranking[:SHOWN][::-1]
+def _ranking_figure(found: SearchResult) -> Figure:
+    ranking = found.selected.ranking[:20][::-1]
     figure, ax = _subplots(figsize=(6, 0.6 + 0.25 * len(ranking)))
     claimed = {n.effect for n in found.named}
     rivals = {a for n in found.named for a in n.aliases} - claimed
-    colours = [AFTER if c.effect in claimed else "#92c5de" if c.effect in rivals else OTHER for c in ranking]
+    colours = [BEST if c.effect in claimed else "#92c5de" if c.effect in rivals else OTHER for c in ranking]
     ax.barh([c.effect for c in ranking], [c.sigma for c in ranking], color=colours)
     claim = found.selected.claim
-    ax.axvline(claim, color=BEFORE, lw=1, ls="--", label=f"needed for a claim, {claim:.1f}")
-    ax.set(xlabel="score against the base model (sigma)")
+    ax.axvline(claim, color=BASE, lw=1, ls="--", label=f"required for a claim: {claim:.1f}")
+    ax.set(xlabel="significance (sigma)")
     if max(c.sigma for c in ranking) > 50:
         ax.set_xscale("symlog", linthresh=10)
     ax.legend(loc="lower right")
     return figure
 
 
-def _by_phase(found: SearchResult) -> Figure:
+def _gap_by_phase_figure(found: SearchResult) -> Figure:
     gap = found.shown.gap
     figure, axes = _subplots(1, 2, figsize=(8, 3))
     for ax, ending in zip(axes, ("", "_um"), strict=True):
-        gap_bars(ax, gap, ending)
-    _log_if_wide(axes[0], gap.before / max(gap.floor, 1e-9))
+        draw_gap_bars(ax, gap, ending, name_of_best(found) if found.anything else "")
+    _scale_log_if_wide(axes[0], gap)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
-def gap_bars(ax: Axes, gap: Gap, ending: str, labels: Sequence[str] = ("before", "after", "noise alone")) -> None:
-    """The gap by phase, in chi^2 a point (ending ""), or rms in um ("_um"), as bars; after them those of all phases."""
+def draw_gap_bars(ax: Axes, gap: Gap, ending: str, best: str) -> None:
+    """Draw the gap by phase and in all phases as bars: of the base model, of the best model, of noise alone.
+
+    ending: "" for χ² per point, "_um" for rms in µm. best: label of the best model; "" where it is the base model.
+    """
     parts = {**gap.by_phase, "all": gap}
-    place = np.arange(len(parts))
-    kinds = zip(("before", "after", "floor"), (BEFORE, AFTER, FLOOR), labels, strict=True)
+    kinds = [("before", BASE, "base model"), ("after", BEST, best), ("floor", NOISE, "noise alone")]
+    kinds = [kind for kind in kinds if kind[2]]
+    width = 0.81 / len(kinds)
     for k, (key, colour, label) in enumerate(kinds):
-        values = [getattr(p, key + ending) for p in parts.values()]
-        ax.bar(place + 0.27 * (k - 1), values, 0.25, color=colour, label=label)
-    ax.set_xticks(place, list(parts))
-    ax.set(ylabel="rms residual, each axis (um)" if ending else "chi^2 a point")
+        values = [getattr(part, key + ending) for part in parts.values()]
+        ax.bar(
+            np.arange(len(parts)) + width * (k - (len(kinds) - 1) / 2), values, 0.9 * width, color=colour, label=label
+        )
+    ax.set_xticks(range(len(parts)), ["before contact" if name == "before" else name for name in parts])
+    ax.set(ylabel="rms residual in x and y (µm)" if ending else "χ² per point")
 
 
-def _by_clip(found: SearchResult) -> Figure:
+def _gap_by_clip_figure(found: SearchResult) -> Figure:
     figure, ax = _subplots(figsize=(6, 3))
-    speeds = [float(c.launch[V0]) for c in found.data.kept_out]
-    for fit, colour, label in ((found.shown.before, BEFORE, "before"), (found.shown.after, AFTER, "after")):
+    speeds = np.array([float(c.launch[V0]) for c in found.data.kept_out])
+    fits = [(found.shown.before, BASE, "o", "base model")]
+    if found.anything:
+        fits.append((found.shown.after, BEST, "s", name_of_best(found)))
+    for k, (fit, colour, marker, label) in enumerate(fits):
         points = np.array([len(r) for r in fit.residuals])
         chi2 = np.array([r @ r for r in fit.residuals]) / points
-        ax.errorbar(speeds, chi2, chi2 * np.sqrt(2 / points), fmt="o", ms=4, lw=1, color=colour, label=label)
-    ax.axhline(found.shown.gap.floor, color=FLOOR, lw=1, ls="--", label="noise alone")
-    _log_if_wide(ax, found.shown.gap.before / max(found.shown.gap.floor, 1e-9))
-    ax.set(xlabel="speed before the contact (m/s)", ylabel="chi^2 a point, clips kept out")
+        at = speeds + 0.006 * np.ptp(speeds) * (2 * k - len(fits) + 1)  # side by side, so that neither hides the other
+        errors = chi2 * np.sqrt(2 / points)
+        ax.errorbar(at, chi2, errors, fmt=marker, ms=4, lw=1, color=colour, mfc="white", label=label)
+    ax.axhline(found.shown.gap.floor, color=NOISE, lw=1, ls="--", label="noise alone")
+    _scale_log_if_wide(ax, found.shown.gap)
+    ax.set(xlabel="speed before the contact (m/s)", ylabel="χ² per point, held-out collisions")
     ax.legend()
     return figure
 
 
-def _log_if_wide(ax: Axes, ratio: float) -> None:
-    if ratio > 5:
+def _scale_log_if_wide(ax: Axes, gap: Gap, wide: float = 5.0) -> None:
+    """Use a logarithmic axis where the base model leaves over `wide` times what noise leaves."""
+    if gap.before / max(gap.floor, 1e-9) > wide:
         ax.set_yscale("log")

@@ -9,7 +9,7 @@ from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.free_laws.tabulate import tabulate_and_refit
-from discrepancy.report.html import document
+from discrepancy.report.search_page import document
 from discrepancy.search import find
 from synthcam.library import library
 from synthcam.model import Model, read_model, write_model

@@ -10,7 +10,7 @@ from discrepancy_outsiders import outsider
 from discrepancy.fitting.gauss_newton import fit_model, solve_step
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.report.narrative import rest, story
+from discrepancy.report.narrative import gain_of_next_step, write_story
 from synthcam.model import Model
 
 
@@ -20,7 +20,7 @@ def found(request):
 
 
 def test_sentences_with_the_numbers(found):
-    fitted, where, closed, still = story(found)
+    fitted, where, closed, still = write_story(found)
     assert fitted.startswith(f"{len(found.data.clips)} collisions")
     assert f"{len(found.data.kept_out)} more were kept out" in fitted
     assert "converged" in fitted
@@ -42,10 +42,10 @@ def test_what_is_missing_is_said_with_its_numbers():
 
 def test_a_share_of_chance_is_not_told():
     found = searched("velocity_restitution")
-    assert "% of the gap in chi^2 is closed." in story(found)[2]
+    assert "% of the gap in chi^2 is closed." in write_story(found)[2]
     gap = dataclasses.replace(found.shown.gap, closure=float("nan"))
     none = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
-    assert story(none)[2].endswith("too small a gap to tell what share of it is closed.")
+    assert write_story(none)[2].endswith("too small a gap to tell what share of it is closed.")
 
 
 def test_a_fit_that_did_not_converge_is_said():
@@ -55,12 +55,12 @@ def test_a_fit_that_did_not_converge_is_said():
     off = dataclasses.replace(
         base, residuals=(base.residuals[0] + 20 * slope / (slope @ slope) ** 0.5, *base.residuals[1:])
     )
-    assert rest(base) < 0.1
-    assert rest(off) > 1
+    assert gain_of_next_step(base) < 0.1
+    assert gain_of_next_step(off) > 1
     found = searched("nothing")
     moved = dataclasses.replace(found, selected=dataclasses.replace(found.selected, base=off))
-    assert "the fit converged" in story(found)[0]
-    assert "the fit did not fully converge: a further step would gain" in story(moved)[0]
+    assert "the fit converged" in write_story(found)[0]
+    assert "the fit did not fully converge: a further step would gain" in write_story(moved)[0]
 
 
 def test_a_parameter_that_stands_at_its_limit_has_converged():
@@ -70,14 +70,14 @@ def test_a_parameter_that_stands_at_its_limit_has_converged():
     assert fit.model.rolling_drag == 0
     shared, _ = solve_step(fit, 0.0, np.full(len(BASE_PARAMETERS), -np.inf), np.full(len(BASE_PARAMETERS), np.inf))
     assert shared[BASE_PARAMETERS.index("rolling_drag")] < 0
-    assert rest(fit) < 0.1
+    assert gain_of_next_step(fit) < 0.1
 
 
 def test_a_place_without_a_size_is_told_without_one(found):
     unsized = tuple(dataclasses.replace(p, size=float("nan")) for p in found.where)
-    assert "um rms" not in story(dataclasses.replace(found, where=unsized))[1]
+    assert "um rms" not in write_story(dataclasses.replace(found, where=unsized))[1]
 
 
 def test_what_clips_all_alike_cannot_tell_is_said():
     found = dataclasses.replace(searched("nothing"), alike=("all clips go one way: no tilt can be told",))
-    assert story(found)[3].endswith("; all clips go one way: no tilt can be told.")
+    assert write_story(found)[3].endswith("; all clips go one way: no tilt can be told.")

@@ -10,9 +10,9 @@ import pytest
 from discrepancy_clips import searched
 from discrepancy_outsiders import OUTSIDERS, outsider
 
-from discrepancy.report import html as report
-from discrepancy.report.figures import drawn
-from discrepancy.report.narrative import story
+from discrepancy.report import search_page as report
+from discrepancy.report.figures import draw_figures
+from discrepancy.report.narrative import write_story
 from discrepancy.select.effect_claim import format_with_error
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
@@ -51,7 +51,7 @@ def test_the_page_needs_no_network(written):
 def test_the_page_says_the_sentence_and_what_was_left_out(written):
     page = (written[1] / "index.html").read_text()
     listed = html.unescape(page[page.index("<ol>") : page.index("</ol>")])
-    assert re.findall(r"<li>(.*?)</li>", listed, re.DOTALL) == story(written[0])
+    assert re.findall(r"<li>(.*?)</li>", listed, re.DOTALL) == write_story(written[0])
     assert "clip 9: &lt;b&gt;no" in page
 
 
@@ -82,7 +82,7 @@ def test_a_place_without_a_size_has_an_empty_cell(tmp_path):
 
 def test_the_formula_and_its_curve_are_on_the_page():
     found = outsider("restitution_speed")
-    figures = {f["title"]: f["address"] for f in drawn(found)}
+    figures = {f["title"]: f["address"] for f in draw_figures(found)}
     assert found.answer.formula in figures
     assert len(figures) == 6
 

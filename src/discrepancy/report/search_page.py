@@ -1,0 +1,190 @@
+"""REPORT of a search: discrepancy.json, model.yaml and a self-contained index.html."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from discrepancy.fitting.parameters import find_parameter
+from discrepancy.found import SearchResult
+from discrepancy.report.figures import draw_figures, name_of_best
+from discrepancy.report.narrative import write_story
+from discrepancy.select.effect_claim import EffectClaim, format_with_error
+from discrepancy.validate.held_out import ClaimTest
+from discrepancy.validate.residual_map import Disagreement
+from synthcam.model import Model, write_model
+from synthcam_shared.report.numbers import format_number
+from synthcam_shared.report.page import Block, PageList, PageTable, Section, write_page
+
+FILES = ("discrepancy.json", "index.html", "model.yaml")
+
+
+def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
+    """Write the three files of the report.
+
+    Parameters
+    ----------
+    found : SearchResult
+    folder : Path
+        Made where it is missing.
+    left_out : sequence of str
+        A line for each clip, or part of one, that the search did not use.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    content = document(found, left_out)
+    (folder / "discrepancy.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_model(found.model, folder / "model.yaml")
+    figures = draw_figures(found)
+    named = _named_table(found)
+    sections = [
+        Section("Effects that the model lacks", [named, *_describe_similar(found)] if named else []),
+        Section("Course of the search", [PageList(write_story(found), ordered=True)]),
+        Section("Experiment that would distinguish the candidates", [found.experiment] if found.experiment else []),
+        *(Section(figure.title, [figure]) for figure in figures),
+        Section("Residuals of held-out collisions, in numbers", [_gap_table(found)]),
+        Section("Tests of each claim on collisions that did not enter it", _test_table(found)),
+        Section("Disagreements of the base model", [_disagreement_table(found.where[:10], len(found.where))]),
+        Section(
+            f"Disagreements that remain {name_of_best(found)}",
+            [_disagreement_table(found.left[:5], len(found.left))] if found.anything else [],
+        ),
+        Section("Fitted parameters of the model", [_parameter_table(found)]),
+        Section("Collisions and positions that were not used", [PageList(left_out)] if left_out else []),
+    ]
+    write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", [found.sentence()])
+
+
+def document(found: SearchResult, left_out: Sequence[str]) -> dict[str, Any]:
+    """Return the contents of discrepancy.json: plain values, None for what is not finite."""
+    whole: dict[str, Any] = to_json_values(found.document())
+    whole["clips"]["left_out"] = list(left_out)
+    return whole
+
+
+def to_json_values(value: Any) -> Any:
+    """Convert numpy numbers to plain ones, and NaN and infinity to None, in dictionaries and lists too."""
+    if isinstance(value, dict):
+        return {k: to_json_values(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_json_values(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+def _named_table(found: SearchResult) -> PageTable | None:
+    """Table of the claims: each parameter with its error and its own significance, and the joint one of the effect."""
+    rows = []
+    for claim in found.named:
+        similar = ", ".join(claim.aliases[1:])
+        for name, value in (claim.values | claim.shapes).items():
+            text, own = _format_parameter(found, claim, name, value)
+            joint = f"{claim.sigma:.1f}" if name in claim.values else ""
+            rows.append((claim.effect, name.rpartition(".")[2], text, _unit(name), own, joint, similar))
+    if not rows:
+        return None
+    heads = ["effect", "parameter", "value ± standard error", "unit"]
+    heads += ["significance of the parameter, sigma", "significance of the effect, sigma", "effects that fit as well"]
+    note = (
+        "The significance of a parameter is its value over its standard error. The significance of the effect is that "
+        "of all its strengths together. A 95 % interval is 1.96 standard errors wide on either side."
+    )
+    return PageTable(heads, rows, note=note)
+
+
+def _format_parameter(found: SearchResult, claim: EffectClaim, name: str, value: float) -> tuple[str, str]:
+    """Value with its error, or the reason why it has none; and its own significance."""
+    std = (claim.std | claim.shape_std)[name]
+    if name in claim.shapes and not np.isfinite(std):
+        return "undetermined", ""
+    number = format_with_error(value, std, 2)
+    if claim.at_limit(name):
+        return f"{number}, at the limit of its range", ""
+    if not (np.isfinite(std) and std > 0) or not found.sound:
+        return f"{number}, without an error: more is missing", ""
+    return f"{number} ± {std:.2g}", f"{abs(value) / std:.1f}" if name in claim.values else ""
+
+
+def _describe_similar(found: SearchResult) -> list[Block]:
+    out: list[Block] = []
+    for claim in found.named:
+        if claim.alike:
+            pairs = ", ".join(f"{' with '.join(names)} (cosine {cosine:.3f})" for names, cosine in claim.alike)
+            out.append(f"Effects whose signatures are nearly that of {claim.effect}: {pairs}.")
+    return out
+
+
+def _gap_table(found: SearchResult) -> PageTable:
+    gap, best = found.shown.gap, name_of_best(found)
+    models = ["base model", *([best] if found.anything else []), "noise alone"]
+    heads = ["phase", *(f"χ² per point: {model}" for model in models), *(f"rms / µm: {model}" for model in models)]
+    keys = ["before", *(["after"] if found.anything else []), "floor"]
+    rows = []
+    for name, part in {**gap.by_phase, "all phases": gap}.items():
+        chi2 = [f"{getattr(part, key):.4g}" for key in keys]
+        rms = [format_number(getattr(part, f"{key}_um")) for key in keys]
+        rows.append(["before the contact" if name == "before" else name, *chi2, *rms])
+    note = "These collisions entered no fit of the shared parameters. Rms of the residuals in x and y."
+    return PageTable(heads, rows, note=note)
+
+
+def _test_table(found: SearchResult) -> list[Block]:
+    tests: list[ClaimTest] = [*found.claims, *found.withdrawn]
+    if not tests:
+        return []
+    heads = [
+        "claim",
+        *(f"held-out collisions, χ² per point: {which}" for which in ("without it", "with it")),
+        "held-out collisions: observed significance, sigma (expected)",
+        *(f"leave one out, χ² per point: {which}" for which in ("without it", "with it")),
+        "leave one out: significance, sigma",
+        "result",
+    ]
+    rows = []
+    for test in tests:
+        held_out, each = test.kept_out, test.turns
+        rows.append(
+            (
+                test.name,
+                *(f"{chi2:.4f}" for chi2 in held_out.gap),
+                f"{held_out.sigma:.1f} ({held_out.promised:.1f})",
+                *(f"{chi2:.4f}" for chi2 in each.gap),
+                f"{each.sigma:.1f}",
+                f"rejected: {test.why}" if test.why else "passed",
+            )
+        )
+    note = (
+        "Two tests of each claim. Held-out collisions entered no fit. In the second test, a fit to all other "
+        "collisions predicts each collision in turn. The expected significance is the one that the claimed strength "
+        "would give."
+    )
+    return [PageTable(heads, rows, note=note)]
+
+
+def _disagreement_table(disagreements: Sequence[Disagreement], trials: int) -> PageTable:
+    rows = []
+    for one in disagreements:
+        size = format_number(one.size, 2) if np.isfinite(one.size) and one.size else ""
+        rows.append((str(one), f"{one.sigma:.1f}", size))
+    note = f"The significance is corrected for {trials} trials."
+    return PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)
+
+
+def _parameter_table(found: SearchResult) -> PageTable:
+    base, best = found.base, found.best
+    rows = []
+    for name in best.names:
+        values = [f"{base.model.value(name):.6g}" if name in base.names else ""]
+        values += [f"{best.model.value(name):.6g}"] if found.anything else []
+        rows.append([name, _unit(name), *values])
+    return PageTable(["parameter", "unit", "base model", *([name_of_best(found)] if found.anything else [])], rows)
+
+
+def _unit(name: str) -> str:
+    """Unit of a parameter by its dotted name; "" for a pure number."""
+    unit = find_parameter(Model(), name).unit
+    return "" if unit == "1" else unit
