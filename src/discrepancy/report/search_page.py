@@ -80,11 +80,12 @@ def _named_table(found: SearchResult) -> PageTable | None:
     """Table of the claims: each parameter with its error and its own significance, and the joint one of the effect."""
     rows = []
     for claim in found.named:
-        similar = ", ".join(claim.aliases[1:])
+        once = claim.effect, f"{claim.sigma:.1f}", ", ".join(claim.aliases[1:])  # on the first line of an effect
         for name, value in (claim.values | claim.shapes).items():
             text, own = _format_parameter(found, claim, name, value)
-            joint = f"{claim.sigma:.1f}" if name in claim.values else ""
-            rows.append((claim.effect, name.rpartition(".")[2], text, _unit(name), own, joint, similar))
+            effect, joint, similar = once
+            rows.append((effect, name.rpartition(".")[2], text, _unit(name), own, joint, similar))
+            once = "", "", ""
     if not rows:
         return None
     heads = ["effect", "parameter", "value ± standard error", "unit"]

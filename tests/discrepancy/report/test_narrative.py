@@ -21,12 +21,12 @@ def found(request):
 
 def test_sentences_with_the_numbers(found):
     fitted, where, closed, still = write_story(found)
-    assert fitted.startswith(f"{len(found.data.clips)} collisions")
-    assert f"{len(found.data.kept_out)} more were kept out" in fitted
+    assert fitted.startswith(f"The search fitted {len(found.data.clips)} collisions together")
+    assert f"{len(found.data.kept_out)} more collisions were held out" in fitted
     assert "converged" in fitted
-    assert "The base model leaves chi^2" in where
+    assert "The base model has chi^2" in where
     assert f"{found.shown.gap.floor_um:.2f} um" in closed
-    assert still.startswith(("These collisions cannot tell", "Every effect"))
+    assert still.startswith(("These collisions cannot distinguish", "They could not show", "Every effect", "None of"))
 
 
 def test_what_is_missing_is_said_with_its_numbers():
@@ -45,7 +45,7 @@ def test_a_share_of_chance_is_not_told():
     assert "% of the gap in chi^2 is closed." in write_story(found)[2]
     gap = dataclasses.replace(found.shown.gap, closure=float("nan"))
     none = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
-    assert write_story(none)[2].endswith("too small a gap to tell what share of it is closed.")
+    assert write_story(none)[2].endswith("the gap is too small to say what share of it is closed.")
 
 
 def test_a_fit_that_did_not_converge_is_said():
@@ -60,7 +60,7 @@ def test_a_fit_that_did_not_converge_is_said():
     found = searched("nothing")
     moved = dataclasses.replace(found, selected=dataclasses.replace(found.selected, base=off))
     assert "the fit converged" in write_story(found)[0]
-    assert "the fit did not fully converge: a further step would gain" in write_story(moved)[0]
+    assert "the fit did not converge: a further step would lower chi^2 by" in write_story(moved)[0]
 
 
 def test_a_parameter_that_stands_at_its_limit_has_converged():
@@ -80,4 +80,4 @@ def test_a_place_without_a_size_is_told_without_one(found):
 
 def test_what_clips_all_alike_cannot_tell_is_said():
     found = dataclasses.replace(searched("nothing"), alike=("all clips go one way: no tilt can be told",))
-    assert write_story(found)[3].endswith("; all clips go one way: no tilt can be told.")
+    assert write_story(found)[3].endswith(" All clips go one way: no tilt can be told.")
