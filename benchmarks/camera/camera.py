@@ -32,7 +32,7 @@ from synthcam.camera.lamp import Lamp
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.render import FINENESS, MirrorRenderer, gl_info
 from synthcam.camera.sensor import Chip, Sensor
-from synthcam.camera.surface import IRON, Surface
+from synthcam.camera.surface import IRON_N_K, Surface
 
 BLACK = {"metal": np.array([1.0, 1e-9]), "zenith": 0.0}  # the refractive index of air: no reflection
 Array = NDArray[np.float64]
@@ -129,7 +129,7 @@ def thrown(pairs: int, rng: np.random.Generator) -> dict[str, float]:
 
 def outline(balls: int, rng: np.random.Generator) -> dict[str, float]:
     """Edges of balls that mirror nothing, on a bright plate, less the spheres' own: in each way that films take."""
-    even, drawn_plate = Surface(steel=IRON), Surface(steel=IRON, plate_texture=1e-9)
+    even, drawn_plate = Surface(steel=IRON_N_K), Surface(steel=IRON_N_K, plate_texture=1e-9)
     cases: dict[str, tuple[dict[str, Any], Surface, int, float]] = {  # camera, surface, balls, travel in px
         "even plate": ({}, even, 1, 0.0),
         "drawn plate": ({}, drawn_plate, 1, 0.0),

@@ -1,1 +1,1 @@
-"""How a camera sees the balls: geometry, lamps, reflections, surfaces, optics, exposure, sensor."""
+"""Camera, lamps, reflections, surfaces, optics, exposure and sensor: from positions to pixels."""

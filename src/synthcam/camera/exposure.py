@@ -1,7 +1,7 @@
-"""One exposure as a picture, and what it takes to gather it: sub-exposures, spots, the patches they fall in.
+"""One exposure as a picture: sub-exposures, blurred spots, and the patches of pixels that they change.
 
-A picture's unit is the peak pixel of a resting ball's primary glint, seen at the world's origin with the
-glint on a pixel's centre, blur and pixel integration included.
+The unit of a picture is the peak pixel of the primary glint of a ball at rest at the world's origin, with the glint on
+a pixel's centre, after blur and pixel integration.
 """
 
 from collections.abc import Sequence
@@ -21,10 +21,16 @@ Box = tuple[slice, slice]
 
 @dataclass(frozen=True)
 class Picture:
-    """A mean image over one exposure.
+    """The mean image over one exposure.
 
-    plate: (h, w) float32, what is seen without balls, one array for a whole film. boxes: disjoint (rows, columns)
-    slices outside which the image is the plate. parts: the image in each, float32.
+    Attributes
+    ----------
+    plate : ndarray of shape (h, w)
+        The image without balls; the same array for a whole film.
+    boxes : tuple of (slice, slice)
+        Disjoint rows and columns outside of which the image is the plate.
+    parts : tuple of ndarray
+        The image in each box.
     """
 
     plate: NDArray[np.float32]
@@ -42,7 +48,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class SubExposures:
-    """Sub-exposures: each stands for `weights` of the mean over frame number `frames`; all (T,)."""
+    """Sub-exposures: times (T,), s, each with its weight (T,) in the mean of its frame, of number frames (T,)."""
 
     times: Array
     weights: Array
@@ -50,7 +56,10 @@ class SubExposures:
 
 
 def split_at_breaks(intervals: Array, breaks: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Exposures (F, 2), s, cut at the breaks: bounds (P, 2), frames (P,), weights (P,), 1 in all a frame."""
+    """Split exposures (F, 2), s, at the breaks.
+
+    Returns bounds (P, 2), s, weights (P,), which sum to 1 in a frame, and numbers of the frames (P,).
+    """
     bounds, weights, frames = [], [], []
     for frame, (start, end) in enumerate(intervals):
         inside = breaks[(breaks > start) & (breaks < end)]
@@ -64,11 +73,19 @@ def split_at_breaks(intervals: Array, breaks: Array) -> tuple[Array, Array, NDAr
 def place_sub_exposures(
     bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Array, wave: Array | float = 0
 ) -> SubExposures:
-    """Gauss-Legendre moments of each piece; travel (P,) is how far its balls move over the blur's sigma, wave by
-    how much the light's phase turns, rad.
+    """Place the Gauss-Legendre nodes of each piece.
 
-    The number of moments keeps the blurred glint within 1e-4 of its peak; its centroid is exact for any of them
-    as long as the motion is a polynomial of low degree.
+    Their number keeps the blurred glint within 1e-4 of its peak. Its centroid is exact for any number if the motion is
+    a polynomial of low degree.
+
+    Parameters
+    ----------
+    bounds, weights, frames : ndarray of shape (P, 2), (P,), (P,)
+        As `split_at_breaks` returns them.
+    travel : ndarray of shape (P,)
+        Path of the balls over the blur's sigma.
+    wave : ndarray of shape (P,) or float
+        Change of the light's phase, rad.
     """
     counts = np.select([travel < 0.02, travel < 0.5], [1, 2], 2 + np.ceil(travel)).astype(int)
     counts = np.maximum(counts, np.where(np.asarray(wave) > 0, 2 + np.ceil(wave), 1).astype(int))
@@ -89,10 +106,10 @@ def _rule(nodes: int) -> tuple[Array, Array]:
 
 
 def integrate_spots(pixels: Array, variances: Array, origins: Array, width: int, steps: int = 1) -> tuple[Array, Array]:
-    """Gaussian spots of unit flux integrated over square pixels: rows and columns, each (G, width steps).
+    """Integrate Gaussian spots of unit flux over square pixels: rows and columns, each (G, width steps).
 
     Their outer product is the spot in the box whose first pixel is origins (G, 2) (column, row), sampled at `steps`
-    points a pixel.
+    points per pixel.
     """
     edges = np.arange(width * steps + steps) / steps - 0.5
     sides = []
@@ -104,9 +121,10 @@ def integrate_spots(pixels: Array, variances: Array, origins: Array, width: int,
 
 
 def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int = 1) -> NDArray[np.float32]:
-    """Matrix (width steps, (width - 2 margin) fineness): samples of a line to pixels that lie `margin` further out.
+    """Make the matrix (width steps, (width - 2 margin) fineness) from samples of a line to blurred pixels.
 
-    Each sample, 1/fineness px wide, is blurred by a Gaussian and integrated over each pixel, at `steps` points a pixel.
+    Each sample is 1/fineness px wide. It is blurred by a Gaussian and integrated over each pixel, at `steps` points per
+    pixel. The pixels reach `margin` further out than the samples on both sides.
     """
     at = (np.arange((width - 2 * margin) * fineness) + 0.5) / fineness - 0.5 + margin
     edges = np.arange(width * steps + steps)[:, None] / steps - 0.5
@@ -115,10 +133,10 @@ def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int
 
 
 def blur_tiles(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
-    """blur @ tiles @ blur.T for tiles (n, s, s), blur (w, s), by its band and in pieces.
+    """Compute blur @ tiles @ blur.T for tiles (n, s, s) and blur (w, s), by the band of the matrix and in pieces.
 
-    OpenBLAS starts threads for products over 2.6e5 multiplications: the last bit then depends on their number, and
-    where others hold the cores they wait for one another, 25 to 90 ms for what one core does in 2.
+    OpenBLAS starts threads for products of more than 2.6e5 multiplications. The last bit then depends on their number.
+    On busy cores the threads wait for each other: 25 to 90 ms for 2 ms of work.
     """
     if blur.size * blur.shape[1] < 2e5:
         return np.asarray(blur @ tiles @ blur.T)
@@ -140,10 +158,20 @@ def _multiply_by_bands(tiles: NDArray[np.float32], blur: NDArray[np.float32]) ->
 
 
 class Patches:
-    """Pixel squares, one for each frame and ball in view, wide enough for ball, motion blur and blur.
+    """Squares of pixels, one for each frame and ball in view, wide enough for the ball, its motion and the blur.
 
-    frame, ball: (P,). origins: (P, 2) first column and row. widths: (P,) px. number: (F, N) the patch of a frame
-    and ball, -1 out of view. Each depends on its own frame alone.
+    A patch depends on its own frame alone.
+
+    Attributes
+    ----------
+    frame, ball : ndarray of shape (P,)
+        Of each patch.
+    origins : ndarray of shape (P, 2)
+        First column and row.
+    widths : ndarray of shape (P,)
+        px.
+    number : ndarray of shape (F, N)
+        The patch of a frame and ball; -1 out of view.
     """
 
     def __init__(
@@ -160,30 +188,30 @@ class Patches:
         self.number[self.frame, self.ball] = np.arange(len(self.frame))
         self.origins = np.floor(low[self.frame, self.ball]).astype(int)
         ends = np.ceil(high[self.frame, self.ball]).astype(int) + 1
-        # In steps, so that many are drawn at once, but from this frame alone.
+        # In steps of 8 px, so that many patches have one width and are drawn together.
         self.widths = -(-(ends - self.origins).max(axis=1) // 8) * 8
 
-    def ranks(self, alike: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Rank among `alike` of each patch number; -1 for others and, as the last entry, for no patch."""
+    def ranks(self, selected: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Rank of each patch among the `selected`; -1 for others and, as the last entry, for no patch."""
         ranks = np.full(len(self.frame) + 1, -1)
-        ranks[alike] = np.arange(len(alike))
+        ranks[selected] = np.arange(len(selected))
         return ranks
 
     def box(self, number: int, size: tuple[int, int]) -> tuple[int, int, int, int]:
-        """Top, bottom, left, right of a patch within an image of size (w, h)."""
+        """Top, bottom, left and right of a patch within an image of size (w, h)."""
         (left, top), width, (w, h) = self.origins[number].tolist(), int(self.widths[number]), size
         return max(top, 0), min(top + width, h), max(left, 0), min(left + width, w)
 
 
 def outline_half_width(camera: PinholeCamera, positions: Array, radii: Array, slope: Array) -> Array:
-    """Half width (T, N) px that holds each ball's outline: wider off the axis, where a sphere looks oval."""
+    """Half width (T, N) px of each ball's outline, an ellipse off the camera's axis."""
     away = camera.centre - positions
     slant = np.linalg.norm(away, axis=2) / -(away @ camera.R[2])
     return np.asarray(radii * np.linalg.norm(slope, axis=(2, 3)) * slant / np.sqrt(2) * 1.02 + 0.5)
 
 
 def merge_boxes(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
-    """Disjoint slices that cover boxes (top, bottom, left, right), those that touch joined into one."""
+    """Merge boxes (top, bottom, left, right) that touch; return the disjoint rows and columns."""
     apart: list[tuple[int, int, int, int]] = []
     for new in boxes:
         a, b, c, d = new
@@ -199,7 +227,7 @@ def merge_boxes(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
 
 
 def compute_vignette(camera: PinholeCamera) -> NDArray[np.float32] | None:
-    """Share (h, w) of the light that reaches each pixel: one in the middle, falling with the distance's square."""
+    """Share (h, w) of the light that reaches each pixel: 1 in the middle, less by the square of the distance."""
     if not camera.vignetting:
         return None
     w, h = camera.size

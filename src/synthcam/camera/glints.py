@@ -1,4 +1,4 @@
-"""The lamp's images in the balls: where they are seen, how wide and how bright, without drawing anything."""
+"""Find the glints, the images of the lamp in the balls: position, width and flux, without rendering."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -9,20 +9,28 @@ from numpy.typing import NDArray
 
 from synthcam.camera import reflections
 from synthcam.camera.pinhole import Lamp, PinholeCamera
-from synthcam.camera.surface import Surface
+from synthcam.camera.surface import STEEL_ON_BLACK, Surface
 
 Array = NDArray[np.float64]
-PLAIN = Surface()
-PATHS = 4096  # after so many at once, more save no time
+MAX_PATHS_AT_ONCE = 4096  # larger batches save no time
 
 
 @dataclass(frozen=True)
 class GlintImages:
-    """Images of a lamp, or of a part of one, in the balls.
+    """Images of a lamp, or of its cells, in the balls.
 
-    moment, ball: (G,) which sub-exposure, and the ball it is seen on. pixels: (G, 2). spread: (G, 2) px^2,
-    variance of the lamp's image along columns and rows. flux: (G,) solid angle in px^2 times reflectance.
-    order: (G,) number of bounces.
+    Attributes
+    ----------
+    moment, ball : ndarray of shape (G,)
+        The sub-exposure, and the ball on which the image is seen.
+    pixels : ndarray of shape (G, 2)
+        Position, px.
+    spread : ndarray of shape (G, 2)
+        Variance of the lamp's image along columns and rows, px^2.
+    flux : ndarray of shape (G,)
+        Solid angle in px^2 times reflectance.
+    order : ndarray of shape (G,)
+        Number of bounces.
     """
 
     moment: NDArray[np.intp]
@@ -39,14 +47,14 @@ def find_glints(
     centres: Array,
     radii: Array,
     light: Array | NDArray[np.bool_],
-    surface: Surface = PLAIN,
+    surface: Surface = STEEL_ON_BLACK,
     cell: float = np.inf,
 ) -> GlintImages:
     """Find the images of a lamp in balls.
 
-    Images weaker than 1e-4 of the primary are left out (`reflections.reach`). A cell's image is the cell under the
-    exact derivative of the reflected path, so its flux and its second moments are exact to first order in its size; its
-    middle's path decides whether it is hidden.
+    Images weaker than 1e-4 of the primary are left out (`reflections.widest_pairs`). The image of a cell is the cell
+    under the exact derivative of the reflected path. Its flux and its second moments are therefore exact to first order
+    in its size. The path of its middle decides whether it is hidden.
 
     Parameters
     ----------
@@ -58,10 +66,10 @@ def find_glints(
     radii : ndarray of shape (N,)
         m.
     light : ndarray of shape (T, N)
-        The lamp's brightness at each moment, relative to its mean; 0 for balls of which no image is wanted.
+        Brightness of the lamp at each moment, relative to its mean; 0 for balls whose images are not wanted.
     surface : Surface
     cell : float
-        A lamp wider than this, m, is cut into cells of that half-width, each with an image of its own.
+        A wider lamp is cut into cells of this half-width, m, each with its own image.
 
     Returns
     -------
@@ -99,7 +107,7 @@ def find_glints(
 
 
 def _lobes(surface: Surface, tilted: Array, spread: Array, flux: Array) -> list[tuple[Array, Array]]:
-    """Spread (n, 2) px^2 and flux (n,) of each lobe of a rough surface; tilted (n, 2): px^2 for facets of 1 rad rms."""
+    """Spread (n, 2) px^2 and flux (n,) of each lobe of a rough surface. tilted: spread by facets of 1 rad rms."""
     slopes = (
         (surface.roughness, 1 - surface.scratches),
         (np.hypot(surface.roughness, surface.scratch_slope), surface.scratches),
@@ -110,16 +118,16 @@ def _lobes(surface: Surface, tilted: Array, spread: Array, flux: Array) -> list[
 def _batch_chains(
     chains: Iterable[tuple[tuple[int, ...], NDArray[np.bool_]]], wanted: NDArray[np.bool_], cells: int
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Chains of one length together, as many as make a good batch: balls (n, k) and sub-exposures (n,)."""
-    for _, alike in groupby(chains, key=lambda found: len(found[0])):
+    """Batch the chains of one length: balls (n, k) and sub-exposures (n,)."""
+    for _, of_length in groupby(chains, key=lambda found: len(found[0])):
         balls: list[NDArray[np.intp]] = []
         moments: list[NDArray[np.intp]] = []
-        for chain, active in alike:
+        for chain, active in of_length:
             when = np.flatnonzero(active & wanted[:, chain[-1]])
             if len(when):
                 balls.append(np.tile(np.array(chain, np.intp), (len(when), 1)))
                 moments.append(when)
-            if sum(map(len, moments)) * cells > PATHS:
+            if sum(map(len, moments)) * cells > MAX_PATHS_AT_ONCE:
                 yield np.concatenate(balls), np.concatenate(moments)
                 balls, moments = [], []
         if moments:
@@ -127,7 +135,7 @@ def _batch_chains(
 
 
 def join_glints(many: list[GlintImages]) -> GlintImages:
-    """All glints of several lamps."""
+    """Join the glints of several lamps."""
     if len(many) == 1:
         return many[0]
     return GlintImages(*[np.concatenate([getattr(g, name) for g in many]) for name in GlintImages.__dataclass_fields__])

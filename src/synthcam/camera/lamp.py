@@ -1,4 +1,4 @@
-"""A lamp: a flat disc, ring or bar of uniform radiance, cut into cells that are small to the camera."""
+"""A lamp: a flat disc, ring or bar of uniform radiance, which is cut into cells that look small."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,14 +13,14 @@ LampShape = Literal["disc", "ring", "bar"]
 
 @dataclass(frozen=True)
 class Flicker:
-    """Light 1 + depth cos(2 pi frequency t + phase): twice the mains' frequency, Hz. phase: rad."""
+    """Light 1 + depth cos(2 pi frequency t + phase). Mains light has twice the mains' frequency, Hz; phase: rad."""
 
     depth: float = 0.0
     frequency: float = 100.0
     phase: float = 0.0
 
     def mean(self, start: Array, end: Array) -> Array:
-        """Mean light between two times, s; at one instant where they are equal."""
+        """Mean light between two times, s; if they are equal, the light at that time."""
         rate = np.pi * self.frequency
         middle = np.cos(rate * (start + end) + self.phase)
         return np.asarray(1 + self.depth * np.sinc(self.frequency * (end - start)) * middle)
@@ -28,8 +28,11 @@ class Flicker:
 
 @dataclass(frozen=True)
 class LampCells:
-    """Pieces of a lamp. positions: (C, 3) m, their centroids. areas: (C,) m^2. spread: (C, 3) m^2, their second
-    moments uu, vv, uv in the lamp's plane, about the centroid."""
+    """Cells of a lamp.
+
+    positions: centroids (C, 3), m. areas: (C,), m^2. spread: second moments uu, vv, uv in the lamp's plane about the
+    centroids, (C, 3), m^2.
+    """
 
     positions: Array
     areas: Array
@@ -40,10 +43,25 @@ class LampCells:
 class Lamp:
     """A flat lamp of uniform radiance that shines to one side.
 
-    position: (3,) m, its centre. shape: a disc of `radius`; a ring between `inner` and `radius`; a bar of `length`
-    by `width`, turned by `angle` rad from the world's x axis; m. towards: (3,) m, the point it faces; None: it
-    faces straight down. radiance: relative to the first lamp's. second: a further lamp.
-    Raises ValueError for a lamp without area.
+    Attributes
+    ----------
+    position : ndarray of shape (3,)
+        Centre, m.
+    radius, shape, inner, length, width, angle
+        A disc of `radius`; a ring between `inner` and `radius`; or a bar of `length` by `width`, turned by `angle` rad
+        from the world's x axis; m.
+    towards : ndarray of shape (3,) or None
+        The point that it faces, m; None: it faces straight down.
+    radiance : float
+        Relative to that of the first lamp.
+    flicker : Flicker
+    second : Lamp or None
+        A further lamp.
+
+    Raises
+    ------
+    ValueError
+        If the lamp has no area.
     """
 
     position: Array
@@ -86,9 +104,9 @@ class Lamp:
         return np.stack([u, np.cross(u, shine), shine], axis=1)
 
     def cells(self, largest: float) -> LampCells:
-        """The lamp whole where its half-width is `largest` m or less, else in cells of half that.
+        """Cut the lamp into cells of half-width `largest`/2, m, unless its own half-width is `largest` or less.
 
-        Cells half as wide, for a lamp's edge shows where its middle would not.
+        The cells are half as wide because the edge of a lamp shows where its middle would not.
         """
         if self.shape == "bar":
             at, areas, spread = _bar(self.length, self.width, self.angle, largest)
@@ -98,7 +116,7 @@ class Lamp:
 
 
 def _disc(radius: float, inner: float, largest: float) -> tuple[Array, Array, Array]:
-    """Sectors of annuli: centroids (C, 2), areas (C,), second moments (C, 3)."""
+    """Cut a disc or ring into sectors of annuli: centroids (C, 2), areas (C,), second moments (C, 3)."""
     if radius <= largest:
         square = (radius**2 + inner**2) / 4
         return np.zeros((1, 2)), np.array([np.pi * (radius**2 - inner**2)]), np.array([[square, square, 0]])
@@ -122,7 +140,7 @@ def _disc(radius: float, inner: float, largest: float) -> tuple[Array, Array, Ar
 
 
 def _bar(length: float, width: float, angle: float, largest: float) -> tuple[Array, Array, Array]:
-    """Rectangles: centroids (C, 2), areas (C,), second moments (C, 3)."""
+    """Cut a bar into rectangles: centroids (C, 2), areas (C,), second moments (C, 3)."""
     n, m = (int(np.ceil(side / largest)) if side > 2 * largest else 1 for side in (length, width))
     x = ((np.arange(n) + 0.5) / n - 0.5) * length
     y = ((np.arange(m) + 0.5) / m - 0.5) * width

@@ -1,4 +1,4 @@
-"""Geometry of the camera and the lamp: where a point is seen, and where a ball's glint stands.
+"""Pinhole camera with lens distortion: project points and the primary glints of balls to pixels.
 
 Conventions are OpenCV's: x_cam = R x_world + t, image x right and y down, pixel centres at integers,
 distortion k1, k2, p1, p2, k3 (OpenCV 4, "Camera calibration and 3D reconstruction").
@@ -22,11 +22,30 @@ Array = NDArray[np.float64]
 class PinholeCamera:
     """A calibrated camera.
 
-    K: (3, 3) px. dist: (5,). R: (3, 3), t: (3,) m, world to camera. size: (w, h) px. fps: 1/s. exposure: s.
-    scale: m/px at the height of the balls' centres. psf_sigma_px: standard deviation of the optics' blur, px.
-    defocus_px: radius of the disc to which defocus spreads a point, px. airy_px: wavelength x f-number over the
-    pixel pitch, 0 without diffraction. vignetting: share of the light lost in the picture's corners. line_time: s
-    from one row's exposure to the next row's below, 0 for a global shutter.
+    Attributes
+    ----------
+    K : ndarray of shape (3, 3)
+        Camera matrix, px.
+    dist : ndarray of shape (5,)
+        Distortion.
+    R, t : ndarray of shape (3, 3), ndarray of shape (3,)
+        Rotation and translation, m, from world to camera.
+    size : tuple of int
+        Width and height, px.
+    fps, exposure : float
+        Frame rate, 1/s, and exposure time, s.
+    scale : float
+        m/px at the height of the balls' centres.
+    psf_sigma_px : float
+        Standard deviation of the optics' blur.
+    defocus_px : float
+        Radius of the disc to which defocus spreads a point.
+    airy_px : float
+        Wavelength times f-number over the pixel pitch; 0 without diffraction.
+    vignetting : float
+        Share of the light that is lost in the corners of the picture.
+    line_time : float
+        Delay of the exposure from one row to the next, s; 0 for a global shutter.
     """
 
     K: Array
@@ -55,12 +74,29 @@ class PinholeCamera:
         ball_radius: float,
         **fields: float,
     ) -> "PinholeCamera":
-        """Camera `height` m from the world's origin, looking at it; `scale` m/px holds at z = ball_radius.
+        """Make a camera at a distance of `height` m from the world's origin, at which it looks.
 
-        tilt = (a, b): the camera is carried round the origin by a rad about the world's x axis, then by b
-        about y, and keeps its distance and its aim: its centre is Ry(b) Rx(a) (0, 0, height). fields: fps, exposure,
-        psf_sigma_px, and others of a camera's fields that are numbers. Raises ValueError where height does not exceed
-        ball_radius.
+        Parameters
+        ----------
+        size : tuple of int
+            Width and height, px.
+        scale : float
+            m/px at z = ball_radius.
+        height : float
+            m.
+        tilt : (float, float)
+            Angles a, b, rad. The camera is rotated about the origin by a about the world's x axis, then by b about y:
+            its centre is Ry(b) Rx(a) (0, 0, height).
+        distortion : sequence of 5 floats
+        ball_radius : float
+            m.
+        **fields
+            fps, exposure, psf_sigma_px and other fields that are numbers.
+
+        Raises
+        ------
+        ValueError
+            If height does not exceed ball_radius.
         """
         if height <= ball_radius:
             raise ValueError(f"camera height {height} m must be over the balls' centres at {ball_radius} m")
@@ -85,11 +121,11 @@ class PinholeCamera:
         return np.asarray(-self.R.T @ self.t)
 
     def project(self, points: ArrayLike) -> Array:
-        """Pixels (..., 2) at which world points (..., 3), m, are seen; NaN behind the camera."""
+        """Project world points (..., 3), m, to pixels (..., 2); NaN behind the camera."""
         return self.project_with_slope(points)[0]
 
     def project_with_slope(self, points: ArrayLike) -> tuple[Array, Array]:
-        """Pixels (..., 2) of world points (..., 3), and their derivative by the point, (..., 2, 3) px/m."""
+        """Project world points (..., 3), m, to pixels (..., 2), with the derivative (..., 2, 3), px/m."""
         seen = np.asarray(points, float) @ self.R.T + self.t
         depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
         flat = seen[..., :2] / depth[..., None]
@@ -103,7 +139,7 @@ class PinholeCamera:
         return pixels, lens @ bend @ slope @ self.R
 
     def _distort(self, flat: Array) -> tuple[Array, Array]:
-        """OpenCV's lens model on normalised coordinates (..., 2), with its Jacobian (..., 2, 2)."""
+        """Apply OpenCV's lens model to normalised coordinates (..., 2); return also its Jacobian (..., 2, 2)."""
         if not self.dist.any():
             return flat, np.broadcast_to(np.eye(2), (*flat.shape, 2))
         k1, k2, p1, p2, k3 = self.dist
@@ -126,9 +162,9 @@ class PinholeCamera:
 
 
 def locate_glint(camera: PinholeCamera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:
-    """World points (..., 3), m, at which balls of `radius` m at centre (..., 3) mirror the lamp's centre.
+    """Locate the points (..., 3), m, at which balls of `radius` m at centre (..., 3) mirror the lamp's centre.
 
-    The path lamp -> ball -> camera is of stationary length (Fermat); other balls are not looked at.
+    The path lamp -> ball -> camera has stationary length (Fermat's principle). Other balls are ignored.
     """
     centres = np.asarray(centre, float)
     flat = centres.reshape(-1, 1, 3)
@@ -137,5 +173,5 @@ def locate_glint(camera: PinholeCamera, lamp: Lamp, centre: ArrayLike, radius: f
 
 
 def project_glint(camera: PinholeCamera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:
-    """Pixels (..., 2) at which the primary glints of balls at centre (..., 3), m, are seen."""
+    """Project the primary glints of balls at centre (..., 3), m, to pixels (..., 2)."""
     return camera.project(locate_glint(camera, lamp, centre, radius))

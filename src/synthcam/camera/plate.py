@@ -1,6 +1,6 @@
-"""The plate: how the lamps light it, its weak gloss and its grain, and what a shader must know to cast shadows on it.
+"""The plate under the lamps: irradiance, gloss, grain, and the discs that cast the shadows of balls on it.
 
-All of it stands still, so it is computed once for a film, in double precision.
+The plate does not move: it is computed once for a film, in double precision.
 """
 
 import cv2
@@ -13,18 +13,17 @@ from synthcam.camera.surface import Surface
 
 Array = NDArray[np.float64]
 
-PLATE = 0.05  # radiance of the black plate under the lamp, over that of the room seen in a ball
-PARTS = 4  # of a lamp's width: each casts a shadow of its own
+BLACK_PLATE_RADIANCE = 0.05  # of the plate under the lamp, over that of the room seen in a ball
 
 
 def is_plain(lamp: Lamp, surface: Surface) -> bool:
-    """True for one lamp that faces down, small to the plate, over a dull, even plate without shadows."""
+    """Tell whether a small lamp faces down on a dull, even plate without shadows."""
     even = not (surface.plate_gloss or surface.plate_texture or surface.plate_shadow)
     return even and lamp.second is None and lamp.towards is None and lamp.shape == "disc" and lamp.radius < 0.03
 
 
 def irradiance(lamp: Lamp, points: Array) -> Array:
-    """Light on the plate at points (..., 3), m, over that of the first lamp on the point under it, facing down."""
+    """Irradiance of the plate at points (..., 3), m, over that below the first lamp if it faces down."""
     total = np.zeros(points.shape[:-1])
     factor = lamp.position[2] ** 2 / lamp.cells(np.inf).areas[0]
     for each in lamp.all:
@@ -38,7 +37,7 @@ def irradiance(lamp: Lamp, points: Array) -> Array:
 
 
 def gloss(lamp: Lamp, surface: Surface, eye: Array, points: Array) -> Array:
-    """Radiance at points (..., 3), over a lamp's own, that the plate's rough mirror throws to the eye.
+    """Radiance, over a lamp's own, that the plate's rough mirror reflects at points (..., 3), m, to the eye.
 
     Beckmann's lobe without masking (Beckmann & Spizzichino 1963): reflectance D / (4 cos_in cos_out), times the
     light's cos_in and solid angle.
@@ -63,7 +62,7 @@ def gloss(lamp: Lamp, surface: Surface, eye: Array, points: Array) -> Array:
 def grain(surface: Surface, points: Array) -> Array:
     """Relative brightness (h, w) of the plate's grain at points (h, w, 3); the same grain on every plate.
 
-    A sum of 60 waves of random directions and wavelengths about plate_grain.
+    It is a sum of 60 waves of random directions, with wavelengths of 1 to 4 plate_grain.
     """
     rng = np.random.default_rng(1)
     out = np.zeros(points.shape[:-1])
@@ -75,7 +74,7 @@ def grain(surface: Surface, points: Array) -> Array:
 
 
 def plate_points(camera: PinholeCamera) -> Array:
-    """The plate's points (h, w, 3), m, seen at the pixels' centres."""
+    """Points (h, w, 3), m, of the plate that are seen at the centres of the pixels."""
     w, h = camera.size
     pixels = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 1, 2).astype(float)
     steps = (cv2.TERM_CRITERIA_MAX_ITER, 60, 0)
@@ -86,7 +85,10 @@ def plate_points(camera: PinholeCamera) -> Array:
 
 
 def shadow_casters(lamp: Lamp, at: Array) -> Array:
-    """Discs (L, 5) that throw the shadows near a point (3,), m: position, radius of equal area, share of the light."""
+    """Discs (L, 5) of the lamps, which cast shadows near a point (3,), m.
+
+    Each is a position, m, the radius of a disc of equal area, m, and the share of the light.
+    """
     found = []
     for each in lamp.all:
         cells = each.cells(_part(each))
@@ -99,7 +101,7 @@ def shadow_casters(lamp: Lamp, at: Array) -> Array:
     return discs
 
 
-def _part(lamp: Lamp) -> float:
-    """Half-width of the parts into which a lamp is cut for the plate; a small disc stays whole."""
+def _part(lamp: Lamp, parts: int = 4) -> float:
+    """Half-width of the parts of a lamp that cast separate shadows; a small disc is one part."""
     whole = max(lamp.radius, lamp.length / 2) if lamp.shape == "bar" else lamp.radius
-    return np.inf if lamp.shape == "disc" and lamp.radius < 0.03 else whole / PARTS
+    return np.inf if lamp.shape == "disc" and lamp.radius < 0.03 else whole / parts

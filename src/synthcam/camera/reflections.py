@@ -1,8 +1,8 @@
-"""Where a small lamp is seen in a chain of mirror spheres: Fermat's principle, solved by Newton in float64.
+"""Reflect light in a chain of mirror spheres: Fermat's principle, solved by Newton's method.
 
-The length of a broken line lamp -> ball -> ... -> ball -> eye is a convex function of its corners, and its
-least value over solid balls has every corner on a surface, reflecting outwards, or none at all. So each order
-of balls has at most one path, and Newton on the spheres finds it.
+The length of a broken line lamp -> ball -> ... -> ball -> eye is a convex function of its corners. At its minimum over
+solid balls, either every corner is on a surface and reflects outwards, or none is. A sequence of balls has therefore at
+most one path, which Newton's method on the spheres finds.
 """
 
 from collections.abc import Iterator
@@ -14,11 +14,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FAINT = 1e-4  # of the primary: a glint weaker than this is dropped
-LONGEST = 24  # bounces
-MIXED = 4  # bounces, up to which chains of three balls and more are followed
-OVERHEAD = 400.0  # radii, of the lamp and the eye from which the reach of a chain is found
-
 
 @dataclass(frozen=True)
 class Paths:
@@ -27,7 +22,7 @@ class Paths:
     points: (M, k, 3) reflection points, lamp side first, m.
     transfer: (M, 3, 3) derivative of the last point by the lamp's position.
     cosines: (M, k) cosine of the angle of incidence at each point.
-    exists: (M,) False where the straight line runs through a ball and nothing is reflected.
+    exists: (M,) False if the straight line crosses a ball, so that nothing is reflected.
     """
 
     points: Array
@@ -37,7 +32,7 @@ class Paths:
 
 
 def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
-    """Follow light by way of mirror spheres, in the order given.
+    """Find the path of light over mirror spheres in the given order.
 
     Parameters
     ----------
@@ -61,31 +56,31 @@ def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
         ends[:, 1:-1] = centres + radii[..., None] * normals
         tangents = _tangents(normals)
         slope, curvature, pressure, first = _expand(ends, normals, tangents, radii)
-        # After a step this small the next is rounding, its square. A settled path is left alone: its last bit
-        # then does not depend on the other paths.
+        # The step after one this small is its square, which is rounding. A converged path is not changed any more, so
+        # that its last bit does not depend on the other paths.
         moving = np.abs(step).max(axis=(1, 2)) > 1e-8
         if not moving.any():
             break
         step = np.linalg.solve(curvature, -slope[..., None]).reshape(count, order, 2) / radii[..., None]
-        # Longer strides end, for one path in a thousand at contact, where the balls overlap.
+        # With longer steps, one path in a thousand of balls in contact ends where the balls overlap.
         step *= np.minimum(1, 0.15 / np.maximum(np.abs(step).max(axis=(1, 2), keepdims=True), 1e-30))
         step *= moving[:, None, None]
         moved = normals + (tangents @ step[..., None])[..., 0]
         moved /= np.linalg.norm(moved, axis=2, keepdims=True)
         normals = np.where(moving[:, None, None], moved, normals)
-    # Only the first corner feels the lamp: H dq + (dslope/dlamp) dlamp = 0.
+    # Only the first corner depends on the lamp: H dq + (dslope/dlamp) dlamp = 0.
     push = np.zeros((count, 2 * order, 3))
     push[:, :2] = first
     moves = -np.linalg.solve(curvature, push)
     transfer = tangents[:, -1] @ moves[:, -2:]
-    settled = np.abs(step).max(axis=(1, 2)) < 1e-6
-    return Paths(ends[:, 1:-1], transfer, pressure / 2, settled & (pressure > 1e-6).all(axis=1))
+    converged = np.abs(step).max(axis=(1, 2)) < 1e-6
+    return Paths(ends[:, 1:-1], transfer, pressure / 2, converged & (pressure > 1e-6).all(axis=1))
 
 
 def differentiate_by_tilt(lamp: Array, eye: Array, paths: Paths, centres: Array, radii: Array) -> Array:
-    """Derivative (M, 3, 2k) of a path's last point by tilts of the surface, rad, two ways at each point.
+    """Derivative (M, 3, 2k) of a path's last point by tilts of the surface, rad, about two axes at each point.
 
-    A facet tilted by a has the line's pull along it changed by a times the pressure: H dq = -a pressure.
+    A tilt by a changes the gradient of the length along the facet by a times the pressure: H dq = -a pressure.
     """
     count, order = centres.shape[:2]
     ends = np.empty((count, order + 2, 3))
@@ -105,7 +100,7 @@ def _first_guess(lamp: Array, eye: Array, centres: Array) -> Array:
     legs = np.diff(chain, axis=1)
     legs /= np.linalg.norm(legs, axis=2, keepdims=True)
     normals = legs[:, 1:] - legs[:, :-1]
-    # A chain that turns back and forth rises out of its line towards lamp and eye.
+    # A chain to and fro between two balls leaves their line towards lamp and eye.
     normals += 0.1 * (legs[:, -1:] - legs[:, :1])
     normals += [3e-9, 5e-9, 8e-9]  # a line straight through a centre has no half-way direction
     return np.asarray(normals / np.linalg.norm(normals, axis=2, keepdims=True))
@@ -155,7 +150,7 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
 def find_hidden(
     lamp: Array, eye: Array, paths: Paths, balls: NDArray[np.intp], centres: Array, radii: Array
 ) -> NDArray[np.bool_]:
-    """Whether a third ball stands in the way, (M,): balls (M, k) of each path, centres (M, N, 3), radii (N,)."""
+    """Find the paths (M,) that a third ball blocks: balls (M, k) of each path, centres (M, N, 3), radii (N,)."""
     count, order = balls.shape
     ends = np.empty((count, order + 2, 3))
     ends[:, 0], ends[:, 1:-1], ends[:, -1] = lamp, paths.points, eye
@@ -173,33 +168,34 @@ def find_hidden(
 
 
 @cache
-def widest_pairs(mirror: float) -> dict[int, float]:
-    """By number of bounces, the widest pair that shows so many: mean radii between centres, for a reflectance.
+def widest_pairs(mirror: float, faintest: float = 1e-4, most_bounces: int = 24) -> dict[int, float]:
+    """By number of bounces, the largest distance of two balls that show such a glint, in mean radii.
 
-    Between touching mirrors the orders fall off slowly, more so the better they reflect. Found by following a pair
-    from contact outwards, lamp and eye overhead, until its glint is FAINT of the primary.
+    The glint must carry `faintest` of the primary. Between mirrors in contact, the flux falls slowly with the number of
+    bounces, more slowly for a larger reflectance `mirror`. The distance is found with lamp and eye far overhead.
     """
     apart = 2 + np.append(0, np.geomspace(1e-3, 60, 90))
     pair = np.zeros((len(apart), 2, 3))
     pair[:, 0, 0], pair[:, 1, 0] = -apart / 2, apart / 2
-    far = np.array([0.0, 0.0, OVERHEAD])
+    far = np.array([0.0, 0.0, 400.0])
     widest: dict[int, float] = {}
-    for order in range(1, LONGEST + 1):
+    for order in range(1, most_bounces + 1):
         paths = reflect(far, far, pair[:, np.arange(order) % 2], np.ones((len(apart), order)))
         bright = np.abs(np.linalg.det(paths.transfer[:, :2, :2])) * mirror**order * paths.exists
         if order == 1:
             primary = bright
-        elif bright[0] < FAINT * primary[0]:
+        elif bright[0] < faintest * primary[0]:
             break
         else:
-            widest[order] = float(apart[np.argmin(bright > FAINT * primary)])
+            widest[order] = float(apart[np.argmin(bright > faintest * primary)])
     return widest
 
 
 def iterate_chains(centres: Array, radii: Array, mirror: float) -> Iterator[tuple[tuple[int, ...], NDArray[np.bool_]]]:
-    """Chains of balls to follow, and when, (T,): for centres (T, N, 3), radii (N,) and the balls' reflectance.
+    """Iterate over the chains of balls to follow, each with the times (T,) at which it may show.
 
-    Beyond MIXED bounces only those to and fro between two balls: all others in a heap would be too many.
+    centres: (T, N, 3). radii: (N,). mirror: reflectance of the balls. Chains of more than 4 bounces are followed only
+    between two balls: in a heap, all others would be too many.
     """
     times, balls = centres.shape[:2]
     widest_pair = widest_pairs(mirror)
@@ -216,7 +212,7 @@ def iterate_chains(centres: Array, radii: Array, mirror: float) -> Iterator[tupl
         longer: list[tuple[tuple[int, ...], NDArray[np.bool_], Array]] = []
         for chain, _, widest in growing if order in widest_pair else ():
             for ball in range(balls):
-                if ball != chain[-1] and (order <= MIXED or len({*chain, ball}) == 2):
+                if ball != chain[-1] and (order <= 4 or len({*chain, ball}) == 2):
                     widened = np.maximum(widest, gaps[:, chain[-1], ball])
                     mask = widened < widest_pair[order]
                     if mask.any():

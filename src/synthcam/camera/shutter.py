@@ -1,7 +1,7 @@
-"""A rolling shutter: each row is exposed a line time after the one above.
+"""Compose the picture of a rolling shutter, which exposes each row a line time after the row above.
 
-A row's picture is that of a global shutter opened at the row's own time. Between such pictures, taken while the
-balls move no further than STEP, it is interpolated: positions stay exact, widths grow by STEP^2/4 at most.
+A row sees what a global shutter sees that opens at the row's time. Such pictures are made at steps of the balls' motion
+and interpolated between. Positions stay exact; the variance of a spot grows by at most step^2/4.
 """
 
 from collections.abc import Callable
@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 
 from synthcam.camera.exposure import Array, Picture, merge_boxes
 from synthcam.camera.pinhole import PinholeCamera
-
-STEP = 0.1  # px
-PROBES = 33  # instants at which the motion is looked at to choose the steps
 
 Float32 = NDArray[np.float32]
 Gather = Callable[[Array], list[Picture]]
@@ -28,10 +25,21 @@ def roll_shutter(
     gather: Gather,
     plate: Float32,
 ) -> Picture:
-    """One frame, its top row exposed over `span` (2,), s.
+    """Compose one frame.
 
-    seen: times (T,) -> pixels (T, N, 2) and half widths (T, N) px of the balls. gather: exposures (F, 2) -> what a
-    global shutter sees of them. plate: (h, w) the frame without balls.
+    Parameters
+    ----------
+    camera : PinholeCamera
+    seen : callable
+        Times (T,), s -> pixels (T, N, 2) and half widths (T, N) px of the balls.
+    span : ndarray of shape (2,)
+        Exposure of the top row, s.
+    cuts : ndarray
+        Times at which velocities jump, s.
+    gather : callable
+        Exposures (F, 2), s -> pictures of a global shutter.
+    plate : ndarray of shape (h, w)
+        The frame without balls.
     """
     image, boxes = plate.copy(), []
     rows, delay = np.arange(camera.size[1]), camera.line_time
@@ -55,11 +63,11 @@ def roll_shutter(
 
 
 def _strips(
-    camera: PinholeCamera, seen: Callable[[Array], tuple[Array, Array]], span: Array, cuts: Array
+    camera: PinholeCamera, seen: Callable[[Array], tuple[Array, Array]], span: Array, cuts: Array, step_px: float = 0.1
 ) -> list[tuple[int, int, int]]:
-    """Rows (first, beyond) in which balls may show while those rows are exposed, and steps to take over them."""
+    """Rows (first, beyond) in which balls may show while those rows are exposed, and the number of steps over them."""
     height, delay = camera.size[1], camera.line_time
-    probes = np.linspace(span[0], span[1] + height * delay, PROBES)
+    probes = np.linspace(span[0], span[1] + height * delay, 33)
     inside = cuts[(cuts > probes[0]) & (cuts < probes[-1])]
     times = np.unique(np.concatenate([probes, inside]))
     pixels, half = seen(times)
@@ -83,5 +91,5 @@ def _strips(
     out = []
     for low, high, speed in merged:
         top, bottom = int(low), int(np.ceil(high))
-        out.append((top, bottom, max(1, int(np.ceil(speed * delay * (bottom - top) / STEP)))))
+        out.append((top, bottom, max(1, int(np.ceil(speed * delay * (bottom - top) / step_px)))))
     return out

@@ -1,4 +1,4 @@
-"""What the balls and the plate are made of, to light."""
+"""Optical surfaces of mirror balls and of the black plate."""
 
 from dataclasses import dataclass
 
@@ -7,22 +7,30 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Chrome steel in green light by Schlick's law. The lamp's images of order 2, 3, 4 between balls in contact then
-# carry 5.3, .9, .2 % of the primary.
-STEEL = 0.55
-IRON = (2.95, 2.93)  # n and k at 549 nm: Johnson & Christy 1974, Phys. Rev. B 9, 5056
+# Reflectance of chrome steel in green light at normal incidence, for Schlick's law. The lamp's images of order 2, 3, 4
+# between balls in contact then carry 5.3, .9, .2 % of the primary.
+STEEL_REFLECTANCE = 0.55
+IRON_N_K = (2.95, 2.93)  # at 549 nm: Johnson & Christy 1974, Phys. Rev. B 9, 5056
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Balls and plate.
+    """Surfaces of balls and plate.
 
-    steel: n and k of the balls' metal (IRON: 51 % head-on), or None for Schlick's law with 55 % head-on.
-    roughness: rms slope of the balls' surface, each way. scratches: share of the light that goes into a wider
-    lobe, of rms slope scratch_slope. Both broaden a glint by a Gaussian; what it carries stays the same.
-    plate_gloss: reflectance of the plate as a mirror, head-on. plate_roughness: rms slope of that mirror.
-    plate_texture: rms of the plate's relative brightness, with grains of plate_grain m.
-    plate_shadow: whether the balls take light from the plate.
+    Attributes
+    ----------
+    steel : (float, float) or None
+        n and k of the balls' metal (IRON_N_K: 51 % at normal incidence); None: Schlick's law with 55 %.
+    roughness : float
+        rms slope of the balls' surface along each axis. It broadens a glint by a Gaussian; the flux stays the same.
+    scratches, scratch_slope : float
+        Share of the light in a wider lobe, and the rms slope of that lobe.
+    plate_gloss, plate_roughness : float
+        Reflectance of the plate as a mirror at normal incidence, and the rms slope of that mirror.
+    plate_texture, plate_grain : float
+        rms of the plate's relative brightness, and the size of its grains, m.
+    plate_shadow : bool
+        The balls cast shadows on the plate.
     """
 
     steel: tuple[float, float] | None = None
@@ -38,7 +46,7 @@ class Surface:
     def mirror(self, cosines: Array) -> Array:
         """Reflectance of a ball at an angle of incidence, for unpolarised light."""
         if self.steel is None:  # Schlick 1994, Comput. Graph. Forum 13
-            return np.asarray(STEEL + (1 - STEEL) * np.clip(1 - cosines, 0, 1) ** 5)
+            return np.asarray(STEEL_REFLECTANCE + (1 - STEEL_REFLECTANCE) * np.clip(1 - cosines, 0, 1) ** 5)
         return fresnel(cosines, *self.steel)
 
     @property
@@ -47,13 +55,16 @@ class Surface:
         return float(self.mirror(np.ones(1))[0])
 
 
+STEEL_ON_BLACK = Surface()  # smooth balls on a dull, even plate
+
+
 def fresnel(cosines: Array, n: float, k: float) -> Array:
-    """Mean of Fresnel's two reflectances of a metal in air (Born & Wolf, Principles of Optics, 14.2)."""
+    """Fresnel's reflectance of a metal in air for unpolarised light (Born & Wolf, Principles of Optics, 14.2)."""
     c = np.clip(cosines, 0, 1)
     sine = 1 - c * c
     t = n * n - k * k - sine
     both = np.sqrt(t * t + 4 * n * n * k * k)
     a = np.sqrt((both + t) / 2)
-    senkrecht = (both + c * c - 2 * a * c) / (both + c * c + 2 * a * c)
+    perpendicular = (both + c * c - 2 * a * c) / (both + c * c + 2 * a * c)
     ratio = (both * c * c + sine * sine - 2 * a * c * sine) / (both * c * c + sine * sine + 2 * a * c * sine)
-    return np.asarray(senkrecht * (1 + ratio) / 2)
+    return np.asarray(perpendicular * (1 + ratio) / 2)

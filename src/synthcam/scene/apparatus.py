@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from synthcam.camera.lamp import Flicker, Lamp
 from synthcam.camera.pinhole import PinholeCamera
-from synthcam.camera.surface import IRON, Surface
+from synthcam.camera.surface import IRON_N_K, Surface
 from synthcam.scene.materials import MaterialSettings, is_under_room_light
 from synthcam.settings import Fraction, NotNegative, Positive, Settings
 
@@ -203,7 +203,7 @@ def build_lamp(settings: dict[str, Any]) -> Lamp:
 def build_surface(settings: dict[str, Any]) -> Surface:
     """Build the surfaces of checked settings."""
     steel = settings["steel"]
-    law = {"schlick": None, "iron": IRON}[steel] if isinstance(steel, str) else (steel[0], steel[1])
+    law = {"schlick": None, "iron": IRON_N_K}[steel] if isinstance(steel, str) else (steel[0], steel[1])
     own = {k: v for k, v in settings.items() if k not in MaterialSettings.model_fields}
     return Surface(**own | {"steel": law})
 

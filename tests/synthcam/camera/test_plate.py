@@ -8,7 +8,7 @@ from synthcam.camera import plate
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.render import MirrorRenderer
-from synthcam.camera.surface import IRON, Surface
+from synthcam.camera.surface import IRON_N_K, Surface
 
 R = 1.19e-3
 SIDE = Lamp(np.array([0.3, 0.0, 0.4]), 0.002)
@@ -45,7 +45,7 @@ def test_pixels_of_the_plate():
 
 
 def test_a_shadow_falls_where_the_ball_stands_in_the_light():
-    film = MirrorRenderer(CAMERA, SIDE, [R], 1.0, Surface(plate_shadow=True, steel=IRON))
+    film = MirrorRenderer(CAMERA, SIDE, [R], 1.0, Surface(plate_shadow=True, steel=IRON_N_K))
     picture = one_frame(film, [0, 0, R])
     points = plate.plate_points(CAMERA)
     way = SIDE.position - points
@@ -57,7 +57,7 @@ def test_a_shadow_falls_where_the_ball_stands_in_the_light():
     assert (clear & (apart < R - 4 * CAMERA.scale)).sum() > 100
     assert np.abs(ratio[clear & (apart < R - 4 * CAMERA.scale)]).max() < 2e-3
     np.testing.assert_allclose(ratio[clear & (apart > R + 4 * CAMERA.scale)], 1, atol=2e-3)
-    plain = one_frame(MirrorRenderer(CAMERA, SIDE, [R], 1.0, Surface(steel=IRON)), [0, 0, R])
+    plain = one_frame(MirrorRenderer(CAMERA, SIDE, [R], 1.0, Surface(steel=IRON_N_K)), [0, 0, R])
     assert np.abs(plain.image / plain.plate)[clear].min() > 0.99
 
 
@@ -75,7 +75,7 @@ def test_two_shadows_in_any_order():
 def test_the_outline_stands_where_the_sphere_ends(texture):
     """A ball that mirrors nothing hides a bright plate: the area and the middle of what is hidden."""
     far_off = Lamp(np.array([5.0, 0.0, 45.0]), 1e-9)  # the same light everywhere
-    film = MirrorRenderer(CAMERA, far_off, [R], 1.0, Surface(steel=IRON, plate_texture=texture))
+    film = MirrorRenderer(CAMERA, far_off, [R], 1.0, Surface(steel=IRON_N_K, plate_texture=texture))
     film._uniforms |= {"metal": np.array([1.0, 1e-9]), "zenith": 0.0}  # refracts as air does
     film._unit = 0.0
     cover = 1 - one_frame(film, [0.2e-3, -0.1e-3, R]).image / film.plate
@@ -117,7 +117,7 @@ def test_the_plate_mirrors_the_ball():
     normal = (offset + (-b - np.sqrt(np.maximum(root, 0)))[..., None] * up) / R
     cosine = -(up * normal).sum(-1)
     last = up + 2 * cosine[..., None] * normal
-    dark, zenith = plate.PLATE, 1 / Surface().head_on
+    dark, zenith = plate.BLACK_PLATE_RADIANCE, 1 / Surface().head_on
     room = dark + (zenith - dark) * np.maximum(np.stack([last, up])[..., 2], 0)
     expected = 0.3 * ((0.55 + 0.45 * (1 - cosine) ** 5) * room[0] - room[1])
     inside = seen & (cosine > 0.4)  # well off the image's own outline

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from synthcam.camera import reflections
 from synthcam.camera.glints import find_glints
 from synthcam.camera.pinhole import Lamp, PinholeCamera
-from synthcam.camera.surface import IRON, Surface, fresnel
+from synthcam.camera.surface import IRON_N_K, Surface, fresnel
 
 R = 1.19e-3
 LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
@@ -26,9 +26,9 @@ def test_fresnel_is_that_of_complex_amplitudes(n, k, cosine):
 
 
 def test_iron_reflects_half():
-    assert Surface(steel=IRON).head_on == pytest.approx(0.513, abs=1e-3)
+    assert Surface(steel=IRON_N_K).head_on == pytest.approx(0.513, abs=1e-3)
     assert Surface().head_on == 0.55
-    assert Surface(steel=IRON).mirror(np.array([1e-6]))[0] == pytest.approx(1, abs=1e-4)
+    assert Surface(steel=IRON_N_K).mirror(np.array([1e-6]))[0] == pytest.approx(1, abs=1e-4)
 
 
 def test_roughness_is_what_tilted_facets_make_of_it():

@@ -1,7 +1,7 @@
-"""A film of rolling mirror balls: balls drawn by pyrender, the lamp's images added in closed form.
+"""Render films of mirror balls: the balls by pyrender, the images of the lamp in closed form.
 
-The balls are ray-traced by our own shader into one float32 channel, without the lamp: its images are small and
-bright, and are added from their exact positions, fluxes and moments.
+Our own shader ray-traces the balls into one float32 channel without the lamp. The images of the lamp are small and
+bright; they are added from their exact positions, fluxes and second moments.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,34 +23,51 @@ from synthcam.camera.exposure import (
     place_sub_exposures,
     split_at_breaks,
 )
-from synthcam.camera.glints import PLAIN, GlintImages, find_glints, join_glints
+from synthcam.camera.glints import GlintImages, find_glints, join_glints
 from synthcam.camera.pinhole import Lamp, PinholeCamera
-from synthcam.camera.plate import PLATE, gloss, grain, irradiance, is_plain, plate_points, shadow_casters
+from synthcam.camera.plate import BLACK_PLATE_RADIANCE, gloss, grain, irradiance, is_plain, plate_points, shadow_casters
 from synthcam.camera.psf import Psf
 from synthcam.camera.render.canvas import SIDE, Float32, get_canvas
 from synthcam.camera.shutter import roll_shutter
-from synthcam.camera.surface import STEEL, Surface
+from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
 
 Index = NDArray[np.intp]
 Centres = Callable[[Array], Array]
 
-FINENESS = 3  # samples of a ball a pixel, each way
-BALLS, ON_PLATE, SHADES, PLATE_ALONE = 0, 1, 2, 3  # what the shader draws
-BATCH = 128  # exposures gathered at a time
-CELL = 0.4  # half-width of a lamp's cells as they are seen, over the blur's sigma
+FINENESS = 3  # samples of a ball per pixel, along rows and along columns
+EXPOSURES_PER_BATCH = 128
+BALLS, ON_PLATE, SHADES, PLATE_ALONE = 0, 1, 2, 3  # what the shader draws, by its SCENE
 
 
 class MirrorRenderer:
     """The view of one camera on a black plate under one lamp or two, with any number of steel balls.
 
-    camera, lamp, surface: as in `optics`, `lamp`, `surface`. radii: m, one a ball. room: radiance of the dim
-    surroundings, such that a ball shows it at its top at `room` times its glint's peak; it fades to the plate's
-    towards the horizon. Raises NoGL without OpenGL, ValueError where a lamp stands in view, or where the lens bends
-    too strongly within one ball.
+    Parameters
+    ----------
+    camera : PinholeCamera
+    lamp : Lamp
+    radii : sequence of float
+        One a ball, m.
+    room : float
+        Radiance of the dim surroundings that a ball shows at its top, over the peak of its glint. Towards the horizon
+        it fades to the radiance of the plate.
+    surface : Surface
+
+    Raises
+    ------
+    NoGL
+        If OpenGL cannot draw.
+    ValueError
+        If a lamp is in view, or the lens bends too strongly within one ball.
     """
 
     def __init__(
-        self, camera: PinholeCamera, lamp: Lamp, radii: Sequence[float], room: float = 0.02, surface: Surface = PLAIN
+        self,
+        camera: PinholeCamera,
+        lamp: Lamp,
+        radii: Sequence[float],
+        room: float = 0.02,
+        surface: Surface = STEEL_ON_BLACK,
     ) -> None:
         self._canvas = get_canvas()
         self.camera, self.lamp, self.room, self.surface = camera, lamp, room, surface
@@ -68,7 +85,7 @@ class MirrorRenderer:
         self._uniforms = {
             "up": camera.R[:, 2].copy(),
             "zenith": float(room / surface.head_on),
-            "steel": float(STEEL),
+            "steel": float(STEEL_REFLECTANCE),
             "metal": np.array(surface.steel or (0.0, 0.0)),
             "gloss": surface.plate_gloss,
             "lamp": np.zeros(3),
@@ -84,12 +101,12 @@ class MirrorRenderer:
         return find_glints(self.camera, lamp, rest, self.radii[:1], one, self.surface, cell)
 
     def _cell(self, lamp: Lamp) -> float:
-        """Half-width, m, of the cells of a lamp that look small against the blur."""
+        """Half-width, m, of the cells of a lamp: in the image, 0.4 times the blur's sigma."""
         seen, spread = self._resting(lamp, np.inf).spread, lamp.cells(np.inf).spread[0, :2]
-        return float(CELL * self.camera.psf_sigma_px * np.sqrt(spread.sum() / max(seen.sum(), 1e-30)))
+        return float(0.4 * self.camera.psf_sigma_px * np.sqrt(spread.sum() / max(seen.sum(), 1e-30)))
 
     def _measure(self) -> float:
-        """What makes the peak of a resting ball's glint one."""
+        """The factor that makes the peak of the glint of a ball at rest 1."""
         whole, glints = self._resting(self.lamp, np.inf), self._resting(self.lamp, self._cells[0])
         lone = len(glints.flux) == 1 and self.psf.is_gaussian
         half = 0 if lone else self.psf.margin + int(np.ceil(np.abs(glints.pixels - whole.pixels[:1]).max()))
@@ -106,10 +123,10 @@ class MirrorRenderer:
         at = self.camera.project(lamp.position)
         if np.all((at > -0.5) & (at < [w - 0.5, h - 0.5])):
             where = lamp.position.tolist()
-            raise ValueError(f"lamp position {where} stands between the camera and the plate")
+            raise ValueError(f"lamp position {where} is between the camera and the plate")
 
     def _check_lens(self) -> None:
-        """Within a ball the lens is taken as linear: its curvature there must be far under a sample."""
+        """Refuse a lens that is not nearly linear within a ball: its curvature must be far below a sample."""
         camera, radius = self.camera, self.radii.max()
         if not camera.dist.any():
             return
@@ -134,14 +151,14 @@ class MirrorRenderer:
         jobs = self._jobs(np.zeros((1, 3)), np.array([unit]), fineness=1)
         middle = self.camera.project(np.zeros(3)) + 0.5
         jobs[0, 0, 2:] = middle
-        jobs[0, 3] = 0, np.maximum(middle, [w, h] - middle).max() + 1, 0, PLATE * self.room
+        jobs[0, 3] = 0, np.maximum(middle, [w, h] - middle).max() + 1, 0, BLACK_PLATE_RADIANCE * self.room
         uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
         plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms, SCENE=PLATE_ALONE)
         return plate.copy() if self._vignette is None else plate * self._vignette
 
     def _compute_plate(self) -> Float32:
         points, surface = plate_points(self.camera), self.surface
-        lit = PLATE * self.room * irradiance(self.lamp, points)
+        lit = BLACK_PLATE_RADIANCE * self.room * irradiance(self.lamp, points)
         mirrored = np.zeros(1)
         if surface.plate_texture:
             lit *= grain(surface, points)
@@ -149,21 +166,21 @@ class MirrorRenderer:
             lit += self._unit * gloss(self.lamp, surface, self.camera.centre, points)
             way = self.camera.centre - points
             up = way[..., 2] / np.linalg.norm(way, axis=-1)
-            dull = PLATE * self.room * irradiance(self.lamp, points)
+            dull = BLACK_PLATE_RADIANCE * self.room * irradiance(self.lamp, points)
             mirrored = surface.plate_gloss * (dull + (self.room / surface.head_on - dull) * up)
         shade: Array | Float32 = np.ones(1) if self._vignette is None else self._vignette
         self._lit = (lit * shade).astype(np.float32)
         return ((lit + mirrored) * shade).astype(np.float32)
 
     def _steepest(self) -> float:
-        """Tangent of the lamps' lowest light on the plate in view."""
+        """Tangent of the largest angle of incidence of the lamps' light on the plate in view."""
         w, h = self.camera.size
         corners = plate_points(self.camera)[:: h - 1, :: w - 1].reshape(-1, 3)
         ways = [lamp.position - corner for corner in corners for lamp in self.lamp.all]
         return float(max(np.hypot(way[0], way[1]) / way[2] for way in ways))
 
     def _reach(self, positions: Array, slope: Array) -> Array:
-        """Half width (T, N) px of what a ball changes: itself, its mirror image in the plate, its shadow."""
+        """Half width (T, N) px of the region that a ball changes: itself, its image in the plate, its shadow."""
         extent = outline_half_width(self.camera, positions, self.radii, slope)
         far = extent
         if self.surface.plate_gloss:
@@ -179,7 +196,7 @@ class MirrorRenderer:
         return {"SCENE": scene} | pair | ({"METAL": 1} if self.surface.steel else {})
 
     def _jobs(self, centres: Array, radii: Array, fineness: int) -> Float32:
-        """Instance matrices (n, 4, 4) for balls (n, 3), (n,), position and neighbours still to be filled in."""
+        """Instance matrices (n, 4, 4) for balls (n, 3), (n,), without position and neighbours."""
         camera = self.camera
         slope = camera.project_with_slope(centres)[1] @ camera.R.T
         jobs = np.zeros((len(centres), 4, 4), np.float32)
@@ -192,7 +209,7 @@ class MirrorRenderer:
         fall = (self.lamp.position[2] / np.linalg.norm(to_lamp, axis=1)) ** 4
         if not self._plain:
             fall = irradiance(self.lamp, centres * [1, 1, 0])
-        jobs[:, 3, 3] = PLATE * self.room * fall
+        jobs[:, 3, 3] = BLACK_PLATE_RADIANCE * self.room * fall
         return jobs
 
     def frames(self, centres: Centres, intervals: ArrayLike, breaks: ArrayLike = ()) -> Iterator[Picture]:
@@ -207,8 +224,8 @@ class MirrorRenderer:
         if self.camera.line_time:
             yield from (self._roll(centres, span, cuts) for span in spans)
             return
-        for first in range(0, len(spans), BATCH):
-            yield from self._gather(centres, spans[first : first + BATCH], cuts)
+        for first in range(0, len(spans), EXPOSURES_PER_BATCH):
+            yield from self._gather(centres, spans[first : first + EXPOSURES_PER_BATCH], cuts)
 
     def _roll(self, centres: Centres, span: Array, cuts: Array) -> Picture:
         def seen(times: Array) -> tuple[Array, Array]:
@@ -224,7 +241,7 @@ class MirrorRenderer:
         )
 
     def _plate_in(self, light: float) -> Float32:
-        """The plate in so much light; the same array for the same light, to 1e-5, as the sensor's tables like it."""
+        """The plate in so much light. Light equal to 1e-5 returns the same array, for which the sensor keeps tables."""
         if not self.lamp.flicker.depth:
             return self.plate
         light = round(light, 5)
@@ -252,16 +269,16 @@ class MirrorRenderer:
             tile = (width - 2 * patches.margin) * FINENESS
             room_for = max(1, SIDE // tile) ** 2
             for first in range(0, len(same), room_for):
-                alike = same[first : first + room_for]
-                images = self._draw_balls(centres, coarse, patches, alike, BALLS if self._plain else ON_PLATE)
-                self._add_glints(images, glints, moments, patches, alike)
+                selected = same[first : first + room_for]
+                images = self._draw_balls(centres, coarse, patches, selected, BALLS if self._plain else ON_PLATE)
+                self._add_glints(images, glints, moments, patches, selected)
                 if not self.psf.is_gaussian:
                     images = self.psf.spread(images)
-                drawn |= zip(alike.tolist(), images, strict=True)
+                drawn |= zip(selected.tolist(), images, strict=True)
                 if not self._plain:
-                    shade = self._draw_balls(centres, coarse, patches, alike, SHADES)
+                    shade = self._draw_balls(centres, coarse, patches, selected, SHADES)
                     shade = shade if self.psf.is_gaussian else self.psf.spread(shade)
-                    shades |= zip(alike.tolist(), shade, strict=True)
+                    shades |= zip(selected.tolist(), shade, strict=True)
         for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
             plate = self._plate_in(bright)
             numbers = patches.number[frame][patches.number[frame] >= 0].tolist()
@@ -282,7 +299,7 @@ class MirrorRenderer:
             yield Picture(plate, boxes, tuple(parts))
 
     def _moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[SubExposures, SubExposures]:
-        """Sub-exposures for the glints and, as a ball is wide and faint, fewer for the balls."""
+        """Sub-exposures for the glints, and fewer for the balls, which are wide and faint."""
         bounds, weights, frames = split_at_breaks(spans, cuts)
         ends = self.camera.project(np.asarray(centres(bounds.ravel()), float))
         ends = ends.reshape(len(bounds), 2, -1, 2)
@@ -296,37 +313,37 @@ class MirrorRenderer:
         return tuple(place_sub_exposures(bounds, weights, frames, far, wave) for far in (farthest, farthest / 4))  # type: ignore[return-value]
 
     def _draw_balls(
-        self, centres: Centres, moments: SubExposures, patches: Patches, alike: Index, scene: int
+        self, centres: Centres, moments: SubExposures, patches: Patches, selected: Index, scene: int
     ) -> Float32:
-        """Blurred balls less the plate behind them, (n, width, width) for n patches of one width.
+        """Draw blurred balls minus the plate behind them: (n, width, width) for n patches of one width.
 
-        scene: BALLS; or ON_PLATE, with their images in the plate, where SHADES are what they take of its light.
+        scene: BALLS; ON_PLATE, with their images in the plate; or SHADES, the light that they take from the plate.
         """
         positions = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(positions)
         extent = self._reach(positions, slope)
-        width, margin = int(patches.widths[alike[0]]), patches.margin
+        width, margin = int(patches.widths[selected[0]]), patches.margin
         tile = (width - 2 * margin) * FINENESS
         across = max(1, SIDE // tile)
-        ranks = patches.ranks(alike)[patches.number[moments.frames]]
+        ranks = patches.ranks(selected)[patches.number[moments.frames]]
         moment, ball = np.nonzero(ranks >= 0)
         rank, position = ranks[moment, ball], pixels[moment, ball]
         jobs = self._jobs(positions[moment, ball], self.radii[ball], FINENESS)
         jobs[:, 0, :2] = np.stack([rank % across, rank // across], axis=1) * tile
-        jobs[:, 0, 2:] = (position - patches.origins[alike[rank]] - margin + 0.5) * FINENESS
+        jobs[:, 0, 2:] = (position - patches.origins[selected[rank]] - margin + 0.5) * FINENESS
         jobs[:, 2, 3] = (moments.weights * self.lamp.light(moments.times))[moment]
         jobs[:, 3, 1] = extent[moment, ball] * FINENESS
         others = self._neighbours(jobs, positions, moment, ball, ordered=scene == SHADES)
         if scene != BALLS:
             others = self._with_notes(jobs, others, positions[moment, ball], ball, scene)
-        rows = -(-len(alike) // across)
+        rows = -(-len(selected) // across)
         drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms, **self._defines(scene))
-        tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(alike)]
+        tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(selected)]
         blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
         return blur_tiles(tiles, blur)
 
     def _neighbours(self, jobs: Float32, positions: Array, moment: Index, ball: Index, ordered: bool) -> Float32:
-        """Neighbours (n, N - 1, 4) of each ball in its own radii, nearest first; counts go into the jobs.
+        """Neighbours (n, N - 1, 4) of each ball in its own radii, nearest first; writes their number into the jobs.
 
         ordered: balls of lower number have negative radii.
         """
@@ -341,12 +358,12 @@ class MirrorRenderer:
         found /= self.radii[ball][:, None, None]
         if ordered:
             found[..., 3] *= np.where(others < ball[:, None], -1, 1)
-        # Beyond this a neighbour's image is under 1e-5 of the ball and single precision thins out.
+        # Further away, the image of a neighbour is less than 1e-5 of the ball, and single precision no longer suffices.
         jobs[:, 3, 0] = (distance < 60 * self.radii[ball][:, None]).sum(axis=1)
         return np.take_along_axis(found, order[..., None], axis=1).astype(np.float32)
 
     def _with_notes(self, jobs: Float32, others: Float32, positions: Array, ball: Index, scene: int) -> Float32:
-        """Neighbours followed by the depth of the plate and the lamps, as the shader reads them."""
+        """Append the depth of the plate and the lamps to the neighbours, as the shader reads them."""
         radii, count, camera = self.radii[ball], jobs[:, 3, 0].astype(int), self.camera
         casting = self.surface.plate_shadow and scene == SHADES
         discs = [shadow_casters(self.lamp, p * [1, 1, 0]) if casting else np.zeros((0, 5)) for p in positions]
@@ -364,15 +381,15 @@ class MirrorRenderer:
         return rows
 
     def _add_glints(
-        self, images: Float32, glints: GlintImages, moments: SubExposures, patches: Patches, alike: Index
+        self, images: Float32, glints: GlintImages, moments: SubExposures, patches: Patches, selected: Index
     ) -> None:
-        ranks = patches.ranks(alike)[patches.number[moments.frames[glints.moment], glints.ball]]
+        ranks = patches.ranks(selected)[patches.number[moments.frames[glints.moment], glints.ball]]
         order = np.argsort(ranks, kind="stable")
         order = order[np.searchsorted(ranks[order], 0) :]
         ranks, moment = ranks[order], glints.moment[order]
         variances = glints.spread[order] + self.camera.psf_sigma_px**2
-        origins = patches.origins[alike[ranks]]
-        width = int(patches.widths[alike[0]])
+        origins = patches.origins[selected[ranks]]
+        width = int(patches.widths[selected[0]])
         rows, columns = integrate_spots(glints.pixels[order], variances, origins, width, self.psf.steps)
         rows *= (glints.flux[order] * moments.weights[moment] * self._unit)[:, None]
         bounds = np.searchsorted(ranks, np.arange(len(images) + 1))

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from synthcam.camera.glints import find_glints
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.plate import PLATE, irradiance
+from synthcam.camera.plate import BLACK_PLATE_RADIANCE, irradiance
 from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
@@ -96,7 +96,7 @@ def _appearance(clip: Clip) -> Appearance:
         i * lamp.position[2] / float(np.linalg.norm(lamp.position)) ** 3
         for i, lamp in zip(candela, first.all, strict=True)
     )
-    plate = PLATE * clip.room * white * float(irradiance(first, middle)) / lux
+    plate = BLACK_PLATE_RADIANCE * clip.room * white * float(irradiance(first, middle)) / lux
     seen = np.sqrt(_area(first) / np.pi) / np.linalg.norm(first.position - rest[0, 0])  # half-angle of the lamp, rad
     slope = np.hypot(clip.surface.roughness, seen / 4)  # rms: a mirror that throws a point as wide as the lamp
     return Appearance(

@@ -12,7 +12,7 @@ from synthcam.camera.exposure import merge_boxes
 from synthcam.camera.glints import find_glints
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.render import MirrorRenderer
-from synthcam.camera.surface import STEEL
+from synthcam.camera.surface import STEEL_REFLECTANCE
 
 R = 1.19e-3
 LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
@@ -49,7 +49,7 @@ def trace(camera, centres, pixels, radii):
         point[ray] += nearest[hit, None] * way[ray]
         normal = (point[ray] - np.array(centres)[ball]) / np.array(radii)[ball, None]
         cosine = -(way[ray] * normal).sum(1)
-        kept[ray] *= STEEL + (1 - STEEL) * (1 - cosine) ** 5
+        kept[ray] *= STEEL_REFLECTANCE + (1 - STEEL_REFLECTANCE) * (1 - cosine) ** 5
         way[ray] += 2 * cosine[:, None] * normal
         bounces[ray] += 1
         last[ray] = ball
@@ -122,7 +122,7 @@ def brute_picture(camera, centres, radii, room, unit, plate, images, fineness=8)
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     bounces, kept, _, rise = trace(camera, centres, grid, radii)
     dark = plate
-    body = kept * (dark + (room / STEEL - dark) * np.maximum(rise, 0))
+    body = kept * (dark + (room / STEEL_REFLECTANCE - dark) * np.maximum(rise, 0))
     image = np.where(bounces > 0, body, dark).reshape(h * fineness, w * fineness)
     span = (np.arange(-6 * fineness, 6 * fineness + 1)) / fineness
     kernel = (ndtr((span + 0.5) / camera.psf_sigma_px) - ndtr((span - 0.5) / camera.psf_sigma_px)) / fineness
@@ -344,8 +344,8 @@ def test_frames_do_not_depend_on_their_company(monkeypatch):
     starts = np.arange(70) * 1e-4
     spans = np.c_[starts, starts + 5e-4]
     together = list(film.frames(kick, spans, breaks=[5e-4]))
-    monkeypatch.setattr("synthcam.camera.render.mirror_renderer.BATCH", 16)
-    monkeypatch.setattr("synthcam.camera.glints.PATHS", 40)
+    monkeypatch.setattr("synthcam.camera.render.mirror_renderer.EXPOSURES_PER_BATCH", 16)
+    monkeypatch.setattr("synthcam.camera.glints.MAX_PATHS_AT_ONCE", 40)
     again = list(MirrorRenderer(overhead(), LAMP, [R, R]).frames(kick, spans, breaks=[5e-4]))
     for k in range(0, 70, 3):
         (alone,) = film.frames(kick, spans[k : k + 1], breaks=[5e-4])

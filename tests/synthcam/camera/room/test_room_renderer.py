@@ -7,7 +7,7 @@ from synthcam.camera.lamp import Flicker, Lamp
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.room.finish import BallFinish, SurfaceFinish
 from synthcam.camera.room.room_renderer import RoomRenderer
-from synthcam.camera.surface import IRON, Surface
+from synthcam.camera.surface import IRON_N_K, Surface
 
 R = 0.01
 LAMP = Lamp(np.array([0.15, 0.1, 0.5]), 0.02)
@@ -116,7 +116,7 @@ def test_the_lamp_shows_in_varnish_and_metal():
         for m in (None, Surface(steel=(1.5, 0.0)))
     )
     assert varnished.max() > 1.5 * dull.max()
-    steel = one(RoomRenderer(overhead(), LAMP, [R], look(BLACK, texture="wood"), Surface(steel=IRON)), [0, 0, R])[
+    steel = one(RoomRenderer(overhead(), LAMP, [R], look(BLACK, texture="wood"), Surface(steel=IRON_N_K)), [0, 0, R])[
         0
     ].image
     assert steel.max() > 5
