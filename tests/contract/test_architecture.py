@@ -14,7 +14,11 @@ FILES = sorted(SRC.rglob("*.py"))
 # Rooms and files of each package, from the bottom up: one may import from rows above its own, never from its own row or
 # from one below. A file that stands in no row counts as its folder.
 LAYERS = {
-    "synthcam_shared": ["errors job_result track_formats", "outputs settings application dask_cluster", "jobs report"],
+    "synthcam_shared": [
+        "errors job_result track_formats whitening",
+        "outputs settings application dask_cluster",
+        "jobs report",
+    ],
     "synthcam": [
         "settings effect table",
         "effects tabulated_law",

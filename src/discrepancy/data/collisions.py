@@ -11,6 +11,7 @@ import numpy as np
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.launch import T_C
 from discrepancy.policy import current_policy
+from synthcam_shared.whitening import inverse_roots
 from tracker.camera.camera import Camera
 
 
@@ -108,7 +109,7 @@ class MeasuredCollision:
     @cached_property
     def roots(self) -> Array:
         """Inverse Cholesky factors of the claimed covariances, (n, 2, 2)."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
+        return inverse_roots(self.covariance)
 
     @cached_property
     def resting_offset(self) -> Array:

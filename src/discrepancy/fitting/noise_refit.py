@@ -19,7 +19,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
 from discrepancy.noise.model import (
-    KERNELS,
+    SHARED_NOISE_CORRELATIONS,
     BallPairs,
     Noise,
     NoiseComponent,
@@ -137,12 +137,12 @@ class _Residuals:
         return finite_cost(cost, x) + self.penalty * len(x), build(x)
 
     def common_mode_score(self, noise: Noise) -> tuple[float, float]:
-        """The most significant score of shared noise over KERNELS and axes, in sigma, and its kernel's correlation.
+        """The most significant score of shared noise over correlations and axes, in sigma, and its correlation.
 
         As within phases (`Pairs.shaken`), the launches' part taken out: with z the white residuals, P what the launches
         leave and B the kernel between the balls, score z'Bz / 2 less its mean tr(PB) / 2, of variance tr(PBPB) / 2.
         """
-        scores, means, variances = (np.zeros((len(KERNELS), 2)) for _ in range(3))
+        scores, means, variances = (np.zeros((len(SHARED_NOISE_CORRELATIONS), 2)) for _ in range(3))
         for clip, columns in zip(self.clips, self.columns, strict=True):
             white = ClipWhitener.of(clip, noise)
             seen = white(columns)
@@ -156,7 +156,7 @@ class _Residuals:
                 taken = [p.T @ q for p in pushes]
                 own = [p.T @ p - t @ t.T for p, t in zip(pushes, taken, strict=True)]
                 cross = -taken[1] @ taken[0].T
-                for j, rho in enumerate(KERNELS):
+                for j, rho in enumerate(SHARED_NOISE_CORRELATIONS):
                     kernel = rho**apart
                     scores[j, axis] += pulls[0] @ kernel @ pulls[1]
                     means[j, axis] += np.trace(kernel @ cross)
@@ -165,7 +165,7 @@ class _Residuals:
         off = scores - means
         both = off.sum(axis=1) / np.sqrt(variances.sum(axis=1))
         best = np.maximum((off / np.sqrt(variances)).max(axis=1), both)
-        return float(best.max()), float(KERNELS[int(best.argmax())])
+        return float(best.max()), float(SHARED_NOISE_CORRELATIONS[int(best.argmax())])
 
 
 def _whiten_displacements(white: ClipWhitener, rows: NDArray[np.intp], axis: int) -> Array:

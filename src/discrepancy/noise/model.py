@@ -1,10 +1,13 @@
-"""The noise of measured tracks, from the tracks themselves: each ball's own, and what both balls share.
+"""Estimates the noise of measured tracks from the tracks: each ball's own noise, and the noise that both balls share.
 
-Within one phase of motion (before, sliding, rolling) a track is smooth; a cubic there leaves the noise, whatever the
-physics; where one does not follow, noise over whole phases is many times that of short pieces, which is then taken. A
-low-order autoregression, with or without white noise beside it, is fitted to what is left by restricted
-maximum likelihood (REML; Patterson & Thompson, Biometrika 58 (1971) 545), which counts what the cubic took. What both
-balls share, as when the camera shakes, is in their sum and not in their difference.
+Within one phase of motion (before the contact, sliding, rolling) a track is smooth, so the residuals from a cubic are
+noise, whatever the physics. If a cubic does not follow a whole phase, noise over whole phases is many times that of
+short pieces; the short pieces then decide.
+
+A low-order autoregression, with or without white noise, is fitted to the residuals by restricted maximum likelihood
+(REML; Patterson & Thompson, Biometrika 58 (1971) 545), which allows for the cubic's coefficients. Schwarz's criterion
+(BIC) selects the order. Noise that both balls share, as from a shaking camera, is in their sum but not in their
+difference.
 """
 
 from __future__ import annotations
@@ -32,23 +35,19 @@ from discrepancy.policy import current_policy
 
 T = TypeVar("T")
 NoiseOrder = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
-Pair = tuple[Array, Array, Array, Array, Ints]  # places of both balls (n, 2), what they claim (n,), and frames (n,)
+Pair = tuple[Array, Array, Array, Array, Ints]  # positions (n, 2) of both balls, claimed std (n,) of both, frames (n,)
 
-SHAPES: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
-COMMON_MODES: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
-SLOWEST = 0.999  # the largest partial autocorrelation: beyond it a clip cannot tell it from 1
-KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared noise is looked for
-IMPOSSIBLE = 1e12  # of -2 log likelihood, where a covariance is singular
-FLAT = 2.0  # of the cost's slope: its curvature is some hundreds
-STEP = 1e-4  # of the transformed parameters, for numerical derivatives
-STILL = 1e-9  # of claimed variances: so little is rounding
-FLOOR, CEILING = 1e-9, 0.99  # of a part that is white
-Shut = tuple[Array, Array, float, float, Ints]  # a pair: places less their mean, what each claims (rms), frames
+OWN_ORDERS: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
+SHARED_ORDERS: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False))  # of the noise of both balls
+MAX_PARTIAL_AUTOCORRELATION = 0.999  # beyond it a clip cannot distinguish it from 1
+SHARED_NOISE_CORRELATIONS = (0.0, 0.7, 0.97)  # from frame to frame, at which shared noise is tested
+MIN_WHITE_SHARE, MAX_WHITE_SHARE = 1e-9, 0.99
+Shut = tuple[Array, Array, float, float, Ints]  # a pair: positions less their mean, claimed rms of each, frames
 
 
 @dataclass(frozen=True)
 class NoiseComponent:
-    """A stationary random error: an autoregression with white noise beside it.
+    """A stationary random error: an autoregression plus white noise.
 
     Attributes
     ----------
@@ -56,7 +55,7 @@ class NoiseComponent:
     partial_autocorrelations : tuple of float
         The autoregression's partial autocorrelations, lag 1 first.
     white_share : float
-        The part of the variance that is white.
+        The share of the variance that is white.
     """
 
     variance: float
@@ -64,7 +63,7 @@ class NoiseComponent:
     white_share: float = 0.0
 
     def autocovariances(self, count: int) -> Array:
-        """Autocovariance at lags 0 to count - 1."""
+        """Autocovariance at lags 0 to count - 1, by the Durbin-Levinson recursion."""
         out = np.ones(max(count, len(self.partial_autocorrelations) + 1))
         weights = np.zeros(0)
         for m, p in enumerate(self.partial_autocorrelations, 1):  # Durbin & Levinson
@@ -84,14 +83,14 @@ class Noise:
     Attributes
     ----------
     own : Component
-        Of each ball and axis by itself, in claimed standard deviations.
+        The noise of each ball and axis by itself, in claimed standard deviations.
     shared : tuple of Component
-        What both balls share, of x and of y, m^2; or nothing.
+        The noise that both balls share, in x and in y, m^2; empty if there is none.
     whole_phase_scale : float
-        Like `scale`, read over whole phases of motion, where that is so much more that it must hold motion; the noise
-        is then that of short pieces. Else 0.
+        Like `scale`, over whole phases of motion, if that is so much larger that it must contain motion; the noise is
+        then that of short pieces. Else 0.
     frame_spacing : int
-        Frames of which the tracks have one at most: the noise at other lags is not seen.
+        Greatest common divisor of the tracks' frame steps: noise at other lags is not seen.
     """
 
     own: NoiseComponent
@@ -101,30 +100,33 @@ class Noise:
 
     @property
     def scale(self) -> float:
-        """How many times larger a ball's own noise is than claimed."""
+        """The ratio of a ball's own noise to the claimed noise."""
         return float(np.sqrt(self.own.variance))
 
     @property
     def correlation(self) -> float:
-        """Of a ball's own noise between neighbouring frames."""
+        """Correlation of a ball's own noise between neighbouring frames."""
         lags = self.own.autocovariances(2)
         return float(lags[1] / lags[0])
 
     @property
     def innovation_scale(self) -> float:
-        """The same of what is new from frame to frame: all of a noise that is white, little of a slow one."""
+        """Like `scale`, of the innovation from frame to frame: all of white noise, little of slow noise."""
         own = self.own
         news = float(np.prod([1 - p * p for p in own.partial_autocorrelations]))
         return self.scale * float(np.sqrt(own.white_share + (1 - own.white_share) * news))
 
     @property
     def is_slow(self) -> bool:
-        """Whether so much of it lasts that it may hide what a model lacks."""
+        """Whether it is so correlated that it may contain missing physics (`SearchPolicy.slow_noise_ratio`)."""
         return self.scale > current_policy().slow_noise_ratio * self.innovation_scale
 
     @property
     def is_smoothed(self) -> bool:
-        """Whether it is that of tracks that somebody has put through a filter."""
+        """Whether the tracks were smoothed by a filter.
+
+        A filter's window ends as no natural noise does: the partial correlation two positions apart is negative.
+        """
         if len(self.own.partial_autocorrelations) < 2:
             return False
         size, near, far = self.own.autocovariances(2 * self.frame_spacing + 1)[:: self.frame_spacing]
@@ -132,17 +134,20 @@ class Noise:
 
     @property
     def common_mode_rms(self) -> float:
-        """rms of what both balls share, each axis, m."""
+        """rms of the noise that both balls share, per axis, m."""
         return float(np.sqrt(np.mean([s.variance for s in self.shared]))) if self.shared else 0.0
 
 
 def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
-    """Estimate the noise of clips from their unbroken stretches.
+    """Estimate the noise of clips from their smooth stretches.
+
+    Clips that are much noisier than the median clip are left out. Shared noise is fitted if its score exceeds
+    `SearchPolicy.shared_noise_sigma`.
 
     Raises
     ------
     ValueError
-        These are too few.
+        The stretches are too few, or show no noise.
     """
     clips = _select_usual_clips(clips)
     stretches = [stretch for clip in clips for stretch in clip.smooth_stretches()]
@@ -154,12 +159,12 @@ def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
 
 
 def _find_spacing(stretches: Sequence[Stretch]) -> int:
-    """Frames of which the tracks have one at most."""
+    """Greatest common divisor of the steps between frames."""
     return int(np.gcd.reduce([step for *_, frames in stretches for step in np.diff(frames)] or [1]))
 
 
 def _exclude_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
-    """The noise, or that of short pieces where it must hold motion that no cubic follows over a phase."""
+    """The noise, or that of short pieces where over whole phases it must contain motion that no cubic follows."""
     short = Noise(
         fit_own_noise(_cut_pieces(stretches)), whole_phase_scale=noise.scale, frame_spacing=noise.frame_spacing
     )
@@ -173,22 +178,24 @@ def _exclude_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
 
 
 def _cut_pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
-    """Pieces of stretches, so short that a cubic follows any motion, without those that an event still shows in.
+    """Pieces of stretches, so short that a cubic follows any motion.
 
-    Nor those of a ball that does not move at all, as where a resting ball's place is given once.
+    Two kinds are left out: pieces with so large residuals that they contain an event, and pieces without any, as of a
+    resting ball whose position a table repeats.
     """
+    rounding = 1e-9  # of the claimed variance
     size = current_policy().min_short_stretch_positions
     starts = [(arrays, first) for arrays in stretches for first in range(0, len(arrays[0]) - size + 1, size)]
     cut = [(p[k : k + size], c[k : k + size], f[k : k + size]) for (p, c, f), k in starts]
     left = StretchBundle.of([p for p, _, _ in cut], [c for _, c, _ in cut], [f for _, _, f in cut]).values
     power = (left**2).sum(axis=(1, 2))
-    moves = power > STILL
+    moves = power > rounding
     most = current_policy().max_piece_noise_power * float(np.median(power[moves] if moves.any() else power))
-    return [piece for piece, own in zip(cut, power, strict=True) if STILL < own <= most]
+    return [piece for piece, own in zip(cut, power, strict=True) if rounding < own <= most]
 
 
 def _select_usual_clips(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]:
-    """The clips whose noise is of the usual size."""
+    """The clips whose noise power is at most `SearchPolicy.unusual_noise_power` times the median."""
     sizes = []
     for clip in clips:
         every = bundle_stretches(clip.smooth_stretches())
@@ -199,10 +206,10 @@ def _select_usual_clips(clips: Sequence[MeasuredCollision]) -> list[MeasuredColl
 
 
 def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
-    """The noise of single tracks from unbroken stretches, each within one phase. Raises ValueError when too few."""
+    """Fit the noise of single tracks to stretches, each within one phase. Raises ValueError if there are too few."""
     every = bundle_stretches(stretches)
     if not every:
-        raise ValueError("too few unbroken frames to read the noise from")
+        raise ValueError("too few consecutive frames to estimate the noise")
     longest = max(b.span for b in every)
     freedom = sum(b.freedom for b in every)
 
@@ -212,29 +219,34 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
         parts = [b.restricted_likelihood(b.covariance(lags)) for b in every]
         logs, squares = (sum(p[k] for p in parts) for k in (0, 1))
         if not squares > 0:
-            raise ValueError("no noise to be seen between the frames")
+            raise ValueError("positions show no noise from frame to frame")
         return logs + freedom * np.log(squares / freedom), squares / freedom
 
     def build(shape: NoiseOrder, x: Array) -> NoiseComponent:
         return component_from_numbers(shape, 1.0, x)
 
-    unit = select_order(SHAPES, build, lambda c: profiled(c)[0], np.log(freedom))
+    unit = select_order(OWN_ORDERS, build, lambda c: profiled(c)[0], np.log(freedom))
     return NoiseComponent(profiled(unit)[1], unit.partial_autocorrelations, unit.white_share)
 
 
 def component_from_numbers(shape: NoiseOrder, variance: float, x: Array) -> NoiseComponent:
-    """From free numbers: the partial autocorrelations' arctanh, then the white part's logit if there is one."""
+    """A component from unbounded numbers: arctanh of partial autocorrelations, then the logit of the white share."""
     order, white = shape
-    part = FLOOR + (CEILING - FLOOR) * float(expit(x[order])) if white else 0.0
-    return NoiseComponent(variance, tuple((SLOWEST * np.tanh(x[:order])).tolist()), part)
+    part = MIN_WHITE_SHARE + (MAX_WHITE_SHARE - MIN_WHITE_SHARE) * float(expit(x[order])) if white else 0.0
+    return NoiseComponent(variance, tuple((MAX_PARTIAL_AUTOCORRELATION * np.tanh(x[:order])).tolist()), part)
 
 
 def numbers_from_component(component: NoiseComponent) -> Array:
     """The inverse of `component_from_numbers`, without the variance."""
-    x = np.arctanh(np.clip(np.array(component.partial_autocorrelations) / SLOWEST, -1 + 1e-9, 1 - 1e-9))
+    x = np.arctanh(
+        np.clip(np.array(component.partial_autocorrelations) / MAX_PARTIAL_AUTOCORRELATION, -1 + 1e-9, 1 - 1e-9)
+    )
     if not component.white_share:
         return x
-    return np.append(x, logit(np.clip((component.white_share - FLOOR) / (CEILING - FLOOR), 1e-3, 1 - 1e-3)))
+    return np.append(
+        x,
+        logit(np.clip((component.white_share - MIN_WHITE_SHARE) / (MAX_WHITE_SHARE - MIN_WHITE_SHARE), 1e-3, 1 - 1e-3)),
+    )
 
 
 def order_of(component: NoiseComponent) -> NoiseOrder:
@@ -242,10 +254,10 @@ def order_of(component: NoiseComponent) -> NoiseOrder:
 
 
 def noise_from_numbers(shape: NoiseOrder, common: NoiseOrder | None, x: Array) -> Noise:
-    """The noise of free numbers x: log variance and numbers of the own component, then of the shared ones.
+    """The noise from unbounded numbers x: log variance and numbers of the own component, then of the shared ones.
 
-    shape, common: how many numbers the own and the shared component have; None without shared noise, which has a log
-    variance for each axis and the other numbers in common.
+    shape, common: orders of the own and of the shared component; None without shared noise. The shared component has a
+    log variance for each axis; its other numbers are the same for both.
     """
     own = component_from_numbers(shape, float(np.exp(x[0])), x[1:])
     if common is None:
@@ -261,10 +273,21 @@ def select_order(
     penalty: float,
     common: Array | None = None,
 ) -> T:
-    """What is built of the shape with the least cost + penalty a number (Schwarz); two in a row that lose end the
-    search.
+    """Build the model of the order with the least cost + penalty per number (Schwarz's criterion).
 
-    cost: -2 log likelihood; common: first values of the numbers that every shape has, before its own.
+    The search ends when two orders in a row are no better.
+
+    Parameters
+    ----------
+    shapes : sequence of (int, bool)
+        Orders to try, simple ones first.
+    build : callable
+        (order, numbers) -> model.
+    cost : callable
+        -2 log likelihood of a model.
+    penalty : float
+    common : (k,) array, optional
+        Start values of numbers that every order has, before its own.
     """
     head = np.zeros(0) if common is None else common
     best, winner, last, tail, lost = np.inf, build(shapes[0], head), shapes[0], np.zeros(0), 0
@@ -286,13 +309,14 @@ def _cost(cost: Callable[[T], float], build: Callable[[NoiseOrder, Array], T], s
 
 
 def finite_cost(cost: Callable[[Array], float], x: Array) -> float:
-    """The cost at x; IMPOSSIBLE where a covariance is singular or the cost is not finite."""
+    """The cost at x; a very large number where a covariance is singular or the cost is not finite."""
+    impossible = 1e12  # -2 log likelihood
     try:
         with np.errstate(all="ignore"):
             value = cost(x)
     except np.linalg.LinAlgError:
-        return IMPOSSIBLE
-    return value if np.isfinite(value) else IMPOSSIBLE
+        return impossible
+    return value if np.isfinite(value) else impossible
 
 
 def _initial_numbers(shape: NoiseOrder, last: NoiseOrder, x: Array) -> Array:
@@ -304,11 +328,11 @@ def _initial_numbers(shape: NoiseOrder, last: NoiseOrder, x: Array) -> Array:
 
 
 def minimise(cost: Callable[[Array], float], start: Array) -> Array:
-    """The numbers for which a smooth cost is least, sought from `start` (BFGS)."""
+    """Minimise a smooth cost from `start` (BFGS). A slope of 2 is flat enough: the curvature is some hundreds."""
     if not len(start):
         return start
     found = minimize(
-        partial(finite_cost, cost), start, method="BFGS", options={"eps": STEP, "gtol": FLAT, "maxiter": 40}
+        partial(finite_cost, cost), start, method="BFGS", options={"eps": 1e-4, "gtol": 2.0, "maxiter": 40}
     )
     return np.asarray(found.x)
 
@@ -337,14 +361,15 @@ class BallPairs:
         self.longest = max((b.span for b in self.differences), default=0)
 
     def common_mode_score(self, own: NoiseComponent) -> float:
-        """The most significant score of shared noise, in sigma under independence, over KERNELS and axes.
+        """The most significant score of shared noise over correlations and axes, in sigma under independence.
 
-        Score: sum of u0' K u1, u the whitened, detrended places of each ball weighted by the inverse covariance; under
-        independence its mean is zero and its variance the sum of tr(K A K A), A that weight.
+        The score is the sum of u0' K u1, where K is the kernel of shared noise and u are each ball's positions without
+        their cubic, times the inverse covariance A. Under independence its mean is zero and its variance is the sum of
+        tr(K A K A) (a score test; Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
         """
-        scores, variances = np.zeros((len(KERNELS), 2)), np.zeros(len(KERNELS))
+        scores, variances = np.zeros((len(SHARED_NOISE_CORRELATIONS), 2)), np.zeros(len(SHARED_NOISE_CORRELATIONS))
         lags = own.autocovariances(self.longest)
-        for frames, members in self._alike().items():
+        for frames, members in self._group_by_frames().items():
             since = np.array(frames)
             apart = np.abs(since[:, None] - since)
             both, claims = np.array([p[:2] for p in members]), np.array([p[2:4] for p in members])
@@ -353,7 +378,7 @@ class BallPairs:
             root = np.linalg.inv(factor) - q @ np.linalg.solve(factor.T, q).T
             weight = root.T @ root
             pulls = weight @ both / (claims**2)[..., None, None]
-            for j, rho in enumerate(KERNELS):
+            for j, rho in enumerate(SHARED_NOISE_CORRELATIONS):
                 kernel = rho ** apart.astype(float)
                 scores[j] += np.einsum("kma,mn,kna->a", pulls[:, 0], kernel, pulls[:, 1])
                 variances[j] += np.trace(kernel @ weight @ kernel @ weight) * float(
@@ -364,8 +389,8 @@ class BallPairs:
         single = scores / np.sqrt(variances)[:, None]
         return float(max(single.max(), (single.sum(axis=1) / np.sqrt(2)).max()))
 
-    def _alike(self) -> dict[tuple[int, ...], list[Shut]]:
-        """The pairs by their frames, from the first on."""
+    def _group_by_frames(self) -> dict[tuple[int, ...], list[Shut]]:
+        """The pairs grouped by their frames, counted from the first."""
         out: dict[tuple[int, ...], list[Shut]] = {}
         for pair in self.pairs:
             out.setdefault(tuple((pair[4] - pair[4][0]).tolist()), []).append(pair)
@@ -389,7 +414,7 @@ class BallPairs:
         return out
 
     def own(self) -> NoiseComponent:
-        """What the balls do not share, from their differences."""
+        """The noise that the balls do not share, from the difference of their positions."""
         size = [float(np.hypot(*pair[2:4])) for pair in self.pairs]
         return fit_own_noise(
             ((one - two) / s, np.ones(len(one)), frame)
@@ -397,12 +422,12 @@ class BallPairs:
         )
 
     def noise(self) -> Noise:
-        """Own and shared noise together."""
+        """Fit own and shared noise together."""
         alone = self.own()
         shape = order_of(alone)
         shared = 0.5 * alone.variance * float(np.mean([np.square(p[2:4]) for p in self.pairs]))
         start = np.array([np.log(alone.variance), *numbers_from_component(alone), np.log(shared), np.log(shared)])
         freedom = 2 * sum(d.freedom for d in self.differences)
         return select_order(
-            COMMON_MODES, lambda common, x: noise_from_numbers(shape, common, x), self.cost, np.log(freedom), start
+            SHARED_ORDERS, lambda common, x: noise_from_numbers(shape, common, x), self.cost, np.log(freedom), start
         )

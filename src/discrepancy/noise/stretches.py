@@ -1,4 +1,4 @@
-"""Stretches of tracks in which motion is smooth, in bundles, and the restricted likelihood of what a cubic leaves."""
+"""Bundles stretches of smooth motion, and computes the restricted likelihood of their residuals from a cubic."""
 
 from __future__ import annotations
 
@@ -11,18 +11,24 @@ from scipy.linalg import toeplitz
 from discrepancy.arrays import Array, Ints
 from discrepancy.policy import current_policy
 
-Stretch = tuple[Array, Array, Ints]  # places (n, axes), claimed standard deviations (n,), and frames (n,)
+Stretch = tuple[Array, Array, Ints]  # positions (n, axes), claimed standard deviations (n,), and frames (n,)
 
-CUBIC_COEFFICIENTS = 4  # coefficients of the cubic
-FEWER = 1.4  # a bundle's stretches are longer than its longest over this
+CUBIC_COEFFICIENTS = 4
 
 
 @dataclass(frozen=True)
 class StretchBundle:
-    """k stretches of much the same length. values (k, n, d) without their cubics, and the cubic's basis (k, n, SMOOTH).
+    """k stretches of about the same length, the longest of n positions.
 
-    Both over claimed deviations, and zero beyond each one's own length. lengths (k,); n is the longest. frames (k, n)
-    from the first on, which go on beyond a stretch's end; None where none is missing.
+    Attributes
+    ----------
+    values : (k, n, d) array
+        Positions without their cubics, over the claimed deviations; zero beyond each stretch's own length.
+    basis : (k, n, CUBIC_COEFFICIENTS) array
+        An orthonormal basis of the cubics, over the claimed deviations.
+    lengths : (k,) array of int
+    frames : (k, n) array of int, optional
+        Counted from each first one, and continued beyond a stretch's end; None where no frame is missing.
     """
 
     values: Array
@@ -56,16 +62,16 @@ class StretchBundle:
         return int(self.lengths.max()) if self.frames is None else int(self.frames.max()) + 1
 
     def covariance(self, lags: Array) -> Array:
-        """From autocovariances at lags 0 to span - 1: (n, n), or of each (k, n, n) where frames are missing."""
+        """Covariance from autocovariances at lags 0 to span - 1: (n, n), or (k, n, n) where frames are missing."""
         if self.frames is None:
             return np.asarray(toeplitz(lags[: self.values.shape[1]]))
         return np.asarray(lags[np.abs(self.frames[:, :, None] - self.frames[:, None])])
 
     def restricted_likelihood(self, covariance: Array) -> tuple[float, float]:
-        """(log determinants, sum of squares) of REML's -2 log likelihood; covariance (n, n) or of each (k, n, n).
+        """(log determinants, sum of squares) of REML's -2 log likelihood, for a covariance (n, n) or (k, n, n).
 
-        Of a shorter stretch only the first rows and columns count: their inverse Cholesky factor is the first part of
-        the whole one's.
+        A shorter stretch uses the first rows and columns: their inverse Cholesky factor is the first part of the
+        whole one's. See Harville, Biometrika 61 (1974) 383.
         """
         inside = np.arange(self.values.shape[1]) < self.lengths[:, None]
         factor = np.linalg.cholesky(covariance)
@@ -82,25 +88,25 @@ class StretchBundle:
 
 
 def cubic_basis(since: Ints) -> Array:
-    """(n, SMOOTH), of frames (n,) that grow."""
+    """Powers 3 to 0 of increasing frames (n,), scaled to -1 ... 1: (n, CUBIC_COEFFICIENTS)."""
     even = np.linspace(-1, 1, since[-1] - since[0] + 1)
     return np.vander(even[since - since[0]], CUBIC_COEFFICIENTS)
 
 
-def group_by_length(lengths: Sequence[int]) -> list[list[int]]:
-    """Which stretches to put into one bundle."""
+def group_by_length(lengths: Sequence[int], ratio: float = 1.4) -> list[list[int]]:
+    """Which stretches to put into one bundle: the longest is at most `ratio` times the shortest."""
     out: list[list[int]] = []
     least = shortest_usable(lengths)
     for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
         if lengths[k] >= least:
-            if not out or lengths[out[-1][0]] > FEWER * lengths[k]:
+            if not out or lengths[out[-1][0]] > ratio * lengths[k]:
                 out.append([])
             out[-1].append(k)
     return out
 
 
 def shortest_usable(lengths: Sequence[int]) -> int:
-    """Places that a stretch must have, of those there are."""
+    """Positions that a stretch must have; fewer where no stretch is long."""
     enough = max(lengths, default=0) >= current_policy().min_stretch_positions
     return current_policy().min_stretch_positions if enough else current_policy().min_short_stretch_positions
 

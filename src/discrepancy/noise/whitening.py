@@ -1,4 +1,4 @@
-"""Turns residuals of one clip into numbers that noise alone would draw from N(0, 1), and back."""
+"""Whitens the residuals of one clip by its noise: noise alone becomes independent numbers from N(0, 1)."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from discrepancy.noise.model import Noise, NoiseComponent
 
 @dataclass(frozen=True)
 class ClipWhitener:
-    """The inverse Cholesky factor of the noise's covariance, exact with any frames missing.
+    """The inverse Cholesky factor of the noise's covariance, exact for any missing frames.
 
-    Residuals are first scaled by the claimed covariances. Each ball's own noise, with the offset that the target has
-    where it rests, is then filtered by itself; with noise that both share, all rows and both axes are filtered
-    together, in order of frames. A white number belongs to the row and axis of its place: it is what that residual
-    brings beyond the ones before it.
+    Residuals are first scaled by the claimed covariances. Without shared noise, each ball is then filtered by itself;
+    the resting target's constant offset is part of its covariance. With shared noise, all rows and both axes are
+    filtered together, in order of frames. Each white number is the innovation of its row and axis, given the rows
+    before it.
     """
 
     roots: Array  # (n, 2, 2): inverse Cholesky factors of the claimed covariances
@@ -31,7 +31,7 @@ class ClipWhitener:
 
     @classmethod
     def of(cls, clip: MeasuredCollision, noise: Noise) -> ClipWhitener:
-        """For the positions of a clip with this noise."""
+        """The whitener of a clip's positions for this noise."""
         roots, offset = clip.roots, clip.resting_offset
         if not noise.shared:
             rows = (clip.ball == ball for ball in (0, 1))
@@ -59,7 +59,7 @@ class ClipWhitener:
         """Residuals (n, 2, ...), m, as white ones (2n, ...) of unit size."""
         flat = residuals.reshape(*residuals.shape[:2], -1)
         scaled = np.empty(flat.shape)
-        for axis in (0, 1):  # far quicker than a product of so many matrices so small
+        for axis in (0, 1):  # far quicker than a product of many small matrices
             np.multiply(self.roots[:, axis, :1], flat[:, 0], out=scaled[:, axis])
             scaled[:, axis] += self.roots[:, axis, 1:] * flat[:, 1]
         if self.order is None:
@@ -73,7 +73,7 @@ class ClipWhitener:
         return out.reshape(-1, *residuals.shape[2:])
 
     def undo(self, white: Array) -> Array:
-        """(2 n, ...) -> (n, 2, ...): the residuals of white numbers."""
+        """The residuals (n, 2, ...), m, of white numbers (2n, ...)."""
         n, rest = len(self.roots), white.shape[1:]
         flat = white.reshape(2 * n, -1)
         if self.order is None:
@@ -88,14 +88,14 @@ class ClipWhitener:
 
     @property
     def log_determinant(self) -> float:
-        """Of the covariance that is undone, less that of the claimed ones."""
+        """Log determinant of the whole covariance less that of the claimed ones."""
         times = 2 if self.order is None else 1
         return -2 * times * float(sum(np.log(np.diagonal(f)).sum() for f in self.filters))
 
 
 @lru_cache(maxsize=256)
 def _inverse_factor(component: NoiseComponent, frames: bytes, offsets: bytes) -> Array:
-    """Of one ball's rows and one axis; frames: int64, offsets: float64. Clips filmed alike share it."""
+    """The filter of one ball's rows and one axis; clips share it by the cache. frames: int64, offsets: float64."""
     frame = np.frombuffer(frames, dtype=np.int64)
     apart = np.abs(frame[:, None] - frame)
     lags = component.autocovariances(int(apart.max(initial=0)) + 1)

@@ -1,7 +1,7 @@
-"""The errors of positions, from their own scatter about smooth motion: where a table carries no errors, or wrong ones.
+"""Estimates the errors of positions from their scatter about smooth motion, where a table has no errors or wrong ones.
 
-A smooth motion is a cubic over a few frames, to far less than the noise of any detector; what a cubic leaves over
-is noise. Contact and slide ends are no cubics: the few windows that hold one are left out.
+Over a few frames a cubic follows any smooth motion to far less than the noise of a detector, so the residuals are
+noise. A contact or a slide's end is not smooth; the few windows that contain one are left out.
 """
 
 from __future__ import annotations
@@ -19,19 +19,12 @@ from tracker.measurement.noise.whitening import position_covariance
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 WINDOW, ORDER = 7, 3  # consecutive frames, order of the polynomial
-OVER = WINDOW - ORDER - 1
-DOF = 2 * OVER  # of a window, both axes
-KEPT = 0.95  # quantile of a window with normal errors beyond which a window is left out
-SPARED = 0.84  # share of the degrees of freedom that this leaves
-MOVED = 3.0  # widths of a glint in a window: a ball that rests may be given in whole pixels, and then never scatters
-ENOUGH = 20  # windows of moving balls, without which those of resting ones count too
-BENT = 1e-6  # of the probability of so large a chi^2, below which a window holds a push or a hit
-LEAST = 1e-10  # of the variance expected: perfect positions have some error yet
-STRIDE = 94  # windows whose covariance is made in one go
+RESIDUALS = WINDOW - ORDER - 1  # degrees of freedom per axis
+DOF = 2 * RESIDUALS  # degrees of freedom of a window, both axes
 
 
 class BallNoise(Protocol):
-    """What is needed of a ball's positions: see `positions.BallTrack`."""
+    """The attributes of a ball's positions that are used here; see `positions.BallTrack`."""
 
     @property
     def frame(self) -> Ints: ...
@@ -50,80 +43,93 @@ class BallNoise(Protocol):
 
 @dataclass(frozen=True)
 class ScatterRatio:
-    """Variance of positions about smooth motion, over that expected; the degrees of freedom from which it was read."""
+    """Variance of positions about smooth motion, over the expected variance, and its degrees of freedom."""
 
     ratio: float
     dof: float
 
     @property
     def sigmas(self) -> float:
-        """By how many of its own standard errors the ratio's logarithm differs from that of one."""
+        """Distance of the logarithm of the ratio from zero, in its own standard errors."""
         return float(np.log(self.ratio) / np.sqrt(2 / self.dof))
 
 
 def measure_scatter(balls: Sequence[BallNoise]) -> ScatterRatio | None:
-    """Read the size of the positions' errors from their scatter about cubics in windows of consecutive frames.
+    """Measure the positions' errors by their scatter about cubics in windows of consecutive frames.
+
+    The largest windows are left out, beyond the 95 % quantile that normal errors of the median size would have, and the
+    mean of the others is corrected for that.
 
     Parameters
     ----------
     balls : sequence of Ball
-        Their covariances say what is expected. Where enough of them move, only windows in which they do are used.
+        Their covariances give the expected scatter.
 
     Returns
     -------
-    Size or None
+    ScatterRatio or None
         None where no ball is seen in WINDOW consecutive frames.
     """
+    kept_share = 0.95
+    dof_share = 0.84  # share of the degrees of freedom that remains after the largest windows are left out
+    enough = 20  # windows of moving balls from which on resting balls do not count: some tables round their positions
+    least = 1e-10  # least ratio, for perfect positions
     parts = [_windows(course) for course in balls]
     if sum(len(starts) for starts, _, _ in parts) == 0:
         return None
-    if sum(int(moved.sum()) for _, _, moved in parts) >= ENOUGH:
+    if sum(int(moved.sum()) for _, _, moved in parts) >= enough:
         parts = [(starts[moved], left[moved], moved[moved]) for starts, left, moved in parts]
     left = np.concatenate([part[1] for part in parts])
     typical = float(np.median(left)) / chdtri(DOF, 0.5)
-    kept = left[left <= typical * chdtri(DOF, 1 - KEPT)]
-    # the mean of what is kept of a window with normal errors, over that of a whole one
-    share = chdtr(DOF + 2, chdtri(DOF, 1 - KEPT)) / KEPT
-    return ScatterRatio(max(float(kept.mean() / (DOF * share)), LEAST), SPARED * _freedom([part[0] for part in parts]))
+    kept = left[left <= typical * chdtri(DOF, 1 - kept_share)]
+    # the mean chi^2 of windows below the quantile, over that of all windows
+    share = chdtr(DOF + 2, chdtri(DOF, 1 - kept_share)) / kept_share
+    return ScatterRatio(
+        max(float(kept.mean() / (DOF * share)), least), dof_share * _count_freedom([part[0] for part in parts])
+    )
 
 
 def find_bent_windows(course: BallNoise) -> Ints:
-    """First frames of the windows in which a ball's motion is no cubic, beside what its positions scatter: (m,)."""
+    """First frames (m,) of the windows in which a ball's motion is not smooth, by its chi^2 (p < 1e-6)."""
     starts, left, _ = _windows(course)
-    return starts[left > np.median(left) * chdtri(DOF, BENT) / chdtri(DOF, 0.5)] if len(left) else starts
+    return starts[left > np.median(left) * chdtri(DOF, 1e-6) / chdtri(DOF, 0.5)] if len(left) else starts
 
 
 def share_seen_by_scatter(rho: float) -> float:
-    """Of the variance of errors that last by `rho` from frame to frame, the share that `measure_scatter` sees."""
+    """Share of the variance of errors correlated by `rho` from frame to frame that `measure_scatter` sees."""
     t = np.linspace(-1, 1, WINDOW)
     over = np.linalg.qr(np.vander(t, ORDER + 1), mode="complete")[0][:, ORDER + 1 :]
     lag = np.abs(np.subtract.outer(np.arange(WINDOW), np.arange(WINDOW)))
-    return float(np.trace(over.T @ rho**lag @ over)) / OVER
+    return float(np.trace(over.T @ rho**lag @ over)) / RESIDUALS
 
 
 def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
-    """First frames (m,) of all whole windows; what cubics leave, chi^2 of DOF (m,); whether the ball moved (m,)."""
+    """First frames (m,) of all whole windows; chi^2 of their residuals (m,); whether the ball moved there (m,).
+
+    A ball counts as moving if it covers three widths of a glint.
+    """
+    stride = 94  # windows whose covariance is computed at once
     count = len(course) - WINDOW + 1
     if count < 1:
         return np.empty(0, np.int64), np.empty(0), np.empty(0, dtype=bool)
     t = np.linspace(-1, 1, WINDOW)
-    over = np.linalg.qr(np.vander(t, ORDER + 1), mode="complete")[0][:, ORDER + 1 :]  # (WINDOW, OVER)
+    over = np.linalg.qr(np.vander(t, ORDER + 1), mode="complete")[0][:, ORDER + 1 :]  # (WINDOW, RESIDUALS)
     slide = np.lib.stride_tricks.sliding_window_view
     rest = (slide(course.position, WINDOW, axis=0) @ over).reshape(count, DOF)
     left = np.empty(count)
-    for first in range(0, count, STRIDE):
-        rows = slice(first, min(first + STRIDE, count))
+    for first in range(0, count, stride):
+        rows = slice(first, min(first + stride, count))
         left[rows] = (rest[rows] * np.linalg.solve(_spread(course, rows, over), rest[rows, :, None])[..., 0]).sum(-1)
     whole = course.frame[WINDOW - 1 :] - course.frame[:count] == WINDOW - 1
-    moved = np.hypot(*(course.position[WINDOW - 1 :] - course.position[:count]).T) > MOVED * course.width
+    moved = np.hypot(*(course.position[WINDOW - 1 :] - course.position[:count]).T) > 3.0 * course.width
     return course.frame[:count][whole], left[whole], moved[whole]
 
 
 def _spread(course: BallNoise, windows: slice, over: Floats) -> Floats:
-    """Covariances (k, DOF, DOF) expected of what cubics leave over, axis by axis."""
+    """Expected covariances (k, DOF, DOF) of the residuals from cubics, axis by axis."""
     k = windows.stop - windows.start
     rows = slice(windows.start, windows.stop + WINDOW - 1)
-    out = np.zeros((k, 2, OVER, 2, OVER))
+    out = np.zeros((k, 2, RESIDUALS, 2, RESIDUALS))
     if course.fixed.any() and course.width > 0:
         whole = position_covariance(
             course.position[rows], course.cov[rows], course.fixed[rows], course.width, course.drift
@@ -139,14 +145,14 @@ def _spread(course: BallNoise, windows: slice, over: Floats) -> Floats:
     return out.reshape(k, DOF, DOF)
 
 
-def _freedom(starts: list[Ints]) -> float:
-    """Degrees of freedom of windows that overlap: twice the square of their sum's mean, over its variance."""
+def _count_freedom(starts: list[Ints]) -> float:
+    """Effective degrees of freedom of overlapping windows: twice the squared mean of their sum, over its variance."""
     t = np.linspace(-1, 1, WINDOW)
     q = np.linalg.qr(np.vander(t, ORDER + 1))[0]
     rest = np.eye(WINDOW) - q @ q.T
     total = sum(map(len, starts))
-    square = float(total * OVER)
+    square = float(total * RESIDUALS)
     for lag in range(1, WINDOW):
         pairs = sum(int(np.isin(first + lag, first).sum()) for first in starts)
         square += 2 * pairs * float((rest[lag:, lag:] * rest[:-lag, :-lag]).sum())
-    return 2 * (OVER * total) ** 2 / square
+    return 2 * (RESIDUALS * total) ** 2 / square

@@ -1,10 +1,10 @@
-"""Whitening of a ball's positions by their full covariance.
+"""Whitens a ball's positions by their full covariance, with the errors that a pixel pattern makes at every frame.
 
-A pixel's own response and offset are the same in every frame, so a ball at rest has the same error in all of
-them, and one that creeps shares some of it from frame to frame. Linearised, the shift that a random pattern of
-pixels gives a Gaussian glint is the gradient of a smooth random field: shifts at two positions D apart correlate as
-(1 - D D^T / 2 s^2) exp(-|D|^2 / 4 s^2), s the glint's width. At D = 0 that is one, for a resting ball.
-Errors that are found to last from frame to frame beyond that are taken for a first-order autoregression.
+A pixel's own response and offset are the same in every frame. So a ball at rest has the same error in all frames, and
+a slow ball shares part of it from frame to frame. To first order, a random pattern of pixels shifts a Gaussian glint by
+the gradient of a smooth random field. Shifts at two positions D apart then correlate as
+(1 - D D^T / 2 s^2) exp(-|D|^2 / 4 s^2), where s is the glint's width. At D = 0, a resting ball, that is one.
+Any further correlation from frame to frame is described by a first-order autoregression.
 """
 
 from __future__ import annotations
@@ -14,18 +14,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.whitening import inverse_roots
+
 Floats = NDArray[np.float64]
-LONGEST = 200  # rows whitened together; beyond them a moving ball has long left its pixels
-FAR = 5.0  # widths; a shift that correlates by less than .002
-FEW = 2**17  # multiplications in one go: more, and the linear algebra library takes all cores for a trifle
-SMALL = 24  # rows of a matrix that is taken in one go
-OWN = 1e-3  # least share of the covariance that is a frame's own: keeps the matrix regular
 
 
 class PositionWhitener:
-    """Turns errors of n positions into independent ones of unit size.
+    """Turns errors of n positions of one ball into independent ones of unit size.
 
-    Blocks are stretches of rows none of which is far from the next; a row by itself needs no block.
+    Rows are whitened in blocks. A block ends where the next position is far away; a single row needs no block.
     """
 
     def __init__(
@@ -33,15 +30,16 @@ class PositionWhitener:
         frame: NDArray[np.int64] | None = None, rho: float = 0.0,
         drift: tuple[float, float] = (0.0, 0.0),
     ) -> None:  # fmt: skip
-        """position (n, 2) m, cov (n, 2, 2) m^2, fixed (n, 2, 2) the shared part of it, width m of a glint; frame (n,).
+        """position (n, 2), m; cov (n, 2, 2), m^2; fixed, its part that frames share; width of a glint, m.
 
-        rho: correlation of what is then left, from one frame to the next. drift: see `positions.BallTrack`.
+        frame (n,). rho: correlation of the other errors from frame to frame. drift: see `positions.BallTrack`.
         """
-        self.alone = _inverse_root(cov) if len(cov) else cov
+        self.alone = inverse_roots(cov) if len(cov) else cov
         self.blocks: list[tuple[slice, Floats]] = []
         if width > 0 and len(cov) and fixed.any():
             step = np.hypot(*np.diff(position, axis=0).T)
-            for start, end in _split_stretches(step > FAR * max(width, drift[1])):
+            # five widths apart, shifts correlate by less than 0.002
+            for start, end in _split_stretches(step > 5.0 * max(width, drift[1])):
                 rows = slice(start, end)
                 whole = position_covariance(position[rows], cov[rows], fixed[rows], width, drift)
                 self.blocks.append((rows, _lower_root(whole)))
@@ -66,31 +64,33 @@ class PositionWhitener:
 
 
 def innovations(errors: Floats, kept: Floats) -> Floats:
-    """The innovations (..., 2n), of unit size, of errors (..., 2n) that keep a share (n - 1,) of the row before."""
+    """Innovations (..., 2n), of unit size, of errors (..., 2n) that keep a share (n - 1,) of the previous row."""
     rows = errors.reshape(*errors.shape[:-1], -1, 2)
     new = (rows[..., 1:, :] - kept[:, None] * rows[..., :-1, :]) / np.sqrt(1 - kept**2)[:, None]
     return np.concatenate([rows[..., :1, :], new], axis=-2).reshape(errors.shape)
 
 
-def _split_stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """(first, beyond last) of the stretches of two or more rows between breaks, none longer than LONGEST."""
+def _split_stretches(breaks: NDArray[np.bool_], longest: int = 200) -> list[tuple[int, int]]:
+    """(first, beyond last) of the stretches of two or more rows between breaks, none longer than `longest`."""
     edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(breaks) + 1]
     out = []
     for first, last in pairwise(edges):
-        out += [(k, min(k + LONGEST, last)) for k in range(first, last, LONGEST)]
+        out += [(k, min(k + longest, last)) for k in range(first, last, longest)]
     return [(first, last) for first, last in out if last - first > 1]
 
 
 def position_covariance(
     position: Floats, cov: Floats, fixed: Floats, width: float, drift: tuple[float, float] = (0.0, 0.0)
 ) -> Floats:
-    """Covariance (2n, 2n) m^2 of positions (n, 2) m; cov, fixed (n, 2, 2), width and drift as for Whitener."""
+    """Covariance (2n, 2n), m^2, of positions (n, 2), m; the other arguments are as for `PositionWhitener`."""
     n = len(position)
     if drift[0]:
         own = drift[0] ** 2 * np.eye(2)
         whole = position_covariance(position, cov - own, fixed - own, width).reshape(n, 2, n, 2)
         apart = np.sqrt(3) * np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1)) / drift[1]
-        near = drift[0] ** 2 * (1 + apart) * np.exp(-apart)  # Matern's, of a shift that changes smoothly
+        near = (
+            drift[0] ** 2 * (1 + apart) * np.exp(-apart)
+        )  # Matern's kernel (order 3/2), of a shift that changes smoothly
         for axis in (0, 1):
             whole[:, axis, :, axis] += near
         return whole.reshape(2 * n, 2 * n)
@@ -110,18 +110,18 @@ def position_covariance(
     return np.asarray(shared, dtype=np.float64)
 
 
-def _limit_shared_share(cov: Floats, fixed: Floats) -> Floats:
-    """(n,) factors that leave each frame its own share, whatever a table says of the shared part."""
-    root = _inverse_root(cov)
+def _limit_shared_share(cov: Floats, fixed: Floats, own_share: float = 1e-3) -> Floats:
+    """(n,) factors on the shared part that leave each frame at least `own_share`: the matrix stays regular."""
+    root = inverse_roots(cov)
     most = np.linalg.eigvalsh(root @ fixed @ np.swapaxes(root, 1, 2))[:, -1]
-    return np.asarray(np.minimum(1.0, (1 - OWN) / np.maximum(most, 1e-300)), dtype=np.float64)
+    return np.asarray(np.minimum(1.0, (1 - own_share) / np.maximum(most, 1e-300)), dtype=np.float64)
 
 
 def _lower_root(cov: Floats) -> Floats:
-    """Lower triangular W with W^T W = cov^-1, by halves: small products stay on one core."""
+    """`inverse_roots` of one matrix, by halves down to 24 rows: small products stay on one core."""
     half = len(cov) // 2
-    if half < SMALL:
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(cov)), dtype=np.float64)
+    if half < 24:
+        return inverse_roots(cov)
     out = np.zeros_like(cov)
     first = out[:half, :half] = _lower_root(cov[:half, :half])
     below = _product(cov[half:, :half], first.T)
@@ -131,11 +131,6 @@ def _lower_root(cov: Floats) -> Floats:
 
 
 def _product(a: Floats, b: Floats) -> Floats:
-    """a @ b, a few rows at a time."""
-    rows = max(1, FEW // b.size)
+    """a @ b, a few rows at a time: beyond 2^17 multiplications the linear algebra library would take all cores."""
+    rows = max(1, 2**17 // b.size)
     return np.concatenate([a[k : k + rows] @ b for k in range(0, len(a), rows)])
-
-
-def _inverse_root(cov: Floats) -> Floats:
-    """Lower triangular matrices W (n, 2, 2) with W^T W = cov^-1."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(cov)), dtype=np.float64)
