@@ -90,7 +90,7 @@ def stages(folder: Path) -> dict[str, float]:
     source = open_source(folder / "one")
     video = source.open_clip(0)
     view = make_view(video)
-    glints = detect(video, view, DEFAULT)
+    glints = detect(video, view, DEFAULT).glints
     tracks = link(glints, view.camera)
     out |= {
         "read": timed(lambda: exhaust(source.open_clip(0).frames)),

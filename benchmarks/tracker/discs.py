@@ -78,7 +78,7 @@ def located(pictures: Any, s: dict[str, Any]) -> tuple[Any, Any, Any]:
     clip = drawing.recorded(
         pictures, Camera.from_dict({"size": size, "fps": 60.0, "scale": 1e-3, "ball_diameter": 2e-3 * s["radius"]})
     )
-    found = detect(clip, make_view(clip, "discs"), "discs")
+    found = detect(clip, make_view(clip, "discs"), "discs").glints
     return found.frame, found.xy, found.cov
 
 

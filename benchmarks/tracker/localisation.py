@@ -27,8 +27,7 @@ from rich.table import Table
 from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import open_source
-from tracker.detection.detect import DEFAULT, load_detector, make_view
-from tracker.detection.glints import Glints
+from tracker.detection.detect import DEFAULT, load_detector, make_view, run_detector
 from tracker.detection.likelihood.cramer_rao import localisation_bound
 from tracker.scoring.localisation import MatchedDetections, match, score_positions
 
@@ -67,15 +66,7 @@ def found_by(name: str, clip: Any, every: int) -> tuple[pd.DataFrame, Camera, fl
     finder = load_detector(name)(view)
     numbers = range(0, len(clip.frames), every)
     pictures = ((k, clip.frames[k]) for k in numbers)
-    if hasattr(finder, "many"):
-        glints = finder.many(pictures)
-    else:
-        parts = []
-        for k, picture in pictures:
-            one = finder(picture)
-            one.frame[:] = k
-            parts.append(one)
-        glints = Glints.join(parts)
+    glints = run_detector(finder, pictures, name).glints
     seconds = (time.process_time() - started) / len(numbers)
     centre, _ = view.camera.centre_of_glint(glints.xy)
     table = pd.DataFrame({"frame": glints.frame, "x": centre[:, 0], "y": centre[:, 1], "flux": glints.flux})

@@ -22,8 +22,7 @@ from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource, open_source
-from tracker.detection.channel import select_channel
-from tracker.detection.choose import choose_detector
+from tracker.detection.choose import choose_detector, select_channel
 from tracker.detection.detect import load_detector, load_linker
 from tracker.notes import Note, NoteKind, note_all
 from tracker.recording import measure_tracks, track_and_measure

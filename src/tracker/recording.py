@@ -19,8 +19,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.camera_notes import describe_camera_gaps, describe_exposure, describe_frame_rate
 from tracker.camera.film_in_memory import FILM, wrap_frames
 from tracker.camera.recordings import Recording, make_recording, open_frames, open_source
-from tracker.detection.channel import select_channel
-from tracker.detection.choose import DISCS, GLINTS, choose_detector
+from tracker.detection.choose import DISCS, GLINTS, choose_detector, select_channel
 from tracker.detection.detect import (
     DEFAULT,
     DetectorChoice,
@@ -30,7 +29,7 @@ from tracker.detection.detect import (
     load_linker,
     make_view,
 )
-from tracker.detection.diagnose import FEWEST, explain_no_discs, explain_no_glints, warn_of_loose_ends
+from tracker.detection.diagnose import MIN_DETECTIONS, explain_no_discs, explain_no_glints, warn_of_loose_ends
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
@@ -317,11 +316,11 @@ def track_and_measure(
     if name is None:
         name, why = choose_detector(clip.frames, clip.camera)
         other = GLINTS if name == DISCS else DISCS
-    tracks, camera, reason, said = track_clip(clip, name)
+    tracks, camera, reason, said = track_clip(clip, name, settings)
     if reason and other:
-        second = track_clip(clip, other)
-        if not second[2] and len(second[0]) >= FEWEST:
-            why = f"detector: {other}, for {name} finds nothing ({reason}); --detector forces"
+        second = track_clip(clip, other, settings)
+        if not second[2] and len(second[0]) >= MIN_DETECTIONS:
+            why = f"detector: {other}, because {name} finds nothing ({reason}); --detector overrides this"
             tracks, camera, reason, said = second
     rows, motion = measure_clip(tracks, camera, settings.fit)
     if reason:
@@ -348,18 +347,20 @@ def measure_tracks(
     return Result(number, camera, tracks, tuple(rows), motion, notes)
 
 
-def track_clip(clip: Recording, name: DetectorChoice = DEFAULT) -> tuple[Tracks, Camera, str, list[Note]]:
+def track_clip(
+    clip: Recording, name: DetectorChoice = DEFAULT, settings: TrackerSettings | None = None
+) -> tuple[Tracks, Camera, str, list[Note]]:
     """Tracks of one clip, its camera completed from the clip, why there is nothing, or '', and notes."""
-    view = make_view(clip, name)
-    glints, view = detect_until_blur_converges(clip, view, name)
-    by = load_linker(name, view.camera)
+    settings = settings or TrackerSettings()
+    found, view = detect_until_blur_converges(clip, make_view(clip, name, settings), name)
+    takes = view.takes.spans if view.takes is not None else ()
+    linker = load_linker(name, view.camera, settings.link)
+    tracks = link(found.glints, view.camera, detected_point(name, clip.camera), takes, linker, settings.link)
     if view.takes is not None:
-        tracks = link(glints, view.camera, detected_point(name, clip.camera), view.takes.spans, by)
-        why, spans = "" if len(tracks) else explain_no_discs(clip.frames, view), list(view.takes.spans)
+        why, spans = "" if len(tracks) else explain_no_discs(clip.frames, view), list(takes)
     else:
-        tracks = link(glints, view.camera, detected_point(name, clip.camera), by=by)
-        why, spans = explain_no_glints(clip.frames, view, glints), [(0, len(clip.frames) - 1)]
-    notes = note_all(NoteKind.DETECTOR, view.notes, clip.number)
+        why, spans = explain_no_glints(clip.frames, view, found.glints), [(0, len(clip.frames) - 1)]
+    notes = note_all(NoteKind.DETECTOR, found.notes, clip.number)
     notes += note_all(NoteKind.LINKING, warn_of_loose_ends(tracks, view.camera.size, spans), clip.number)
     return tracks, view.camera, why, notes
 

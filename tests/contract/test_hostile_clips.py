@@ -37,7 +37,7 @@ def moving(rng, ground, draw, count=20):
 
 def test_empty_frames(tmp_path):
     said = status(tmp_path, noisy(np.random.default_rng(0), np.full(SHAPE, 0.5)))
-    assert said == ["no balls: nothing stands out from the plate"]
+    assert said == ["no balls: nothing is brighter than the plate"]
 
 
 def test_overexposed(tmp_path):
@@ -59,7 +59,7 @@ def test_dark_balls_with_a_bright_glint_are_followed():
     camera = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})
     clip = Recording(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
     view = make_view(clip)
-    tracks = link(detect(clip, view), view.camera)
+    tracks = link(detect(clip, view).glints, view.camera)
     assert len(tracks) == 20
     assert np.abs(tracks.x - (20.3 + 7.0 * np.arange(20))).max() < 0.1
 
@@ -72,7 +72,7 @@ def test_the_same_picture_again_and_again(tmp_path):
 def test_light_that_changes(tmp_path):
     rng = np.random.default_rng(4)
     frames = np.array([expose(rng, np.full(SHAPE, 60.0 * (k % 4))) for k in range(24)])
-    assert status(tmp_path, frames) == ["the light changes: most of the picture stands out from the plate"]
+    assert status(tmp_path, frames) == ["the light changes: most of the picture is brighter than the plate"]
 
 
 def test_a_single_blink_is_counted(tmp_path):
@@ -185,7 +185,7 @@ def test_reasons_reach_the_files(tmp_path):
     write_clip(tmp_path / "clip", noisy(np.random.default_rng(9), np.full(SHAPE, 0.5)))
     pipeline.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
     table = pd.read_parquet(tmp_path / "out" / "estimates.parquet")
-    assert table["status"].tolist() == ["no balls: nothing stands out from the plate"]
+    assert table["status"].tolist() == ["no balls: nothing is brighter than the plate"]
     rows = json.loads((tmp_path / "out/clips/000000/estimates.json").read_text())
     assert rows[0]["status"] == table["status"][0]
     assert len(open_source(tmp_path / "clip")) == 1

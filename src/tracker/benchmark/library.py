@@ -22,7 +22,8 @@ from tracker.benchmark.suite.folder import Suite, open_suite, with_truth
 from tracker.benchmark.suite.make import make
 from tracker.camera.recordings import open_source
 from tracker.detection.detect import DetectorChoice, detector_name
-from tracker.detection.glints import Detector, Glints, View
+from tracker.detection.detector import FrameDetector, View
+from tracker.detection.glints import Glints
 from tracker.recording import track_and_measure
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ def _suite(given: Path | str | None) -> Suite:
     return make(cache / "synthcam" / f"benchmark-{definition.version}-{definition.digest[:8]}", definition, workers=1)
 
 
-def _finder(function: Any, what: str) -> Callable[[View], Detector]:
+def _finder(function: Any, what: str) -> Callable[[View], FrameDetector]:
     """A class of detectors that ask a function."""
 
     class Asked:

@@ -20,8 +20,7 @@ from tracker.calibration.survey import BallSighting, survey, without_scale
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.camera.recordings import RecordingSource, make_recording, open_source
-from tracker.detection.channel import select_channel
-from tracker.detection.choose import DISCS, GLINTS, choose_detector
+from tracker.detection.choose import DISCS, GLINTS, choose_detector, select_channel
 from tracker.results import write_json
 
 DISAGREE = 3.0  # standard errors between two ways to the scale, beyond which they disagree

@@ -12,7 +12,8 @@ from tracker.calibration.contact_distance import ContactDistance, contact_distan
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import Recording, RecordingSource, make_recording
 from tracker.detection.choose import DISCS
-from tracker.detection.detect import detect, detected_point, load_detector, make_view, search_frames
+from tracker.detection.detect import detect, detected_point, make_view
+from tracker.detection.detector import OutlineRadius
 from tracker.detection.link import link
 
 DISC_SYSTEMATIC = 0.02  # of the radius: a ball is darker at its limb, and encoders move edges
@@ -45,7 +46,7 @@ class BallSighting:
 
 
 def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: bool, index: int) -> BallSighting:
-    """Clip ``index`` of a source, search_frames by the detector ``name``.
+    """Clip ``index`` of a source, searched by the detector ``name``.
 
     known: keys of camera.json; sized: whether the scale among them is more than a guess.
     """
@@ -63,7 +64,7 @@ def without_scale(clip: Recording) -> Recording:
 
 def _glints(clip: Recording, name: str, index: int) -> BallSighting:
     view = make_view(clip)
-    glints = detect(clip, view, name)
+    glints = detect(clip, view, name).glints
     tracks = link(glints, view.camera)
     encoded = view.camera.sensor.codec_noise > 0
     seen = None if encoded else measure_outline(clip.frames, view.plate, glints, view.sigma)
@@ -75,18 +76,13 @@ def _glints(clip: Recording, name: str, index: int) -> BallSighting:
 def _discs(clip: Recording, index: int, sized: bool) -> BallSighting:
     looked_at = clip if sized else without_scale(clip)
     view = make_view(looked_at, DISCS)
-    finder: Any = load_detector(DISCS)(view)
+    found = detect(looked_at, view, DISCS)
     lossy = clip.frames.lossy
-    tracks = link(
-        search_frames(looked_at, finder, DISCS),
-        view.camera,
-        detected_point(DISCS, view.camera),
-        view.takes.spans if view.takes else (),
-    )
+    takes = view.takes.spans if view.takes else ()
+    tracks = link(found.glints, view.camera, detected_point(DISCS, view.camera), takes)
     contacts = [replace(c, std=math.hypot(c.std, ENCODED_PX * lossy)) for c in contact_distances(tracks)]
-    return BallSighting(index, clip.camera, len(tracks), contacts, _outline(finder), lossy)
+    return BallSighting(index, clip.camera, len(tracks), contacts, _outline(found.outline_radius), lossy)
 
 
-def _outline(finder: Any) -> Outline | None:
-    radius, std = finder.measured_radius()
-    return Outline(radius, math.hypot(std, DISC_SYSTEMATIC * radius)) if radius > 0 else None
+def _outline(found: OutlineRadius | None) -> Outline | None:
+    return Outline(found.radius, math.hypot(found.std, DISC_SYSTEMATIC * found.radius)) if found else None

@@ -1,1 +1,1 @@
-"""Balls in frames: candidates, sub-pixel fits with covariance, what a film shows of its camera, tracks."""
+"""Detects balls in frames and links them into tracks; estimates from the film what its camera file leaves open."""

@@ -1,4 +1,4 @@
-"""What a camera file leaves open, estimated from the clip: black level, noise, gain, and the glint's width."""
+"""Estimates from the clip what a camera file leaves open: black level, noise, gain, and the width of a glint."""
 
 from __future__ import annotations
 
@@ -15,23 +15,9 @@ from tracker.camera.sensor import SensorSpec
 from tracker.detection.candidates import CandidateSearch, EmptyPlate
 from tracker.detection.likelihood.glint_fit import GlintWindows, fit_glints
 
-FRAMES = 40  # used
-DEEP = 400  # frames of 16 bits searched for the brightest pixel
-WIDTHS = (0.4, 5.0)  # px, between which a glint's width is sought
-GAINS = (2.0, 500.0)  # e-/count of 8 bits; of 12 bits each count is a sixteenth
-LOUDER = (0.3, 100.0)  # of the plate's noise, between which an encoder's beside glints is sought, and
-LEAST = 0.5  # the same, that is anything at all
-CLEARLY = 100.0  # by how much more likely (its logarithm) the windows must be by it
-DEFAULT_SIGMA = 1.0  # px, where the clip does not show it either
-TYPICAL = 1.2  # px, a first width
-LONGEST = 2.5  # px, of a way during the exposure
-SHORT = 0.3  # of a frame's time, an exposure in which whole-pixel positions give the displacement well enough
-SURE = 1.5  # spread of the logarithm of gains that cameras have, about 20 e-/count
-BRIGHT = 20.0  # deviations of a box sum over the plate, for a glint that is measured
-
 
 def estimate_unknown_settings(camera: Camera, plate: EmptyPlate, frames: Sequence[Any]) -> Camera:
-    """The camera with black level, read noise, gain and PSF filled in where its file does not give them."""
+    """The camera with black level, read noise, gain and width of the PSF estimated where its file lacks them."""
     sensor = camera.sensor
     encoded = getattr(frames, "lossy", False) and not sensor.codec_noise
     if not encoded and not {"sensor.bits", "sensor.black_level", "sensor.read_noise", "sensor.gain", "psf.sigma_px"} & {
@@ -48,9 +34,9 @@ def estimate_unknown_settings(camera: Camera, plate: EmptyPlate, frames: Sequenc
     wants_gain = "sensor.gain" in camera.assumed
     if camera.psf_sigma is not None and not wants_gain and not encoded:
         return camera
-    windows = _brightest(camera, plate, frames)
+    windows = _cut_bright_glints(camera, plate, frames)
     if windows is None:
-        return camera if camera.psf_sigma is not None else replace(camera, psf_sigma=DEFAULT_SIGMA)
+        return camera if camera.psf_sigma is not None else replace(camera, psf_sigma=1.0)  # px, of a usual lens
     if encoded or (wants_gain and "sensor.read_noise" in camera.assumed):
         size = _codec_noise(windows, camera, plate.noise, level, wants_gain)
         camera = replace(camera, sensor=replace(camera.sensor, codec_noise=size))
@@ -65,16 +51,16 @@ def estimate_unknown_settings(camera: Camera, plate: EmptyPlate, frames: Sequenc
     return camera
 
 
-def _bits(container: int, frames: Sequence[Any]) -> int:
-    """Bits of the converter: the fewest that cameras have and that hold the brightest pixel seen."""
+def _bits(container: int, frames: Sequence[Any], searched_frames: int = 400) -> int:
+    """Bits of the converter: the fewest that cameras have and that the brightest pixel fits into."""
     if container <= 8:
         return container
-    top = max(int(np.max(frames[k])) for k in range(min(len(frames), DEEP)))
+    top = max(int(np.max(frames[k])) for k in range(min(len(frames), searched_frames)))
     return next(bits for bits in (8, 10, 12, 14, 16) if top < 2**bits)
 
 
 def _with_read_noise(camera: Camera, sensor: SensorSpec, noise: float, level: float) -> SensorSpec:
-    """Read noise such that the plate flickers as it does, if the file does not give it."""
+    """The sensor with the read noise that the plate's fluctuations show, if the file does not give it."""
     if "sensor.read_noise" not in camera.assumed:
         return sensor
     shot = max(level - sensor.black_level, 0.0) / sensor.gain
@@ -82,81 +68,120 @@ def _with_read_noise(camera: Camera, sensor: SensorSpec, noise: float, level: fl
     return replace(sensor, read_noise=sensor.gain * math.sqrt(rest))
 
 
-def _brightest(camera: Camera, plate: EmptyPlate, frames: Sequence[Any]) -> GlintWindows | None:
-    """Windows about clear glints, the way of each from its nearest neighbour one frame before."""
+def _cut_bright_glints(
+    camera: Camera,
+    plate: EmptyPlate,
+    frames: Sequence[Any],
+    *,
+    used_frames: int = 40,
+    first_sigma: float = 1.2,
+    min_sigma: float = 20.0,
+    max_blur_px: float = 2.5,
+    short_share: float = 0.3,
+) -> GlintWindows | None:
+    """Windows about clear glints; the blur of each follows from its nearest neighbour one frame before.
+
+    Parameters
+    ----------
+    used_frames : int
+        Frames in the middle of the clip.
+    first_sigma : float
+        A first width of the glints, px.
+    min_sigma : float
+        Least strength of a candidate, standard deviations of a box sum over the plate.
+    max_blur_px : float
+        Glints that move by more during the exposure are not used.
+    short_share : float
+        Share of the frame time up to which whole-pixel positions give the blur well enough. Of longer exposures only
+        glints at rest are used.
+    """
     radius = camera.diameter_px / 2.0 if camera.metric else 8.0
-    search = CandidateSearch(plate, TYPICAL, apart=1.6 * radius)
+    search = CandidateSearch(plate, first_sigma, apart=1.6 * radius)
     half = max(3, min(6, round(0.58 * radius)))
-    least = BRIGHT * search.box * plate.noise
+    least = min_sigma * search.box * plate.noise
     share = camera.exposure * camera.fps if camera.metric else 0.125
-    start = max(0, (len(frames) - FRAMES) // 2)
-    cuts, ways = [], []
+    start = max(0, (len(frames) - used_frames) // 2)
+    cuts, blurs = [], []
     before = np.empty((0, 2), np.int64)
-    for k in range(start, min(len(frames), start + FRAMES)):
+    for k in range(start, min(len(frames), start + used_frames)):
         frame = frames[k]
-        finds = search(frame)
-        here = np.column_stack([finds.column, finds.row])
-        clear = finds.strength > max(least, 0.5 * float(np.max(finds.strength, initial=0.0)))
+        found = search(frame)
+        here = np.column_stack([found.column, found.row])
+        clear = found.strength > max(least, 0.5 * float(np.max(found.strength, initial=0.0)))
         clear &= np.all((here >= half) & (here < np.array(frame.shape[::-1]) - half), axis=1)
         for at in here[clear] if len(before) else ():
-            way = share * (at - before[int(np.argmin(np.sum((before - at) ** 2, axis=1)))])
-            if np.hypot(*way) <= LONGEST and (share < SHORT or not way.any()):
+            blur = share * (at - before[int(np.argmin(np.sum((before - at) ** 2, axis=1)))])
+            if np.hypot(*blur) <= max_blur_px and (share < short_share or not blur.any()):
                 cuts.append(frame[at[1] - half : at[1] + half + 1, at[0] - half : at[0] + half + 1])
-                ways.append(way)
+                blurs.append(blur)
         before = here
     if not cuts:
         return None
-    counts, blurs = np.stack(cuts).astype(np.float64), np.array(ways, dtype=np.float64)
+    counts = np.stack(cuts).astype(np.float64)
     n = len(counts)
     nothing = np.zeros((n, 2))
-    return GlintWindows(counts, np.ones_like(counts), nothing, blurs, nothing, np.zeros((n, 0, 3)))
+    return GlintWindows(
+        counts=counts,
+        used=np.ones_like(counts),
+        start=nothing,
+        blur=np.array(blurs, dtype=np.float64),
+        bowl=nothing,
+        secondaries=np.zeros((n, 0, 3)),
+    )
 
 
 def _width(windows: GlintWindows, sensor: SensorSpec) -> float:
-    """The width under which the windows are most likely."""
-    return _likeliest(lambda sigma: _loglik(windows, sigma, sensor), WIDTHS)
+    """The width of a glint, px, of greatest likelihood."""
+    return _maximise(lambda sigma: _loglik(windows, sigma, sensor), (0.4, 5.0))
 
 
 def _codec_noise(windows: GlintWindows, camera: Camera, noise: float, level: float, wants_gain: bool) -> float:
-    """What an encoder leaves out beside glints, counts; 0 where the windows are as likely without.
+    """Noise that an encoder adds beside glints, counts; 0 where the windows are as likely without it.
 
-    It is spread over the blocks in which something is seen; a bare plate is smoothed.
+    It is spread over the blocks that contain something; a bare plate is smoothed.
     """
+    limits = (0.3, 100.0)  # of the plate's noise, within which it is searched
+    least = 0.5  # of the plate's noise; less cannot be distinguished from none
+    min_log_ratio = 100.0  # by which the log likelihood must be better with it: films without encoding stay below
 
-    def coded(size: float) -> Camera:
+    def with_noise(size: float) -> Camera:
         return replace(camera, sensor=replace(camera.sensor, codec_noise=size))
 
     def width(size: float) -> float:
         given = None if "psf.sigma_px" in camera.assumed else camera.sigma
-        return given or _width(windows, coded(size).sensor)
+        return given or _width(windows, with_noise(size).sensor)
 
     def likely(size: float) -> float:
         if wants_gain:
-            return _gain(windows, width(size), coded(size), noise, level)[1]
-        return _loglik(windows, width(size), coded(size).sensor)
+            return _gain(windows, width(size), with_noise(size), noise, level)[1]
+        return _loglik(windows, width(size), with_noise(size).sensor)
 
     sigma = width(0.0)
-    size = noise * _likeliest(lambda by: _loglik(windows, sigma, coded(by * noise).sensor), LOUDER)
-    if size < LEAST * noise:
+    size = noise * _maximise(lambda by: _loglik(windows, sigma, with_noise(by * noise).sensor), limits)
+    if size < least * noise:
         return 0.0
-    return size if likely(size) > likely(0.0) + CLEARLY else 0.0
+    return size if likely(size) > likely(0.0) + min_log_ratio else 0.0
 
 
 def _gain(windows: GlintWindows, sigma: float, camera: Camera, noise: float, level: float) -> tuple[SensorSpec, float]:
-    """The gain under which the glints scatter as they do, a dark pixel's noise kept, and how likely they are by it."""
-    unit = 2.0 ** (8 - camera.sensor.bits)
+    """The gain of greatest posterior probability, a dark pixel's noise kept; and the log of that probability.
+
+    The prior is log-normal: cameras have about 20 e-/count, within a factor of e^1.5.
+    """
+    unit = 2.0 ** (8 - camera.sensor.bits)  # a count of 12 bits is a sixteenth of one of 8 bits
 
     def sensor(gain: float) -> SensorSpec:
         return _with_read_noise(camera, replace(camera.sensor, gain=gain), noise, level)
 
     def loglik(gain: float) -> float:
-        return _loglik(windows, sigma, sensor(gain)) - 0.5 * (math.log(gain / 20.0) / SURE) ** 2
+        return _loglik(windows, sigma, sensor(gain)) - 0.5 * (math.log(gain / 20.0) / 1.5) ** 2
 
-    best = _likeliest(loglik, (GAINS[0] * unit, GAINS[1]))
+    best = _maximise(loglik, (2.0 * unit, 500.0))  # e-/count
     return sensor(best), loglik(best)
 
 
-def _likeliest(loglik: Callable[[float], float], limits: tuple[float, float]) -> float:
+def _maximise(loglik: Callable[[float], float], limits: tuple[float, float]) -> float:
+    """Where a function is greatest: on a logarithmic grid, then by Brent's method between its neighbours."""
     low, high = map(math.log, limits)
     grid = np.linspace(low, high, 9)
     best = int(np.argmax([loglik(math.exp(g)) for g in grid]))

@@ -1,4 +1,4 @@
-"""The fast first search: where in a frame something small stands out from the dark plate."""
+"""The fast first search: pixels of a frame that are brighter than the empty plate by more than noise."""
 
 from __future__ import annotations
 
@@ -13,15 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
+from tracker.settings import DetectionSettings
 
-SIGNIFICANCE = 6.5  # noise deviations of a box sum; one false find in some 10^10 pixels
-MOST = 64  # finds a frame: beyond that it is no picture of a few balls
-CROWDED = 0.3  # share of a frame's pixels over the threshold that is too much to be balls
-RAISED = 0.01  # the same, from which on the plate itself may be lighter than it was
-SHIFTED = 3.0  # counts, by which an encoder shifts a whole plate, or half of one, at most; more is no plate
-ROUNDING = 0.29  # counts, the noise of rounding alone
-ALONE = 0.25  # of a pixel's height, what its neighbours have at least beside a glint of width .55 px
-CELL = 12  # px, of the coarse picture that gives the plate's smooth part
+ROUNDING_NOISE_COUNTS = 0.29  # standard deviation of rounding to whole counts, 1/sqrt(12)
 # Sorting network for the median of nine (Paeth 1990, Graphics Gems): exact, and as fast as the minimum.
 MEDIAN_OF_NINE = (
     (1, 2), (4, 5), (7, 8), (0, 1), (3, 4), (6, 7), (1, 2), (4, 5), (7, 8), (0, 3), (5, 8), (4, 7), (3, 6), (1, 4),
@@ -31,8 +25,16 @@ MEDIAN_OF_NINE = (
 
 @dataclass(frozen=True, eq=False)
 class EmptyPlate:
-    """The plate without balls: ``level`` (h, w) counts in the frames' type, ``noise`` counts a pixel a frame, and
-    ``hot``: which pixels (k,) of the flattened plate stand out alone and are no ball.
+    """The plate without balls.
+
+    Attributes
+    ----------
+    level : ndarray of shape (h, w)
+        Counts, in the type of the frames.
+    noise : float
+        Standard deviation of one pixel in one frame, counts.
+    hot : ndarray of int, shape (k,)
+        Indices into the flattened plate of single bright pixels that are no ball.
     """
 
     level: NDArray[Any]
@@ -41,10 +43,10 @@ class EmptyPlate:
 
 
 def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
-    """Plate and noise of a clip from nine frames spread over it.
+    """Estimate plate and noise of a clip from nine frames spread over it.
 
-    The median of the nine loses what moves. What rests stays in it, and is found because it stands out
-    from its surroundings: there the plate's smooth part, a median over about 60 px, takes its place.
+    The median of the nine contains no moving ball. A ball at rest stays in the median. It is recognised because it is
+    brighter than its surroundings, and is replaced by the smooth part of the plate, a median over about 60 px.
     """
     last = len(frames) - 1
     sample = [np.array(frames[round(k * last / 8)]) for k in range(9)]
@@ -53,7 +55,7 @@ def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
     smooth = _smooth(middle)
     over = np.asarray(cv2.subtract(middle, smooth, dtype=cv2.CV_32F), dtype=np.float32)
     risen = over >= 4.0 * noise / 3.0 + 1.0
-    hot = _lone(over, np.flatnonzero(risen), noise)
+    hot = _find_hot_pixels(over, np.flatnonzero(risen), noise)
     risen.ravel()[hot] = False
     wide = np.flatnonzero(cv2.dilate(risen.view(np.uint8), np.ones((7, 7), np.uint8)))
     kept = middle.ravel()[hot]
@@ -62,19 +64,24 @@ def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
     return EmptyPlate(middle, noise, hot)
 
 
-def _lone(over: NDArray[np.float32], risen: NDArray[np.int64], noise: float) -> NDArray[np.int64]:
-    """Which of the risen pixels (k,) have only neighbours too dark for a glint, however sharp the optics."""
+def _find_hot_pixels(
+    over: NDArray[np.float32], risen: NDArray[np.int64], noise: float, neighbour_share: float = 0.25
+) -> NDArray[np.int64]:
+    """Those of the risen pixels (k,) whose neighbours are too dark for a glint.
+
+    Beside the peak of a glint of width .55 px, the sharpest that optics give, a neighbour has at least a quarter of it.
+    """
     h, w = over.shape
     row, column = risen // w, risen % w
     around = [
         over[np.clip(row + down, 0, h - 1), np.clip(column + right, 0, w - 1)]
         for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1))
     ]
-    return np.asarray(risen[np.max(around, axis=0) < ALONE * over.ravel()[risen] + noise])
+    return np.asarray(risen[np.max(around, axis=0) < neighbour_share * over.ravel()[risen] + noise])
 
 
 def median_of_nine(sheets: list[NDArray[Any]]) -> NDArray[Any]:
-    """The median; the nine are overwritten, for fresh memory costs more than the sorting."""
+    """The median of nine pictures. They are overwritten: fresh memory would cost more time than the sorting."""
     spare = np.empty_like(sheets[0])
     for low, high in MEDIAN_OF_NINE:
         one, two = sheets[low], sheets[high]
@@ -83,61 +90,87 @@ def median_of_nine(sheets: list[NDArray[Any]]) -> NDArray[Any]:
     return sheets[4]
 
 
-def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
+def _smooth(picture: NDArray[Any], cell_px: int = 12) -> NDArray[np.float32]:
+    """The smooth part of a picture: a median over 5 x 5 cells."""
     h, w = picture.shape
-    rows, columns = max(h // CELL, 1), max(w // CELL, 1)
+    rows, columns = max(h // cell_px, 1), max(w // cell_px, 1)
     coarse = cv2.resize(picture.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
     calm = cv2.medianBlur(coarse, 5)
     return np.asarray(cv2.resize(calm, (w, h), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
 def estimate_noise(sample: list[NDArray[Any]]) -> float:
-    """Noise of one pixel in one frame, counts, from differences of frames; balls are too few to matter."""
+    """Noise of one pixel in one frame, counts, from differences of frames; balls cover too few pixels to matter."""
     h, w = sample[0].shape
     step = max(1, math.isqrt(h * w // 4000))
     thin = np.stack([s[::step, ::step] for s in sample]).astype(np.float32)
     steps = np.diff(thin, axis=0)
-    differences = steps[np.any(steps != 0.0, axis=(1, 2))].ravel()  # a frame given twice holds no noise
+    differences = steps[np.any(steps != 0.0, axis=(1, 2))].ravel()  # a repeated frame shows no noise
     if len(differences) == 0:
-        return ROUNDING
+        return ROUNDING_NOISE_COUNTS
     spread = float(np.std(differences))
-    for _ in range(4):  # leave out what moved
+    for _ in range(4):  # without the pixels over which a ball moved
         kept = differences[np.abs(differences) <= 4.0 * spread + 1.0]
         spread = float(np.std(kept)) if len(kept) else 0.0
-    return max(spread / math.sqrt(2.0), ROUNDING)
+    return max(spread / math.sqrt(2.0), ROUNDING_NOISE_COUNTS)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Candidates of one frame, brightest first: pixel ``column``, ``row``, and the box sum there, counts."""
+    """Candidates of one frame, brightest first.
+
+    Attributes
+    ----------
+    column, row : ndarray of int, shape (n,)
+        Their pixels.
+    strength : ndarray of shape (n,)
+        Sum of the counts above the plate in a box about the pixel.
+    crowded : bool
+        So many pixels are bright that the frame does not show a few balls; then there are no candidates.
+    """
 
     column: NDArray[np.int64]
     row: NDArray[np.int64]
     strength: Array
     crowded: bool = False
 
-
-NONE = Candidates(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
+    @staticmethod
+    def none(crowded: bool = False) -> Candidates:
+        """No candidates."""
+        return Candidates(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), crowded)
 
 
 class CandidateSearch:
-    """Candidates of a frame: local maxima of a box sum over the plate, each the strongest within ``apart`` px."""
+    """Finds the local maxima of a box sum over the plate.
 
-    def __init__(self, plate: EmptyPlate, sigma: float, apart: float) -> None:
-        self.apart, self.plate = apart, plate
+    Parameters
+    ----------
+    plate : EmptyPlate
+    sigma : float
+        Gaussian width of a glint, px.
+    apart : float
+        Least distance of two candidates, px: each is the strongest within it.
+    settings : DetectionSettings
+    """
+
+    def __init__(
+        self, plate: EmptyPlate, sigma: float, apart: float, settings: DetectionSettings | None = None
+    ) -> None:
+        settings = settings or DetectionSettings()
+        self.apart, self.plate, self.most = apart, plate, settings.max_candidates_per_frame
         self.box = max(3, 2 * round(1.2 * sigma) + 1)
-        # Negative noise must survive an unsigned difference: subtract a little less than the plate.
+        # Differences are unsigned. To keep negative noise, the search subtracts a little less than the plate.
         drop = math.ceil(3.0 * plate.noise)
         self.floor = cv2.subtract(plate.level, np.full_like(plate.level, drop))
         area = self.box * self.box
         small = plate.level.dtype == np.uint8 and area * 255 < 2**15
         self.depth = cv2.CV_16S if small else cv2.CV_32F
-        # Kept between frames: fresh memory of this size costs more than the sums.
+        # Kept between frames: fresh memory of this size would cost more time than the sums.
         self.lifted = np.empty_like(plate.level)
         self.sums = np.empty(plate.level.shape, np.int16 if small else np.float32)
         self.over = np.empty(plate.level.shape, np.bool_)
-        least = area * drop + SIGNIFICANCE * self.box * plate.noise * math.sqrt(1.0 + 1.0 / 6.0)
-        self.threshold = math.floor(least)  # whole, so that whole sums are compared as they are
+        least = area * drop + settings.candidate_sigma * self.box * plate.noise * math.sqrt(1.0 + 1.0 / 6.0)
+        self.threshold = math.floor(least)  # a whole number, so that whole sums need no conversion
         self.base = float(area * drop)
 
     @cached_property
@@ -146,20 +179,24 @@ class CandidateSearch:
         return _smooth(self.plate.level)
 
     def __call__(self, frame: NDArray[Any]) -> Candidates:
+        """The candidates of a frame (h, w)."""
+        raised_share = 0.01  # of the pixels over the threshold, from which the plate itself may have become lighter
+        crowded_share = 0.3  # of the pixels over the threshold: too much for balls
+        max_shift = 3.0  # counts by which an encoder shifts a whole plate or half of one, at most
         hits = self._over(frame, self.floor)
-        if len(hits) > RAISED * self.sums.size:
+        if len(hits) > raised_share * self.sums.size:
             raised = np.rint(_smooth(frame) - self.smooth)
-            level = self.floor + np.where(np.abs(raised) <= SHIFTED, raised, 0.0)
+            level = self.floor + np.where(np.abs(raised) <= max_shift, raised, 0.0)
             hits = self._over(frame, np.clip(level, 0, np.iinfo(frame.dtype).max).astype(frame.dtype))
         if len(hits) == 0:
-            return NONE
-        if len(hits) > CROWDED * self.sums.size:
-            return Candidates(NONE.column, NONE.row, NONE.strength, crowded=True)
+            return Candidates.none()
+        if len(hits) > crowded_share * self.sums.size:
+            return Candidates.none(crowded=True)
         rows, columns = np.divmod(hits, frame.shape[1])
         return self._strongest(columns, rows, self.sums.ravel()[hits].astype(np.float64))
 
     def _over(self, frame: NDArray[Any], floor: NDArray[Any]) -> NDArray[np.int64]:
-        """Pixels (k,) of the flattened frame whose box sum over `floor` exceeds the threshold; `sums` has the sums."""
+        """Indices (k,) of the pixels whose box sum above `floor` exceeds the threshold; `sums` holds the sums."""
         lifted = cv2.subtract(frame, floor, dst=self.lifted)
         box, edge = (self.box, self.box), cv2.BORDER_REFLECT
         sums = cv2.boxFilter(lifted, self.depth, box, dst=self.sums, normalize=False, borderType=edge)
@@ -168,7 +205,7 @@ class CandidateSearch:
     def _strongest(self, columns: NDArray[np.int64], rows: NDArray[np.int64], values: Array) -> Candidates:
         left = values.copy()
         chosen: list[int] = []
-        while len(chosen) < MOST:
+        while len(chosen) < self.most:
             best = int(left.argmax())  # the first of equals
             if left[best] <= 0:
                 break
@@ -179,11 +216,11 @@ class CandidateSearch:
 
 
 def estimate_coarse_positions(windows: Array, half: int) -> Array:
-    """First positions (n, 2), px from the central pixel, of glints in (n, s, s) counts: centroid of the core."""
+    """First positions (n, 2), px from the central pixel, of glints in (n, s, s) counts: centroids of their cores."""
     core = windows[:, half - 1 : half + 2, half - 1 : half + 2]
     weight = np.maximum(core - np.median(windows.reshape(len(windows), -1), axis=1)[:, None, None], 0.0)
     total = np.maximum(weight.sum(axis=(1, 2)), 1e-9)
     offsets = np.arange(-1, 2)
     x = (weight.sum(axis=1) * offsets).sum(axis=1) / total
     y = (weight.sum(axis=2) * offsets).sum(axis=1) / total
-    return np.column_stack([x, y]) * 1.3  # a core three pixels wide pulls to its middle
+    return np.column_stack([x, y]) * 1.3  # a core three pixels wide biases the centroid towards its middle

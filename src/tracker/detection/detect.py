@@ -1,4 +1,4 @@
-"""Where detectors are found, and a clip searched by one of them."""
+"""Finds detectors and linkers by name, makes their view of a clip, and detects its balls."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import importlib
 import inspect
 import math
 import pkgutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from importlib.metadata import entry_points
 from typing import Any, TypeAlias
@@ -22,44 +22,48 @@ from tracker.detection import detectors as detector_files
 from tracker.detection import linkers as linker_files
 from tracker.detection.autocalibrate import estimate_unknown_settings
 from tracker.detection.candidates import EmptyPlate, estimate_empty_plate
-from tracker.detection.glints import Detector, Glints, View
-from tracker.detection.motion_blur import CURIOUS, PLAIN, SETTLED, SURE, MotionBlurEvidence
+from tracker.detection.detector import AnyDetector, ClipDetector, Detections, DetectorClass, Point, View
+from tracker.detection.glints import Glints
 from tracker.detection.takes import find_takes
+from tracker.settings import LinkSettings, TrackerSettings
 
-GROUP = "tracker.detectors"
-DetectorChoice: TypeAlias = str | Callable[[View], Detector]  # a detector, by its name or itself
-ROUNDS = 5  # of the search, until the motion blur is as long as it was taken to be
-SWINGS = 0.8  # of the last change's logarithm, one back again that is too large
+DetectorChoice: TypeAlias = str | DetectorClass
+"""A detector: its name, "NAME+LINKER" with another program that links, or the class itself."""
+Linker: TypeAlias = Callable[[Glints], NDArray[np.int64]]
+
+ENTRY_POINT_GROUP = "tracker.detectors"
 DEFAULT = "maximum_likelihood"
 
 
-def list_detectors() -> dict[str, Callable[[View], Detector]]:
-    """Every detector by name: the files of ``detectors/`` and the entry points of group tracker.detectors."""
-    found: dict[str, Callable[[View], Detector]] = {}
+def list_detectors() -> dict[str, DetectorClass]:
+    """Every detector by name: the files of ``detectors/`` and the entry points of group ``tracker.detectors``."""
+    found: dict[str, DetectorClass] = {}
     for module in pkgutil.iter_modules(detector_files.__path__):
-        found[module.name] = _from_file(module.name)
-    for point in entry_points(group=GROUP):
+        found[module.name] = _load_file(module.name)
+    for point in entry_points(group=ENTRY_POINT_GROUP):
         found.setdefault(point.name, point.load())
     return found
 
 
-def _from_file(name: str) -> Callable[[View], Detector]:
+def _load_file(name: str) -> DetectorClass:
     module = importlib.import_module(f"{detector_files.__name__}.{name}")
-    made: list[Any] = [c for c in vars(module).values() if inspect.isclass(c)]
-    callables = [c for c in made if c.__module__ == module.__name__ and "__call__" in vars(c)]
-    if len(callables) != 1:
-        raise PluginError(f"{module.__file__}: expected one callable class, found {len(callables)}")
-    found: Callable[[View], Detector] = callables[0]
+    own: list[Any] = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
+    classes = [c for c in own if {"__call__", "detect"} & set(vars(c))]
+    if len(classes) != 1:
+        raise PluginError(
+            f"{module.__file__}: expected one class with __call__(frame) or detect(frames), found {len(classes)}"
+        )
+    found: DetectorClass = classes[0]
     return found
 
 
-def load_detector(name: DetectorChoice) -> Callable[[View], Detector]:
-    """The detector of that name, or the one given; InputError lists those there are."""
+def load_detector(name: DetectorChoice) -> DetectorClass:
+    """The class of a detector. Raises InputError, which lists all names, for an unknown one."""
     if not isinstance(name, str):
         return name
     name = name.partition("+")[0]
     if name in {module.name for module in pkgutil.iter_modules(detector_files.__path__)}:
-        return _from_file(name)  # without reading every other
+        return _load_file(name)  # without importing all others
     known = list_detectors()
     if name not in known:
         near = did_you_mean(name, {k: k for k in known})
@@ -67,8 +71,12 @@ def load_detector(name: DetectorChoice) -> Callable[[View], Detector]:
     return known[name]
 
 
-def load_linker(name: DetectorChoice, camera: Camera) -> Callable[[Glints], NDArray[np.int64]] | None:
-    """Of a name that ends in +LINKER that program; None where this package links. InputError lists those there are."""
+def load_linker(name: DetectorChoice, camera: Camera, settings: LinkSettings | None = None) -> Linker | None:
+    """The linker of a name that ends in +LINKER; None for the tracker's own. Raises InputError for an unknown one.
+
+    A file of ``linkers/`` holds one class. It is made from the camera and `LinkSettings`; called with the `Glints` of a
+    clip it returns their particles (n,), -1 for none.
+    """
     wanted = name.partition("+")[2] if isinstance(name, str) else ""
     if not wanted:
         return None
@@ -77,104 +85,133 @@ def load_linker(name: DetectorChoice, camera: Camera) -> Callable[[Glints], NDAr
         raise InputError(f"--detector: no linker {wanted!r} behind +, expected one of {', '.join(there)}")
     module = importlib.import_module(f"{linker_files.__name__}.{wanted}")
     made: list[Any] = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
-    given: Callable[[Glints], NDArray[np.int64]] = made[0](camera)
-    return given
+    linker: Linker = made[0](camera, settings or LinkSettings())
+    return linker
 
 
 def detector_name(name: DetectorChoice) -> str:
-    """What messages and files call a detector."""
+    """How messages and files call a detector."""
     return name if isinstance(name, str) else str(getattr(name, "__name__", type(name).__name__))
 
 
-def make_view(clip: Recording, name: DetectorChoice = DEFAULT) -> View:
-    """Plate and noise of a clip, and, for a detector of glints, from them what its camera file leaves open."""
+def detected_point(name: DetectorChoice, camera: Camera) -> Point:
+    """What a detector finds with this camera: "glint", or "centre" of a ball's outline.
+
+    It is the optional attribute ``point`` of the detector's class; see `tracker.detection.detector`.
+    """
+    point = getattr(load_detector(name), "point", "glint")
+    return "centre" if point == "centre" or (point == "either" and camera.matte) else "glint"
+
+
+def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: TrackerSettings | None = None) -> View:
+    """What a detector knows of a clip; for one of glints, with estimates of what the camera file leaves open."""
+    settings = settings or TrackerSettings()
     if detected_point(name, clip.camera) == "centre":
         takes = find_takes(clip.frames)
-        return View(clip.camera, EmptyPlate(np.asarray(clip.frames[0]), takes.noise), clip.frames, takes)
+        return View(clip.camera, EmptyPlate(np.asarray(clip.frames[0]), takes.noise), clip.frames, takes, settings)
     plate = estimate_empty_plate(clip.frames)
     if plate.level.shape != clip.frames.shape[1:]:
-        raise InputError(f"clip {clip.number}: frames of unequal sizes")
-    return View(estimate_unknown_settings(clip.camera, plate, clip.frames), plate, clip.frames)
+        raise InputError(f"clip {clip.number}: frames of unequal sizes, expected all as the first")
+    camera = estimate_unknown_settings(clip.camera, plate, clip.frames)
+    return View(camera, plate, clip.frames, settings=settings)
 
 
-def detected_point(name: DetectorChoice, camera: Camera) -> str:
-    """What a detector finds: the "glint", or the "centre" of a ball's outline; one of "either" that of matte balls."""
-    point = str(getattr(load_detector(name), "point", "glint"))
-    return ("centre" if camera.matte else "glint") if point == "either" else point
-
-
-def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Glints:
-    """All glints of a clip by the detector ``name``, in the order of frames."""
-    return search_frames(clip, load_detector(name)(view), detector_name(name))
-
-
-def detect_until_blur_converges(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> tuple[Glints, View]:
-    """Find all glints of a clip, and the exposure that their motion blur shows where that is not the camera file's.
-
-    That is so where they differ by more than SURE of its errors and by PLAIN. Else, or where the rounds do not
-    converge, the view is the one given, and the glints are those of `detect`.
+def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detections:
+    """Detect the balls of all frames of a clip.
 
     Parameters
     ----------
-    clip : Clip
+    clip : Recording
     view : View
-    name : str or callable
+    name : str or class
+
+    Returns
+    -------
+    Detections
+        In the order of frames.
+
+    Raises
+    ------
+    InputError
+        Where the detector returns anything but `Glints` of finite numbers and of consistent shapes.
+    """
+    return run_detector(load_detector(name)(view), enumerate(clip.frames), detector_name(name))
+
+
+def run_detector(detector: AnyDetector, frames: Iterable[tuple[int, NDArray[Any]]], name: str) -> Detections:
+    """As `detect`, with a detector that is already made, for any numbered frames."""
+    if isinstance(detector, ClipDetector):
+        found = detector.detect(frames)
+        if not isinstance(found, Detections):
+            raise InputError(f"detector {name}: returned {type(found).__name__}, expected Detections")
+        _check_glints(found.glints, f"detector {name}")
+        return found
+    parts = []
+    for number, frame in frames:
+        glints = _check_glints(detector(frame), f"detector {name}, frame {number}")
+        parts.append(replace(glints, frame=np.full(len(glints), number, dtype=np.int64)))
+    return Detections(Glints.join(parts))
+
+
+def detect_until_blur_converges(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> tuple[Detections, View]:
+    """Detect the balls of a clip, and find the exposure from their motion blur where it contradicts the camera file.
+
+    The exposure is taken from the blur where the two differ by more than ``blur_sigma`` standard errors and by more
+    than ``min_blur_change`` (see `DetectionSettings`). Detection is repeated with each new exposure until the blur
+    agrees with it. Where that does not converge, the camera file's exposure holds.
+
+    Parameters
+    ----------
+    clip : Recording
+    view : View
+    name : str or class
         The detector.
 
     Returns
     -------
-    glints : Glints
+    Detections
         In the order of frames.
-    view : View
+    View
+        With ``camera.exposure_from_blur`` where the exposure was taken from the blur; otherwise as given.
     """
-    finder: Any = load_detector(name)(view)
-    first = search_frames(clip, finder, detector_name(name))
-    if hasattr(finder, "notes"):
-        view = replace(view, notes=tuple(finder.notes()))
-    blur = getattr(finder, "motion_blur", None)
-    if not isinstance(blur, MotionBlurEvidence):
+    settings = view.settings.detection
+    first = detect(clip, view, name)
+    if first.blur is None:
         return first, view
-    length, error, hint = blur.estimate_length()
-    if hint < CURIOUS or abs(length - 1.0) < PLAIN:
+    length, error, significance = first.blur.estimate_length()
+    # 2.5 sigma are enough for a second look: the first is made with a wrong exposure, which weakens the evidence.
+    if significance < 2.5 or abs(length - 1.0) < settings.min_blur_change:
         return first, view
     current = view
-    for _ in range(ROUNDS):
-        seen = min(current.camera.effective_exposure * length, 1.0 / current.camera.fps)
-        current = replace(current, camera=replace(current.camera, exposure_from_blur=seen))
-        finder, previous = load_detector(name)(current), length
-        glints = search_frames(clip, finder, detector_name(name))
-        length, error, _ = finder.motion_blur.estimate_length()
-        if abs(length - 1.0) < SETTLED:
-            change = abs(1.0 - view.camera.exposure / seen)
-            return (glints, current) if change > max(PLAIN, SURE * error) else (first, view)
-        if (length > 1.0) != (previous > 1.0) and abs(math.log(length)) > SWINGS * abs(math.log(previous)):
-            break  # it swings about and will not settle: something else is wrong with the glints
+    for _ in range(5):
+        exposure = min(current.camera.effective_exposure * length, 1.0 / current.camera.fps)
+        current = replace(current, camera=replace(current.camera, exposure_from_blur=exposure))
+        found, previous = detect(clip, current, name), length
+        if found.blur is None:
+            break
+        length, error, _ = found.blur.estimate_length()
+        if abs(length - 1.0) < 0.02:  # less than half of the least change that is reported
+            change = abs(1.0 - view.camera.exposure / exposure)
+            agreed = change > max(settings.min_blur_change, settings.blur_sigma * error)
+            return (replace(found, notes=first.notes), current) if agreed else (first, view)
+        swings_back = (length > 1.0) != (previous > 1.0)
+        if swings_back and abs(math.log(length)) > 0.8 * abs(math.log(previous)):
+            break  # it oscillates and will not converge: something else is wrong with the glints
     return first, view
 
 
-def search_frames(clip: Recording, finder: Any, name: str) -> Glints:
-    """All glints of a clip. Raises InputError where the detector returns anything but Glints as they must be."""
-    frames = enumerate(clip.frames)
-    if hasattr(finder, "many"):
-        return _check_glints(finder.many(frames), f"detector {name}")
-    parts = []
-    for number, frame in frames:
-        glints = _check_glints(finder(frame), f"detector {name}, frame {number}")
-        parts.append(replace(glints, frame=np.full(len(glints), number, dtype=np.int64)))
-    return Glints.join(parts)
-
-
-def _check_glints(found: Any, said_by: str) -> Glints:
+def _check_glints(found: Any, source: str) -> Glints:
+    """The glints, checked. Raises InputError, which begins with their source."""
     if not isinstance(found, Glints):
-        raise InputError(f"{said_by}: returned {type(found).__name__}, expected Glints")
+        raise InputError(f"{source}: returned {type(found).__name__}, expected Glints")
     n = int(np.size(found.x))
     for field in fields(Glints):
         values = np.asarray(getattr(found, field.name))
         expected = (n, 2, 2) if field.name in ("cov", "fixed") else (n,)
         if values.shape != expected:
-            raise InputError(f"{said_by}: {field.name} has shape {values.shape}, expected {expected} for {n} glints")
+            raise InputError(f"{source}: {field.name} has shape {values.shape}, expected {expected} for {n} glints")
         if not np.isfinite(values).all():
-            raise InputError(f"{said_by}: {field.name} holds NaN or infinity, expected finite numbers")
+            raise InputError(f"{source}: {field.name} holds NaN or infinity, expected finite numbers")
     if not (np.diagonal(found.cov, axis1=1, axis2=2) > 0).all():
-        raise InputError(f"{said_by}: cov holds a variance of zero or less, expected px^2 above zero")
+        raise InputError(f"{source}: cov holds a variance of zero or less, expected px^2 above zero")
     return found

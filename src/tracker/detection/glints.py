@@ -1,32 +1,66 @@
-"""Glints of a clip: what a detector returns, and what it knows of the clip."""
+"""`Glints`: the balls that a detector found, as arrays of positions with their covariances and flags."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from enum import IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
-from tracker.detection.candidates import EmptyPlate
-from tracker.detection.takes import Takes
 
-CLIPPED, BLURRED, NEAR, MISFIT, EDGE, SHADED = 1, 2, 4, 8, 16, 32
-WORDS = {CLIPPED: "clipped", BLURRED: "streak", NEAR: "near", MISFIT: "misfit", EDGE: "edge", SHADED: "shaded"}
-UNLIT = (
-    0.01  # of a radius, by which a ball lies off whose far side is in its own shadow, alike over a ball's width: rms of
-)
-# 640 positions in four films of white balls (scenes/matte_white.yaml)
+SHADED_POSITION_ERROR_RADII = 0.01
+"""Systematic position error, in ball radii, of a ball whose far side lies in its own shadow. It stays the same over
+about a ball's width of travel. It is the rms of 640 positions in four films of white balls (scenes/matte_white.yaml).
+"""
+
+
+class Flag(IntFlag):
+    """What may impair a position; a sum of these bits."""
+
+    CLIPPED = 1
+    """A pixel of it is at the sensor's limit."""
+    STREAK = 2
+    """It moved by more than half its width during the exposure."""
+    NEAR = 4
+    """Another ball is near."""
+    MISFIT = 8
+    """The residuals of its fit are larger than the noise; its covariance is increased by as much."""
+    EDGE = 16
+    """A part of it is cut off by the edge of the picture."""
+    SHADED = 32
+    """It is lit from one side; its far side lies in its own shadow."""
+
+    @property
+    def word(self) -> str:
+        """How tables name it."""
+        return str(self.name).lower()
 
 
 @dataclass(frozen=True, eq=False)
 class Glints:
-    """Glints found; flat arrays (n,): ``frame``, ``x``, ``y`` px, ``cov`` (n, 2, 2) px^2, ``flux`` and
-    ``background`` counts, ``flags`` sums of the bits above; ``fixed`` (n, 2, 2) px^2 the part of ``cov`` that a
-    ball at rest has in every frame alike (zero where a detector does not know).
+    """Detections of balls in one or more frames.
+
+    The positions are those of glints, or of the centres of outlines where the detector's ``point`` is "centre".
+
+    Attributes
+    ----------
+    frame : ndarray of int, shape (n,)
+    x, y : ndarray of shape (n,)
+        Position, px; pixel centres are at whole numbers.
+    cov : ndarray of shape (n, 2, 2)
+        Covariance of the position, px^2.
+    flux : ndarray of shape (n,)
+        Counts above the background; of an outline its area, px^2.
+    background : ndarray of shape (n,)
+        Counts per pixel.
+    flags : ndarray of int, shape (n,)
+        Sums of `Flag`.
+    fixed : ndarray of shape (n, 2, 2)
+        The part of ``cov`` that is the same in every frame of a ball at rest, px^2. Zero where it is not known.
     """
 
     frame: NDArray[np.int64]
@@ -47,15 +81,15 @@ class Glints:
 
     @property
     def xy(self) -> Array:
-        """(n, 2) px."""
+        """Positions (n, 2), px."""
         return np.stack([self.x, self.y], axis=1)
 
     def take(self, rows: Any) -> Glints:
-        """The glints of ``rows``: indices or a mask."""
+        """The detections of ``rows``: indices or a mask."""
         return Glints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def put(self, rows: Any, part: Glints) -> Glints:
-        """The same glints, ``part`` in the place of ``rows``."""
+        """A copy in which ``part`` replaces the detections of ``rows``."""
         changed = {name: getattr(self, name).copy() for name in self.__dataclass_fields__}
         for name, values in changed.items():
             values[rows] = getattr(part, name)
@@ -63,7 +97,7 @@ class Glints:
 
     @staticmethod
     def none() -> Glints:
-        """No glints."""
+        """No detections."""
         return Glints(
             np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty((0, 2, 2)), np.empty(0), np.empty(0),
             np.empty(0, np.int64),
@@ -71,51 +105,36 @@ class Glints:
 
     @staticmethod
     def at(x: Any, y: Any, std: Any, flux: Any = 1.0, full: Any = False) -> Glints:
-        """Glints at places (n,), px, with standard errors in x and y alike; full: whether a pixel is clipped."""
+        """Detections of one frame from positions.
+
+        Parameters
+        ----------
+        x, y : array_like of shape (n,)
+            px.
+        std : array_like
+            Standard error of x and of y, px; one for all or (n,).
+        flux : array_like
+            Counts; one for all or (n,).
+        full : array_like of bool
+            Whether a pixel is at the sensor's limit.
+        """
         n = np.size(x)
-        place = [np.array(np.broadcast_to(np.asarray(v, np.float64), (n,))) for v in (x, y, std, flux)]
-        cov = np.square(place[2])[:, None, None] * np.eye(2)
-        flags = np.array(np.broadcast_to(np.where(full, CLIPPED, 0), (n,)), np.int64)
-        return Glints(np.zeros(n, np.int64), place[0], place[1], cov, place[3], np.zeros(n), flags)
+        columns = [np.array(np.broadcast_to(np.asarray(v, np.float64), (n,))) for v in (x, y, std, flux)]
+        cov = np.square(columns[2])[:, None, None] * np.eye(2)
+        flags = np.array(np.broadcast_to(np.where(full, Flag.CLIPPED, 0), (n,)), np.int64)
+        return Glints(np.zeros(n, np.int64), columns[0], columns[1], cov, columns[3], np.zeros(n), flags)
 
     @staticmethod
     def join(parts: Iterable[Glints]) -> Glints:
-        """All the parts' glints, in their order."""
+        """The detections of all parts, in their order."""
         kept = list(parts) or [Glints.none()]
         names = Glints.__dataclass_fields__
         return Glints(*(np.concatenate([getattr(p, name) for p in kept]) for name in names))
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """What a detector knows of a clip: the camera, nothing missing in it, the plate without balls, and the frames."""
-
-    camera: Camera
-    plate: EmptyPlate
-    frames: Sequence[Any] = ()
-    takes: Takes | None = None
-    notes: tuple[str, ...] = ()
-
-    @property
-    def sigma(self) -> float:
-        """Width of a resting glint, px."""
-        assert self.camera.sigma is not None  # filled in by ``estimate_unknown_settings``
-        return self.camera.sigma
-
-
-class Detector(Protocol):
-    """Made once a clip from a View. A detector may also have ``many(frames) -> Glints`` for a whole clip's
-    frames at once, as an iterable of (number, frame); else it is called frame by frame.
-    """
-
-    def __call__(self, frame: NDArray[Any]) -> Glints:
-        """Glints of one grey (h, w) frame; their frame number is ignored."""
-
-
 def describe_flags(flags: NDArray[np.int64], always: Sequence[str] = ()) -> NDArray[np.str_]:
-    """Flags as words joined by '|', '' where there is none."""
+    """Flags (n,) as words joined by '|', each after the words of `always`; '' where there is none."""
     table = {
-        value: "|".join([*always, *(word for bit, word in WORDS.items() if value & bit)])
-        for value in np.unique(flags).tolist()
+        value: "|".join([*always, *(flag.word for flag in Flag if value & flag)]) for value in np.unique(flags).tolist()
     }
     return np.array([table[v] for v in flags.tolist()], dtype=np.str_)

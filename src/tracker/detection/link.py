@@ -1,7 +1,7 @@
-"""Joins glints of successive frames into tracks, through collisions, gaps, and balls that come and go.
+"""Joins the detections of successive frames into tracks, through collisions, gaps, and balls that come and go.
 
-A ball is expected where its last velocity takes it, and, since two balls cannot pass through each other, where a
-bounce takes it if they would meet on the way. Glints go to expectations by least squared distance (Hungarian).
+A ball's position is predicted from its last velocity. Two balls cannot pass through each other: where they would meet,
+the prediction lets them bounce. Detections are assigned to predictions by least squared distance (Hungarian method).
 """
 
 from __future__ import annotations
@@ -17,27 +17,32 @@ from scipy.optimize import linear_sum_assignment
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
 from tracker.detection.glints import Glints, describe_flags
+from tracker.settings import LinkSettings
 
 Ints = NDArray[np.int64]
-
-MAX_GAP = 5  # frames a ball may stay unseen
-SHORT = 3  # tracks of fewer frames need the brightness of a ball
-FAINT = 0.25  # of the brightest track's flux: balls are alike and under one lamp
-LOOSE = 0.35  # of the speed, by which a glint may be off where it is expected; of outlines, of which few are false, all
-WIDE = 5.0  # diameters, that a ball seen by its outline may move in a frame
-BOUNCE = 0.9  # normal restitution assumed in an expectation
-FASTEST = 1.0  # m/s, for a ball seen once
-DEFAULT_REACH = 30.0  # px, the same where no camera file ties pixels to metres; or twice the diameter
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Balls followed through one clip; flat arrays (n,) sorted by (particle, frame).
+    """Balls tracked through one clip: arrays sorted by particle, then frame.
 
-    ``x``, ``y`` px: ball centre, mean over the exposure, or the glint where ``flags`` says 'glint'; ``cov``
-    (n, 2, 2) px^2, and ``fixed`` the part of it that a ball at rest has in every frame alike; ``flux`` counts;
-    ``flags`` words joined by '|'; ``glint_x``, ``glint_y`` px; ``time`` s, of the exposures' start, NaN where the frame
-    rate gives it.
+    Attributes
+    ----------
+    frame, particle : ndarray of int, shape (n,)
+    x, y : ndarray of shape (n,)
+        Centre of the ball, mean over the exposure, px; the glint where ``flags`` holds 'glint'.
+    cov : ndarray of shape (n, 2, 2)
+        Covariance of the position, px^2.
+    flux : ndarray of shape (n,)
+        Counts.
+    flags : ndarray of str, shape (n,)
+        Words joined by '|'.
+    glint_x, glint_y : ndarray of shape (n,)
+        px.
+    fixed : ndarray of shape (n, 2, 2)
+        The part of ``cov`` that is the same in every frame of a ball at rest, px^2.
+    time : ndarray of shape (n,)
+        Start of the exposures, s; NaN where it follows from the frame rate.
     """
 
     frame: Ints
@@ -63,13 +68,13 @@ class Tracks:
 
     @property
     def xy(self) -> Array:
-        """(n, 2) px."""
+        """Positions (n, 2), px."""
         return np.stack([self.x, self.y], axis=1)
 
 
 @dataclass
 class _OpenTrack:
-    """A track being extended: plain floats, for there are few balls and many frames."""
+    """A track being extended, in plain floats: there are few balls and many frames."""
 
     rows: list[int]
     frame: int
@@ -80,8 +85,8 @@ class _OpenTrack:
     moving: bool = False  # whether a velocity is known
     ahead: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     bounced: bool = False
-    sure: bool = False  # off a ball that, like this one, was followed before
-    struck: tuple[int, float, float, float, float] | None = None  # frame, place, velocity after a hit not seen since
+    sure: bool = False  # off a ball that, like this one, has a trusted track
+    struck: tuple[int, float, float, float, float] | None = None  # frame, position, velocity after an unseen hit
 
 
 def link(
@@ -89,33 +94,38 @@ def link(
     camera: Camera,
     point: str = "glint",
     takes: Sequence[tuple[int, int]] = (),
-    by: Callable[[Glints], Ints] | None = None,
+    linker: Callable[[Glints], Ints] | None = None,
+    settings: LinkSettings | None = None,
 ) -> Tracks:
-    """Join the glints of a clip into tracks of ball centres.
+    """Join the detections of a clip into tracks of ball centres.
 
     Parameters
     ----------
     glints : Glints
         Of all frames.
     camera : Camera
-        Where it knows the lamp, glints are taken to the centres of balls.
-    point : str
-        "glint"; or "centre" where centres of outlines were found, whose flux is the area, px^2.
+        Where it knows the lamp, the positions of glints are converted to the centres of balls.
+    point : {"glint", "centre"}
+        What the positions are; for centres of outlines the flux is the area, px^2.
     takes : sequence of (int, int)
-        First and last frames of takes: no track goes from one to the next.
-    by : callable, optional
-        Another program, in place of `assign`: glints -> particles.
+        First and last frames of takes. No track leads from one to the next.
+    linker : callable, optional
+        Another program in place of `assign`: glints -> particles.
+    settings : LinkSettings, optional
 
     Returns
     -------
     Tracks
-        By particle, then frame; glints that belong to no track are left out.
+        Without the detections that belong to no track.
     """
+    settings = settings or LinkSettings()
     diameter = 2 * float(np.sqrt(np.median(glints.flux) / np.pi)) if point == "centre" and len(glints) else None
-    if by is not None:
-        ids = by(glints)
+    if linker is not None:
+        ids = linker(glints)
+    elif len(takes) > 1:
+        ids = _assign_by_take(glints, camera, diameter, takes, settings)
     else:
-        ids = _by_take(glints, camera, diameter, takes) if len(takes) > 1 else assign(glints, camera, diameter)
+        ids = assign(glints, camera, diameter, settings)
     kept = np.flatnonzero(ids >= 0)
     order = kept[np.lexsort((glints.frame[kept], ids[kept]))]
     chosen, particle = glints.take(order), ids[order]
@@ -139,56 +149,62 @@ def link(
     )
 
 
-def _by_take(glints: Glints, camera: Camera, diameter: float | None, takes: Sequence[tuple[int, int]]) -> Ints:
-    """`assign` in each take, first to last frame, apart: particles go on counting."""
+def _assign_by_take(
+    glints: Glints, camera: Camera, diameter: float | None, takes: Sequence[tuple[int, int]], settings: LinkSettings
+) -> Ints:
+    """`assign` for each take separately; particles are numbered on through all takes."""
     ids = np.full(len(glints), -1, dtype=np.int64)
     for first, last in takes:
         rows = np.flatnonzero((glints.frame >= first) & (glints.frame <= last))
-        own = assign(glints.take(rows), camera, diameter)
+        own = assign(glints.take(rows), camera, diameter, settings)
         ids[rows] = np.where(own >= 0, own + ids.max(initial=-1) + 1, -1)
     return ids
 
 
-def assign(glints: Glints, camera: Camera, diameter: float | None = None) -> Ints:
-    """Number the particle that each glint belongs to.
+def assign(glints: Glints, camera: Camera, diameter: float | None = None, settings: LinkSettings | None = None) -> Ints:
+    """Number the particle that each detection belongs to.
 
     Parameters
     ----------
     glints : Glints
     camera : Camera
     diameter : float, optional
-        Of the balls as seen, px; default: the camera's.
+        Diameter of balls that are seen whole, px; without it the detections are glints.
+    settings : LinkSettings, optional
 
     Returns
     -------
-    (n,) int array
-        From 0 by first appearance, then position; -1 for glints of no track.
+    ndarray of int, shape (n,)
+        From 0 by first appearance, then by position; -1 for detections of no track.
     """
+    settings = settings or LinkSettings()
     ids = np.full(len(glints), -1, dtype=np.int64)
     if len(glints) == 0:
         return ids
-    balls = _follow(glints, camera, diameter or camera.diameter_px, seen_whole=diameter is not None)
-    for number, ball in enumerate(_keep_ball_tracks(balls, glints, SHORT if diameter else 1)):
+    balls = _follow(glints, camera, diameter or camera.diameter_px, diameter is not None, settings)
+    least = settings.min_track_frames if diameter else 1
+    for number, ball in enumerate(_keep_ball_tracks(balls, glints, least, settings)):
         ids[ball.rows] = number
     return ids
 
 
 def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
-    """Velocities of glints by differences within their tracks.
+    """Velocities of detections from differences within their tracks.
 
-    Next to a collision the two sides disagree: then the side is taken that agrees with the step beyond it.
+    Next to a collision the differences before and after disagree. The result is then that of the side which agrees with
+    the step beyond it.
 
     Parameters
     ----------
-    frame, ids : (n,) int array
-        Frame and particle of each glint.
-    xy : (n, 2) array
-        px.
+    frame, ids : ndarray of int, shape (n,)
+        Frame and particle of each detection.
+    xy : ndarray of shape (n, 2)
+        Positions, px.
 
     Returns
     -------
-    (n, 2) array
-        px a frame; 0 for a glint alone.
+    ndarray of shape (n, 2)
+        px per frame; 0 for a track of one detection.
     """
     out = np.zeros_like(xy)
     for number in np.unique(ids[ids >= 0]):
@@ -208,21 +224,25 @@ def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
     return out
 
 
-def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool) -> list[_OpenTrack]:
-    reach = FASTEST / camera.fps / camera.scale if camera.metric else DEFAULT_REACH
-    reach = max(reach, (WIDE if seen_whole else 2.0) * diameter)
-    loose = 1.0 if seen_whole else LOOSE
+def _follow(
+    glints: Glints, camera: Camera, diameter: float, seen_whole: bool, settings: LinkSettings
+) -> list[_OpenTrack]:
+    """All tracks, those of false detections included."""
+    reach = settings.max_speed_m_s / camera.fps / camera.scale if camera.metric else settings.max_step_px
+    reach = max(reach, (settings.max_step_diameters if seen_whole else 2.0) * diameter)
+    tolerance = 1.0 if seen_whole else settings.speed_tolerance
+    kept_for = settings.max_gap_frames + 1
     order = np.argsort(glints.frame, kind="stable")
     frames, starts = np.unique(glints.frame[order], return_index=True)
     x, y = glints.x.tolist(), glints.y.tolist()
     done: list[_OpenTrack] = []
     live: list[_OpenTrack] = []
     for k, rows in zip(frames.tolist(), np.split(order, starts[1:]), strict=True):
-        done += [b for b in live if k - b.frame > MAX_GAP + 1]
-        live = [b for b in live if k - b.frame <= MAX_GAP + 1]
-        _expect(live, k, diameter)
+        done += [b for b in live if k - b.frame > kept_for]
+        live = [b for b in live if k - b.frame <= kept_for]
+        _predict(live, k, diameter, settings)
         found = rows.tolist()
-        pairs = _match(live, found, x, y, k, (reach, 0.6 * diameter, loose))
+        pairs = _match(live, found, x, y, k, (reach, 0.6 * diameter, tolerance))
         for ball, row in pairs:
             _extend(ball, row, k, x[row], y[row])
         taken, seen = {row for _, row in pairs}, {id(ball) for ball, _ in pairs}
@@ -233,8 +253,8 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool) -
     return done + live
 
 
-def _expect(live: list[_OpenTrack], frame: int, diameter: float) -> None:
-    """Sets where each ball is expected and with what velocity, pairs bouncing off each other on the way."""
+def _predict(live: list[_OpenTrack], frame: int, diameter: float, settings: LinkSettings) -> None:
+    """Predict position and velocity of each ball, with the bounces of pairs that meet before."""
     for ball in live:
         since, x, y, vx, vy = ball.struck or (ball.frame, ball.x, ball.y, ball.vx, ball.vy)
         ball.ahead = (x + vx * (frame - since), y + vy * (frame - since), vx, vy)
@@ -242,11 +262,11 @@ def _expect(live: list[_OpenTrack], frame: int, diameter: float) -> None:
     free = [ball for ball in live if ball.struck is None]
     for i, one in enumerate(free):
         for two in free[i + 1 :]:
-            _bounce(one, two, frame, diameter)
+            _bounce(one, two, frame, diameter, settings)
 
 
-def _bounce(one: _OpenTrack, two: _OpenTrack, frame: int, diameter: float) -> None:
-    """Elastic-like exchange along the line of centres, if the two meet before ``frame``."""
+def _bounce(one: _OpenTrack, two: _OpenTrack, frame: int, diameter: float, settings: LinkSettings) -> None:
+    """Let two balls bounce along their line of centres, if they meet before ``frame``."""
     span = frame - max(one.frame, two.frame)
     ax, ay = one.x + one.vx * (frame - span - one.frame), one.y + one.vy * (frame - span - one.frame)
     bx, by = two.x + two.vx * (frame - span - two.frame), two.y + two.vy * (frame - span - two.frame)
@@ -262,14 +282,14 @@ def _bounce(one: _OpenTrack, two: _OpenTrack, frame: int, diameter: float) -> No
     nx, ny = dx + ux * wait, dy + uy * wait
     length = math.hypot(nx, ny) or 1.0
     nx, ny = nx / length, ny / length
-    push = 0.5 * (1.0 + BOUNCE) * (ux * nx + uy * ny)
+    push = 0.5 * (1.0 + settings.restitution) * (ux * nx + uy * ny)
     left = span - wait
     x, y, vx, vy = one.ahead
     one.ahead = (x + push * nx * left, y + push * ny * left, vx + push * nx, vy + push * ny)
     x, y, vx, vy = two.ahead
     two.ahead = (x - push * nx * left, y - push * ny * left, vx - push * nx, vy - push * ny)
     one.bounced = two.bounced = True
-    one.sure = two.sure = min(len(one.rows), len(two.rows)) >= SHORT
+    one.sure = two.sure = min(len(one.rows), len(two.rows)) >= settings.min_track_frames
 
 
 def _match(
@@ -280,7 +300,7 @@ def _match(
     frame: int,
     gate: tuple[float, float, float],
 ) -> list[tuple[_OpenTrack, int]]:
-    """Pairs of ball and glint of least summed squared distance, none further than its gate."""
+    """Pairs of ball and detection of least summed squared distance, none further apart than its gate."""
     if not live or not found:
         return []
     cost = [[(b.ahead[0] - x[r]) ** 2 + (b.ahead[1] - y[r]) ** 2 for r in found] for b in live]
@@ -294,17 +314,19 @@ def _match(
     return [(live[i], found[j]) for i, j in chosen if cost[i][j] < gates[i]]
 
 
-def _gate(ball: _OpenTrack, frame: int, reach: float, least: float, loose: float) -> float:
+def _gate(ball: _OpenTrack, frame: int, reach: float, least: float, tolerance: float) -> float:
+    """How far a detection may be from a ball's predicted position, px."""
     span = frame - ball.frame
     if not ball.moving:
         return reach * span
     speed = math.hypot(ball.vx, ball.vy)
-    return (least + (1.0 if ball.bounced else loose) * speed) * span
+    return (least + (1.0 if ball.bounced else tolerance) * speed) * span
 
 
 def _extend(ball: _OpenTrack, row: int, frame: int, x: float, y: float) -> None:
+    """Append a detection to a track."""
     span = frame - ball.frame
-    if ball.bounced:  # a difference across the bounce is neither velocity
+    if ball.bounced:  # a difference across the bounce is the velocity neither before nor after
         ball.vx, ball.vy = ball.ahead[2:]
     else:
         ball.vx, ball.vy = (x - ball.x) / span, (y - ball.y) / span
@@ -313,17 +335,19 @@ def _extend(ball: _OpenTrack, row: int, frame: int, x: float, y: float) -> None:
     ball.frame, ball.x, ball.y = frame, x, y
 
 
-def _keep_ball_tracks(balls: list[_OpenTrack], glints: Glints, fewest: int) -> list[_OpenTrack]:
-    """Tracks that are balls: not faint beside the others, and not a blip of a frame or two."""
-    long = [b for b in balls if len(b.rows) >= SHORT] or balls
+def _keep_ball_tracks(
+    balls: list[_OpenTrack], glints: Glints, min_frames: int, settings: LinkSettings
+) -> list[_OpenTrack]:
+    """Tracks that are balls: not much fainter than the others, and not a blip of a frame or two."""
+    long = [b for b in balls if len(b.rows) >= settings.min_track_frames] or balls
     fluxes = {id(b): float(np.median(glints.flux[b.rows])) for b in balls}
     brightest = max(fluxes[id(b)] for b in long)
-    typical = float(np.median([fluxes[id(b)] for b in long if fluxes[id(b)] >= FAINT * brightest]))
+    typical = float(np.median([fluxes[id(b)] for b in long if fluxes[id(b)] >= settings.min_relative_flux * brightest]))
     kept = []
     for ball in balls:
         flux = fluxes[id(ball)]
-        whole = len(ball.rows) >= SHORT or 0.4 * typical < flux < 2.5 * typical
-        if flux >= FAINT * brightest and whole and len(ball.rows) >= fewest:
+        whole = len(ball.rows) >= settings.min_track_frames or 0.4 * typical < flux < 2.5 * typical
+        if flux >= settings.min_relative_flux * brightest and whole and len(ball.rows) >= min_frames:
             kept.append(ball)
     first = [(int(glints.frame[b.rows[0]]), glints.x[b.rows[0]], glints.y[b.rows[0]]) for b in kept]
     return [kept[i] for i in sorted(range(len(kept)), key=first.__getitem__)]

@@ -1,4 +1,4 @@
-"""How long the motion blur of moving glints is, over what velocity and the camera file's exposure make it."""
+"""The evidence of a clip's moving glints on the length of their motion blur, and so on the exposure."""
 
 from __future__ import annotations
 
@@ -9,34 +9,43 @@ import numpy as np
 
 from tracker.camera.lens import Array
 
-CURIOUS = 2.5  # deviations, for a further round, and
-SURE = 5.0  # of its own deviations, and
-PLAIN = 0.05  # of its length, beyond which the blur is not what the camera file says
-SETTLED = 0.02  # of its length, by which a further round may change it
-STRIKING = 8.0  # deviations, the most that one glint counts for
-STRETCH = (0.4, 2.5)  # of the length, from round to round
-
 
 @dataclass
 class MotionBlurEvidence:
-    """Score and information of a clip's moving glints on the length of their motion blur, gathered block by block."""
+    """Score and information of moving glints on the logarithm of their blur's length, collected block by block."""
 
     score: list[Array] = field(default_factory=list)
     information: list[Array] = field(default_factory=list)
 
     def add(self, score: Array, information: Array) -> None:
-        """Score (n,) and information (n,) of glints on the logarithm of the blur's length."""
+        """Add the score (n,) and the information (n,) of more glints."""
         kept = np.isfinite(score) & (information > 0.0)
         self.score.append(score[kept])
         self.information.append(information[kept])
 
-    def estimate_length(self) -> tuple[float, float, float]:
-        """Factor by which the blur is longer than it was taken to be, its error, and its significance to first order;
-        (1, inf, 0) if nothing is known.
+    def estimate_length(
+        self, max_deviation: float = 8.0, step_limits: tuple[float, float] = (0.4, 2.5)
+    ) -> tuple[float, float, float]:
+        """Estimate how much longer the blur is than it was assumed to be.
 
-        One Newton step in the square of the length, to which the glint's second moment owes its growth. Errors are
-        those of the pixels' noise or of the glints' own scatter (sandwich estimator), the larger; the significance is
-        that of the scores (Rao's test), none more than STRIKING of its deviations, so that no few misfits decide.
+        The estimate is one Newton step in the square of the length, to which a glint's second moment is proportional.
+
+        Parameters
+        ----------
+        max_deviation : float
+            Most standard deviations with which one glint enters the significance, so that a few misfits cannot decide.
+        step_limits : tuple of float
+            Least and greatest factor of one step.
+
+        Returns
+        -------
+        factor : float
+            Length over the assumed one; 1 where nothing is known.
+        error : float
+            Its standard error, from the pixels' noise or from the glints' own scatter (sandwich estimator), whichever
+            is larger.
+        significance : float
+            Of the difference from 1, in standard deviations, by Rao's score test.
         """
         score, information = (np.concatenate([np.empty(0), *part]) for part in (self.score, self.information))
         if len(score) == 0:
@@ -44,9 +53,9 @@ class MotionBlurEvidence:
         whole = float(information.sum())
         step = float(score.sum()) / whole
         scatter = float(np.sum((score - step * information) ** 2))
-        most = STRIKING * np.sqrt(information)
-        held = np.clip(score, -most, most)
-        noise = max(whole, min(scatter, len(held) * float(held.var())))
-        low, high = STRETCH
+        most = max_deviation * np.sqrt(information)
+        clipped = np.clip(score, -most, most)
+        noise = max(whole, min(scatter, len(clipped) * float(clipped.var())))
+        low, high = step_limits
         factor = math.sqrt(min(max(1.0 + 2.0 * step, low**2), high**2))
-        return factor, math.sqrt(max(whole, scatter)) / whole, abs(float(held.sum())) / math.sqrt(noise)
+        return factor, math.sqrt(max(whole, scatter)) / whole, abs(float(clipped.sum())) / math.sqrt(noise)

@@ -1,4 +1,4 @@
-"""Takes of one film, between which the picture changes at once; frames that are given twice; the noise of a pixel."""
+"""The takes of one film, between which the picture cuts; repeated frames; and the noise of a pixel."""
 
 from __future__ import annotations
 
@@ -11,20 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.candidates import ROUNDING
-
-THIN = 16_000  # pixels of a frame that are compared with those of the next
-CUT, LEAST = 6.0, 3.0  # times the usual change, and counts, by which half of all pixels differ after a cut
-SHORT = 8  # frames, of a piece that is no take
-AGAIN = 0.2  # of the change about it, a change so small that the frame before is shown again
-ABOUT = 3  # frames on either side
-BLANK = 0.1  # of the usual change, in a piece that shows nothing
-ALIKE, MOST = 2.0, 0.9  # counts over four times the usual change, by which most pixels at most differ in one scene
+from tracker.detection.candidates import ROUNDING_NOISE_COUNTS
 
 
 @dataclass(frozen=True, eq=False)
 class Takes:
-    """What a pass over a film shows.
+    """What one pass over a film shows.
 
     Attributes
     ----------
@@ -33,9 +25,9 @@ class Takes:
     scenes : tuple of int
         A number for each take: takes of one number show the same scene.
     repeated : set of int
-        Frames that show the one before again.
+        Frames that show the previous one again.
     noise : float
-        Of one pixel in one frame, counts.
+        Standard deviation of one pixel in one frame, counts.
     """
 
     spans: tuple[tuple[int, int], ...]
@@ -44,20 +36,37 @@ class Takes:
     noise: float
 
     def describe(self) -> list[str]:
-        """What a user has to know."""
-        said = []
+        """Notes for the user on cuts and repeated frames."""
+        notes = []
         if len(self.spans) > 1:
             cut = ", ".join(f"{a} to {b}" for a, b in self.spans[:12]) + (", ..." if len(self.spans) > 12 else "")
-            said.append(f"{len(self.spans)} takes, each followed on its own: frames {cut}")
+            notes.append(f"the film has {len(self.spans)} takes, each tracked on its own: frames {cut}")
         if self.repeated:
             first = min(self.repeated)
-            said.append(f"{len(self.repeated)} frames show the one before again, frame {first} first: left out")
-        return said
+            notes.append(f"{len(self.repeated)} frames repeat the previous one and are left out, frame {first} first")
+        return notes
+
+    def scene_of_frames(self) -> dict[int, int]:
+        """The scene of each frame that lies in a take and is not repeated."""
+        both = zip(self.spans, self.scenes, strict=True)
+        every = {k: scene for (a, b), scene in both for k in range(a, b + 1)}
+        return {k: scene for k, scene in every.items() if k not in self.repeated}
 
 
-def find_takes(frames: Sequence[Any]) -> Takes:
-    """Go once through a film."""
-    step = max(1, int(np.sqrt(np.prod(np.shape(frames[0])) / THIN)))
+def find_takes(frames: Sequence[Any], compared_pixels: int = 16_000, min_take_frames: int = 8) -> Takes:
+    """Find the takes in one pass over a film.
+
+    A cut is where half of all pixels change by more than 3 counts and by more than 6 times the usual change.
+
+    Parameters
+    ----------
+    frames : sequence of (h, w) arrays
+    compared_pixels : int
+        How many pixels of a frame are compared with those of the next.
+    min_take_frames : int
+        Shorter pieces are no takes, and neither are those that never change by a tenth of the usual change.
+    """
+    step = max(1, int(np.sqrt(np.prod(np.shape(frames[0])) / compared_pixels)))
     half, mean, spread, previous = [], [], [], None
     for frame in frames:
         thin = np.asarray(frame)[step // 2 :: step, step // 2 :: step].astype(np.float32)
@@ -65,26 +74,28 @@ def find_takes(frames: Sequence[Any]) -> Takes:
             change = np.abs(thin - previous)
             half.append(float(np.median(change)))
             mean.append(float(change.mean()))
-            spread.append(_spread(thin - previous))
+            spread.append(_spread_at_rest(thin - previous))
         previous = thin
     changes, means = np.array(half), np.array(mean)
-    repeated = _again(means)
+    repeated = _find_repeated(means)
     usual = float(np.median(np.delete(changes, [k - 1 for k in repeated])))
-    starts = [0, *(np.flatnonzero(changes > max(CUT * usual, LEAST)) + 1).tolist(), len(frames)]
-    lively = BLANK * float(np.median(means))
+    starts = [0, *(np.flatnonzero(changes > max(6.0 * usual, 3.0)) + 1).tolist(), len(frames)]
+    lively = 0.1 * float(np.median(means))
     spans = [
         (a, b - 1)
         for a, b in pairwise(starts)
-        if len(starts) == 2 or (b - a >= SHORT and means[a : b - 1].max() > lively)
+        if len(starts) == 2 or (b - a >= min_take_frames and means[a : b - 1].max() > lively)
     ] or [(0, len(frames) - 1)]
     fresh = np.delete(np.array(spread), [k - 1 for k in repeated])
-    noise = max(float(np.median(fresh)) / np.sqrt(2), ROUNDING)
+    noise = max(float(np.median(fresh)) / np.sqrt(2), ROUNDING_NOISE_COUNTS)
     middles = [np.asarray(frames[(a + b) // 2])[::step, ::step].astype(np.float32) for a, b in spans]
-    return Takes(tuple(spans), _scenes(middles, ALIKE + 4 * usual), frozenset(repeated), noise)
+    # Two pictures of one scene differ by noise, about the usual change, and by 2 counts of the encoder.
+    scenes = _number_scenes(middles, 2.0 + 4 * usual)
+    return Takes(tuple(spans), scenes, frozenset(repeated), noise)
 
 
-def _spread(change: NDArray[np.float32]) -> float:
-    """Standard deviation of what has not moved."""
+def _spread_at_rest(change: NDArray[np.float32]) -> float:
+    """Standard deviation of the pixels over which nothing moved."""
     kept, spread = change, float(change.std())
     for _ in range(4):
         kept = change[np.abs(change) <= 4 * spread + 1]
@@ -92,24 +103,24 @@ def _spread(change: NDArray[np.float32]) -> float:
     return spread
 
 
-def _again(means: Array) -> list[int]:
-    """Frames that show the one before again."""
+def _find_repeated(means: Array, share: float = 0.2, beside: int = 3) -> list[int]:
+    """Frames that repeat the previous one: they change by less than a share of the frames beside them."""
     found = []
     for k, change in enumerate(means):
-        first = max(min(k - ABOUT, len(means) - 2 * ABOUT - 1), 0)
-        about = means[first : first + 2 * ABOUT + 1]
-        if change < AGAIN * np.quantile(about, 0.8):
+        first = max(min(k - beside, len(means) - 2 * beside - 1), 0)
+        about = means[first : first + 2 * beside + 1]
+        if change < share * np.quantile(about, 0.8):
             found.append(k + 1)
     return found
 
 
-def _scenes(pictures: list[NDArray[np.float32]], alike: float) -> tuple[int, ...]:
-    """A number for each take, the same where the pictures are but for their brightness."""
+def _number_scenes(pictures: list[NDArray[np.float32]], tolerance: float) -> tuple[int, ...]:
+    """A number for each take, the same where nine tenths of the pixels agree apart from the brightness of all."""
     kinds: list[NDArray[np.float32]] = []
     numbers = []
     for picture in pictures:
         level = picture - np.median(picture)
-        same = [k for k, other in enumerate(kinds) if float(np.quantile(np.abs(level - other), MOST)) < alike]
+        same = [k for k, other in enumerate(kinds) if float(np.quantile(np.abs(level - other), 0.9)) < tolerance]
         if not same:
             kinds.append(level)
         numbers.append(same[0] if same else len(kinds) - 1)

@@ -59,7 +59,7 @@ def test_errors_stay_honest_with_estimated_noise_and_width(sensor, sigma, diamet
     paths = collision(60, contact=25.3, speed=2.5, diameter=diameter)
     frames = film(rng, paths, exposure_share=1e-9, sigma=sigma, **sensor)
     clip = shown(frames, {"psf", "lamp", "ball_diameter"}, sensor={"bits": 8}, exposure=0.0)
-    found = detect(clip, make_view(clip))
+    found = detect(clip, make_view(clip)).glints
     assert len(found) == 120
     truth = np.array(
         [min(paths[k], key=lambda p: np.hypot(*(p - xy))) for k, xy in zip(found.frame, found.xy, strict=True)]
@@ -92,7 +92,7 @@ def test_what_an_encoder_leaves_out_is_found_beside_glints_where_the_film_is_enc
         assert sensor.codec_noise == (pytest.approx(4.0, rel=0.15) if lossy else 0.0)
     clip = shown(frames, {"psf", "lamp"}, sensor={"bits": 8}, exposure=0.0)
     clip.frames.lossy = True
-    found = detect(clip, make_view(clip))
+    found = detect(clip, make_view(clip)).glints
     truth = np.array(
         [min(paths[k], key=lambda p: np.hypot(*(p - xy))) for k, xy in zip(found.frame, found.xy, strict=True)]
     )

@@ -17,7 +17,7 @@ from tracker.camera.mirror_images import locate_secondary_glints
 from tracker.camera.recordings import Frames, Recording, open_frames
 from tracker.detection import detect as detect_module
 from tracker.detection.detect import detect, detected_point, list_detectors, make_view
-from tracker.detection.glints import BLURRED, CLIPPED, MISFIT, NEAR, Glints
+from tracker.detection.glints import Flag, Glints
 from tracker.detection.likelihood.cramer_rao import localisation_bound
 from tracker.detection.link import assign
 
@@ -61,7 +61,7 @@ def test_precision_is_the_bounds_and_errors_are_honest(peak, limit):
     rng = np.random.default_rng(peak)
     frames, positions = many_glints(rng, peak)
     view = make_view(clip(frames))
-    miss, found = errors(detect(clip(frames), view), positions)
+    miss, found = errors(detect(clip(frames), view).glints, positions)
     flux = np.full(len(positions), peak * 2 * math.pi)
     bound = localisation_bound(CAM, flux, positions[:, 1:], background=8.5 + 4.0 * peak / 200)
     ratio = math.sqrt(np.mean(miss**2) / (np.trace(bound, axis1=1, axis2=2).mean() / 2))
@@ -69,7 +69,7 @@ def test_precision_is_the_bounds_and_errors_are_honest(peak, limit):
     z = np.linalg.solve(np.linalg.cholesky(found.cov), miss[..., None])[..., 0]
     assert abs(z.mean()) < 4 / math.sqrt(z.size)
     assert abs(z.std() - 1) < 4 / math.sqrt(2 * z.size)
-    assert ((found.flags & CLIPPED) > 0).all() == (peak == 700)
+    assert ((found.flags & Flag.CLIPPED) > 0).all() == (peak == 700)
 
 
 def test_glints_are_found_among_more_specks_that_an_encoder_leaves(tmp_path):
@@ -79,7 +79,7 @@ def test_glints_are_found_among_more_specks_that_an_encoder_leaves(tmp_path):
     known = {"psf": {"sigma_px": 1.09}, "fps": 250.0, "scale": 1.6e-4, "size": [640, 480], "ball_diameter": 2.38e-3}
     camera = Camera.from_dict(known | {"sensor": CODED})
     encoded = Recording(0, camera, open_frames(tmp_path / "frames.mp4"))
-    found = detect(encoded, make_view(encoded))
+    found = detect(encoded, make_view(encoded)).glints
     truth = drawn.tracks.query("visible")
     near = [
         np.hypot(*(found.xy[found.frame == k] - at).T).min(initial=9)
@@ -92,20 +92,20 @@ def test_a_centroid_is_far_from_the_bound():
     """The test above can fail: a plain centroid does, and worst where the glint clips."""
     for peak, least in ((200, 1.3), (700, 1.5)):
         frames, positions = many_glints(np.random.default_rng(peak), peak)
-        miss, _ = errors(detect(clip(frames), make_view(clip(frames)), "centroid"), positions)
+        miss, _ = errors(detect(clip(frames), make_view(clip(frames)), "centroid").glints, positions)
         bound = localisation_bound(CAM, np.full(len(positions), peak * 2 * math.pi), positions[:, 1:], background=12.5)
         assert math.sqrt(np.mean(miss**2) / (np.trace(bound, axis1=1, axis2=2).mean() / 2)) > least
 
 
 def test_position_does_not_depend_on_the_position_within_the_pixel():
     frames, positions = many_glints(np.random.default_rng(9), 200, frames=20)
-    miss, found = errors(detect(clip(frames), make_view(clip(frames))), positions)
+    miss, found = errors(detect(clip(frames), make_view(clip(frames))).glints, positions)
     phase = 2 * math.pi * positions[:, 1:]
     for axis in range(2):
         wave = np.column_stack([np.cos(phase[:, axis]), np.sin(phase[:, axis]), np.ones(len(positions))])
         fit = np.linalg.lstsq(wave, miss[:, axis], rcond=None)[0]
         assert 2 * math.hypot(fit[0], fit[1]) < 0.005
-    assert (found.flags & MISFIT).mean() < 0.01
+    assert (found.flags & Flag.MISFIT).mean() < 0.01
 
 
 def test_what_a_resting_ball_shares_between_frames():
@@ -122,7 +122,7 @@ def test_what_a_resting_ball_shares_between_frames():
             part = picture[y - 12 : y + 13, x - 12 : x + 13]
             part += 200 * 2 * math.pi * spot(part.shape, *(positions[-1] - [x - 12, y - 12]), 1.0)
         frames = np.array([expose(rng, picture * response + offset) for _ in range(30)])
-        found = detect(clip(frames, camera), make_view(clip(frames, camera)))
+        found = detect(clip(frames, camera), make_view(clip(frames, camera))).glints
         for position in positions:
             own = found.take(np.hypot(*(found.xy - position).T) < 2)
             assert len(own) == 30
@@ -157,10 +157,10 @@ def test_a_blurred_glint_is_measured_at_its_middle():
     for _ in range(3):
         frames, paths = two_rolling(rng, 9.0, exposure_share=0.5)
         shown = clip(frames, camera)
-        found = detect(shown, make_view(shown))
+        found = detect(shown, make_view(shown)).glints
         positions = np.array([(k, *p) for k in range(len(paths)) for p in paths[k]])
         miss, ordered = errors(found, positions)
-        assert (ordered.flags[::2] & BLURRED).all()
+        assert (ordered.flags[::2] & Flag.STREAK).all()
         misses.append(miss)
         covs.append(ordered.cov)
     z = np.linalg.solve(np.linalg.cholesky(np.concatenate(covs)), np.concatenate(misses)[..., None])[..., 0]
@@ -172,7 +172,7 @@ def test_ball_at_rest_through_the_whole_clip_is_found_in_every_frame():
     rng = np.random.default_rng(4)
     paths = np.tile(np.array([[[60.3, 70.2], [130.4, 90.1]]]), (30, 1, 1))
     frames = film(rng, paths)
-    found = detect(clip(frames), make_view(clip(frames)))
+    found = detect(clip(frames), make_view(clip(frames))).glints
     assert len(found) == 60
     assert np.bincount(found.frame).tolist() == [2] * 30
 
@@ -196,9 +196,9 @@ def test_neighbour_and_its_secondary_glints_do_not_pull(gap):
         blank = np.full((160, 200), 0.5)
         frames = np.array([expose(rng, p) for p in (blank, picture, blank)])
         shown = clip(frames, CAM_LAMP)
-        found = detect(shown, make_view(shown))
+        found = detect(shown, make_view(shown)).glints
         assert len(found) == 2
-        assert ((found.flags & NEAR) > 0).all()
+        assert ((found.flags & Flag.NEAR) > 0).all()
         order = np.argsort(np.hypot(*(found.xy - seen[0]).T))
         miss = found.xy[order] - seen
         misses.append([miss[0] @ way, -miss[1] @ way])
@@ -224,7 +224,7 @@ def test_a_neighbour_three_diameters_off_does_not_pull_either():
             picture += 4 * disc(picture.shape, *centre, 7.44)
         blank = np.full((160, 200), 8.0)
         shown = clip(np.rint([blank, picture, blank]).clip(0, 255).astype(np.uint8), CAM_LAMP)
-        found = detect(shown, make_view(shown))
+        found = detect(shown, make_view(shown)).glints
         miss = found.xy[np.argsort(np.hypot(*(found.xy - seen[0]).T))] - seen
         pulls += [miss[0] @ way, -miss[1] @ way]
     assert abs(np.mean(pulls)) < 0.0015
@@ -236,7 +236,7 @@ CAM_LAMP = Camera.from_dict(CAMERA)
 def test_two_balls_two_detections_through_a_collision():
     frames = film(np.random.default_rng(5), collision(60, speed=2.5))
     shown = clip(frames)
-    found = detect(shown, make_view(shown))
+    found = detect(shown, make_view(shown)).glints
     assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
     assert set(assign(found, CAM).tolist()) == {0, 1}
 
@@ -246,11 +246,11 @@ def test_a_neighbour_takes_the_learnt_profile_from_no_clipped_glint():
     paths, stds, misses = collision(60, speed=2.5), [], []
     for seed in range(4):
         shown = clip(film(np.random.default_rng(seed), paths, peak=700.0, profile=14.0))
-        found = detect(shown, make_view(shown))
+        found = detect(shown, make_view(shown)).glints
         off = found.xy[:, None] - paths[found.frame]
         pick = np.argmin(np.hypot(*np.moveaxis(off, 2, 0)), axis=1)
         std = np.sqrt(np.trace(found.cov, axis1=1, axis2=2) / 2)
-        near = (found.flags & NEAR) > 0
+        near = (found.flags & Flag.NEAR) > 0
         stds.append([np.median(std[near]), np.median(std[~near])])
         misses.append((off[np.arange(len(off)), pick] / std[:, None])[near])
     beside, alone = np.mean(stds, axis=0)
@@ -287,7 +287,7 @@ def test_far_from_the_axis_the_profile_pulls_no_clipped_glint():
         frames.append(np.rint(picture).clip(0, 255).astype(np.uint8))
         true.append(glint)
     shown = clip(np.array([*frames, frames[0]]), camera)
-    off = detect(shown, make_view(shown)).xy - np.array(true)
+    off = detect(shown, make_view(shown)).glints.xy - np.array(true)
     assert np.abs(off.mean(axis=0)).max() < 0.0008
 
 
@@ -304,9 +304,9 @@ def test_hot_pixels_are_no_balls_and_pull_none():
     frames = np.clip(frames + leak, 0, 255).astype(np.uint8)
     view = make_view(clip(frames))
     assert set((y * 200 + x).tolist()) <= set(view.plate.hot.tolist())
-    found = detect(clip(frames), view)
+    found = detect(clip(frames), view).glints
     assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
-    assert (found.flags & MISFIT).sum() == 0
+    assert (found.flags & Flag.MISFIT).sum() == 0
     for k in range(60):
         own = found.xy[found.frame == k]
         assert max(np.hypot(*(own - position).T).min() for position in paths[k]) < 0.06
@@ -317,7 +317,7 @@ def test_empty_frames_have_nothing(level):
     rng = np.random.default_rng(6)
     frames = np.array([expose(rng, np.full((160, 200), float(level))) for _ in range(20)])
     shown = clip(frames)
-    assert len(detect(shown, make_view(shown))) == 0
+    assert len(detect(shown, make_view(shown)).glints) == 0
 
 
 def test_a_profile_without_its_glint_is_no_glint():
@@ -325,7 +325,7 @@ def test_a_profile_without_its_glint_is_no_glint():
     picture = np.full((160, 200), 0.5) + 20 * disc((160, 200), 80.2, 70.3, 7.44)
     frames = np.array([expose(rng, np.full((160, 200), 0.5))] * 8 + [expose(rng, picture) for _ in range(12)])
     shown = clip(frames)
-    assert len(detect(shown, make_view(shown))) == 0
+    assert len(detect(shown, make_view(shown)).glints) == 0
 
 
 def test_sixteen_bit_frames():
@@ -337,7 +337,7 @@ def test_sixteen_bit_frames():
         picture = np.full((160, 200), 3.0) + 2500 * 2 * math.pi * spot((160, 200), 60.25 + 5 * k, 80.4, 1.0)
         pictures.append(expose(rng, picture, gain=2.0, read=4.0, black=8.0, bits=12))
     shown = clip(np.array(pictures), Camera.from_dict({**data, "exposure": 0.0}))
-    found = detect(shown, make_view(shown))
+    found = detect(shown, make_view(shown)).glints
     miss = found.x - (60.25 + 5 * np.arange(12))
     assert np.abs(miss).max() < 4 * np.sqrt(found.cov[:, 0, 0]).min() < 0.03
     assert camera.sensor.ceiling == 4095
@@ -361,7 +361,7 @@ def test_every_detector_keeps_the_promise():
         assert len(one) == 2, name
         assert one.cov.shape == (2, 2, 2)
         assert (np.linalg.eigvalsh(one.cov) > 0).all()
-        whole = detect(shown, view, name)
+        whole = detect(shown, view, name).glints
         assert sorted(whole.frame.tolist()) == sorted([*range(12)] * 2)
 
 

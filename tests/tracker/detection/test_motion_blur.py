@@ -12,7 +12,7 @@ from tracker import cli
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import Frames, Recording
 from tracker.detection.detect import detect, detect_until_blur_converges, make_view
-from tracker.detection.glints import MISFIT
+from tracker.detection.glints import Flag
 from tracker.detection.motion_blur import MotionBlurEvidence
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the profile is centred on the glint
@@ -39,22 +39,24 @@ def misses(glints):
 @pytest.mark.parametrize(("longer", "within"), [(1.5, 0.1), (2.5, 0.04)])  # four of its own deviations
 def test_a_wrong_exposure_is_seen_and_the_motion_blur_fits(longer, within):
     shown = clip(film(np.random.default_rng(2), PATHS, exposure_share=SHARE * longer))
-    glints, view = detect_until_blur_converges(shown, make_view(shown))
+    found, view = detect_until_blur_converges(shown, make_view(shown))
+    glints = found.glints
     assert view.camera.exposure_from_blur == pytest.approx(longer * CAM.exposure, rel=within)
     assert view.camera.exposure == CAM.exposure
     assert np.mean(misses(glints) ** 2) < 1.25
-    assert np.mean(glints.flags & MISFIT > 0) < 0.03
+    assert np.mean(glints.flags & Flag.MISFIT > 0) < 0.03
     if longer > 2:
-        assert np.mean(detect(shown, make_view(shown)).flags & MISFIT > 0) > 0.3  # what it cures
+        assert np.mean(detect(shown, make_view(shown)).glints.flags & Flag.MISFIT > 0) > 0.3  # what it cures
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_right_exposure_changes_nothing(seed):
     shown = clip(film(np.random.default_rng(seed), PATHS, exposure_share=SHARE))
     view = make_view(shown)
-    glints, same = detect_until_blur_converges(shown, view)
+    found, same = detect_until_blur_converges(shown, view)
+    glints = found.glints
     assert same is view
-    plain = detect(shown, view)
+    plain = detect(shown, view).glints
     assert all(np.array_equal(getattr(glints, n), getattr(plain, n)) for n in ("frame", "x", "y", "cov", "flux"))
 
 

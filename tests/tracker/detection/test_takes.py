@@ -25,7 +25,7 @@ def test_takes_are_found_and_followed_apart():
     assert result.tracks.groupby("particle").frame.agg(["min", "max", "size"]).to_numpy().tolist() == [
         [0, 29, 30], [0, 29, 30], [35, 64, 30], [35, 64, 30],
     ]  # fmt: skip
-    assert "2 takes, each followed on its own: frames 0 to 29, 35 to 64" in map(str, result.notes)
+    assert "the film has 2 takes, each tracked on its own: frames 0 to 29, 35 to 64" in map(str, result.notes)
     assert [row["collision"] for row in result.rows] == [0, 1]
 
 
@@ -43,7 +43,7 @@ def test_frames_given_twice_are_left_out(copies):
     result = tracked(stored)
     assert np.unique(result.tracks.frame).tolist() == list(range(0, copies * 20, copies))
     assert any(
-        note.startswith(f"{20 * (copies - 1)} frames show the one before again") for note in map(str, result.notes)
+        note.startswith(f"{20 * (copies - 1)} frames repeat the previous one") for note in map(str, result.notes)
     )
 
 
@@ -67,7 +67,7 @@ def test_hand_cue_and_caption_are_refused():
     assert result.tracks.groupby("particle").size().tolist() == [60, 60]
     near = [np.hypot(*(ways[:, q.frame] - [q.x, q.y]).T).min() for q in result.tracks.itertuples()]
     assert max(near) < 0.5
-    assert any("objects in 20 frames are no balls" in note for note in map(str, result.notes))
+    assert any("objects in 20 frames are not balls" in note for note in map(str, result.notes))
 
 
 @pytest.mark.parametrize(("change", "reason"), [

@@ -47,7 +47,7 @@ def _of_clip(source: RecordingSource, truth: Path, index: int) -> Rows:
     quantities: dict[str, Any] = {"clip": clip.number}
     if clip.camera.matte:
         return table, quantities  # whole balls in room light have no bound here
-    seen = detect(clip, make_view(clip))
+    seen = detect(clip, make_view(clip)).glints
     place, _ = clip.camera.centre_of_glint(seen.xy)
     found = pd.DataFrame({"frame": seen.frame, "x": place[:, 0], "y": place[:, 1], "flux": seen.flux})
     near = match(true, found, GATE_PX, clip.camera.diameter_px)

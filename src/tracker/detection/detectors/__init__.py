@@ -1,1 +1,1 @@
-"""One file a detector: a callable class made from a View. The folder is the list."""
+"""Detectors, one file each: a class that is made from a `View`; see `tracker.detection.detector`."""

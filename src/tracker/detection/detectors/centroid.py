@@ -1,4 +1,4 @@
-"""Centre of brightness of what stands over the plate: simple, fast, and what most programs do."""
+"""Centre of brightness of the pixels above the plate: simple, fast, and the method of most programs."""
 
 from __future__ import annotations
 
@@ -8,25 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.detection.candidates import CandidateSearch
-from tracker.detection.glints import CLIPPED, Glints, View
+from tracker.detection.detector import View
+from tracker.detection.glints import Flag, Glints
 
 
 class Centroid:
-    """Weighted centroid of the pixels over half a window's peak that stand over the plate."""
+    """Weighted centroid of the pixels of a window that are brighter than its rim."""
 
     def __init__(self, view: View) -> None:
         self.view = view
         radius = view.camera.diameter_px / 2.0
-        self.search = CandidateSearch(view.plate, view.sigma, apart=max(1.6 * radius, 4.0 * view.sigma))
+        apart = max(1.6 * radius, 4.0 * view.sigma)
+        self.search = CandidateSearch(view.plate, view.sigma, apart, view.settings.detection)
         self.half = max(2, round(2.5 * view.sigma))
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame; covariance from the noise of the pixels that were summed."""
-        finds = self.search(frame)
+        found = self.search(frame)
         h, w = frame.shape
-        whole = (finds.row >= self.half) & (finds.row < h - self.half)
-        whole &= (finds.column >= self.half) & (finds.column < w - self.half)
-        rows, columns = finds.row[whole], finds.column[whole]
+        whole = (found.row >= self.half) & (found.row < h - self.half)
+        whole &= (found.column >= self.half) & (found.column < w - self.half)
+        rows, columns = found.row[whole], found.column[whole]
         n = len(rows)
         if n == 0:
             return Glints.none()
@@ -47,4 +49,4 @@ class Centroid:
         cov[:, 1, 1] = (noise * dy * dy).sum(axis=(1, 2)) / flux**2 + 1e-6
         cov[:, 0, 1] = cov[:, 1, 0] = (noise * dx * dy).sum(axis=(1, 2)) / flux**2
         full = (counts >= sensor.ceiling).any(axis=(1, 2))
-        return Glints(np.zeros(n, np.int64), columns + x, rows + y, cov, flux, ground, np.where(full, CLIPPED, 0))
+        return Glints(np.zeros(n, np.int64), columns + x, rows + y, cov, flux, ground, np.where(full, Flag.CLIPPED, 0))

@@ -1,8 +1,9 @@
-"""Discs on a still background: matte, coloured, dark or bright balls, and pucks, seen by their outlines."""
+"""Detects discs on a still background by their outlines: matte, coloured, dark or bright balls, and pucks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import cv2
@@ -11,56 +12,40 @@ from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
 from tracker.detection.contrast_regions import (
-    ALIKE,
-    SMALLEST,
     Box,
     ContrastRegion,
     casts_shadow,
     find_disc_centres,
     split_region,
 )
+from tracker.detection.detector import Detections, OutlineRadius, View
 from tracker.detection.disc_fit import DiscAppearance, DiscFit, fit_disc
-from tracker.detection.glints import BLURRED, EDGE, NEAR, SHADED, Glints, View
+from tracker.detection.glints import Flag, Glints
 from tracker.detection.outline import fit_outline_circle
-from tracker.detection.still_background import SAMPLES, StillBackground, average_uncovered, estimate_still_background
+from tracker.detection.still_background import StillBackground, average_uncovered, estimate_still_background
 from tracker.detection.takes import find_takes
-
-LEAST_CONTRAST = 8.0  # counts, of a ball over the background
-DEVIATIONS = 6.0  # the same, of the noise of a mean of 3 x 3 pixels
-NOISY, ROOMY = 4.0, 7.5  # counts of noise, from which means are of 5 x 5 pixels; px, of the radius for it
-FAINT, FAINTEST = 0.35, 0.2  # of the clearest discs' contrast: what is fainter is not asked for their size; is none
-ROUND = 0.35  # radii, a way of what is taken for a ball at rest
-FREE = 0.5  # of a disc's place, seen without it; else it may be always there
-SHAKEN = 4  # such discs in a frame: more are parts of what shakes with the camera
-RIM = 4  # px about an object, that may still be its
-TRUSTED = 0.12  # of the radius that the camera file gives, by which that seen may differ
-TIED = 0.002  # of the radius: by which radii of balls lit from one side may differ, whose far sides are hardly seen
-SHADOWED = 0.5  # of the bright discs, beside which something is darker than the background: balls that cast shadows
-LIT = 0.15  # of the contrast, a radius: the slope by which a lamp on one side shows, where no shadow does
-MOST_LIT = 0.8  # of the discs, that have half that slope in the same direction
-CLOSE = 0.1  # of a radius, within which two are counted as the same
-SECOND = 0.3  # of the most common radius's count, that of a second one
-FEWEST = 3  # discs at rest, from which their radius is read
-ENOUGH = 10  # discs seen whole, to say how large they are
-NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
-LOOKED = 25  # frames, for the usual radius
-MOST = 40  # objects in a frame: beyond that it is no picture of a few balls
 
 
 class Discs:
-    """Discs by the pixels at their edges, in what differs from the background of their scene."""
+    """Finds regions that differ from the background of their scene, and fits discs to the pixels at their edges.
+
+    Made from a view, it surveys the film: background of each scene, radii of the balls, whether balls are lit from one
+    side and cast shadows. `detect` then fits the discs of each frame.
+    """
 
     point: ClassVar[str] = "centre"
 
     def __init__(self, view: View) -> None:
-        self.view = view
+        self.view, self.settings = view, view.settings.detection
         self.takes = view.takes or find_takes(view.frames)
+        self.scene_of = self.takes.scene_of_frames()
         self.noise = self.takes.noise
+        self.is_noisy = self.noise > 4.0  # counts
         given = view.camera.diameter_px / 2
-        large = not view.camera.knows_diameter or given > ROOMY
-        self.box = (5, 5) if self.noise > NOISY and large else (3, 3)
-        self.low = max(DEVIATIONS * self.noise / self.box[0], LEAST_CONTRAST)
-        self.refused: dict[int, int] = {}
+        # Means of 5 x 5 pixels suppress noise better than those of 3 x 3, but only large balls stay as they are.
+        large = not view.camera.knows_diameter or given > 7.5
+        self.box = (5, 5) if self.is_noisy and large else (3, 3)
+        self.low = max(self.settings.disc_contrast_sigma * self.noise / self.box[0], self.settings.disc_contrast_counts)
         self.shadows = 0
         self.scenes = {
             scene: estimate_still_background(
@@ -70,23 +55,24 @@ class Discs:
         }
         self.signs: tuple[int, ...] = (0,)
         self.dark_balls = True
-        self.fitted: list[float] = []  # radii, px
-        self.tied = 0.0  # of a radius
-        self.larger = 1.0  # the balls' radius over that which is seen
+        self.fitted: list[float] = []  # radii of whole discs, px
+        self.relative_radius_std = 0.0
+        self.true_to_fitted_radius = 1.0
         self.radii, contrast = self._usual_radius(given if view.camera.knows_diameter else None)
-        self.low = max(self.low, FAINTEST * contrast)
+        self.low = max(self.low, 0.2 * contrast)  # fainter objects are no balls
         self.scenes = {scene: self._clean_background(scene) for scene in self.scenes}
-        self.shadows = 0  # those met so far were the samples'
-        if self.is_shaded and len(self.fitted) > FEWEST:
+        if self.is_shaded and len(self.fitted) > 3:
             fitted = np.array(self.fitted)
             near = np.abs(fitted[:, None] - self.radii).argmin(axis=1)
-            self.tied, self.radii = TIED, [float(np.median(fitted[near == k])) for k in np.unique(near)]
-            if view.camera.knows_diameter and abs(self.radii[0] / given - 1) < TRUSTED:
-                self.larger = given / self.radii[0]
+            # The far side of a ball that is lit from one side hardly shows: its radius is tied to the others'.
+            self.relative_radius_std = 0.002
+            self.radii = [float(np.median(fitted[near == k])) for k in np.unique(near)]
+            if view.camera.knows_diameter and abs(self.radii[0] / given - 1) < 0.12:
+                self.true_to_fitted_radius = given / self.radii[0]
 
     @property
     def radius(self) -> float:
-        """The balls', px, or the most common one."""
+        """The most common radius of the balls, px."""
         return self.radii[0]
 
     @property
@@ -94,138 +80,163 @@ class Discs:
         """Whether balls are brighter on one side, or cast shadows."""
         return self.signs != (0,)
 
-    def measured_radius(self) -> tuple[float, float]:
-        """Median radius of the discs fitted so far, px, and its random error; 0 where it is not to be seen.
+    def detect(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Detections:
+        """Discs of all frames except those between takes and repeated ones.
 
-        So it is of balls with one dark side, and where few are seen whole.
+        The flux is the area, px^2, of a ball of that size.
         """
-        radii = np.array(self.fitted)
-        radii = radii[np.abs(radii / self.radius - 1) < CLOSE]
-        if self.is_shaded or len(radii) < ENOUGH:
-            return 0.0, 0.0
-        spread = NORMAL * float(np.median(np.abs(radii - np.median(radii))))
-        return float(np.median(radii)), spread / float(np.sqrt(len(radii)))
-
-    def notes(self) -> list[str]:
-        """What a user has to know, once the frames have been searched."""
-        said = self.takes.describe()
-        if self.refused:
-            count = sum(self.refused.values())
-            said.append(
-                f"{count} objects in {len(self.refused)} frames are no balls (not round, of another size, or "
-                f"always there): left out, frame {min(self.refused)} is the first"
-            )
-        if self.shadows:
-            said.append(
-                f"shadows: {self.shadows} dark parts beside brighter balls are taken for the shadows they cast; such "
-                "balls may lie off by .2 px towards the lamp; their errors hold 1 % of the radius"
-            )
-        if len(self.radii) > 1:
-            said.append("discs of two sizes: " + " and ".join(f"{2 * r:.1f} px across" for r in self.radii))
-        return said
-
-    def many(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Glints:
-        """Discs of all frames, but those between takes and those that are given twice."""
-        scene_of = self._scene_of()
-        parts = []
+        # More discs than this in one frame, in positions that were never seen empty, are parts of a shaking background.
+        max_always_there = 4
+        refused, parts = dict[int, int](), []
+        self.shadows = 0
         for number, frame in frames:
-            if number in scene_of:
-                ground = self.scenes[scene_of[number]]
-                found, refused = self._in_frame(frame, ground)
-                moves = np.array([self._leaves(ground, at) for at in found.xy], dtype=bool)
-                if (~moves).sum() > SHAKEN:
-                    found, refused = found.take(moves), refused + int((~moves).sum())
-                parts.append(Glints(np.full(len(found), number, np.int64), *(getattr(found, n) for n in _REST)))
-                if refused:
-                    self.refused[number] = refused
-        return Glints.join(parts)
+            if number in self.scene_of:
+                ground = self.scenes[self.scene_of[number]]
+                found, others = self._in_frame(frame, ground)
+                moves = np.array([self._was_seen_empty(ground, at) for at in found.xy], dtype=bool)
+                if (~moves).sum() > max_always_there:
+                    found, others = found.take(moves), others + int((~moves).sum())
+                parts.append(replace(found, frame=np.full(len(found), number, np.int64)))
+                if others:
+                    refused[number] = others
+        return Detections(
+            glints=Glints.join(parts), notes=tuple(self._notes(refused)), outline_radius=self._measure_radius()
+        )
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
-        """Discs of one frame of the first scene; ``flux`` is their area, px^2, which balls of one size share."""
+        """Discs of one frame of the first scene."""
         return self._in_frame(frame, self.scenes[self.takes.scenes[0]])[0]
 
-    def _leaves(self, ground: StillBackground, at: Array) -> bool:
-        """Whether the place of a disc was seen without it."""
+    def _measure_radius(self) -> OutlineRadius | None:
+        """The radius of discs of the most common size; None of shaded balls, whose dark side does not show."""
+        radii = np.array(self.fitted)
+        radii = radii[_are_equal(radii, self.radius)]
+        if self.is_shaded or len(radii) < 10:
+            return None
+        spread = 1.4826 * float(np.median(np.abs(radii - np.median(radii))))  # of a normal distribution
+        return OutlineRadius(float(np.median(radii)), spread / float(np.sqrt(len(radii))))
+
+    def _notes(self, refused: dict[int, int]) -> Iterator[str]:
+        """What a user has to know of the frames that were searched; `refused`: objects that are no balls, by frame."""
+        yield from self.takes.describe()
+        if refused:
+            yield (
+                f"{sum(refused.values())} objects in {len(refused)} frames are not balls and are left out (not round, "
+                f"of another size, or always there), frame {min(refused)} first"
+            )
+        if self.shadows:
+            yield (
+                f"shadows: the tracker takes {self.shadows} dark regions beside brighter balls for their shadows; such "
+                "positions may be off by .2 px towards the lamp; their errors include 1 % of the radius"
+            )
+        if len(self.radii) > 1:
+            yield "discs of two sizes: " + " and ".join(f"{2 * r:.1f} px across" for r in self.radii)
+
+    def _was_seen_empty(self, ground: StillBackground, at: Array) -> bool:
+        """Whether more than half of a disc's area was seen without it; otherwise it may always be there."""
         x, y = np.round(at).astype(int)
         reach = int(self.radius)
-        return bool(ground.known[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].mean() > FREE)
+        return bool(ground.known[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].mean() > 0.5)
 
     def _samples(self, scene: int) -> list[NDArray[Any]]:
         """Frames spread over all takes of a scene."""
-        fresh = sorted(k for k, own in self._scene_of().items() if own == scene)
-        picks = sorted({fresh[round(i * (len(fresh) - 1) / (SAMPLES - 1))] for i in range(SAMPLES)})
+        fresh = sorted(k for k, own in self.scene_of.items() if own == scene)
+        picks = sorted({fresh[round(i * (len(fresh) - 1) / 30)] for i in range(31)})
         return [np.asarray(self.view.frames[k]) for k in picks]
 
     def _clean_background(self, scene: int) -> StillBackground:
-        """The background of a scene, from what is no ball, shadow or other object in its frames."""
+        """The background of a scene, without the balls, shadows and other objects in its frames."""
         ground = self._average_uncovered(scene, self.scenes[scene])
         return ground if ground.known.all() else self._average_uncovered(scene, ground)
 
     def _average_uncovered(self, scene: int, ground: StillBackground) -> StillBackground:
-        """The same, where objects are told by a background that may be wrong where balls rest."""
+        """The same, from objects found over a background that may be wrong where balls rest."""
+        rim_px = 4  # around an object, which it may still affect
         frames, covered = [], []
         for frame in self._samples(scene):
             light = frame.astype(np.float32)
             light -= _brighter(light, ground.level)
             apart = (light - ground.level).astype(np.float32)
             boxes, labels = self._regions(apart)
-            mask = ((labels > 0) & ground.known).view(np.uint8)  # elsewhere what differs may be the plate
+            mask = ((labels > 0) & ground.known).view(np.uint8)  # elsewhere a difference may be the plate's
             for x, y in self._in_frame(frame, ground)[0].xy:
                 cv2.circle(mask, (round(x), round(y)), round(self.radius), 1, -1)
-            parts = [part for number, box in boxes[:MOST] for part in self._parts(apart, labels, number, box)]
-            balls = [part for part in parts if part.sign > 0 and part.is_disc(self.radius)]
+            parts = [
+                part
+                for number, box in boxes[: self.settings.max_objects_per_frame]
+                for part in self._parts(apart, labels, number, box)
+            ]
+            balls = [part for part in parts if part.sign > 0 and self._is_disc(part, self.radius)]
             for part in parts:
                 if any(casts_shadow(ball, part) for ball in balls):
                     part.fill(mask)
             frames.append(light)
-            covered.append(cv2.dilate(mask, np.ones((2 * RIM + 1, 2 * RIM + 1), np.uint8)).view(np.bool_))
+            covered.append(cv2.dilate(mask, np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)).view(np.bool_))
         return average_uncovered(frames, covered, self.noise)
 
     def _in_frame(self, frame: NDArray[Any], ground: StillBackground) -> tuple[Glints, int]:
-        """Discs of one frame, and how many objects are none."""
+        """Discs of one frame, and how many objects are not discs."""
         light = frame.astype(np.float32)
         light -= _brighter(light, ground.level)
         apart = light - ground.level.astype(np.float32)
         boxes, labels = self._regions(apart)
-        parts = [part for number, box in boxes[:MOST] for part in self._parts(apart, labels, number, box)]
+        parts = [
+            part
+            for number, box in boxes[: self.settings.max_objects_per_frame]
+            for part in self._parts(apart, labels, number, box)
+        ]
         rows, refused, balls = list[tuple[float, ...]](), 0, list[ContrastRegion]()
         for part in sorted(parts, key=lambda p: -p.sign):
             radius = min(self.radii, key=lambda r: abs(r - part.minor))
-            if part.sign > 0 and part.is_disc(radius):
+            if part.sign > 0 and self._is_disc(part, radius):
                 balls.append(part)
-            elif any(casts_shadow(ball, part) for ball in balls) and not (self.dark_balls and part.is_disc(radius)):
+            elif any(casts_shadow(ball, part) for ball in balls) and not (
+                self.dark_balls and self._is_disc(part, radius)
+            ):
                 self.shadows += 1
                 continue
             dark = part.sign < 0 and not self.dark_balls
-            found = [] if dark else self._in_part(light, ground, part, radius)
-            refused += not found and part.area > 0.5 * np.pi * radius**2
-            rows += [self._row(f, flag, radius, light.shape) for f, flag in found]
+            fitted = [] if dark else self._in_part(light, ground, part, radius)
+            refused += not fitted and part.area > 0.5 * np.pi * radius**2
+            rows += [self._row(f, flag, radius, light.shape) for f, flag in fitted]
         if not rows:
             return Glints.none(), refused
         x, y, xx, xy, yy, fxx, fxy, fyy, area, flags = np.array(rows).T
         cov = np.stack([xx, xy, xy, yy], -1).reshape(-1, 2, 2)
         fixed = np.stack([fxx, fxy, fxy, fyy], -1).reshape(-1, 2, 2)
         nothing = np.zeros(len(rows))
-        return Glints(nothing.astype(np.int64), x, y, cov, area, nothing, flags.astype(np.int64), fixed), refused
+        found = Glints(
+            frame=nothing.astype(np.int64),
+            x=x,
+            y=y,
+            cov=cov,
+            flux=area,
+            background=nothing,
+            flags=flags.astype(np.int64),
+            fixed=fixed,
+        )
+        return found, refused
 
     def _regions(self, apart: NDArray[np.float32]) -> tuple[list[tuple[int, Box]], NDArray[np.int32]]:
         """Connected regions that differ from the background, largest first: number and box; and their picture."""
         mask = (np.abs(cv2.blur(apart, self.box)) > self.low).view(np.uint8)
         count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-        large = [k for k in range(1, count) if boxes[k][4] > np.pi * SMALLEST**2]
+        large = [k for k in range(1, count) if boxes[k][4] > np.pi * self.settings.min_disc_radius_px**2]
         large.sort(key=lambda k: -int(boxes[k][4]))
         return [(k, tuple(boxes[k].tolist())) for k in large], np.asarray(labels, dtype=np.int32)
 
     def _parts(
         self, apart: NDArray[np.float32], labels: NDArray[np.int32], number: int, box: Box
     ) -> list[ContrastRegion]:
-        """What in a region has half its contrast: a ball without its shadow; or its brighter and its darker parts."""
+        """The parts of a region: a ball without its shadow, or the brighter and the darker parts."""
         at = slice(box[1], box[1] + box[3]), slice(box[0], box[0] + box[2])
-        smooth = cv2.blur(apart[at], (3, 3)) if self.noise > NOISY else apart[at]
-        return [p for sign in self.signs for p in split_region(smooth, labels[at] == number, box, sign, self.low)]
+        smooth = cv2.blur(apart[at], (3, 3)) if self.is_noisy else apart[at]
+        least = self.settings.min_disc_radius_px
+        own = labels[at] == number
+        return [p for sign in self.signs for p in split_region(smooth, own, box, sign, self.low, least)]
 
     def _usual_radius(self, given: float | None) -> tuple[list[float], float]:
-        """The most common radius of discs in frames spread over the film, px, or the given one; and their contrast."""
+        """The common radii of discs in frames spread over the film, px, or the given one; and their contrast."""
         seen = self._without_shadows(given)
         if not seen:
             return [given or self.view.camera.diameter_px / 2], 0.0
@@ -233,124 +244,139 @@ class Discs:
         order = np.argsort(contrasts)
         weight = np.cumsum((contrasts * radii**2)[order])  # a ball counts more than many specks
         usual = float(contrasts[order][np.searchsorted(weight, weight[-1] / 2)])
-        strong = contrasts > FAINT * usual
-        still = strong & [float(np.hypot(*p.way)) < ROUND * p.minor for p in seen]
-        return [given] if given else _common_radii(radii[still if still.sum() > FEWEST else strong]), usual
+        strong = contrasts > 0.35 * usual  # fainter discs do not enter the radius
+        still = strong & [float(np.hypot(*p.blur)) < self.max_blur_at_rest * p.minor for p in seen]
+        return [given] if given else _common_radii(
+            radii[still if still.sum() > 3 else strong], self.settings.disc_radius_tolerance
+        ), usual
 
     def _without_shadows(self, given: float | None) -> list[ContrastRegion]:
-        """Discs in frames spread over the film; sets what is told apart in all of them."""
-        either = [p for parts in self._survey() for p in parts if p.is_disc(given or p.minor)]
+        """Discs in frames spread over the film; decides whether balls are lit from one side or are dark."""
+        regions_of_frames = list(self._survey())
+        either = [p for parts in regions_of_frames for p in parts if self._is_disc(p, given or p.minor)]
         self.signs = (1, -1)
         bright, shadowed, alone = list[ContrastRegion](), 0, 0
-        for parts in self._survey():
-            balls = [p for p in parts if p.sign > 0 and p.is_disc(given or p.minor)]
+        for parts in self._survey():  # again, now with brighter and darker parts separate
+            balls = [p for p in parts if p.sign > 0 and self._is_disc(p, given or p.minor)]
             bright += balls
             shadowed += sum(any(casts_shadow(p, other) for other in parts) for p in balls)
-            dark = [p for p in parts if p.sign < 0 and p.is_disc(given or p.minor)]
+            dark = [p for p in parts if p.sign < 0 and self._is_disc(p, given or p.minor)]
             alone += sum(not any(casts_shadow(p, d) for p in balls) for d in dark)
-        least = max(SHADOWED * len(bright), FEWEST)
-        if shadowed > least or (len(bright) > FEWEST and 2 * len(bright) > len(either) and _lit_from_one_side(bright)):
+        least = max(0.5 * len(bright), 3)
+        if shadowed > least or (len(bright) > 3 and 2 * len(bright) > len(either) and _lit_from_one_side(bright)):
             self.dark_balls = alone > least
             return bright
         self.signs = (0,)
         return either
 
     def _survey(self) -> Iterator[list[ContrastRegion]]:
-        """Parts clear of the picture's rim, of frames spread over the film."""
-        scene_of = self._scene_of()
-        frames = sorted(scene_of)
-        for k in sorted({frames[round(i * (len(frames) - 1) / (LOOKED - 1))] for i in range(LOOKED)}):
-            ground = self.scenes[scene_of[k]]
+        """The regions of each of 25 frames spread over the film that do not touch the picture's rim."""
+        frames = sorted(self.scene_of)
+        for k in sorted({frames[round(i * (len(frames) - 1) / 24)] for i in range(25)}):
+            ground = self.scenes[self.scene_of[k]]
             light = np.asarray(self.view.frames[k]).astype(np.float32)
             apart = (light - _brighter(light, ground.level) - ground.level).astype(np.float32)
             boxes, labels = self._regions(apart)
             height, width = apart.shape
             inside = [
-                (k, b) for k, b in boxes[:MOST] if min(b[:2]) > 0 and b[0] + b[2] < width and b[1] + b[3] < height
+                (k, b)
+                for k, b in boxes[: self.settings.max_objects_per_frame]
+                if min(b[:2]) > 0 and b[0] + b[2] < width and b[1] + b[3] < height
             ]
             yield [part for number, box in inside for part in self._parts(apart, labels, number, box)]
 
-    def _scene_of(self) -> dict[int, int]:
-        """The scene of each frame that is in a take and not given twice."""
-        both = zip(self.takes.spans, self.takes.scenes, strict=True)
-        every = {k: scene for (a, b), scene in both for k in range(a, b + 1)}
-        return {k: scene for k, scene in every.items() if k not in self.takes.repeated}
+    max_blur_at_rest: ClassVar[float] = 0.35
+    """Displacement during the exposure, in radii, up to which a disc counts as at rest."""
+
+    def _is_disc(self, region: ContrastRegion, radius: float) -> bool:
+        return region.is_disc(radius, self.settings.disc_radius_tolerance)
 
     def _in_part(
         self, light: NDArray[np.float32], ground: StillBackground, part: ContrastRegion, radius: float
     ) -> list[tuple[DiscFit, int]]:
         """Discs in one part, with their flags."""
         found: list[tuple[DiscFit, int]] = []
-        if part.is_disc(radius):
-            fitted = fit_disc(light, ground, part.middle, self._look(radius), part.way, [])
-            flag = BLURRED if np.hypot(*part.way) > ROUND * radius else 0
+        if self._is_disc(part, radius):
+            fitted = fit_disc(light, ground, part.middle, self._look(radius), part.blur, [])
+            flag = Flag.STREAK if np.hypot(*part.blur) > self.max_blur_at_rest * radius else 0
             found = [(fitted, flag)] if fitted is not None else []
         elif 0.3 < part.area / (np.pi * radius**2) < 6:
             found = self._touching(light, ground, part, radius)
-        found = [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < ALIKE]
+        found = [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]
         self.fitted += [f.radius for f, flag in found if flag == 0]
         return found
 
     def _look(self, radius: float) -> DiscAppearance:
-        return DiscAppearance(radius * self.larger, self.noise, self.is_shaded, self.tied * radius)
+        return DiscAppearance(
+            radius=radius * self.true_to_fitted_radius,
+            noise=self.noise,
+            shaded=self.is_shaded,
+            radius_std=self.relative_radius_std * radius,
+        )
 
     def _touching(
         self, light: NDArray[np.float32], ground: StillBackground, part: ContrastRegion, radius: float
     ) -> list[tuple[DiscFit, int]]:
-        """Discs in a part that is not one whole disc: cut by the picture's rim, or several that touch."""
-        places = [(x + part.left, y + part.top) for x, y in find_disc_centres(part, radius)]
+        """Discs in a region that is not one whole disc: cut by the picture's rim, or several that touch."""
+        centres = [(x + part.left, y + part.top) for x, y in find_disc_centres(part, radius)]
         found, own = [], light
-        if part.sign:  # without the others' shadows
+        if part.sign:  # without the shadows of the others
             level = ground.level.astype(np.float32)
             own = level + part.sign * np.maximum(part.sign * (light - level), 0)
-        for at in places:
-            others = [p for p in places if p != at]
+        for at in centres:
+            others = [p for p in centres if p != at]
             start = fit_outline_circle(own, ground.level, at, radius, others, self.low)
-            if start is None and part.sign and others:  # what is lit of a ball is not round
+            if start is None and part.sign and others:  # the lit part of a ball is not round
                 start = np.array(at)
             fitted = None
             if start is not None:
                 fitted = fit_disc(light, ground, start, self._look(radius), np.zeros(2), others)
             if fitted is not None:
-                found.append((fitted, NEAR if others else 0))
+                found.append((fitted, Flag.NEAR if others else 0))
         return found
 
     def _row(self, found: DiscFit, flag: int, radius: float, shape: tuple[int, ...]) -> tuple[float, ...]:
-        x, y = found.place
-        flag |= SHADED if self.is_shaded else 0
+        x, y = found.position
+        flag |= Flag.SHADED if self.is_shaded else 0
         whole = radius < x < shape[1] - 1 - radius and radius < y < shape[0] - 1 - radius
         cov = [m[i, j] for m in (found.cov, found.fixed) for i, j in ((0, 0), (0, 1), (1, 1))]
-        return x, y, *cov, np.pi * radius**2, flag | (0 if whole else EDGE)
-
-
-_REST = ("x", "y", "cov", "flux", "background", "flags", "fixed")
+        return x, y, *cov, np.pi * radius**2, flag | (0 if whole else Flag.EDGE)
 
 
 def _brighter(light: NDArray[np.float32], level: Array) -> float:
-    """Counts by which the whole picture is brighter than the background: exposure that the camera chose anew."""
+    """Counts by which the whole picture is brighter than the background, because the camera adapts its exposure."""
     step = max(1, int(np.sqrt(light.size / 16_000)))
     change = float(np.median(light[::step, ::step] - level[::step, ::step]))
     return change if abs(change) > 1 else 0.0
 
 
-def _lit_from_one_side(discs: list[ContrastRegion]) -> bool:
-    """Whether discs are brighter on one side, all on the same."""
+def _lit_from_one_side(discs: list[ContrastRegion], *, min_lean: float = 0.15, min_share: float = 0.8) -> bool:
+    """Whether discs are brighter on one side, all on the same.
+
+    The median of their relative change of contrast over a radius must exceed `min_lean`; `min_share` of the discs must
+    have half of it in that direction.
+    """
     leans = np.array([disc.lean for disc in discs])
     mean = np.median(leans, axis=0)
     size = float(np.hypot(*mean))
-    return size > LIT and float(np.quantile(leans @ mean / size, 1 - MOST_LIT)) > LIT / 2
+    return size > min_lean and float(np.quantile(leans @ mean / size, 1 - min_share)) > min_lean / 2
 
 
-def _common_radii(radii: Array) -> list[float]:
-    """The most common of radii, and a second if it is common, px."""
+def _are_equal(radii: Array, radius: Any) -> NDArray[np.bool_]:
+    """Which radii are those of one kind of ball: within a tenth."""
+    return np.asarray(np.abs(radii / radius - 1) < 0.1)
+
+
+def _common_radii(radii: Array, tolerance: float) -> list[float]:
+    """The most common radius, px, and a second one if it is common; the two differ by the relative tolerance."""
     common: list[float] = []
     for _ in range(2):
         if len(radii) == 0:
             break
-        near = np.abs(radii[:, None] / radii - 1) < CLOSE
+        near = _are_equal(radii[:, None], radii)
         best = near[near.sum(axis=1).argmax()]
-        if common and best.sum() < max(SECOND * len(near), 5):
+        if common and best.sum() < max(0.3 * len(near), 5):
             break
         common.append(float(np.median(radii[best])))
-        radii = radii[np.abs(radii / common[-1] - 1) > ALIKE]
+        radii = radii[np.abs(radii / common[-1] - 1) > tolerance]
     return common

@@ -8,18 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.detection.glints import CLIPPED, Glints, View
-
-HIGH = 4.0  # noise deviations over the plate, of a glint's pixels
-LEAST = 3  # pixels of a glint
+from tracker.detection.detector import View
+from tracker.detection.glints import Flag, Glints
 
 
 class OpencvComponents:
-    """Pixels that stand out from the plate, joined where they touch; their centre of brightness."""
+    """Connected regions of pixels that are brighter than the plate; their centres of brightness."""
 
     def __init__(self, view: View) -> None:
         self.view = view
-        self.step = max(2.0, HIGH * view.plate.noise)
+        self.step = max(2.0, 4.0 * view.plate.noise)
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame; covariance from the noise of the pixels that were summed."""
@@ -29,7 +27,7 @@ class OpencvComponents:
         rows = []
         for label in range(1, count):
             left, top, width, height, area = boxes[label].tolist()
-            if area >= LEAST:
+            if area >= 3:  # pixels
                 part = slice(top, top + height), slice(left, left + width)
                 rows.append((left, top, *self._centre(risen[part], labels[part] == label, frame[part])))
         if not rows:
@@ -37,7 +35,7 @@ class OpencvComponents:
         left, top, x, y, xx, yy, mass, full = np.array(rows, dtype=np.float64).T
         cov = np.zeros((len(rows), 2, 2))
         cov[:, 0, 0], cov[:, 1, 1] = xx, yy
-        flags = np.where(full > 0, CLIPPED, 0)
+        flags = np.where(full > 0, Flag.CLIPPED, 0)
         return Glints(np.zeros(len(rows), np.int64), left + x, top + y, cov, mass, np.zeros(len(rows)), flags)
 
     def _centre(self, risen: NDArray[Any], own: NDArray[np.bool_], counts: NDArray[Any]) -> tuple[float, ...]:

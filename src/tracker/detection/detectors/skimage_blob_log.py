@@ -1,4 +1,4 @@
-"""scikit-image's Laplacian of Gaussian (``blob_log``), for comparison: it answers in whole pixels."""
+"""scikit-image's Laplacian of Gaussian (``blob_log``), for comparison: its positions are whole pixels."""
 
 from __future__ import annotations
 
@@ -8,11 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.feature import blob_log
 
-from tracker.detection.glints import CLIPPED, Glints, View
-
-HIGH = 4.0  # noise deviations of a pixel, of a blob's response
-PIXEL = 1.0 / 12.0  # px^2, variance of a position rounded to the whole pixel
-RATIOS = (0.8, 1.6, 3)  # least and greatest width over the glint's, and how many are tried
+from tracker.detection.detector import View
+from tracker.detection.glints import Flag, Glints
 
 
 class SkimageBlobLog:
@@ -25,13 +22,12 @@ class SkimageBlobLog:
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame; the covariance is that of rounding."""
         risen = np.maximum(frame - self.level, 0.0)
-        low, high, count = RATIOS
         found = blob_log(
             risen,
-            min_sigma=low * self.view.sigma,
-            max_sigma=high * self.view.sigma,
-            num_sigma=count,
-            threshold=HIGH * self.view.plate.noise,
+            min_sigma=0.8 * self.view.sigma,
+            max_sigma=1.6 * self.view.sigma,
+            num_sigma=3,
+            threshold=4.0 * self.view.plate.noise,
             overlap=0.0,
         )
         row, column = found[:, 0].astype(np.int64), found[:, 1].astype(np.int64)
@@ -40,9 +36,9 @@ class SkimageBlobLog:
         n = len(row)
         full = frame[row, column] >= self.view.camera.sensor.ceiling
         flux = risen[row, column] * 2.0 * np.pi * self.view.sigma**2
-        cov = np.broadcast_to(PIXEL * np.eye(2), (n, 2, 2)).copy()
+        cov = np.broadcast_to(np.eye(2) / 12.0, (n, 2, 2)).copy()  # px^2, of rounding to whole pixels
         x, y = column.astype(np.float64), row.astype(np.float64)
-        return Glints(np.zeros(n, np.int64), x, y, cov, flux, np.zeros(n), np.where(full, CLIPPED, 0))
+        return Glints(np.zeros(n, np.int64), x, y, cov, flux, np.zeros(n), np.where(full, Flag.CLIPPED, 0))
 
     def _one_a_ball(self, x: NDArray[np.int64], y: NDArray[np.int64], height: NDArray[np.float64]) -> list[int]:
         """The blobs, strongest first, that are further than .8 of a ball from every stronger one."""

@@ -8,19 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops_table
 
-from tracker.detection.glints import CLIPPED, Glints, View
-
-HIGH = 4.0  # noise deviations over the plate, of a glint's pixels
-LEAST = 3  # pixels of a glint
+from tracker.detection.detector import View
+from tracker.detection.glints import Flag, Glints
 
 
 class SkimageRegionprops:
-    """Pixels that stand out from the plate, labelled, and ``regionprops``' intensity-weighted centroid of each."""
+    """Labelled regions of pixels that are brighter than the plate, and ``regionprops``' weighted centroid of each."""
 
     def __init__(self, view: View) -> None:
         self.view = view
         self.level = view.plate.level.astype(np.float64)
-        self.step = max(2.0, HIGH * view.plate.noise)
+        self.step = max(2.0, 4.0 * view.plate.noise)
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame; covariance from the noise of the pixels that were summed."""
@@ -32,7 +30,7 @@ class SkimageRegionprops:
             intensity_image=np.stack([risen, frame, noise], axis=-1),
             properties=("area", "centroid_weighted", "intensity_max", "image_intensity", "bbox"),
         )
-        rows = np.flatnonzero(found["area"] >= LEAST)
+        rows = np.flatnonzero(found["area"] >= 3)
         if not len(rows):
             return Glints.none()
         x, y = found["centroid_weighted-1-0"][rows], found["centroid_weighted-0-0"][rows]
@@ -46,4 +44,6 @@ class SkimageRegionprops:
                 summed = (part[..., 2] ** 2).sum(axis=axis)
                 cov[k, axis, axis] = summed @ away**2 / flux[k] ** 2 + 1e-6
         full = found["intensity_max-1"][rows] >= self.view.camera.sensor.ceiling
-        return Glints(np.zeros(len(rows), np.int64), x, y, cov, flux, np.zeros(len(rows)), np.where(full, CLIPPED, 0))
+        return Glints(
+            np.zeros(len(rows), np.int64), x, y, cov, flux, np.zeros(len(rows)), np.where(full, Flag.CLIPPED, 0)
+        )

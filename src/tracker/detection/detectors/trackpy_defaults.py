@@ -1,4 +1,4 @@
-"""trackpy's detector with nothing chosen but the feature's size, which it asks for. Needs the extra ``peers``."""
+"""trackpy's detector with its default settings; only the feature's size is given. Needs the extra ``peers``."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from tracker.detection.glints import Glints, View
+from tracker.detection.detector import View
+from tracker.detection.glints import Glints
 from tracker.detection.trackpy_features import import_trackpy, locate_features, odd_diameter
-
-WIDTHS = 8.0  # of a glint, that its feature spans
 
 
 class TrackpyDefaults:
@@ -20,7 +19,8 @@ class TrackpyDefaults:
     def __init__(self, view: View) -> None:
         self.trackpy: Any = import_trackpy("trackpy_defaults")
         self.view = view
-        self.diameter = odd_diameter(WIDTHS * view.sigma if view.takes is None else view.camera.diameter_px)
+        # a feature spans 8 widths of a glint, or a ball
+        self.diameter = odd_diameter(8.0 * view.sigma if view.takes is None else view.camera.diameter_px)
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """All features of one frame."""

@@ -1,1 +1,1 @@
-"""Fits of glints by their likelihood: the model of a ball's picture, its bound, what the fits must know."""
+"""Maximum-likelihood fits of glints: the pixel model, its Cramer-Rao bound, and the priors of the fits."""

@@ -1,4 +1,4 @@
-"""The ball profile: how the room that a ball mirrors around its glint fades from where it mirrors the zenith."""
+"""The ball profile: the image of the room around a glint, as it fades from where the ball mirrors the zenith."""
 
 from __future__ import annotations
 
@@ -8,14 +8,19 @@ import numpy as np
 
 from tracker.camera.lens import Array
 
-POWERS = (2, 3, 4)  # of 1 - q: at q = 1 the profile ends without a kink
-NODE = 0.5 / np.sqrt(3.0)  # of the motion blur, on either side of its middle (Gauss-Legendre with two nodes)
+POWERS = (2, 3, 4)  # of 1 - q in the profile: at q = 1 it ends without a kink
 
 
 @dataclass(frozen=True, eq=False)
 class BallProfile:
-    """One clip's balls: ``coefficients`` (3,) counts of the powers of 1 - q, with q = (distance / ``end``)^2 from the
-    middle; beyond ``end``, px, the ball mirrors no room.
+    """The profile of one clip's balls, a polynomial in 1 - q with q = (distance from the middle / ``end``)^2.
+
+    Attributes
+    ----------
+    end : float
+        Radius beyond which the ball mirrors no room, px.
+    coefficients : ndarray of shape (3,)
+        Counts, of the powers of 1 - q.
     """
 
     end: float
@@ -44,7 +49,8 @@ class BallProfile:
         """
         if not blur.any():
             return self._height(middle, half)
-        one, two = (self._height(middle + side * blur, half) for side in (NODE, -NODE))
+        node = 0.5 / np.sqrt(3.0)  # of the blur, on either side of its middle: Gauss-Legendre with two nodes
+        one, two = (self._height(middle + side * blur, half) for side in (node, -node))
         return (one[0] + two[0]) / 2.0, (one[1] + two[1]) / 2.0, (one[2] + two[2]) / 2.0
 
     def _height(self, middle: Array, half: int) -> tuple[Array, Array, Array]:
@@ -61,7 +67,7 @@ class BallProfile:
         return height, fall * across, fall * down
 
     def _left(self, middle: Array, half: int) -> tuple[Array, Array, Array]:
-        """1 - q (n, s, s), no less than 0, and the offsets over ``end`` (n, 1, s), (n, s, 1)."""
+        """1 - q (n, s, s), at least 0, and the offsets over ``end`` (n, 1, s), (n, s, 1)."""
         away = (np.arange(-half, half + 1.0) - middle[..., None]) / self.end
         across, down = away[:, 0, None, :], away[:, 1, :, None]
         return np.maximum((1.0 - down**2) - across**2, 0.0), across, down

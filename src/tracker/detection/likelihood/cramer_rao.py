@@ -1,7 +1,7 @@
 """The pixel model of a glint, the information of a pixel's count on its mean, and the Cramer-Rao bound of a position.
 
-A glint is a Gaussian of width sigma, integrated over each pixel, drawn out along a line by the ball's motion
-in the exposure. Fisher information: F_ab = sum_i J(m_i) d_a m_i d_b m_i over the pixels, with m_i their means
+A glint is a Gaussian of width sigma, integrated over each pixel and along the line of the ball's motion during the
+exposure. Fisher information: F_ab = sum_i J(m_i) d_a m_i d_b m_i over the pixels, with m_i their means
 (Kay 1993, section 3.9, with a variance that follows the mean; clipped pixels by their censored likelihood).
 """
 
@@ -20,8 +20,6 @@ from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
 
 ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
-CLEAR = 6.0  # deviations under the ceiling, from where on it does not matter
-REACH = 4.0  # widths of the glint that a window must hold on each side
 
 
 @dataclass(frozen=True)
@@ -87,23 +85,24 @@ def pixel_noise(mean: Array, sensor: SensorSpec) -> tuple[Array, Array]:
 
 
 def information(mean: Array, sensor: SensorSpec, noise: tuple[Array, Array] | None = None) -> Array:
-    """Fisher information of one pixel about its own mean, 1/counts^2, any shape; clipping included.
+    """Fisher information of one pixel on its own mean, 1/counts^2, any shape; clipping included.
 
-    Open pixel: 1/v + (v'/v)^2 / 2. At the ceiling c a pixel says only that it is over c - 1/2, and the
-    integrals of the squared score up to there, and of the tail beyond, take its place. noise: ``spread`` there.
+    Of an open pixel it is 1/v + (v'/v)^2 / 2. A pixel at the ceiling c is only known to exceed c - 1/2: its information
+    is the integral of the squared score up to there, and the term of the tail beyond. `noise` is `pixel_noise` there.
     """
+    clear = 6.0  # standard deviations below the ceiling, from which on it does not matter
     variance, k = pixel_noise(mean, sensor) if noise is None else noise
     info = np.asarray(1.0 / variance + 2.0 * k * k, dtype=np.float64)
     room = sensor.ceiling - 0.5 - mean
-    if np.min(room, initial=np.inf) < CLEAR * math.sqrt(np.max(variance, initial=0.0)):
+    if np.min(room, initial=np.inf) < clear * math.sqrt(np.max(variance, initial=0.0)):
         z = room / np.sqrt(variance)
-        near = z < CLEAR
+        near = z < clear
         info[near] = _censored_information(z[near], 1.0 / np.sqrt(variance[near]), k[near])
     return info
 
 
 def _censored_information(z: Array, root: Array, k: Array) -> Array:
-    """Information with a ceiling z deviations over the mean; below it score = root u + k (u^2 - 1)."""
+    """Information with a ceiling z standard deviations above the mean; below it score = root u + k (u^2 - 1)."""
     low = ndtr(z)
     phi = np.exp(-0.5 * z * z) / ROOT_TWO_PI
     one, two, three = -phi, low - z * phi, -(z * z + 2) * phi
@@ -132,7 +131,7 @@ def localisation_bound(
     blur: ArrayLike | None = None,
     background: ArrayLike | None = None,
 ) -> Array:
-    """Cramer-Rao bound of the positions of glints: position, flux and a flat background free, width and noise known.
+    """Cramer-Rao bound of the positions of glints, with free flux and flat background, and known width and noise.
 
     Parameters
     ----------
@@ -154,7 +153,7 @@ def localisation_bound(
     Raises
     ------
     ValueError
-        Where the camera has no width of the PSF.
+        If the camera has no width of the PSF.
 
     References
     ----------
@@ -164,8 +163,10 @@ def localisation_bound(
 
 
 def localisation_bound_fixed(camera: Camera, flux: ArrayLike, xy: ArrayLike) -> Array:
-    """The part (n, 2, 2) px^2 of a resting glint's bound that is the same in every frame: of the pixels' own
-    response and offset. A fixed error of a pixel shifts the position by cov d_a m / v. Arguments as above.
+    """The part (n, 2, 2), px^2, of a resting glint's bound that is the same in every frame.
+
+    It comes from the pixels' own response and offset: a fixed error of a pixel shifts the position by cov d_a m / v.
+    The arguments are those of `localisation_bound`.
     """
     return _bound(camera, flux, xy, None, None)[1]
 
@@ -181,7 +182,7 @@ def _bound(
     lines = np.zeros_like(positions) if blur is None else np.asarray(blur, dtype=np.float64).reshape(-1, 2)
     level = camera.sensor.black_level if background is None else background
     ground = np.broadcast_to(np.asarray(level, dtype=np.float64), flux_.shape)
-    half = math.ceil(REACH * camera.sigma + 0.5 + float(np.max(np.abs(lines), initial=0.0)) / 2.0)
+    half = math.ceil(4.0 * camera.sigma + 0.5 + float(np.max(np.abs(lines), initial=0.0)) / 2.0)
     out, fixed = np.empty((2, len(flux_), 2, 2))
     for start in range(0, len(flux_), 2048):  # blocks, so that memory stays small
         part = slice(start, start + 2048)

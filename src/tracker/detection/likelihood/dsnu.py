@@ -1,4 +1,4 @@
-"""The pixels' own offsets (DSNU), learnt from the plate where no ball hides it: a dark frame out of the film itself."""
+"""Estimates the fixed offsets of pixels (DSNU) from the visible plate, as a dark frame would give them."""
 
 from __future__ import annotations
 
@@ -14,21 +14,27 @@ from tracker.detection.candidates import EmptyPlate
 
 Ints = NDArray[np.int64]
 
-FEWEST = 16  # frames
-SEEN = 0.25  # of the frames, in which a pixel must show the plate
-WIDE = 9  # px, of the surroundings over which an offset is counted: what is smoother is the plate's light
-OUTLIER = 4.0  # deviations: a mark on the plate, which a ball hides, is no offset
+MIN_FRAMES = 16  # from which offsets are estimated
+MAX_DEVIATION = 4.0  # standard deviations; more is an outlier
+SURROUNDINGS_PX = 9  # width of the neighbourhood from which an offset differs; what is smoother is light on the plate
 
 
 class DsnuEstimator:
-    """Mean of a film's frames, of each all but the squares ``reach`` px about what was found there."""
+    """Averages the frames of a film, of each all but squares around its candidates.
+
+    Parameters
+    ----------
+    plate : EmptyPlate
+    reach : int
+        Half width of the squares, px.
+    """
 
     def __init__(self, plate: EmptyPlate, reach: int) -> None:
         self.plate, self.frames, self.reach = plate, 0, reach
         self.sums, self.hidden = np.zeros((2, *plate.level.shape), np.float32)
 
     def add(self, frame: NDArray[Any], rows: Ints, columns: Ints) -> None:
-        """Count one more frame (h, w), but for the squares about the pixels (n,) at which something was found."""
+        """Add a frame (h, w) without the squares around the pixels (n,) of its candidates."""
         kept = []
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
             top, left = max(row - self.reach, 0), max(column - self.reach, 0)
@@ -42,8 +48,8 @@ class DsnuEstimator:
     def offsets(self, rows: Ints, columns: Ints, spread: float) -> tuple[Array, float]:
         """The best linear estimate of pixels' own offsets.
 
-        A pixel's mean differs from its surroundings by its offset, the noise left in it and the plate's texture. The
-        film shows how large these are together; the offset's share of that is taken.
+        A pixel's mean differs from its surroundings by its offset, the remaining noise and the texture of the plate.
+        The film shows how large these are together; the estimate is the offset's share of that.
 
         Parameters
         ----------
@@ -55,31 +61,32 @@ class DsnuEstimator:
         Returns
         -------
         offsets : array
-            Counts; NaN where the plate was hardly seen.
+            Counts; NaN where the plate was seen in less than a quarter of the frames.
         left : float
-            Standard deviation of what the estimate leaves of the offsets, counts.
+            Standard deviation of the offsets' residuals, counts.
         """
-        if self.frames < FEWEST:
+        if self.frames < MIN_FRAMES:
             return np.full(np.broadcast_shapes(rows.shape, columns.shape), np.nan), spread
         seen = self.frames - self.hidden
-        hollow = seen < SEEN * self.frames
+        hollow = seen < 0.25 * self.frames
         mean = self.sums / np.maximum(seen, 1.0)
         mean[hollow] = self.plate.level[hollow]
         mean.ravel()[self.plate.hot] = self.plate.level.ravel()[self.plate.hot - 1]  # hot pixels stand alone
-        mean -= cv2.blur(mean, (WIDE, WIDE))
-        whole = max(_variance(mean[:: WIDE // 2, :: WIDE // 2].astype(np.float64)), 1e-12)
+        mean -= cv2.blur(mean, (SURROUNDINGS_PX, SURROUNDINGS_PX))
+        whole = max(_variance(mean[:: SURROUNDINGS_PX // 2, :: SURROUNDINGS_PX // 2].astype(np.float64)), 1e-12)
         rest = self.plate.noise**2 / self.frames
         own = min(max(whole - rest, 0.0), spread**2)
         over = mean[rows, columns].astype(np.float64)
         wide = whole + rest * (self.frames / np.maximum(seen[rows, columns], 1.0) - 1.0)
-        over *= np.where(over * over > OUTLIER**2 * wide, 0.0, own / wide)
+        # a mark on the plate, which a ball hides, is no offset
+        over *= np.where(over * over > MAX_DEVIATION**2 * wide, 0.0, own / wide)
         over[hollow[rows, columns]] = np.nan
         return over, math.sqrt(own * (1.0 - own / whole))
 
 
 def _variance(values: NDArray[np.float64]) -> float:
-    """Of the bulk of the values."""
+    """Variance of the values without outliers."""
     spread = float(np.std(values))
     for _ in range(3):
-        spread = float(np.std(values[np.abs(values) <= OUTLIER * spread]))
+        spread = float(np.std(values[np.abs(values) <= MAX_DEVIATION * spread]))
     return spread**2

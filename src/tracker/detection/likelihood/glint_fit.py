@@ -1,10 +1,10 @@
-"""Maximum likelihood of glints in small windows, all at once: position, flux and what lies under the glint.
+"""Fits glints in small windows by maximum likelihood, all at once: position, flux and the background under them.
 
-Each pixel's count is normal about the pixel-integrated model, its variance that of the sensor at that mean; a
-pixel at the ceiling says only that it is at least there. Under the glint lies the ball profile, the mirrored
-room. Its shape is given, learnt from all of a clip's glints (``learn``), and moves with the glint, on a free level;
-where it is not, to second order a level and a bowl about its middle, both free. Newton steps use the expected
-information (Fisher scoring), whose inverse is the covariance.
+Each pixel's count is normally distributed about the pixel-integrated model, with the sensor's variance at that mean. A
+pixel at the ceiling is censored: its count is at least that. Under the glint lies the ball profile, the image of the
+room. Either its shape is known (`learn_profile`), moves with the glint and has a free level, or it is a free level and
+a free bowl, to second order about its middle. Newton steps use the expected information (Fisher scoring), whose inverse
+is the covariance.
 """
 
 from __future__ import annotations
@@ -22,23 +22,28 @@ from tracker.camera.sensor import SensorSpec
 from tracker.detection.likelihood.ball_profile import POWERS, BallProfile
 from tracker.detection.likelihood.cramer_rao import ROOT_TWO_PI, fisher, glint_shape, information, pixel_noise
 
-STEPS = 30
-LOG_FLUX = (-5.0, 18.0)
-MOST = 1e6  # counts, of anything under a glint
-SWINGING = 8  # steps, after which a glint still on the move is swinging about its position: half steps from there
-LESSONS = 2  # steps of the shared profile
-NUDGE = 0.05  # of the glint's width and of its blur, over which its change is taken
-WIDER = (-0.5, 0.5)  # logarithm of a glint's width over the one given, at most
-ROUGH = 0.1  # px and log flux, a first fit before them: clipped glints need one
-CLOSE = 0.003  # px and log flux: a step this small is the last one, for the next would be a hundredth of it
+MAX_STEPS = 30  # of Fisher scoring
+LOG_FLUX_LIMITS = (-5.0, 18.0)  # within which runaway fits are kept
+MAX_COUNTS = 1e6  # the same of the background's parameters
 
 
 @dataclass(frozen=True, eq=False)
 class GlintWindows:
-    """What is fitted: ``counts`` (n, s, s), ``used`` (n, s, s) 1 where a pixel counts, ``start`` (n, 2) px from
-    the central pixel, ``blur`` (n, 2) px the way during the exposure, ``bowl`` (n, 2) px from glint to the
-    profile's centre. ``secondaries`` (n, g, 3): positions from the central pixel, px, of weaker glints and 1 where
-    there is one, else 0.
+    """Pixels in which glints are fitted.
+
+    Attributes
+    ----------
+    counts : ndarray of shape (n, s, s)
+    used : ndarray of shape (n, s, s)
+        1 where a pixel enters the fit, else 0.
+    start : ndarray of shape (n, 2)
+        First positions, px from the central pixel.
+    blur : ndarray of shape (n, 2)
+        Displacements during the exposure, px.
+    bowl : ndarray of shape (n, 2)
+        From the glints to the middles of the ball profiles, px.
+    secondaries : ndarray of shape (n, g, 3)
+        Positions of secondary glints, px from the central pixel, and 1 where there is one, else 0.
     """
 
     counts: Array
@@ -62,11 +67,26 @@ class GlintWindows:
 
 @dataclass(frozen=True, eq=False)
 class GlintFit:
-    """Of n windows: ``xy`` (n, 2) px from the central pixel, ``flux`` and ``background`` (n,) counts, ``cov``
-    (n, 2, 2) px^2 and ``fixed``, the part of it that a resting ball has in every frame alike, ``flux_std``,
-    ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,), ``cross`` (n, 2) px the covariance
-    of position and log flux. ``secondary`` (n, 4): the first secondary's flux, counts, its covariance with the
-    position, its variance; NaN where there is none.
+    """Fits of n windows.
+
+    Attributes
+    ----------
+    xy : ndarray of shape (n, 2)
+        Positions, px from the central pixel.
+    flux, background, flux_std : ndarray of shape (n,)
+        Counts.
+    cov, fixed : ndarray of shape (n, 2, 2)
+        Covariances of the positions, px^2, and the part that is the same in every frame of a ball at rest.
+    chi2 : ndarray of shape (n,)
+        Per degree of freedom, over open pixels.
+    loglik : ndarray of shape (n,)
+        Log likelihood.
+    converged : ndarray of shape (n,)
+        1 where the fit converged, else 0.
+    cross : ndarray of shape (n, 2)
+        Covariance of position and log flux, px.
+    secondary : ndarray of shape (n, 4)
+        Flux of the first secondary glint, counts; its covariance with the position; its variance. NaN without one.
     """
 
     xy: Array
@@ -83,7 +103,11 @@ class GlintFit:
 
 
 def fit_glints(
-    windows: GlintWindows, sigma: float, sensor: SensorSpec, profile: BallProfile | None = None, close: float = CLOSE
+    windows: GlintWindows,
+    sigma: float,
+    sensor: SensorSpec,
+    profile: BallProfile | None = None,
+    tolerance: float = 0.003,
 ) -> GlintFit:
     """Fit a glint to each window, on a ball profile of known shape or on a bowl of its own.
 
@@ -94,8 +118,8 @@ def fit_glints(
         Width of a glint, px.
     sensor : Sensor
     profile : BallProfile, optional
-    close : float
-        A step under this, px and log flux, is the last one; covariances are those before it.
+    tolerance : float
+        A smaller step, px and log flux, is the last one: the next would be a hundredth of it.
 
     Returns
     -------
@@ -105,20 +129,20 @@ def fit_glints(
     active = np.arange(n)
     _clip_parameters(theta, active, windows.half)
     part, values = windows, np.full((n, 17), np.nan)
-    limit = _longest(sigma)
-    for number in range(STEPS):
+    limit = _step_limits(sigma)
+    for number in range(MAX_STEPS):
         if len(active) == 0:
             break
         seen = _evaluate(theta[active], part, sigma, sensor, profile)
         step = np.asarray(np.linalg.solve(seen.info, seen.slope[..., None])[..., 0], dtype=np.float64)
         step[:, :3] = np.clip(step[:, :3], -limit, limit)
-        if number >= SWINGING:
+        if number >= 8:  # a glint that still moves swings about its position
             step *= 0.5
         theta[active] += step
         _clip_parameters(theta, active, part.half)
-        still = np.max(np.abs(step[:, :3]), axis=1) > close
-        if number == STEPS - 1 or not still.all():
-            ended = np.flatnonzero(~still) if number < STEPS - 1 else np.arange(len(active))
+        still = np.max(np.abs(step[:, :3]), axis=1) > tolerance
+        if number == MAX_STEPS - 1 or not still.all():
+            ended = np.flatnonzero(~still) if number < MAX_STEPS - 1 else np.arange(len(active))
             values[active[ended]] = _figures(seen.take(ended), part.take(ended), step[ended], ~still[ended], sensor)
         if not still.all():
             active = active[still]
@@ -126,9 +150,18 @@ def fit_glints(
     cov, fixed = values[:, :4].reshape(n, 2, 2).copy(), values[:, 4:8].reshape(n, 2, 2).copy()
     flux = np.exp(theta[:, 2])
     return GlintFit(
-        theta[:, :2].copy(), flux, theta[:, 3].copy(), cov, fixed, flux * values[:, 8], values[:, 9], values[:, 10],
-        values[:, 11], values[:, 12:14], np.column_stack([_secondary(theta, windows, profile), values[:, 14:]]),
-    )  # fmt: skip
+        xy=theta[:, :2].copy(),
+        flux=flux,
+        background=theta[:, 3].copy(),
+        cov=cov,
+        fixed=fixed,
+        flux_std=flux * values[:, 8],
+        chi2=values[:, 9],
+        loglik=values[:, 10],
+        converged=values[:, 11],
+        cross=values[:, 12:14],
+        secondary=np.column_stack([_secondary(theta, windows, profile), values[:, 14:]]),
+    )
 
 
 def _secondary(theta: Array, windows: GlintWindows, profile: BallProfile | None) -> Array:
@@ -136,23 +169,25 @@ def _secondary(theta: Array, windows: GlintWindows, profile: BallProfile | None)
     return theta[:, 4 + (profile is None)] if windows.secondaries.shape[1] else np.full(len(theta), np.nan)
 
 
-def _longest(sigma: float) -> Array:
-    """Of a step: px, px and log flux."""
+def _step_limits(sigma: float) -> Array:
+    """The largest step: px, px and log flux."""
     return 0.7 * np.array([sigma, sigma, 1.0])
 
 
 def _clip_parameters(theta: Array, active: NDArray[np.int64], half: int) -> None:
-    """Keeps runaway fits where they can still be computed; they never settle."""
+    """Keep runaway fits where they can still be computed; they never converge."""
     theta[active, :2] = np.clip(theta[active, :2], -half, half)
-    theta[active, 2] = np.clip(theta[active, 2], *LOG_FLUX)
-    theta[active, 3:] = np.clip(theta[active, 3:], -MOST, MOST)
+    theta[active, 2] = np.clip(theta[active, 2], *LOG_FLUX_LIMITS)
+    theta[active, 3:] = np.clip(theta[active, 3:], -MAX_COUNTS, MAX_COUNTS)
 
 
 def _model(
     theta: Array, windows: GlintWindows, sigma: float, profile: BallProfile | None, room: int = 0
 ) -> tuple[Array, Array]:
-    """Means (n, s, s) and their derivatives (n, p, s, s) by x, y, log flux, level, a free bowl, the secondaries'
-    fluxes; room: for how many further derivatives, left empty.
+    """Means (n, s, s) of the pixels and their derivatives (n, p, s, s).
+
+    The derivatives are by x, y, log flux, level, a free bowl where there is no profile, and the fluxes of secondaries.
+    `room` further ones are left empty.
     """
     half, secondaries = windows.half, windows.secondaries.shape[1]
     shape = glint_shape(theta[:, :2], windows.blur, sigma, half)
@@ -182,8 +217,18 @@ def _model(
 
 @dataclass(frozen=True, eq=False)
 class _Evaluation:
-    """A model beside its windows: ``mean`` and ``variance`` (n, s, s), ``parts`` (n, p, s, s), the information
-    ``info`` (n, p, p) and the score ``slope`` (n, p) of the parameters.
+    """A model compared with its windows.
+
+    Attributes
+    ----------
+    mean, variance : ndarray of shape (n, s, s)
+        Of the pixels' counts.
+    parts : ndarray of shape (n, p, s, s)
+        Derivatives of the means by the parameters.
+    info : ndarray of shape (n, p, p)
+        Fisher information on the parameters.
+    slope : ndarray of shape (n, p)
+        Score: the derivative of the log likelihood by the parameters.
     """
 
     mean: Array
@@ -215,7 +260,7 @@ def _evaluate(
     profile: BallProfile | None,
     shared: bool = False,
 ) -> _Evaluation:
-    """shared: by the profile's coefficients too, last of the parameters."""
+    """`shared`: the profile's coefficients are parameters too, the last ones."""
     room = len(POWERS) if shared else 0
     mean, parts = _model(theta, windows, sigma, profile, room)
     if shared and profile is not None:
@@ -224,7 +269,7 @@ def _evaluate(
 
 
 def _add_ridge(info: Array) -> Array:
-    """A trace of ridge, so that a window that lacks a glint or a secondary stays solvable."""
+    """A very small ridge, so that the equations of a window without a glint or a secondary have a solution."""
     size = np.diagonal(info, axis1=1, axis2=2)
     ridge = 1e-9 * size + 1e-12
     return np.asarray(info + np.eye(info.shape[1]) * ridge[:, None, :], dtype=np.float64)
@@ -261,15 +306,33 @@ def _score(counts: Array, mean: Array, sensor: SensorSpec, noise: tuple[Array, A
 
 
 def learn_profile(windows: GlintWindows, sigma: float, sensor: SensorSpec, end: float) -> tuple[BallProfile, Array]:
-    """The one profile under which all the windows are likeliest, and their positions (n, 2) px from the central pixel.
+    """Learn the ball profile that maximises the joint likelihood of all windows.
 
-    Each has a position, flux and level of its own; these are eliminated (Schur complement), and the rest is nearly
-    linear.
+    Each window has a position, flux and level of its own. These are eliminated (Schur complement); the remaining
+    problem is nearly linear, so that two steps are enough.
+
+    Parameters
+    ----------
+    windows : GlintWindows
+    sigma : float
+        Width of a glint, px.
+    sensor : SensorSpec
+    end : float
+        Radius beyond which the ball mirrors no room, px.
+
+    Returns
+    -------
+    BallProfile
+    ndarray of shape (n, 2)
+        Positions of the glints, px from the central pixel.
     """
-    profile, limit = BallProfile(end, np.zeros(len(POWERS))), _longest(sigma)
-    theta, own = _start(windows, sigma, sensor, profile), fit_glints(windows, sigma, sensor, close=ROUGH)
+    profile, limit = BallProfile(end, np.zeros(len(POWERS))), _step_limits(sigma)
+    theta, own = (
+        _start(windows, sigma, sensor, profile),
+        fit_glints(windows, sigma, sensor, tolerance=0.1),
+    )  # clipped glints need a first fit
     theta[:, :3] = np.column_stack([own.xy, np.log(own.flux)])
-    for _ in range(LESSONS):
+    for _ in range(2):
         seen = _evaluate(theta, windows, sigma, sensor, profile, shared=True)
         of_own, across, of_profile = seen.info[:, :4, :4], seen.info[:, :4, 4:], seen.info[:, 4:, 4:]
         slope = seen.slope[..., None]
@@ -281,7 +344,7 @@ def learn_profile(windows: GlintWindows, sigma: float, sensor: SensorSpec, end: 
         step[:, :3] = np.clip(step[:, :3], -limit, limit)
         theta += step
         _clip_parameters(theta, np.arange(len(theta)), windows.half)
-        profile = BallProfile(end, np.clip(profile.coefficients + change[:, 0], -MOST, MOST))
+        profile = BallProfile(end, np.clip(profile.coefficients + change[:, 0], -MAX_COUNTS, MAX_COUNTS))
     return profile, theta[:, :2]
 
 
@@ -290,8 +353,8 @@ def score_blur_length(
 ) -> tuple[Array, Array]:
     """Score and information of each window on the logarithm of the length of the motion blur.
 
-    Eliminated (Schur complement) are, of each window, position, flux, level, a bowl and the glint's width, and of all
-    together a glint that is longer one way than across it even at rest.
+    Nuisance parameters are eliminated (Schur complement): of each window its position, flux, level, bowl and width of
+    the glint; of all windows together an elliptical shape of resting glints.
 
     Parameters
     ----------
@@ -299,7 +362,7 @@ def score_blur_length(
     known : ndarray of shape (n, 4)
         Positions from the central pixel, px, log fluxes and levels.
     still : ndarray of shape (n,)
-        Which hardly move: from these the width is found, which may be another than `sigma`.
+        Which hardly move. They give the width of a glint, which may differ from `sigma`.
     sigma : float
         px.
     sensor : Sensor
@@ -316,13 +379,14 @@ def score_blur_length(
     step = np.linalg.solve(seen.info, seen.slope[..., None])[..., 0]
     theta += step[:, :5]
     _clip_parameters(theta, np.arange(len(theta)), windows.half)
-    sigma *= math.exp(float(np.clip(np.median(step[still, 5]), *WIDER)))
+    sigma *= math.exp(float(np.clip(np.median(step[still, 5]), -0.5, 0.5)))
     mean, parts = _model(theta, windows, sigma, None, room=4)
     parts[:, 5], parts[:, 6], parts[:, 7] = wider, along - across, twist
+    nudge = 0.05  # relative change of the blur, for a numerical derivative
     one, other = (
-        glint_shape(theta[:, :2], (1.0 + by) * windows.blur, sigma, windows.half).value for by in (-NUDGE, NUDGE)
+        glint_shape(theta[:, :2], (1.0 + by) * windows.blur, sigma, windows.half).value for by in (-nudge, nudge)
     )
-    parts[:, 8] = np.exp(theta[:, 2])[:, None, None] * (other - one) / (2.0 * NUDGE)
+    parts[:, 8] = np.exp(theta[:, 2])[:, None, None] * (other - one) / (2.0 * nudge)
     seen = _Evaluation.of(windows, mean, parts, sensor)
     mixed = seen.info[:, :6, 6:]
     solved = np.linalg.solve(seen.info[:, :6, :6], np.concatenate([mixed, seen.slope[:, :6, None]], axis=2))
@@ -335,7 +399,7 @@ def score_blur_length(
 
 def _bends(theta: Array, windows: GlintWindows, sigma: float) -> tuple[Array, Array, Array]:
     """Second derivatives of glints by xx, xy and yy, counts/px^2, (n, s, s) each."""
-    flux, by = np.exp(theta[:, 2])[:, None, None], NUDGE * sigma
+    flux, by = np.exp(theta[:, 2])[:, None, None], 0.05 * sigma
     left, right, up, down = (
         glint_shape(theta[:, :2] + shift, windows.blur, sigma, windows.half)
         for shift in ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by))
@@ -345,13 +409,13 @@ def _bends(theta: Array, windows: GlintWindows, sigma: float) -> tuple[Array, Ar
 
 
 def _figures(
-    seen: _Evaluation, windows: GlintWindows, step: Array, settled: NDArray[np.bool_], sensor: SensorSpec
+    seen: _Evaluation, windows: GlintWindows, step: Array, converged: NDArray[np.bool_], sensor: SensorSpec
 ) -> Array:
-    """(n, 17): cov and fixed of the position, error of log flux, chi^2 a degree of freedom, log likelihood, settled,
-    covariance of position and log flux; of the first secondary's flux its covariance with the position and its
-    variance.
+    """The results of fits, (n, 17).
 
-    The last ``step`` (n, p) raises the likelihood by half of step . slope.
+    They are: cov and fixed of the position (4 + 4), error of the log flux, chi^2 per degree of freedom, log likelihood,
+    whether converged, covariance of position and log flux (2), and of the first secondary's flux its covariance with
+    the position (2) and its variance. The last ``step`` (n, p) increases the log likelihood by half of step . slope.
     """
     n, mean, variance = len(step), seen.mean, seen.variance
     cov = np.linalg.inv(seen.info)
@@ -361,7 +425,7 @@ def _figures(
     # A fixed error of a pixel shifts the position by cov d_a m / v: its covariance is that of these shifts.
     pattern = cov @ fisher(is_open * sensor.fixed_pattern_variance(mean) / variance**2, seen.parts) @ cov
     freedom = np.maximum(is_open.sum(axis=(1, 2)) - step.shape[1], 1.0)
-    gain = np.where(settled, (step * seen.slope).sum(axis=1), 0.0)
+    gain = np.where(converged, (step * seen.slope).sum(axis=1), 0.0)
     loglik = is_open * (-0.5 * square - 0.5 * np.log(variance))
     beyond = full & (windows.used > 0)
     if beyond.any():
@@ -371,5 +435,5 @@ def _figures(
     secondary = cov[:, [0, 1, -secondaries], -secondaries] if secondaries else np.full((n, 3), np.nan)
     return np.column_stack([
         cov[:, :2, :2].reshape(n, 4), pattern[:, :2, :2].reshape(n, 4), np.sqrt(cov[:, 2, 2]), chi2,
-        loglik.sum(axis=(1, 2)) + gain / 2, settled, cov[:, :2, 2], secondary,
+        loglik.sum(axis=(1, 2)) + gain / 2, converged, cov[:, :2, 2], secondary,
     ])  # fmt: skip

@@ -1,1 +1,1 @@
-"""Other programs that join finds into tracks, one file each; a detector's name may end in +NAME."""
+"""Other programs that link detections into tracks, one file each; a detector's name may end in +NAME."""

@@ -13,26 +13,26 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.detection.glints import Glints
-
-FASTEST = 1.0  # m/s, of a ball: the reach of a link
-GAP = 5  # frames that a ball may stay unseen
+from tracker.settings import LinkSettings
 
 
 class Laptrack:
     """``LapTrack`` with squared distances, as far as a ball may roll in a frame; no splits, no merges."""
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: Camera, settings: LinkSettings) -> None:
         try:
             package: Any = importlib.import_module("laptrack")
         except ImportError:
             raise InputError("linker laptrack: laptrack is not installed, expected pip install laptrack") from None
-        reach = max(FASTEST / camera.fps / camera.scale, camera.diameter_px)
+        reach = max(settings.max_speed_m_s / camera.fps / camera.scale, camera.diameter_px)
         self.tracker = package.LapTrack(
-            cutoff=reach**2, gap_closing_cutoff=(2 * reach) ** 2, gap_closing_max_frame_count=GAP
+            cutoff=reach**2,
+            gap_closing_cutoff=(2 * reach) ** 2,
+            gap_closing_max_frame_count=settings.max_gap_frames,
         )
 
     def __call__(self, glints: Glints) -> NDArray[np.int64]:
-        """The particle of each glint."""
+        """The particle (n,) of each detection; -1 for none."""
         if len(glints) == 0:
             return np.empty(0, np.int64)
         table = pd.DataFrame({"frame": glints.frame, "x": glints.x, "y": glints.y, "row": np.arange(len(glints))})

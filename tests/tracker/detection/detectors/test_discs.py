@@ -9,7 +9,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.detect import detect, make_view
 from tracker.detection.detectors.discs import Discs
-from tracker.detection.glints import SHADED
+from tracker.detection.glints import Flag
 from tracker.detection.still_background import estimate_still_background
 
 
@@ -28,7 +28,7 @@ def test_both_balls_in_every_frame_near_the_bound(ball, level):
     ground = plate(rng, level)
     pictures = film(rng, ways, ball, ground=ground)
     clip = recorded(pictures, Camera.from_dict(CAMERA))
-    found = detect(clip, make_view(clip, "discs"), "discs")
+    found = detect(clip, make_view(clip, "discs"), "discs").glints
     places = ways[:, found.frame]
     ball_of = np.hypot(*np.moveaxis(places - found.xy, -1, 0)).argmin(axis=0)
     miss = found.xy - places[ball_of, np.arange(len(found))]
@@ -43,7 +43,7 @@ def test_dim_discs_in_noise_are_all_found():
     """Contrast 25, noise 6; at rest too, where a pixel alone does not tell the ball from the plate."""
     ways = collision()
     clip = recorded(film(np.random.default_rng(1), ways, 95.0, 6.0), Camera.from_dict(CAMERA))
-    found = detect(clip, make_view(clip, "discs"), "discs")
+    found = detect(clip, make_view(clip, "discs"), "discs").glints
     away = np.hypot(*np.moveaxis(ways[:, found.frame] - found.xy, -1, 0))
     assert np.bincount(away.argmin(axis=0)).tolist() == [ways.shape[1]] * 2
     assert away.min(axis=0).max() < 0.5
@@ -93,13 +93,14 @@ def test_balls_lit_from_one_side_that_cast_shadows():
     ways = collision()
     clip = recorded(lit_film(np.random.default_rng(7), ways), Camera.from_dict(CAMERA))
     discs = Discs(make_view(clip, "discs"))
-    found = discs.many(enumerate(clip.frames))
+    detections = discs.detect(enumerate(clip.frames))
+    found = detections.glints
     places = ways[:, found.frame]
     ball_of = np.hypot(*np.moveaxis(places - found.xy, -1, 0)).argmin(axis=0)
     miss = found.xy - places[ball_of, np.arange(len(found))]
     assert np.bincount(ball_of).tolist() == [ways.shape[1]] * 2
     assert np.abs(miss).max() < 0.025 * R
-    assert any("taken for the shadows" in note and "1 % of the radius" in note for note in discs.notes())
+    assert any("for their shadows" in note and "1 % of the radius" in note for note in detections.notes)
 
 
 def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
@@ -107,12 +108,12 @@ def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
     ways = collision()
     ground = plate(np.random.default_rng(9), 14.0, 1.0) - plate(np.random.default_rng(9), 0.0, 0.0)
     clip = recorded(lit_film(np.random.default_rng(7), ways, (0.35, -0.2), ground=ground), Camera.from_dict(CAMERA))
-    found = Discs(make_view(clip, "discs")).many(enumerate(clip.frames))
+    found = Discs(make_view(clip, "discs")).detect(enumerate(clip.frames)).glints
     places = ways[:, found.frame]
     ball_of = np.hypot(*np.moveaxis(places - found.xy, -1, 0)).argmin(axis=0)
     miss = found.xy - places[ball_of, np.arange(len(found))]
     assert np.bincount(ball_of).tolist() == [ways.shape[1]] * 2
-    assert (found.flags & SHADED).all()
+    assert (found.flags & Flag.SHADED).all()
     assert np.abs(miss.mean(axis=0)).max() < 0.02 * R
 
 
@@ -123,5 +124,6 @@ def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):
     result = tracker.track(pictures, CAMERA)
     assert result.tracks.groupby("particle").size().tolist() == [60, 60]
     assert any(
-        note.startswith("detector: discs, for maximum_likelihood finds nothing (") for note in map(str, result.notes)
+        note.startswith("detector: discs, because maximum_likelihood finds nothing (")
+        for note in map(str, result.notes)
     )

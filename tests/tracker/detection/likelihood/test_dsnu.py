@@ -12,7 +12,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.recordings import Frames, Recording
 from tracker.detection.candidates import EmptyPlate
 from tracker.detection.detect import detect, make_view
-from tracker.detection.likelihood.dsnu import FEWEST, WIDE, DsnuEstimator
+from tracker.detection.likelihood.dsnu import MIN_FRAMES, SURROUNDINGS_PX, DsnuEstimator
 
 SHAPE, SPREAD, NOISE = (240, 320), 0.3, 1.0
 ALL = np.indices(SHAPE)
@@ -38,14 +38,14 @@ def noise(frames=1):
     return math.sqrt((NOISE**2 + 1 / 12) / frames)
 
 
-@pytest.mark.parametrize("frames", [FEWEST, 60])
+@pytest.mark.parametrize("frames", [MIN_FRAMES, 60])
 def test_what_is_left_is_what_the_best_linear_estimate_leaves(frames):
     plate, own = shown(np.random.default_rng(frames), frames)
     found, left = plate.offsets(*ALL, SPREAD)
     # a known variance a, seen with noise of variance e, leaves a e / (a + e)
     theory = math.sqrt(SPREAD**2 * noise(frames) ** 2 / (SPREAD**2 + noise(frames) ** 2))
     miss = own - found
-    miss -= uniform_filter(miss, WIDE)  # a level that neighbours share is the glint's background
+    miss -= uniform_filter(miss, SURROUNDINGS_PX)  # a level that neighbours share is the glint's background
     assert np.std(miss) == pytest.approx(theory, rel=0.03)
     assert left == pytest.approx(theory, rel=0.03)
 
@@ -97,7 +97,7 @@ def test_balls_are_left_out_and_what_they_hid_is_not_known():
 
 
 def test_too_few_frames_measure_nothing():
-    plate, _ = shown(np.random.default_rng(7), FEWEST - 1)
+    plate, _ = shown(np.random.default_rng(7), MIN_FRAMES - 1)
     found, left = plate.offsets(*ALL, SPREAD)
     assert np.isnan(found).all()
     assert left == SPREAD
@@ -123,7 +123,7 @@ def test_positions_gain_what_the_pattern_costs():
     clip = Recording(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
 
     def errors(view):
-        found = detect(clip, view)
+        found = detect(clip, view).glints
         order = [int(np.argmin((found.frame != k) * 1e9 + np.hypot(found.x - x, found.y - y))) for k, x, y in positions]
         z = np.linalg.solve(np.linalg.cholesky(found.cov[order]), (found.xy[order] - positions[:, 1:])[..., None])
         return np.sqrt(np.mean((found.xy[order] - positions[:, 1:]) ** 2)), np.sqrt(np.mean(z**2))

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import gamma, kv
 from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
-from tracker.detection.glints import SHADED, UNLIT, WORDS
+from tracker.detection.glints import SHADED_POSITION_ERROR_RADII, Flag
 from tracker.measurement.collision.contacts import _shorten_rest
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import measure
@@ -150,7 +150,7 @@ def shaded(tmp_path_factory):
     for clip in range(16):
         truth, camera = truth_of(data, clip)
         tracks = noisy(truth, rng, 0.02)
-        own, rms = tracks.cov, UNLIT * camera.diameter_px / 2
+        own, rms = tracks.cov, SHADED_POSITION_ERROR_RADII * camera.diameter_px / 2
         waves, phases = rng.standard_normal((2, 2, 200, 2)) / camera.diameter_px, rng.uniform(0, 2 * np.pi, (2, 2, 200))
         shift = np.empty((len(tracks.x), 2))
         for ball in (0, 1):
@@ -160,7 +160,7 @@ def shaded(tmp_path_factory):
                 shift[its, axis] = rms * np.sqrt(2 / 200) * np.cos(angle).sum(axis=1)
         fixed = np.broadcast_to(np.eye(2) * rms**2, own.shape)
         off = replace(tracks, x=tracks.x + shift[:, 0], y=tracks.y + shift[:, 1], cov=own + fixed, fixed=fixed)
-        told = replace(off, flags=np.full(len(off.x), WORDS[SHADED]))
+        told = replace(off, flags=np.full(len(off.x), Flag.SHADED.word))
         rows.append([measure(t, camera)[0] | {"true": truths.iloc[clip]} for t in (told, off)])
     return rows
 

@@ -8,7 +8,7 @@ import tracker
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
-from tracker.detection.channel import choose_channel
+from tracker.detection.choose import choose_channel
 from tracker.notes import COLOUR_TO_GREY
 
 GREEN, RED, WHITE = (20.0, 100.0, 30.0), (180.0, 18.0, 27.0), (200.0, 200.0, 200.0)  # green and red of one luma, 68
@@ -30,7 +30,7 @@ def test_a_ball_as_grey_as_the_cloth_is_seen_in_its_colour():
     ways = apart(30)
     pictures = cloth(ways, (RED, WHITE))
     result = tracker.track(pictures, CAMERA)
-    assert any(note.startswith("channel: red, for ") for note in map(str, result.notes))
+    assert any(note.startswith("channel: red, because ") for note in map(str, result.notes))
     assert not any("grey" in note for note in map(str, result.notes) if not note.startswith("channel"))
     assert result.tracks.groupby("particle").size().tolist() == [30, 30]
     places = ways[:, result.tracks["frame"]]

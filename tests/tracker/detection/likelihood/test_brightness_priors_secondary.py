@@ -11,8 +11,8 @@ from tracker.camera.camera import Camera
 from tracker.camera.mirror_images import secondary_flux_ratio
 from tracker.camera.recordings import Frames, Recording
 from tracker.detection.detect import detect, make_view
+from tracker.detection.likelihood.brightness_priors import apply_common_reflectance
 from tracker.detection.likelihood.cramer_rao import localisation_bound
-from tracker.detection.likelihood.secondary_glints import apply_common_reflectance
 
 POSITION, CROSS = 0.01**2, np.array([0.45, 0.2])  # variance of a position; its correlation with the reflectance by axis
 
@@ -106,7 +106,7 @@ def test_small_balls_that_touch_are_where_the_bound_says():
         pictures.append(picture)
     frames = np.array([expose(rng, picture) for picture in pictures])
     clip = Recording(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
-    found, positions = detect(clip, make_view(clip)), np.concatenate(true)
+    found, positions = detect(clip, make_view(clip)).glints, np.concatenate(true)
     far = np.hypot(*(found.xy[:, None] - positions[:, 1:]).T) + 1e3 * (positions[:, :1] != found.frame)
     assert len(found) == len(positions) == 320
     order = far.argmin(axis=1)

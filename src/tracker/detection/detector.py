@@ -1,0 +1,112 @@
+"""What a detector is: what it is made from (`View`), and what it returns (`Glints`, or `Detections` of a whole clip).
+
+A detector is a class, made once a clip from a `View`. It has one of two forms:
+
+- `FrameDetector`: it is called with each frame and returns the `Glints` of that frame;
+- `ClipDetector`: its ``detect`` takes all frames of the clip and returns `Detections`.
+
+One class attribute is optional: ``point`` says what x and y are. It is "glint" (the default), "centre" (of the ball's
+outline), or "either" (the centre where the camera file says that balls are matte, otherwise the glint). For a detector
+of centres ``view.takes`` is there and ``view.plate`` is only the first frame; for one of glints ``view.takes`` is None.
+
+There are no other hooks. ``detectors/centroid.py`` is a short example of the first form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
+
+from numpy.typing import NDArray
+
+from tracker.camera.camera import Camera
+from tracker.detection.candidates import EmptyPlate
+from tracker.detection.glints import Glints
+from tracker.detection.motion_blur import MotionBlurEvidence
+from tracker.detection.takes import Takes
+from tracker.settings import TrackerSettings
+
+Point: TypeAlias = Literal["glint", "centre"]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a detector knows of a clip. Nothing of a truth is in it.
+
+    Attributes
+    ----------
+    camera : Camera
+        The camera file; for a detector of glints, what the file left open is estimated from the clip.
+    plate : EmptyPlate
+        The picture without balls: ``level`` (h, w) counts, ``noise`` counts a pixel a frame, ``hot`` pixels.
+    frames : sequence of (h, w) arrays
+        All frames, grey, uint8 or uint16; each is read when it is indexed.
+    takes : Takes or None
+        For a detector of centres: the takes of the film, repeated frames, and the noise of a pixel.
+    settings : TrackerSettings
+        The user's settings; detectors use ``settings.detection``.
+    """
+
+    camera: Camera
+    plate: EmptyPlate
+    frames: Sequence[Any] = ()
+    takes: Takes | None = None
+    settings: TrackerSettings = field(default_factory=TrackerSettings)
+
+    @property
+    def sigma(self) -> float:
+        """Gaussian width of a resting glint, px."""
+        if self.camera.sigma is None:
+            raise ValueError("the camera of a view has a width of glints: make it by make_view")
+        return self.camera.sigma
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineRadius:
+    """Radius of the balls' outlines, px: its median and the random error of that."""
+
+    radius: float
+    std: float
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """What a detector found in a clip.
+
+    Attributes
+    ----------
+    glints : Glints
+        Of all frames; ``frame`` holds their numbers.
+    notes : tuple of str
+        What a user has to know: a sentence each.
+    blur : MotionBlurEvidence or None
+        What the glints show of the exposure; None where the detector does not measure their motion blur.
+    outline_radius : OutlineRadius or None
+        Of balls that are seen whole.
+    """
+
+    glints: Glints
+    notes: tuple[str, ...] = ()
+    blur: MotionBlurEvidence | None = None
+    outline_radius: OutlineRadius | None = None
+
+
+@runtime_checkable
+class FrameDetector(Protocol):
+    """Finds the balls of one frame at a time."""
+
+    def __call__(self, frame: NDArray[Any], /) -> Glints:
+        """The balls of one grey (h, w) frame. Their frame number is ignored; an error ends the run in one line."""
+
+
+@runtime_checkable
+class ClipDetector(Protocol):
+    """Finds the balls of a whole clip."""
+
+    def detect(self, frames: Iterable[tuple[int, NDArray[Any]]], /) -> Detections:
+        """The balls of numbered frames, which come once and in order."""
+
+
+AnyDetector: TypeAlias = FrameDetector | ClipDetector
+DetectorClass: TypeAlias = Callable[[View], AnyDetector]

@@ -1,0 +1,185 @@
+"""Cuts the pixels around candidates out of frames, and from them the windows in which glints are fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.camera.lens import Array
+from tracker.detection.candidates import Candidates
+from tracker.detection.detector import View
+from tracker.detection.likelihood.glint_fit import GlintWindows
+
+Ints = NDArray[np.int64]
+
+
+class GlintGeometry:
+    """Sizes, in px, of a ball and of its glint in a clip, and the windows that follow from them.
+
+    Attributes
+    ----------
+    half : int
+        Half width of the window of a resting glint: 3.5 widths of the glint on each side.
+    reach : int
+        Half width of a patch: it holds the window of the fastest ball, whichever way it moves.
+    profile_end : float
+        Radius about the middle of the mirrored room beyond which the ball mirrors no room: .71 of its radius, and the
+        blur of the optics.
+    profile_clear : float
+        Radius out to which the learnt shape of the profile holds.
+    is_bounded : bool
+        Whether pixels are used only out to `limit`, on the ball; glints that are wide beside the ball are not bounded.
+    is_small : bool
+        Whether that limit would cut the glint itself. Then the window follows the glint.
+    limit : float
+        Radius of the used pixels about the middle of the mirrored room.
+    """
+
+    def __init__(self, view: View) -> None:
+        camera, self.sigma = view.camera, view.sigma
+        widths = 3.5
+        self.radius = camera.diameter_px / 2.0
+        self.half = max(2, round(widths * self.sigma + 0.5))
+        self.profile_end, self.profile_clear = 0.9 * self.radius, 0.68 * self.radius
+        # Out to .71 of its radius a ball mirrors what is above the plate; the blur reduces that to .55.
+        on_body = 0.55 * self.radius
+        self.is_bounded = on_body > 2.5 * self.sigma
+        self.is_small = self.is_bounded and on_body < widths * self.sigma
+        self.limit = min(self.profile_clear, widths * self.sigma) if self.is_small else on_body
+        fastest = view.settings.link.max_speed_m_s
+        travel = fastest * camera.effective_exposure / camera.scale if camera.metric else 4.0
+        self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
+        self.size = (view.plate.level.shape[1], view.plate.level.shape[0])
+
+    def half_of_blur(self, blur: Array) -> Ints:
+        """Half widths (n,) of the windows of glints with these blurs (n, 2), px."""
+        longest = np.max(np.abs(blur), axis=1)
+        return np.asarray(np.minimum(self.half + np.floor(longest / 2.0 + 0.35).astype(np.int64), self.reach))
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """The pixels around the candidates of many frames.
+
+    Attributes
+    ----------
+    frame, column, row : ndarray of int, shape (n,)
+        Frame and central pixel.
+    strength : ndarray of shape (n,)
+        As of `Candidates`.
+    counts : ndarray of shape (n, p, p)
+    inside : ndarray of bool, shape (n, p, p)
+        Which pixels lie in the frame and are not hot.
+    level : ndarray of bool, shape (n,)
+        Whether the counts are corrected for the fixed offsets of their pixels.
+    """
+
+    frame: Ints
+    column: Ints
+    row: Ints
+    strength: Array
+    counts: NDArray[Any]
+    inside: NDArray[np.bool_]
+    level: NDArray[np.bool_]
+
+    def take(self, rows: Ints) -> Patches:
+        """The patches of ``rows``."""
+        return Patches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    @staticmethod
+    def join(parts: Sequence[Patches]) -> Patches:
+        """All patches, in their order."""
+        return Patches(*(np.concatenate([getattr(p, n) for p in parts]) for n in Patches.__dataclass_fields__))
+
+    @staticmethod
+    def cut(frame: NDArray[Any], number: int, found: Candidates, reach: int, sound: NDArray[np.bool_]) -> Patches:
+        """The patches of one frame's candidates; `sound` (h, w): which pixels are not hot."""
+        at = zip(found.row.tolist(), found.column.tolist(), strict=True)
+        counts, inside = (np.stack(part) for part in zip(*(_cut(frame, *one, reach, sound) for one in at), strict=True))
+        return Patches(
+            frame=np.full(len(found.row), number),
+            column=found.column,
+            row=found.row,
+            strength=found.strength,
+            counts=counts,
+            inside=inside,
+            level=np.zeros(len(counts), bool),
+        )
+
+
+def _cut(
+    frame: NDArray[Any], row: int, column: int, reach: int, sound: NDArray[np.bool_]
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """The pixels (p, p) around one, those of the rim repeated beyond it, and which are in the frame and not hot."""
+    h, w = frame.shape
+    if reach <= row < h - reach and reach <= column < w - reach:
+        part = slice(row - reach, row + reach + 1), slice(column - reach, column + reach + 1)
+        return frame[part].copy(), sound[part]
+    span = np.arange(-reach, reach + 1)
+    rows, columns = np.clip(row + span, 0, h - 1), np.clip(column + span, 0, w - 1)
+    inside = np.logical_and.outer(rows == row + span, columns == column + span)
+    return frame[np.ix_(rows, columns)], inside & sound[np.ix_(rows, columns)]
+
+
+def make_windows(
+    geometry: GlintGeometry, patches: Patches, position: Array, blur: Array, bowl: Array, half: int, with_profile: bool
+) -> tuple[GlintWindows, Array]:
+    """Windows around the pixels nearest to the positions of glints.
+
+    Parameters
+    ----------
+    geometry : GlintGeometry
+    patches : Patches
+        n of them.
+    position, blur, bowl : ndarray of shape (n, 2)
+        First positions; displacements during the exposure; from the glints to the middles of the ball profiles, px.
+    half : int
+        Windows are 2 half + 1 pixels wide.
+    with_profile : bool
+        Whether the learnt profile holds for them; it reaches further than a free bowl.
+
+    Returns
+    -------
+    GlintWindows
+    ndarray of shape (n, 2)
+        The central pixels.
+    """
+    limit = geometry.profile_clear if with_profile else geometry.limit
+    corner = np.column_stack([patches.column, patches.row])
+    room = geometry.reach - half
+    shift = np.clip(np.round(position - corner).astype(np.int64), -room, room)
+    index = np.arange(-half, half + 1) + geometry.reach
+    across = index + shift[:, :1]
+    down = index + shift[:, 1:]
+    each = np.arange(len(position))[:, None, None]
+    counts = patches.counts[each, down[:, :, None], across[:, None, :]].astype(np.float64)
+    inside = patches.inside[each, down[:, :, None], across[:, None, :]].astype(np.float64)
+    origin = (corner + shift).astype(np.float64)
+    start = np.clip(position - origin, -half, half)
+    offsets = np.abs(np.arange(-half, half + 1) - start[..., None])  # (n, axis, pixel)
+    follows_glint = limit != geometry.profile_clear
+    side = geometry.half + 0.5 + np.abs(blur[..., None]) / 2.0 if follows_glint else half + 0.5
+    near = (offsets <= side).astype(np.float64)
+    used = inside * near[:, 1, :, None] * near[:, 0, None, :]
+    if geometry.is_bounded:
+        used *= _on_body(start + bowl, blur, half, limit)
+    secondaries = np.zeros((len(position), 0, 3))
+    return GlintWindows(counts, used, start, blur, bowl, secondaries), origin
+
+
+def _on_body(middle: Array, blur: Array, half: int, limit: float) -> Array:
+    """1 where a pixel shows the part of the ball that mirrors the room, in which the profile is a smooth bowl."""
+    offsets = np.arange(-half, half + 1.0)
+    across, down = (offsets - middle[:, :1])[:, None, :], (offsets - middle[:, 1:])[:, :, None]
+    length = np.hypot(blur[:, 0], blur[:, 1])[:, None, None]
+    direction = blur[..., None, None] / np.maximum(np.hypot(blur[:, 0], blur[:, 1]), 1e-9)[:, None, None, None]
+    along = direction[:, 0] * across + direction[:, 1] * down
+    along -= np.clip(along, -length / 2.0, length / 2.0)
+    aside = direction[:, 0] * down - direction[:, 1] * across
+    aside = np.where(length > 0, aside, np.hypot(across, down))
+    return np.asarray(along**2 + aside**2 <= limit**2, dtype=np.float64)
