@@ -1,4 +1,4 @@
-"""A person's own candidate, fitted with everything else."""
+"""Add a suspected effect to a model, and fit it with all other parameters."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ from synthcam_shared.errors import InputError
 
 @dataclass(frozen=True)
 class AddedEffect:
-    """A candidate fitted with everything else.
+    """An effect fitted with all other parameters.
 
     Attributes
     ----------
-    before, fit : Fit
-        Without and with it, of all clips.
+    before, fit : ModelFit
+        The fit to all clips without and with it.
     named : EffectClaim
     left_out : tuple of str
-        A line for each clip of which some places had no part in them.
+        A line for each clip with removed outliers.
     """
 
     before: ModelFit
@@ -51,25 +51,25 @@ class AddedEffect:
 
     @property
     def chi2(self) -> tuple[float, float]:
-        """A degree of freedom: without and with it."""
+        """chi^2 per degree of freedom, without and with the effect."""
         one, other = (f.chi2 / (f.points - f.parameters) for f in (self.before, self.fit))
         return one, other
 
     def sentence(self) -> str:
-        """Its strength, and how far chi^2 falls."""
+        """Its strength, and the change of chi^2."""
         one, other = self.chi2
         poor = (
-            "; more is missing, and its error holds only if nothing is"
+            "; the model still lacks something, so its error is too small"
             if other > current_policy().poor_chi2_per_dof
             else ""
         )
         return (
-            f"{self.named.said(self.before.model)}; chi^2 a degree of freedom goes from {one:.4g} to {other:.4g} on "
-            f"the collisions fitted{poor}"
+            f"{self.named.said(self.before.model)}; chi^2 per degree of freedom falls from {one:.4g} to "
+            f"{other:.4g} on the fitted collisions{poor}"
         )
 
     def document(self) -> dict[str, Any]:
-        """For other programs; parameters by their own names. std: None where there is none to give."""
+        """The result for other programs. Parameters have their short names; std is None if there is none."""
         n = self.named
         std = {k: None if n.at_limit(k) or not np.isfinite(x) else x for k, x in (n.std | n.shape_std).items()}
         return {
@@ -82,7 +82,7 @@ class AddedEffect:
 
 
 def check_effect(effect: str) -> None:
-    """Raises InputError where the library has no effect of that name."""
+    """Raise InputError if the library has no effect of that name."""
     if effect not in library():
         known = did_you_mean(effect, library()) or f"; there are {', '.join(library())}"
         raise InputError(f"{effect}: no such effect{known}")
@@ -91,25 +91,25 @@ def check_effect(effect: str) -> None:
 def add(
     clips: Sequence[MeasuredCollision], model: Model, effect: str, progress: Progress = lambda stage: None
 ) -> AddedEffect:
-    """Add an effect to the model and fit it to all clips with everything else.
+    """Add an effect to the model, and fit it to all clips with all other parameters.
 
     Parameters
     ----------
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
     model : Model
     effect : str
         The name of an effect of the library.
     progress : callable
-        Told the stage, many times.
+        Called with the current stage, many times.
 
     Returns
     -------
-    Added
+    AddedEffect
 
     Raises
     ------
     InputError
-        There is no such effect, or these collisions cannot identify it; or as `check_clips` does.
+        No such effect exists, these collisions cannot identify it, or `check_clips` refuses them.
     """
     check_effect(effect)
     clips = check_clips(clips, model)
@@ -118,17 +118,17 @@ def add(
     noise = estimate_noise(clips)
     evidence, base = WhitenedClips.of(clips, noise), fit_base_model(clips, model, noise, progress)
     if any(n.startswith(f"{effect}.") for n in base.names):
-        raise InputError(f"{effect}: the model calls it free, so that every fit has it; `discrepancy find` shows it")
+        raise InputError(f"{effect}: the model declares it free; run `discrepancy find` to see its fitted value")
     tests = ScoreTests.of(evidence, base, lambda: progress("search"))
     scored = next((c for c in tests.ranking() if c.effect == effect), None)
     if scored is None or not scored.identifiable:
         far = base.chi2 / (base.points - base.parameters)
         why = (
-            f"; without it chi^2 is {far:.3g} a degree of freedom: something larger is missing"
+            f"; without it chi^2 per degree of freedom is {far:.3g}: a larger effect is missing"
             if far > current_policy().poor_chi2_per_dof
             else ""
         )
-        raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows{why}")
+        raise InputError(f"{effect}: not identifiable from these collisions: absorbed by the fit, or too small{why}")
     candidate, best = scored.candidate, tests.sharper(evidence, scored)
     fit = minimise_chi2(
         evidence, fit_with_candidate(evidence, base, best, lambda: progress("search")), lambda: progress("search")

@@ -1,4 +1,4 @@
-"""Make an effect of a free law that a search found: a file with its formula, or with its curve."""
+"""Turn a free law that a search found into an effect file with its formula or its curve."""
 
 from __future__ import annotations
 
@@ -20,13 +20,20 @@ from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TURN, TableKind, TabulatedL
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
-MATCH = {CONSTANT: 0, "linear": 1}  # terms that a number of the base model is, by its power of x
-DRAWN = 50  # places: enough to draw shapes at
-
 
 @dataclass(frozen=True)
 class AdoptedEffect:
-    """effect, model: the files. line: what a model or scene says to have the effect. formula: None of a curve."""
+    """The files of an adopted effect.
+
+    Attributes
+    ----------
+    name : str
+    effect, model : Path
+    line : str
+        The line of YAML by which a model or scene has the effect.
+    formula : str or None
+        None for a table.
+    """
 
     name: str
     effect: Path
@@ -35,23 +42,23 @@ class AdoptedEffect:
     formula: str | None
 
     def document(self) -> dict[str, Any]:
-        """For other programs."""
+        """The result for other programs."""
         return {k: str(v) if isinstance(v, Path) else v for k, v in vars(self).items()}
 
 
 def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> AdoptedEffect:
     """Write an effect file from the free law in a search's report, and a model file that has it.
 
-    The effect has the proposed formula where that suffices, of a law over one axis; elsewhere the curve or map.
+    The effect has the proposed formula if that suffices and the law has one axis; otherwise the curve or map.
 
     Parameters
     ----------
     report : str or Path
         Folder that ``discrepancy find`` wrote.
     name : str
-        Of the effect: small letters, digits and "_"; not that of a known effect or law.
+        Of the effect: small letters, digits and "_", and not the name of another effect or law.
     folder : str or Path
-        Where NAME.py and NAME.yaml are put; made if need be.
+        For NAME.py and NAME.yaml; it is made if it does not exist.
 
     Returns
     -------
@@ -60,27 +67,26 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
     Raises
     ------
     InputError
-        One line: what is no report, has no free law or one that no effect holds; a name that is taken; files that
-        are there already.
+        The report is none or has no free law that an effect can express, the name is taken, or the files exist.
     """
     report, folder = Path(report), Path(folder)
     check_name(name, f"--name {name}")
-    said = _read_free_law(report)
+    entry = _read_free_law(report)
     model = read_model(report / "model.yaml")
-    slot = str(said.get("slot"))
+    slot = str(entry.get("slot"))
     held = next((e for e in model.effects if isinstance(e, TabulatedLaw) and e.law == slot), None)
     if held is None:
         why = f": {SEARCH_ONLY_LAWS[slot]}" if slot in SEARCH_ONLY_LAWS else ""
-        raise InputError(f"{report}: its free law is {slot}, which model.yaml does not hold{why}")
+        raise InputError(f"{report}: its free law is {slot}, which model.yaml does not contain{why}")
     files = folder / f"{name}.py", folder / f"{name}.yaml"
     for file in files:
         if file.exists():
             raise InputError(f"{file}: exists; expected another name or folder")
     where = f"{report / 'discrepancy.json'}: outside"
     try:
-        text, values, plain, formula = _render_effect(name, model, held, said, _describe_source(report, said))
+        text, values, plain, formula = _render_effect(name, model, held, entry, _describe_source(report, entry))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{where}: not as `discrepancy find` writes it ({error!r})") from None
+        raise InputError(f"{where}: not in the form that `discrepancy find` writes ({error!r})") from None
     plain["effects"] = plain.get("effects", {}) | {name: values}
     plain["free"] = [*plain.get("free", []), *(f"{name}.{k}" for k in values if formula)]
     if not plain["free"]:
@@ -95,7 +101,7 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
 
 
 def _read_free_law(report: Path) -> dict[str, Any]:
-    """The free law of a report. Raises InputError."""
+    """Read the free law of a report, with its gap and clips. Raises InputError."""
     file = report / "discrepancy.json"
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
@@ -103,31 +109,31 @@ def _read_free_law(report: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{file}: {error.strerror or error}; expected a report of `discrepancy find`") from None
     except (ValueError, KeyError, TypeError):
-        raise InputError(f"{file}: not as `discrepancy find` writes it") from None
+        raise InputError(f"{file}: not in the form that `discrepancy find` writes") from None
     if not (outside and isinstance(outside[0], dict)):
-        raise InputError(f"{report}: its verdict is {verdict}, without a free law; there is nothing to adopt")
+        raise InputError(f"{report}: its verdict is {verdict}; expected a report with a free law to adopt")
     return dict(outside[0]) | {"gap": document.get("gap"), "clips": document.get("clips")}
 
 
-def _describe_source(report: Path, said: Mapping[str, Any]) -> list[str]:
-    """Where it comes from, in sentences."""
-    gap, clips = said["gap"], said["clips"]
+def _describe_source(report: Path, entry: Mapping[str, Any]) -> list[str]:
+    """The origin of the law, in sentences."""
+    gap, clips = entry["gap"], entry["clips"]
     return [
-        f"Found by `discrepancy find` ({report.name}): {said['law']}, {said['sigma']:.0f} sigma in {clips['fitted']} "
+        f"Found by `discrepancy find` ({report.name}): {entry['law']}, {entry['sigma']:.0f} sigma in {clips['fitted']} "
         f"collisions. On {clips['kept_out']} kept out, chi^2 a point goes from {gap['before']:.3g} to "
         f"{gap['after']:.3g}; noise leaves {gap['floor']:.3g}.",
-        f"Proposed: {said['formula']}." + ("" if said["formula_suffices"] else " That does not suffice."),
+        f"Proposed: {entry['formula']}." + ("" if entry["formula_suffices"] else " The data reject it."),
     ]
 
 
 def _render_effect(
-    name: str, model: Model, held: TabulatedLaw, said: Mapping[str, Any], source: list[str]
+    name: str, model: Model, held: TabulatedLaw, entry: Mapping[str, Any], source: list[str]
 ) -> tuple[str, dict[str, float], dict[str, Any], str | None]:
-    """The file's text, the effect's values, the settings of the model less the table, the formula if it has one."""
+    """Render the effect file: its text, the effect's values, the model's settings without the table, the formula."""
     kind, ball = kind_of(held.law)
     bare = replace(model, effects=tuple(e for e in model.effects if e is not held))
-    parts = said["formula_parts"] if said["formula_suffices"] else None
-    shape = _find_shape(held.law, kind, said, parts) if parts else None
+    parts = entry["formula_parts"] if entry["formula_suffices"] else None
+    shape = _find_shape(held.law, kind, entry, parts) if parts else None
     if shape and parts:
         numbers = [float(parts["numbers"][n]) for n, _ in shape.numbers]
         terms = [(t, float(parts["factors"][t.name])) for t in shape.terms(*numbers)]
@@ -137,20 +143,20 @@ def _render_effect(
             shaped = [ParameterValue(n, float(v), power) for (n, power), v in zip(shape.numbers, numbers, strict=True)]
             text = render_formula_effect(name, held.law, values, shaped, source)
             every = {v.name: v.value for _, v in values} | {v.name: v.value for v in shaped}
-            return text, every, settings_of(bare.replace(base)), str(said["formula"])
+            return text, every, settings_of(bare.replace(base)), str(entry["formula"])
     numbers_of = {owner: bare.value(owner) for owner, _ in kind.owners}
     return render_table_effect(name, held, numbers_of, source), {"share": 1.0}, settings_of(bare), None
 
 
-def _find_shape(law: str, kind: TableKind, said: Mapping[str, Any], parts: Mapping[str, Any]) -> LawShape | None:
-    """The shape of that name and those terms; None where it has no code."""
+def _find_shape(law: str, kind: TableKind, entry: Mapping[str, Any], parts: Mapping[str, Any]) -> LawShape | None:
+    """Find the shape of that name and those terms; None if it has no code."""
     own = law.removesuffix("_a").removesuffix("_b") if kind.one_ball else law
     search = next((k for k in free_laws() if k.base_name == own), None)
-    if search is None or len(said["axes"]) != 1 or kind.parts != 1:
+    if search is None or len(entry["axes"]) != 1 or kind.parts != 1:
         return None
-    x = np.array(said["x"], dtype=float)
-    axis = Axis("x", kind.x_unit, float(x[0]), float(x[-1]), DRAWN, "circle" if kind.axis == TURN else "line", "x")
-    for shape in iterate_shapes(replace(search, axes=(axis,)), [axis.grid(DRAWN)]):
+    x = np.array(entry["x"], dtype=float)
+    axis = Axis("x", kind.x_unit, float(x[0]), float(x[-1]), 50, "circle" if kind.axis == TURN else "line", "x")
+    for shape in iterate_shapes(replace(search, axes=(axis,)), [axis.grid(50)]):
         named = [t.name for t in shape.terms(*(t[0] for t in shape.tries))]
         if shape.name == parts["shape"] and set(named) == set(parts["factors"]):
             return shape
@@ -160,10 +166,10 @@ def _find_shape(law: str, kind: TableKind, said: Mapping[str, Any], parts: Mappi
 def _split_strengths(
     kind: TableKind, ball: str, model: Model, terms: list[tuple[Term, float]]
 ) -> tuple[list[tuple[Term, ParameterValue]], dict[str, float]] | None:
-    """The effect's strengths, and numbers of the base model beside it; None where no such model can be.
+    """Split the terms into strengths of the effect and numbers of the base model; None if no such model exists.
 
-    A law of its one number is that number times a sum; others are sums. Terms that the base model's numbers make are
-    theirs; of one ball alone the effect has what that ball's differ by.
+    A law of one base parameter is that parameter times a sum; any other law is a sum. Constant and linear terms become
+    base parameters where the law has these. For a law of one ball the effect has the difference from them.
     """
     owners = {power: name for name, power in kind.owners}
     relative, base, values = list(owners) == [0], {}, []
@@ -174,7 +180,7 @@ def _split_strengths(
     if relative and not lead:
         return None
     for term, factor in terms:
-        owner = owners.get(MATCH.get(term.name, -1))
+        owner = owners.get({CONSTANT: 0, "linear": 1}.get(term.name, -1))  # by the power of x
         if owner and not ball:
             base[owner] = factor
             continue

@@ -1,4 +1,4 @@
-"""discrepancy: find what a model lacks, or add a candidate of your own."""
+"""The command discrepancy: find missing effects, add a suspected one, adopt a found law, or plan an experiment."""
 
 from __future__ import annotations
 
@@ -23,46 +23,45 @@ from synthcam_shared.outputs import as_input_error, check_writable
 from tracker.camera.camera import Camera
 
 app = command_line(
-    "discrepancy", "Where do simulation and measured tracks disagree, and which effect is missing from the model?"
+    "discrepancy", "Find the physical effects that measured tracks show and a model of the collision lacks."
 )
-STAGES = ("noise", "fit", "free laws", "search", "gap", "where", "report")
 MeasuredPath = Annotated[
-    Path, typer.Argument(metavar="MEASURED", help="RESULTS of a tracker, or a table of tracks (CSV or Parquet).")
+    Path, typer.Argument(metavar="MEASURED", help="Folder of tracker results, or a table of tracks (CSV or Parquet).")
 ]
-CameraPath = Annotated[Path | None, typer.Option("--camera", metavar="camera.json", help="The camera of a table.")]
-ModelPath = Annotated[Path, typer.Option("--model", metavar="MODEL.yaml", help="The model to hold against the tracks.")]
+CameraPath = Annotated[Path | None, typer.Option("--camera", metavar="camera.json", help="Camera file of a table.")]
+ModelPath = Annotated[Path, typer.Option("--model", metavar="MODEL.yaml", help="The model to compare with the tracks.")]
 EffectsDir = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="DIR", help="A folder with effects of your own, NAME.py; more than one may be."),
+    typer.Option("--effects", metavar="DIR", help="Folder with your own effects, NAME.py; may be repeated."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
 
 @contextmanager
 def show_stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
-    """A bar of the stages passed, and the time, on a terminal; elsewhere a line now and then. Yields what is told them.
+    """Show the stages that are done and the time: a bar on a terminal, elsewhere a line now and then.
 
-    How long a stage takes is not known beforehand, so there is no estimate. Where a search begins again, the bar goes
-    back to the fit.
+    Yields a function that takes the name of the current stage. The time that a stage takes is unknown, so there is no
+    estimate. If a search begins again, the bar returns to the fit.
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         task, passed, turn = bar.add_task(names[0], total=len(names)), 0, 1
-        began = said = time.monotonic()
+        began = printed = time.monotonic()
 
         def progress(stage: str) -> None:
-            nonlocal passed, turn, said
+            nonlocal passed, turn, printed
             at = names.index(stage)
             if stage == "fit" and at < passed:
                 passed, turn = at, turn + 1
             passed = max(passed, at)
-            told = stage + (f", round {turn}" if turn > 1 else "")
-            bar.update(task, completed=passed, description=told)
+            text = stage + (f", round {turn}" if turn > 1 else "")
+            bar.update(task, completed=passed, description=text)
             now = time.monotonic()
-            if bar.disable and now - said >= EVERY:
-                said = now
-                print(f"{told} after {now - began:.0f} s", file=sys.stderr, flush=True)
+            if bar.disable and now - printed >= EVERY:
+                printed = now
+                print(f"{text} after {now - began:.0f} s", file=sys.stderr, flush=True)
 
         yield progress
 
@@ -75,15 +74,15 @@ def find(
     camera: CameraPath = None,
     effects_dir: EffectsDir = None,
     minutes: Annotated[
-        float, typer.Option(min=0.0, help="After which a search is cut short; it then names nothing.")
+        float, typer.Option(min=0.0, help="Time limit; a search that exceeds it names no effect.")
     ] = 10.0,
     policy: Annotated[
         Path | None,
-        typer.Option(metavar="POLICY.yaml", help="Thresholds that decide, in place of the defaults (SearchPolicy)."),
+        typer.Option(metavar="POLICY.yaml", help="Decision thresholds that replace the defaults (SearchPolicy)."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Search for what the model lacks, name it, and show the gap shrink on collisions kept out of every fit.
+    """Find the effects that the model lacks, and test them on held-out collisions.
 
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
@@ -103,7 +102,7 @@ def find(
         _print_camera_notes(measured, camera)
         clips, notes = read_collisions(measured, camera)
         left_out = [str(n) for n in notes]
-        with show_stages(STAGES) as progress:
+        with show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report")) as progress:
             found = searched(clips, given, left_out, progress, 60 * minutes)
             progress("report")
             search_page.write(found.outcome, folder, found.left_out)
@@ -112,7 +111,7 @@ def find(
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
     if not as_json:
         for line in document["processed"]:
-            print(f"The tracks: {line}.")
+            print(f"Tracks: {line}.")
         _print_left_out(document["clips"]["left_out"], len(left_out) > len(clips))
         used = f"{len(found.outcome.data.clips) + len(found.outcome.data.kept_out)} of {len(clips) + len(left_out)}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
@@ -122,13 +121,13 @@ def find(
 def add(
     effect: Annotated[str, typer.Argument(metavar="EFFECT", help="An effect of the library (synthcam effects).")],
     model: ModelPath,
-    measured: Annotated[Path, typer.Option("--fit", metavar="MEASURED", help="RESULTS or tracks to fit it to.")],
+    measured: Annotated[Path, typer.Option("--fit", metavar="MEASURED", help="Results or tracks to fit it to.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="NEW.yaml", help="Model file to write.")],
     camera: CameraPath = None,
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Add an effect that you suspect to a model and fit its strength, with everything else, to measured tracks.
+    """Add a suspected effect to a model and fit its strength, with all other parameters, to measured tracks.
 
     Example: discrepancy add plate_tilt --model model.yaml --fit out/results -o tilted.yaml
     """
@@ -165,15 +164,15 @@ def add(
 
 @app.command()
 def adopt(
-    report: Annotated[Path, typer.Argument(metavar="REPORT", help="What `discrepancy find` wrote.")],
-    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of the effect, as slick_patch.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for effects.")] = Path(
+    report: Annotated[Path, typer.Argument(metavar="REPORT", help="Report folder of `discrepancy find`.")],
+    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the new effect, as slick_patch.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of your own effects.")] = Path(
         "effects"
     ),
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Make an effect of the law outside the library that a search found: DIR/NAME.py, and DIR/NAME.yaml, which has it.
+    """Turn the free law that a search found into an effect, DIR/NAME.py, with a model file, DIR/NAME.yaml.
 
     Example: discrepancy adopt out/search --name slick_patch -o effects
     """
@@ -184,9 +183,9 @@ def adopt(
     if as_json:
         print(json.dumps(new.document()))
         return
-    print(f"{new.effect}: {new.formula or 'its curve, since no short formula in Python suffices'}")
-    print(f"{new.model}: the model with it; elsewhere say\n  {new.line}")
-    print(f"and give --effects {output} to each command")
+    print(f"{new.effect}: {new.formula or 'a table of its curve, since no short formula suffices'}")
+    print(f"{new.model}: the model with it. In another model or scene, write\n  {new.line}")
+    print(f"and give --effects {output} to each command.")
 
 
 def _add_effect_folders(folders: Sequence[Path] | None) -> None:
@@ -196,27 +195,30 @@ def _add_effect_folders(folders: Sequence[Path] | None) -> None:
 
 @app.command()
 def plan(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="The experiment: a scene's file.")],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file of the experiment.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to write.")],
     effects: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAMES", help="Separated by commas, default: all; or a folder with effects of your own."),
+        typer.Option(
+            metavar="NAMES",
+            help="Separated by commas (default: all), or a folder with your own effects.",
+        ),
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(metavar="MODEL.yaml", help="The physics, in place of the scene's.")
+        Path | None, typer.Option(metavar="MODEL.yaml", help="Model that replaces the scene's physics.")
     ] = None,
     clips: Annotated[int, typer.Option(metavar="N", help="Collisions to record.")] = 30,
     noise: Annotated[
-        float | None, typer.Option(metavar="PX", help="Error of a position; default: what camera and lamp allow.")
+        float | None, typer.Option(metavar="PX", help="Error of a position; default: the limit of camera and lamp.")
     ] = None,
     limit: Annotated[
-        list[str] | None, typer.Option(metavar="EFFECT=STRENGTH", help="How many collisions would show so little?")
+        list[str] | None, typer.Option(metavar="EFFECT=STRENGTH", help="Estimate how many collisions this limit takes.")
     ] = None,
     changes: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change the scene.")] = None,
-    seed: Annotated[int, typer.Option(metavar="S", help="Of everything drawn.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="S", help="Seed of all random numbers.")] = 0,
     as_json: Json = False,
 ) -> None:
-    """Say what an experiment could show before a recording is made, and which change of it would show more.
+    """Predict which effects an experiment could detect and name, and which change of it helps most.
 
     Example: discrepancy plan scenes/oblique.yaml --clips 30 -o out/plan
     """
@@ -242,7 +244,7 @@ def plan(
 
 
 def _parse_limits(texts: Sequence[str]) -> dict[str, float]:
-    """Of "plate_tilt=1e-5", strengths by name."""
+    """Parse texts as "plate_tilt=1e-5" into strengths by name."""
     found = {}
     for text in texts:
         name, _, size = text.partition("=")
@@ -254,7 +256,7 @@ def _parse_limits(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _print_camera_notes(measured: Path, camera: Path | None) -> None:
-    """On stderr, what in a table's camera.json nothing reads or accounts for, as the tracker says it."""
+    """Print to stderr which keys of a table's camera file have no influence, as the tracker does."""
     if camera is not None and measured.is_file():
         for note in Camera.read(camera).unmodelled:
             print(f"discrepancy: {note}", file=sys.stderr)
@@ -262,7 +264,7 @@ def _print_camera_notes(measured: Path, camera: Path | None) -> None:
 
 def _print_left_out(left_out: Sequence[str], most: bool) -> None:
     if most:
-        print("Most collisions are left out; are fps, scale and ball_diameter of the camera right?")
+        print("Most collisions are left out. Check fps, scale and ball_diameter in the camera file.")
     if left_out:
         print(f"Left out: {'; '.join(left_out)}")
 

@@ -1,4 +1,4 @@
-"""The text of an effect file: one class, as those of synthcam."""
+"""Render the text of an effect file: one class, like the effects of synthcam."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from discrepancy.free_laws.shapes import Term
 from synthcam.effect import VECTOR_INPUTS
 from synthcam.tabulated_law import LINE, PLACE, REFERENCE_SPEED_M_S, TURN, TableKind, TabulatedLaw, kind_of
 
-WIDTH = 110  # of a line of text
-WIDER = 10.0  # times and over its value: where a shape parameter may go
-BENT = {"friction": "mu", "restitution": "r", "spin_transfer": "c", "rolling": "loss", "push": "acceleration"}
+MAX_WIDTH = 110  # characters of a line
+ARGUMENT_NAMES = {"friction": "mu", "restitution": "r", "spin_transfer": "c", "rolling": "loss", "push": "acceleration"}
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ def render_formula_effect(
     shape: Sequence[ParameterValue],
     source: Sequence[str],
 ) -> str:
-    """An effect with a formula.
+    """Render an effect with a formula.
 
     Parameters
     ----------
@@ -40,35 +39,35 @@ def render_formula_effect(
     law : str
         Of the free law, as `synthcam.tabulated_law.table_names` has it.
     strengths : sequence of (Term, ValueOf)
-        What is added to the law, over it where it is one number of the base model: each term times its strength.
+        The terms that are added, each times its strength; relative to a law that is one base parameter.
     shape : sequence of ValueOf
-        The shape's numbers.
+        The numbers of the shape.
     source : sequence of str
-        Where it comes from.
+        The origin of the law, in sentences.
 
     Returns
     -------
     str
     """
     kind, ball = kind_of(law)
-    relative, x, old = len(kind.owners) == 1, _argument_code(kind), BENT[kind.law]
+    relative, x, old = len(kind.owners) == 1, _argument_code(kind), ARGUMENT_NAMES[kind.law]
     numbers = {v.name: f"self.{v.name}" for v in shape}
     added = [f"self.{v.name} * {t.code.format(x=x, **numbers)}".removesuffix(" * 1") for t, v in strengths]
-    said = " + ".join(f"{v.name} {_term_text(t, x)}".strip() for t, v in strengths)
-    law_said = f"{old} [1 + {said}]" if relative else f"{old} + {said}"
+    text = " + ".join(f"{v.name} {_term_text(t, x)}".strip() for t, v in strengths)
+    law_text = f"{old} [1 + {text}]" if relative else f"{old} + {text}"
     unit = "1" if relative else kind.unit
     parameters = [
         f'{v.name}: float = parameter("{_unit_times(unit, kind.x_unit, -v.power)}", typical={abs(v.value) or 1.0:.3g})'
         for _, v in strengths
     ] + [_render_shape_parameter(v, kind) for v in shape]
-    doc = [f"{law_said}, {_describe_argument(kind, x)}.{_ball_sentence(ball)}", *source]
+    doc = [f"{law_text}, {_describe_argument(kind, x)}.{_ball_sentence(ball)}", *source]
     return _render_file(
         name, f"{_make_title(kind)}, by a formula", doc, parameters, _render_method(kind, ball, added, relative)
     )
 
 
 def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], source: Sequence[str]) -> str:
-    """An effect with a table: the law is the table's where `share` is 1, and the base model's where it is 0.
+    """Render an effect with a table: the law is the table for `share` 1, and the base model for `share` 0.
 
     Parameters
     ----------
@@ -76,16 +75,16 @@ def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, flo
         Of the effect.
     held : TabulatedLaw
     numbers : mapping of str to float
-        Of the base model that the table stands for, which the model beside the effect has too.
+        The base parameters that the table replaces, as the model beside the effect has them.
     source : sequence of str
-        Where it comes from.
+        The origin of the law, in sentences.
 
     Returns
     -------
     str
     """
     kind, ball = kind_of(held.law)
-    plain, x, old = held.to_settings(numbers), _argument_code(kind), BENT[kind.law]
+    plain, x, old = held.to_settings(numbers), _argument_code(kind), ARGUMENT_NAMES[kind.law]
     value = f"CURVE({f'{kind.what}[..., 0], {kind.what}[..., 1]' if kind.axis == PLACE else x})"
     if _has_speed_part(kind):
         value = f"({value} * np.stack([np.ones_like(speed), speed / {REFERENCE_SPEED_M_S:g}], axis=-1)).sum(axis=-1)"
@@ -111,9 +110,11 @@ def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, flo
 def _render_file(
     name: str, title: str, doc: Sequence[str], parameters: Sequence[str], method: str, tables: Sequence[str] = ()
 ) -> str:
-    """All of it."""
-    plain = [" ".join(d.split()).replace("\\", "/").replace('"', "'") for d in doc]  # a report's words end no string
-    said = "\n\n    ".join(textwrap.fill(d, WIDTH, subsequent_indent="    ") for d in plain)
+    """Render the whole file."""
+    plain = [
+        " ".join(d.split()).replace("\\", "/").replace('"', "'") for d in doc
+    ]  # the text of a report cannot end the docstring
+    text = "\n\n    ".join(textwrap.fill(d, MAX_WIDTH, subsequent_indent="    ") for d in plain)
     imports = "import numpy as np\n\n" if "np." in method else ""
     uses = "from synthcam.effect import Effect, parameter\n" + (
         "from synthcam.table import SmoothTable\n" if tables else ""
@@ -123,13 +124,13 @@ def _render_file(
     class_name = "".join(part.title() for part in name.split("_"))
     return (
         f'"""{title}."""\n\nfrom dataclasses import dataclass\nfrom typing import Any\n\n{imports}{uses}{head}\n\n'
-        f'@dataclass(frozen=True)\nclass {class_name}(Effect):\n    """{said}\n    """\n\n{own}\n\n{method}'
+        f'@dataclass(frozen=True)\nclass {class_name}(Effect):\n    """{text}\n    """\n\n{own}\n\n{method}'
     )
 
 
 def _render_method(kind: TableKind, ball: str, added: Sequence[str], relative: bool) -> str:
-    """The method that bends the law. added: Python of what is added, or of its share of the law; a sum."""
-    old, sum_ = BENT[kind.law], _join_terms(added)
+    """Render the method that changes the law. added: code of the terms, relative to the law or absolute."""
+    old, sum_ = ARGUMENT_NAMES[kind.law], _join_terms(added)
     asks = [kind.what, *["speed"] * _has_speed_part(kind), *["of_a"] * bool(ball)]
     whose = {"a": "of_a", "b": "(1 - of_a)", "": ""}[ball]
     sized = [f"speed = np.hypot({kind.what}[..., 0], {kind.what}[..., 1])"] if _is_vector_size(kind) else []
@@ -156,13 +157,13 @@ def _render_method(kind: TableKind, ball: str, added: Sequence[str], relative: b
 
 
 def _join_terms(added: Sequence[str]) -> str:
-    """On several lines where one would be long."""
+    """Join terms to a sum, on several lines if it is long."""
     one = " + ".join(added)
-    return one if len(one) < WIDTH - 40 else "(\n            " + "\n            + ".join(added) + "\n        )"
+    return one if len(one) < MAX_WIDTH - 40 else "(\n            " + "\n            + ".join(added) + "\n        )"
 
 
 def _has_speed_part(kind: TableKind) -> bool:
-    """Whether a part of it is in proportion to the speed."""
+    """True for a sum of a constant and a term proportional to the speed."""
     return kind.law == "rolling" and kind.parts == 2
 
 
@@ -171,14 +172,14 @@ def _ball_sentence(ball: str) -> str:
 
 
 def _argument_code(kind: TableKind) -> str:
-    """What x is, in Python."""
+    """Code of x."""
     if kind.axis == TURN:
         return f"np.arctan2({kind.what}[..., 1], {kind.what}[..., 0])"
     return "speed" if _is_vector_size(kind) else kind.what
 
 
 def _is_vector_size(kind: TableKind) -> bool:
-    """Whether x is the size of a vector."""
+    """True if x is the length of a vector."""
     return kind.axis == LINE and kind.what in VECTOR_INPUTS
 
 
@@ -189,13 +190,13 @@ def _describe_argument(kind: TableKind, x: str) -> str:
 
 
 def _term_text(term: Term, x: str) -> str:
-    """A term's code as a formula is written."""
+    """A term's code in the form of a formula."""
     out = term.code.format_map(_Bare(x="th" if "arctan2" in x else x)).replace("np.", "").replace("maximum(", "max(")
     return "" if out == "1" else out.replace(" ** ", "^").replace("**", "^").replace(" * ", " ")
 
 
 class _Bare(dict[str, str]):
-    """Names stay as they are."""
+    """Leaves unknown names unchanged."""
 
     def __missing__(self, key: str) -> str:
         return key
@@ -207,7 +208,8 @@ def _make_title(kind: TableKind) -> str:
 
 
 def _render_shape_parameter(v: ParameterValue, kind: TableKind) -> str:
-    low, high = (v.value / WIDER, v.value * WIDER) if v.name != "power" and v.value > 0 else (-WIDER, WIDER)
+    # a tenth to ten times its value; exponents and negative numbers from -10 to 10
+    low, high = (v.value / 10, v.value * 10) if v.name != "power" and v.value > 0 else (-10.0, 10.0)
     unit = _unit_times("1", kind.x_unit, v.power)
     return f'{v.name}: float = parameter("{unit}", typical={v.value:.6g}, low={low:.6g}, high={high:.6g}, fixed=True)'
 
@@ -225,4 +227,4 @@ def _unit_times(unit: str, x_unit: str, power: float) -> str:
 
 def _render_tuple(values: Sequence[object]) -> str:
     text = ", ".join(repr(tuple(v) if isinstance(v, list) else v) for v in values)
-    return "(\n" + textwrap.fill(f"{text},", WIDTH, initial_indent="    ", subsequent_indent="    ") + "\n)"
+    return "(\n" + textwrap.fill(f"{text},", MAX_WIDTH, initial_indent="    ", subsequent_indent="    ") + "\n)"

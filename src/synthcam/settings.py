@@ -130,7 +130,10 @@ def to_input_error(error: ValidationError, where: str, file: type[BaseModel]) ->
         first,
         *(e for e in error.errors()[1:] if len(keys) < len(first["loc"]) and e["loc"][: len(keys)] == tuple(keys)),
     ]
-    expected = " or ".join(f"{e['msg'][0].lower()}{e['msg'][1:]}" for e in either)
+    complaints = (
+        re.sub(r"^Input should be a valid dictionary.*", "expected keys and values", e["msg"]) for e in either
+    )
+    expected = " or ".join(f"{c[0].lower()}{c[1:]}" for c in complaints)
     found = repr(first["input"])
     found = found if len(found) < 60 else found[:57] + "..."
     return InputError(f"{where}: {key}: {expected}, found {found}")

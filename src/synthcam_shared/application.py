@@ -50,7 +50,7 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
             raise KeyboardInterrupt
         sys.exit(status or 0)
     except USAGE as error:
-        line = re.sub(r" \(Possible options: (.*)\)$", r". Did you mean \1?", error.format_message())
+        line = re.sub(r" \(Possible options: (.*)\)$", _name_alternatives, error.format_message())
         where = error.ctx.command_path if error.ctx else name
         print(line if "\n" in line else f"{where}: {line} (see {where} --help)", file=sys.stderr)
     except wrong as error:
@@ -65,6 +65,13 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
     except OSError as error:
         print(f"{name}: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
     sys.exit(2)
+
+
+def _name_alternatives(options: re.Match[str]) -> str:
+    """The options that a mistyped one may mean; --help only if there is no other."""
+    names = options[1].split(", ")
+    names = [n for n in names if n != "--help"] or names
+    return f". Did you mean {' or '.join(names)}?"
 
 
 @contextmanager

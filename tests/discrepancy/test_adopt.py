@@ -207,16 +207,20 @@ def test_what_is_no_report_or_has_no_law_is_one_line(reports, own):
     outside = json.loads((report / "discrepancy.json").read_text())["outside"][0]
     cases = {
         "discrepancy.json: No such file": own / "none",
-        "its verdict is named, without a free law": changed(report, own / "a", outside=[], verdict="named"),
-        "its free law is lag_speed, which model.yaml does not hold: of the instrument": changed(
+        "its verdict is named; expected a report with a free law": changed(
+            report, own / "a", outside=[], verdict="named"
+        ),
+        "its free law is lag_speed, which model.yaml does not contain: of the instrument": changed(
             report, own / "b", outside=[outside | {"slot": "lag_speed"}]
         ),
-        "outside: not as `discrepancy find` writes it": changed(report, own / "c", outside=[{"slot": outside["slot"]}]),
-        "discrepancy.json: not as": changed(report, own / "d", outside=3),
+        "outside: not in the form that `discrepancy find` writes": changed(
+            report, own / "c", outside=[{"slot": outside["slot"]}]
+        ),
+        "discrepancy.json: not in the form": changed(report, own / "d", outside=3),
     }
     (own / "e").mkdir()
     (own / "e/discrepancy.json").write_text("{")
-    cases["e/discrepancy.json: not as"] = own / "e"
+    cases["e/discrepancy.json: not in the form"] = own / "e"
     for said, folder in cases.items():
         with pytest.raises(InputError, match=said) as error:
             adopt(folder, "some_name", own / "new")

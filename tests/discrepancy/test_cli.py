@@ -123,7 +123,7 @@ def test_add_tells_what_it_fitted(recorded, tmp_path, capsys):
     assert said["chi2"]["before"] > 10 > said["chi2"]["after"]
     assert command("add", "velocity_restitution", *words) == 0
     told = capsys.readouterr().out
-    assert re.search(r"velocity_restitution \(e = 0\.\d+ \+- 0\.\d+; \d+ sigma\); chi\^2 .* goes from", told)
+    assert re.search(r"velocity_restitution \(e = 0\.\d+ \+- 0\.\d+; \d+ sigma\); chi\^2 .* falls from", told)
     assert "(6 of 6)" in told
 
 
@@ -169,7 +169,7 @@ def test_the_camera_is_doubted_when_most_collisions_are_left_out(recorded, tmp_p
     words = (tmp_path / "t.csv", "--camera", recorded / "camera.json", "--model", MODEL, "-o", tmp_path / "report")
     assert command("find", *words) == 0
     out = capsys.readouterr().out
-    assert "Most collisions are left out; are fps, scale and ball_diameter of the camera right?\n" in out
+    assert "Most collisions are left out. Check fps, scale and ball_diameter in the camera file.\n" in out
     assert "(6 of 18 collisions, " in out
 
 
@@ -181,7 +181,7 @@ def test_the_bar_goes_through_the_stages_and_back(monkeypatch):
         (("noise", "fit", "fit", "search", "fit"), r"fit, round 2 .* 1/7 "),
     ):
         screen.truncate(0)
-        with cli.show_stages(cli.STAGES) as progress:
+        with cli.show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report")) as progress:
             for stage in told:
                 progress(stage)
         assert re.search(shown, re.sub(r"\x1b\[[0-9;?]*\w", "", screen.getvalue()))

@@ -71,7 +71,7 @@ def test_four_sigma_make_a_claim_however_few_the_candidates(monkeypatch, sized, 
 
 def made_laws(monkeypatch, cost, scores):
     """The contest of free laws with these scores, beside a library's best model of this cost."""
-    base, fit = Made(names=()), Made(names=("hop.share",), added=lambda base: {"hop": ["hop.share"]})
+    base, fit = Made(names=()), Made(names=("hop.share",), added_names=lambda base: {"hop": ["hop.share"]})
     fitted = tuple(Made(score=s, fit=fit, significances_of_effects=lambda base: {}) for s in scores)
     contest = FreeLawContest(None, base, (), fitted=fitted)
     monkeypatch.setattr(free_law_contest, "cost_of", lambda f, base: cost)
@@ -438,7 +438,7 @@ def test_a_disagreement_far_larger_than_the_residuals_has_no_size(times, told):
 @pytest.mark.parametrize(("chi2", "more"), [(1.5, False), (3.0, True)])
 def test_twice_the_noise_left_beside_an_effect_that_was_added_is_something_more(chi2, more):
     fits = (Made(chi2=c * 900, points=1000, parameters=100, model=None) for c in (9.0, chi2))
-    assert ("more is missing" in AddedEffect(*fits, Made(said=lambda model: "hop")).sentence()) is more
+    assert ("still lacks something" in AddedEffect(*fits, Made(said=lambda model: "hop")).sentence()) is more
 
 
 def test_the_fields_made_here_are_those_of_the_real_ones():

@@ -319,7 +319,7 @@ def test_an_added_effect_gets_its_shape(monkeypatch):
 def test_what_cannot_be_told_is_not_added(monkeypatch):
     only(monkeypatch, clock_error=library()["clock_error"])
     clips = collisions(Model(), 6, 4)
-    with pytest.raises(InputError, match="clock_error: these collisions cannot tell it"):
+    with pytest.raises(InputError, match="clock_error: not identifiable from these collisions"):
         add(clips, Model(), "clock_error")
     with pytest.raises(InputError, match="5 measured collisions: expected 6"):
         add(clips[:5], Model(), "clock_error")

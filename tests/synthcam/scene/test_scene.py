@@ -36,7 +36,7 @@ WRONG = {
     r"camera\.size: list should have at least 2 items": {"camera": {"size": [640]}},
     r"lamp\.position: expected z above the balls": {"lamp": {"position": [0, 0, 0]}},
     r"sensor\.bits: input should be less than or equal to 16": {"sensor": {"bits": 32}},
-    r"launch: input should be a valid dictionary": {"launch": None},
+    r"launch: expected keys and values": {"launch": None},
     r"free: bounce is no parameter": {"free": ["bounce"]},
     r"1: keys should be strings": {1: 2},
     r"a\\nb: unknown key": {"a\nb": 2},
@@ -131,7 +131,7 @@ def test_overrides(tmp_path):
         ("launch.v0.x=1", r"launch\.v0"),
         ("launch.=1", "unknown key"),
         ("name.x.y=1", "name"),
-        ("launch=5", "launch: input should be a valid dictionary"),
+        ("launch=5", "launch: expected keys and values"),
     ],
 )
 def test_a_wrong_override(tmp_path, text, message):
