@@ -61,8 +61,8 @@ LAYERS = {
         "__main__",
     ],
     "synthcam.dynamics": [
-        "kinematics collocation packed",
-        "trajectory impact forces hermite",
+        "kinematics collocation",
+        "trajectory impact forces",
         "integrated_motion contact_time orientation",
         "propagate launch",
         "start_from_rest segments",

@@ -1,7 +1,7 @@
 """Thousands of two-ball collisions at once: the motion of `dynamics.solve`, vectorised over collisions.
 
-A collision here is one impact of a rolling ball on a ball at rest, and what follows: flights, slides, rolls. Where two
-balls would touch again, or one that stopped starts again, that collision is handed to `solve`.
+A collision is one impact of a striker on a ball at rest, followed by flights, slides and rolls. Where two balls would
+touch again, or a ball that stopped starts again, `solve` takes over that collision.
 """
 
 from __future__ import annotations
@@ -21,22 +21,21 @@ from synthcam.dynamics.forces import (
     REST,
     ROLL,
     SLIDE,
-    STILL,
+    ZERO_SPEED_M_S,
     BallStates,
     Ints,
     classify_modes,
     find_ending_slip,
 )
-from synthcam.dynamics.hermite import interpolate_hermite
 from synthcam.dynamics.impact import collide, land
 from synthcam.dynamics.integrated_motion import snap_to_goal
-from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_state, rolling_velocity
+from synthcam.dynamics.kinematics import Array, contact_velocity, interpolate_hermite, rolling_state, rolling_velocity
 from synthcam.dynamics.launch import NO_SPIN, Launch, touching
-from synthcam.dynamics.packed import PackedRows
 from synthcam.dynamics.propagate import IntegrationStep, propagate, propagate_back
 from synthcam.dynamics.segments import (
     FlightSegment,
     IntegratedSegment,
+    PackedRows,
     RestSegment,
     RollSegment,
     Segment,
@@ -46,31 +45,37 @@ from synthcam.dynamics.segments import (
     write_states,
 )
 from synthcam.dynamics.solve import solve
-from synthcam.dynamics.start_from_rest import CLINGING, PUSHED_AWAY, UNKNOWN_PAST, excess_push, solve_approach
+from synthcam.dynamics.start_from_rest import (
+    MIN_IMPACT_SPEED_OF_PAIR_M_S,
+    PUSHED_AWAY,
+    UNKNOWN_PAST,
+    excess_push,
+    solve_approach,
+)
 from synthcam.model import Bodies, Model
 
-LAUNCH_COLUMNS = (
-    "x",
-    "y",
-    "t_c",
-    "v0",
-    "heading",
-    "b",
-)  # the contact's place, m; s; m/s; rad; over the sum of the radii
-AGAIN = 1e-7  # m: balls that come closer than touching by more have met again
-STEADY = 0.1  # of the first speed of parting: balls that at the ends of their legs part faster do not meet again
-WAVER = 5e-3  # m/s: by so much pushes may slow a ball within a leg, at neither end of it
-LOOKS = 24  # at whether balls overlap: one that catches up takes tens of ms to pass through
-ROUNDS = 2000  # legs after an impact, at most
-AT_ONCE = 400  # balls, at most, that are integrated together: more leave the processor's cache
+# position of the contact, m; its time, s; speed, m/s, and heading, rad, of the striker; b over the sum of the radii
+LAUNCH_COLUMNS = ("x", "y", "t_c", "v0", "heading", "b")
+MAX_GROUP = 400  # balls that are integrated together: more leave the processor's cache
 
 
 @dataclass
 class CollisionBatch:
-    """The motion of n collisions from `start` to `end`. Balls 0..n-1 are the targets, n..2n-1 the strikers.
+    """The motion of n collisions from `start` to `end`, s. Balls 0..n-1 are the targets, n..2n-1 the strikers.
 
-    breaks (2n, e): times at which a ball's motion has a kink, padded with infinity. slide_ends (2n,): when each ball
-    stops sliding; its t_c if it never slid.
+    Attributes
+    ----------
+    start, end : float
+    segments : list of Segment
+    breaks : (2n, e) array
+        Times at which the motion of a ball has a kink, padded with infinity.
+    slide_ends : (2n,) array
+        When each ball stops sliding; its t_c if it never slid.
+    restarting : set of int
+        Collisions in which a ball stops and starts again; `solve` takes them over.
+    recontact_candidates : (k,) array
+        Collisions whose balls may meet again.
+    radius : (2n,) array
     """
 
     start: float
@@ -78,20 +83,16 @@ class CollisionBatch:
     segments: list[Segment] = field(default_factory=list)
     breaks: Array = field(default_factory=lambda: np.empty((0, 0)))
     slide_ends: Array = field(default_factory=lambda: np.empty(0))
-    restarting: set[int] = field(
-        default_factory=set
-    )  # collisions in which a ball stops and starts again: left to `solve`
-    recontact_candidates: Ints = field(
-        default_factory=lambda: np.empty(0, dtype=np.intp)
-    )  # collisions whose balls may meet again
-    radius: Array = field(default_factory=lambda: np.empty(0))  # (2n,)
+    restarting: set[int] = field(default_factory=set)
+    recontact_candidates: Ints = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    radius: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def size(self) -> int:
         return len(self.breaks) // 2
 
     def at(self, times: Array) -> Array:
-        """States (2, n, m, 9) at times (m,), or at times (2n, m) of each ball's own, within [start, end]."""
+        """Return states (2, n, m, 9) at times (m,), or (2n, m) of each ball, within [start, end]."""
         own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
         out = np.empty((*own.shape, 9))
         for segment in self.segments:
@@ -99,7 +100,7 @@ class CollisionBatch:
         return out.reshape(2, self.size, own.shape[-1], 9)
 
     def heights(self, times: Array) -> Array:
-        """Of the centres over the plate, m: (2, n, m), arguments as for `at`."""
+        """Return the heights of the centres over the plate, (2, n, m) m, at times as for `at`."""
         own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
         out = np.repeat(self.radius, own.shape[-1]).reshape(*own.shape, 1)
         for segment in self.segments:
@@ -108,9 +109,9 @@ class CollisionBatch:
         return out.reshape(2, self.size, own.shape[-1])
 
     def average_centres(self, starts: Array, exposure: float) -> Array:
-        """Centres (2, n, frames, 2) averaged over exposures, exact across every kink.
+        """Average the centres over exposures, (2, n, frames, 2) m, exactly across every kink.
 
-        starts: when they open, (frames,) or of each ball's own, (2n, frames); all within [start, end].
+        starts: when the exposures open, (frames,) or (2n, frames) of each ball; all within [start, end].
         """
         own = np.broadcast_to(starts, (2 * self.size, starts.shape[-1]))
         first, last = (of(np.atleast_2d(starts), axis=0) for of in (np.min, np.max))
@@ -130,7 +131,7 @@ class CollisionBatch:
             whole = np.clip(opens + exposure / 2, begins, ends)
             found = segment.average_centres(whole, exposure)
             some = PackedRows(here.inside & ((opens < begins) | (opens + exposure > ends)))
-            if some.any:  # a kink cuts them
+            if some.any:  # a kink splits these exposures
                 a = np.clip(some.gather(opens), begins, ends)
                 b = np.clip(some.gather(opens) + exposure, begins, ends)
                 parts = segment.average_centres((a + b) / 2, b - a) * ((b - a) / exposure)
@@ -147,11 +148,26 @@ class CollisionBatch:
 def solve_collisions(
     model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False
 ) -> CollisionBatch:
-    """Solve the collisions of `launches`, (n, 6) or (n, 9), from `start` to `end`, s.
+    """Solve many collisions at once.
 
-    Columns: LAUNCH_COLUMNS; of 9 columns the last three are SPIN_COLUMNS.
+    Parameters
+    ----------
+    model : Model
+    launches : (n, 6) or (n, 9) array
+        Columns LAUNCH_COLUMNS and, of strikers that do not roll, `SPIN_COLUMNS` of `launch`.
+    start, end : float
+        s.
+    striker_is_a : (n,) bool array or bool
+        Whether the striker is ball a of the experimenter.
 
-    striker_is_a: (n,) or one for all: was the experimenter's ball a launched? Raises ValueError as `solve` does.
+    Returns
+    -------
+    CollisionBatch
+
+    Raises
+    ------
+    ValueError
+        As `solve` does.
     """
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))
     one = model.bodies(["b" if a else "a" for a in is_a])
@@ -166,7 +182,7 @@ def solve_collisions(
     )
     target, striker = run.solve_approach(target, striker)
     hit = collide(model, target, striker, one, two)
-    if run.mutual and np.any(soft := hit.impulse_n < CLINGING * one.mass):
+    if run.mutual and np.any(soft := hit.impulse_n < MIN_IMPACT_SPEED_OF_PAIR_M_S * one.mass):
         raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
     run.solve_after_impact(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
     odd = sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting})
@@ -174,31 +190,33 @@ def solve_collisions(
 
 
 def _find_second_contacts(out: CollisionBatch, both: Bodies) -> Ints:
-    """Collisions whose balls overlap after the impact, so that a second impact is missing.
+    """Find collisions whose balls overlap after the impact, so that a second impact is missing.
 
-    Looked for between the kinks, where paths are parabolas or nearly; where they come near, at many instants.
+    Between kinks the paths are parabolas or nearly so, which selects suspects; these are checked at many times.
     """
+    overlap = 1e-7  # m: balls that overlap by more have met again
+    samples = 24  # a ball that catches up takes tens of ms to pass through the other
     n = out.size
     if len(out.recontact_candidates) == 0:
         return out.recontact_candidates
     reach = (both.radius[:n] + both.radius[n:])[:, None]
     kinks = np.clip(np.concatenate([out.breaks[:n], out.breaks[n:]], axis=1), out.start, out.end)
     suspects = out.recontact_candidates
-    if kinks.shape[1] < LOOKS // 2:
+    if kinks.shape[1] < samples // 2:
         knots = np.sort(np.concatenate([kinks, np.full((n, 1), out.end)], axis=1), axis=1)
         states = out.at(np.concatenate([knots, knots]))
         apart = states[0, ..., :6] - states[1, ..., :6]
         places = interpolate_hermite(apart[..., [0, 1, 3, 4]], np.diff(knots), np.linspace(0, 1, 9))
         least = np.hypot(places[..., 0], places[..., 1]).min(axis=(1, 2))
-        suspects = suspects[least[suspects] < reach[suspects, 0] - AGAIN / 2]
+        suspects = suspects[least[suspects] < reach[suspects, 0] - overlap / 2]
     if len(suspects) == 0:
         return suspects
-    every = np.full((2 * n, LOOKS), out.start)
+    every = np.full((2 * n, samples), out.start)
     rows = np.concatenate([suspects, suspects + n])
-    every[rows] = np.linspace(out.start, out.end, LOOKS)
+    every[rows] = np.linspace(out.start, out.end, samples)
     places = out.at(every)[:, suspects, :, :3]
     gap = np.linalg.norm(places[0] - places[1], axis=-1) - reach[suspects]
-    return np.asarray(suspects[gap.min(axis=1) < -AGAIN])
+    return np.asarray(suspects[gap.min(axis=1) < -overlap])
 
 
 def _solve_one_by_one(
@@ -213,7 +231,7 @@ def _solve_one_by_one(
         x, y, t_c, v0, heading, b, *spin = launches[k]
         labels = ("b", "a") if is_a[k] else ("a", "b")
         launch = Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y), spin or NO_SPIN)
-        motion = solve(model, launch, out.start, out.end, settled=False)  # a slide may last for hours
+        motion = solve(model, launch, out.start, out.end, finish_slides=False)  # a slide may last for hours
         for ball in (0, 1):
             row, its = np.array([k + ball * n]), dataclasses.replace(motion, legs=motion.legs[ball : ball + 1])
             out.segments.append(TrajectorySegment(row, np.array([out.start]), np.array([out.end]), its))
@@ -227,12 +245,12 @@ def _solve_one_by_one(
 
 
 def _group_by_size(who: Ints, size: Array) -> list[Ints]:
-    """Balls `who` in groups of about the same size: they ask for the same pieces, and are seen in as many frames."""
-    return np.array_split(who[np.argsort(size)], -(-len(who) // AT_ONCE)) if len(who) else []
+    """Group the balls `who` by size, at most MAX_GROUP each: similar balls need the same pieces and as many frames."""
+    return np.array_split(who[np.argsort(size)], -(-len(who) // MAX_GROUP)) if len(who) else []
 
 
 class _BatchSolver:
-    """Builds the segments of a batch, round by round, all balls that are in one state together."""
+    """Builds the segments of a batch leg by leg, with all balls in one mode of motion together."""
 
     def __init__(self, model: Model, bodies: Bodies, out: CollisionBatch, t_c: Array) -> None:
         self.model, self.bodies, self.out, self.t_c = model, bodies, out, t_c
@@ -244,7 +262,7 @@ class _BatchSolver:
         self.floor = np.full(len(t_c), np.inf)
 
     def solve_approach(self, target: Array, striker: Array) -> tuple[Array, Array]:
-        """The approach: targets at rest, strikers rolling or sliding. Their states at the contact."""
+        """Solve the approach, targets at rest, strikers rolling or sliding; return their states at the contact."""
         n, start = len(target), np.full(len(self.t_c), self.out.start)
         if self.mutual:
             return self._approach_with_push(np.concatenate([target, striker]))
@@ -266,13 +284,13 @@ class _BatchSolver:
         return target, striker
 
     def _slide_before(self, who: Ints, states: Array, start: Array) -> None:
-        """Slides in closed form that led to these states at the contacts."""
+        """Add slides in closed form that end in these states at the contacts."""
         radius, slowing = self.bodies.radius[who], np.full(len(who), self.model.sliding_friction * self.model.gravity)
         first = kinematics.slide(states, radius, slowing, (start - self.t_c[who])[:, None])[:, 0]
         self.out.segments.append(SlideSegment(who, start, self.t_c[who], first, radius, slowing))
 
     def _approach_with_push(self, states: Array) -> tuple[Array, Array]:
-        """The approach of balls that push each other."""
+        """Solve the approach of balls that push each other."""
         n, t_c = len(states) // 2, self.t_c[: len(states) // 2]
         if np.any(classify_modes(states, self.bodies.radius) == SLIDE):
             raise ValueError(UNKNOWN_PAST)
@@ -287,12 +305,13 @@ class _BatchSolver:
         return hit[:n], hit[n:]
 
     def solve_after_impact(self, states: Array, n: Array) -> None:
-        """From the impact on, to the end. n (collisions, 2): the impact's normal, from striker to target."""
+        """Solve from the impact to the end. n (collisions, 2): normal of the impact, from striker to target."""
+        max_legs = 2000  # after an impact
         states, now = states.copy(), self.t_c.copy()
         end, out = self.out.end, np.concatenate([n, -n])
         parting = slowest = (states[:, 3:5] * out).sum(axis=1)  # of each ball from the other, along the normal
         self._set_ending_slips(np.arange(len(now)), states)
-        for _ in range(ROUNDS):
+        for _ in range(max_legs):
             slowest = np.minimum(slowest, (states[:, 3:5] * out).sum(axis=1))
             modes = classify_modes(states, self.bodies.radius)
             down = np.flatnonzero((states[:, 5] < 0) & (modes != FLY))
@@ -310,11 +329,13 @@ class _BatchSolver:
                 if len(who):
                     advance(who, states, now)
         else:
-            raise ValueError(f"the motion does not settle: {ROUNDS} legs after an impact")
+            raise ValueError(f"the motion does not settle: {max_legs} legs after an impact")
         self.out.breaks = np.stack(self.kinks, axis=1)
         both = [one[: len(n)] + one[len(n) :] for one in (parting, slowest)]
-        waver = WAVER if self.bent[ROLL] else 0.0
-        self.out.recontact_candidates = np.flatnonzero(both[1] < STEADY * both[0] + waver)
+        # balls that separate at the ends of their legs at over a tenth of their first speed do not meet again; within
+        # a leg a push may slow a ball by 5 mm/s more than at its ends
+        waver = 5e-3 if self.bent[ROLL] else 0.0
+        self.out.recontact_candidates = np.flatnonzero(both[1] < 0.1 * both[0] + waver)
 
     def _add_kink(self, who: Ints, when: Array) -> None:
         if np.any(np.isfinite(self.kinks[-1][who])):
@@ -322,7 +343,7 @@ class _BatchSolver:
         self.kinks[-1][who] = when
 
     def _set_ending_slips(self, who: Ints, states: Array) -> None:
-        """Of balls to which something happened: the slips at which they will no longer drill."""
+        """Set the slips at which balls with an event will no longer drill."""
         n = len(states) // 2
         if self.model.laws.has_effect_on("drilling"):
             other = [(states[(who + n) % (2 * n)] - states[who])[:, None, :2]] if self.mutual else []
@@ -334,21 +355,24 @@ class _BatchSolver:
             self._add_step(who[units], step, states, now)
 
     def _propagate_pairs(self, who: Ints, states: Array, now: Array, modes: Ints) -> None:
-        """Two and two that push each other."""
+        """Integrate pairs of balls that push each other by one step."""
+        samples = 24  # within the step, at which a ball at rest is checked for the push that starts it
         n, rows = len(states) // 2, np.concatenate([who, who + len(states) // 2])
         balls = BallStates(self.model, self.bodies[rows], states[rows], self.floor[rows], 2)
         for units, step in propagate(balls, self.out.end - now[who]):
             mine = np.concatenate([who[units], who[units] + n])
             still = np.flatnonzero(modes[mine] == REST)
             if len(still):
-                places = step.motion.at(step.durations[:, None] * np.linspace(0, 1, LOOKS))[..., :2].transpose(2, 0, 1)
+                places = step.motion.at(step.durations[:, None] * np.linspace(0, 1, samples))[..., :2].transpose(
+                    2, 0, 1
+                )
                 other = places[:, (still + len(units)) % len(mine)]
                 loose = excess_push(self.model, self.bodies[mine[still]], states[mine[still]], other).max(axis=1) > 0
                 self.out.restarting |= set((mine[still[loose]] % n).tolist())
             self._add_step(mine, step, states, now)
 
     def _add_step(self, who: Ints, step: IntegrationStep, states: Array, now: Array) -> None:
-        """What a step led to."""
+        """Record an integrated step of the balls `who`."""
         self.out.segments += IntegratedSegment.of(who, step.motion.shift(now[who]), self.out.end)
         modes = classify_modes(states[who], self.bodies.radius[who])
         states[who], now[who] = step.final_states, snap_to_goal(now[who] + step.durations, self.out.end)
@@ -374,7 +398,7 @@ class _BatchSolver:
         after = land(self.model, states[who], self.bodies[who])
         slips = contact_velocity(after, self.bodies.radius[who])
         slip, left = np.hypot(before[:, 0], before[:, 1]), np.hypot(slips[:, 0], slips[:, 1])
-        rolls = (slip > STILL) & (left <= 1e-9 * slip)
+        rolls = (slip > ZERO_SPEED_M_S) & (left <= 1e-9 * slip)
         vertical = after[:, 5].copy()
         radius = self.bodies.radius[who]
         q = rolling_velocity(after, radius)
@@ -416,7 +440,7 @@ class _BatchSolver:
         self._add_kink(who, ends)
 
     def _roll_on(self, who: Ints, states: Array, now: Array) -> None:
-        """Roll to the end or the stop."""
+        """Roll to the end or to the stop."""
         end, speed = np.full(len(who), self.out.end), np.hypot(states[who, 3], states[who, 4])
         if self.bent[ROLL]:
             for some in _group_by_size(who, speed * (end - now[who])):
@@ -432,7 +456,7 @@ class _BatchSolver:
         self._add_kink(who[stopped], ends[stopped])
 
     def _roll(self, who: Ints, states: Array, begins: Array, ends: Array, time: Array) -> Array:
-        """Roll in closed form, through these states at `time`; those at the ends."""
+        """Roll in closed form through these states at `time`; return the states at the ends."""
         model = self.model
         leg = RollSegment(
             who, begins, ends, time, states, self.bodies.radius[who], model.rolling_drag, model.rolling_decel

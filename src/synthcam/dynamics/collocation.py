@@ -1,10 +1,11 @@
 """Smooth initial-value problems, many at once: Chebyshev collocation, solved by Picard iteration.
 
 The right-hand side is called on all nodes of all problems together, so laws written for arrays cost little. A piece
-that few nodes do not resolve is done again with as many as the fall of its coefficients asks for; one that the most do
-not, or on which the iteration does not settle, is halved, for all problems alike: put together what is alike.
-Arrays are (components, problems, nodes): long last axes make numpy fast.
-See Clenshaw & Norton, Comput. J. 6 (1963) 88; Trefethen, Approximation Theory and Practice (2013).
+that few nodes do not resolve is solved again with as many nodes as the decay of its coefficients asks for. A piece
+that no number of nodes resolves, or on which the iteration does not converge, is halved for all problems; callers
+therefore group similar problems. Arrays are (components, problems, nodes), since long last axes make numpy fast.
+
+Clenshaw & Norton, Comput. J. 6 (1963) 88; Trefethen, Approximation Theory and Approximation Practice (2013).
 """
 
 from __future__ import annotations
@@ -19,28 +20,22 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-# Right: x (n,), y (c, problems, n) -> some components after the other, and their derivatives. Between them y is led on:
-# what comes later may lean on what has been integrated already, which saves turns.
+# A right-hand side takes x (n,) and y (c, problems, n) and yields groups of components with their derivatives. y is
+# integrated between two groups, so later groups may use the new values of earlier ones, which saves iterations.
 Parts = Iterator[tuple[slice, Array]]
 Right = Callable[[Array, Array], Parts]
-Pieces = list[tuple[Array, Array]]  # of a solution: the nodes x (n,) of each piece, and y (c, problems, n) there
+Pieces = list[tuple[Array, Array]]  # the nodes x (n,) of each piece of a solution, and y (c, problems, n) there
 
-SIZES = 14, 20, 26, 32, 40  # nodes of a piece
-TOLERANCE = 3e-14  # of the iteration
-SETTLED = 1e-12  # what rounding may leave of the iteration's changes
-RESOLVED = 1e-13  # of the last coefficients, over the largest value
-DEEPEST = 12
-HOPELESS = 100  # times what is to be resolved
-TURNS = 40
-CLOSE = 1e-3  # a change so small tells whether the nodes are enough
-SOME = slice(1, None, 2)  # nodes at which changes are looked for
-ALONE = 2**18  # multiplications; OpenBLAS shares out products of more
+NODE_COUNTS = 14, 20, 26, 32, 40  # nodes of a piece, tried in this order
+MAX_HALVINGS = 12
+RESOLVED = 1e-13  # largest size of the last coefficients of a resolved piece, over that of the values
 
 
 def series(coefficients: Array, x: Array) -> Array:
-    """Chebyshev series (c, problems, nodes) at x (problems, m): (c, problems, m).
+    """Evaluate Chebyshev series (c, problems, nodes) at x (problems, m): (c, problems, m).
 
-    T_2k(x) = T_k(y) and T_(2k+1)(x) = x W_k(y), y = 2 x^2 - 1: half as many polynomials, in y, of E and O in E + x O.
+    T_2k(x) = T_k(y) and T_(2k+1)(x) = x W_k(y), y = 2 x^2 - 1: half as many polynomials in y are
+    needed, for E and O in E + x O.
     """
     c, problems, size = coefficients.shape
     half = (size + 1) // 2
@@ -63,7 +58,7 @@ def series(coefficients: Array, x: Array) -> Array:
 
 @cache
 def _halves(size: int) -> Array:
-    """A series' coefficients -> those in T_k(y) of E, then of O: from W_k = 2 T_k - W_(k-1)."""
+    """Return the matrix from the coefficients of a series to those in T_k(y) of E, then of O: W_k = 2 T_k - W_(k-1)."""
     half = (size + 1) // 2
     out = np.zeros((size, 2 * half))
     out[::2, :half] = np.eye(half)
@@ -74,15 +69,15 @@ def _halves(size: int) -> Array:
 
 
 def resample(values: Array, places: Array, size: int) -> Array:
-    """Values (c, k, n) at rising places (k, n) from -1 to 1 -> (c, k, size) on nodes.
+    """Interpolate values (c, k, n), given at rising places (k, n) from -1 to 1, on `size` nodes: (c, k, size).
 
-    Places that are a smooth function of nodes: the interpolant is rational, with the signs of the nodes for weights.
-    Baltensperger, Berrut & Noel, Math. Comp. 68 (1999) 1109.
+    The places must be a smooth function of Chebyshev nodes. The interpolant is rational, with alternating signs for
+    weights: Baltensperger, Berrut & Noel, Math. Comp. 68 (1999) 1109.
     """
     signs = (-1.0) ** np.arange(places.shape[-1])
     signs[[0, -1]] /= 2
     gap = matrices(size).nodes - places[..., None]
-    gap += 1e-300  # a node that is met takes all the weight
+    gap += 1e-300  # a place on a node takes all the weight
     weighed = np.concatenate([values * signs, np.broadcast_to(signs, (1, *places.shape))]).swapaxes(0, 1)
     found = (weighed @ np.reciprocal(gap, out=gap)).swapaxes(0, 1)
     return np.asarray(found[:-1] / found[-1])
@@ -90,9 +85,10 @@ def resample(values: Array, places: Array, size: int) -> Array:
 
 @dataclass(frozen=True)
 class Matrices:
-    """On the nodes of [-1, 1]: values -> coefficients and back, values -> integrals from -1.
+    """Matrices on the Chebyshev nodes of [-1, 1], to be multiplied from the right.
 
-    All are to be multiplied from the right. slope, curvature: of a series' coefficients.
+    coefficients, values: from values to coefficients and back. integral: from values to integrals from -1. slope,
+    curvature: from the coefficients of a series to those of its derivatives.
     """
 
     nodes: Array
@@ -105,6 +101,7 @@ class Matrices:
 
 @cache
 def matrices(size: int) -> Matrices:
+    """Return the matrices on `size` nodes."""
     nodes = -np.cos(np.pi * np.arange(size) / (size - 1))
     values = chebyshev.chebvander(nodes, size - 1)
     coefficients = np.linalg.inv(values)
@@ -118,7 +115,7 @@ def matrices(size: int) -> Matrices:
 
 @cache
 def refine_matrix(old: int, new: int, side: int) -> Array:
-    """Values on `old` nodes -> on `new` ones of all of [-1, 1], side 0, or of its left or right half, side -1 or 1."""
+    """Return the matrix from `old` to `new` nodes: of all of [-1, 1] (side 0), or of its left or right half (-1, 1)."""
     nodes = (matrices(new).nodes + side) / (2 if side else 1)
     return np.ascontiguousarray(matrices(old).coefficients @ chebyshev.chebvander(nodes, old - 1).T)
 
@@ -128,16 +125,39 @@ def integrate(
     knots: Sequence[float],
     start: Array,
     guess: Callable[[Array], Array] | None = None,
-    deepest: int = DEEPEST,
-    few: int = SIZES[0],
+    max_halvings: int = MAX_HALVINGS,
+    few: int = NODE_COUNTS[0],
     feed: int | None = None,
 ) -> Pieces:
-    """y' = right(x, y) from the first knot to the last, piece by piece between them (falling ones are allowed).
+    """Solve y' = right(x, y) from the first knot to the last, piece by piece.
 
-    y = start (c, problems) at the first. guess: x (n,) -> (c, problems, n), what y may be like. few: the nodes to try
-    first. feed: how many of the parts that `right` yields, the first, it makes use of itself; all if None. The others
-    are integrated when these are known.
-    Raises ValueError when a law of motion is not smooth: a piece halved `deepest` times is still too long.
+    Parameters
+    ----------
+    right : callable
+        See `Right` above.
+    knots : sequence of float
+        Where pieces meet; they may fall.
+    start : (c, problems) array
+        y at the first knot.
+    guess : callable, optional
+        Maps x (n,) to a first guess of y, (c, problems, n).
+    max_halvings : int
+        How often a piece may be halved.
+    few : int
+        Nodes to try first.
+    feed : int, optional
+        How many of the groups that `right` yields, the first ones, it uses itself; default: all. The others are
+        integrated once these are known.
+
+    Returns
+    -------
+    list of (x, y)
+        For each piece.
+
+    Raises
+    ------
+    ValueError
+        If a law of motion is not smooth: a piece is still too long after `max_halvings`.
     """
     y = np.asarray(start, dtype=float)
     begin, pieces = float(knots[0]), Pieces()
@@ -154,15 +174,17 @@ def integrate(
             begin, y = end, values[..., -1]
             pieces.append((x, values))
             continue
-        runaway = not np.all(np.abs(values) < 1e6)  # True for infinite ones too
+        runaway = not np.all(np.abs(values) < 1e6)  # also true where a value is infinite
         if runaway:
             guess = None
-        wanted = size * np.log(RESOLVED) / np.log(tail) if RESOLVED < tail < 1 else np.inf  # were their fall geometric
-        more = next((n for n in SIZES if n >= max(wanted, size + 1)), None)
+        wanted = (
+            size * np.log(RESOLVED) / np.log(tail) if RESOLVED < tail < 1 else np.inf
+        )  # if the coefficients decay geometrically
+        more = next((n for n in NODE_COUNTS if n >= max(wanted, size + 1)), None)
         if more is not None:
             stack.append((end, depth, more, None if runaway else multiply(values, refine_matrix(size, more, 0))))
-        elif depth < deepest:
-            more = next((n for n in SIZES if n >= wanted / 2), SIZES[-1])
+        elif depth < max_halvings:
+            more = next((n for n in NODE_COUNTS if n >= wanted / 2), NODE_COUNTS[-1])
             halves = [None if runaway else multiply(values, refine_matrix(size, more, side)) for side in (-1, 1)]
             stack += [(end, depth + 1, more, halves[1]), (middle, depth + 1, more, halves[0])]
         else:
@@ -173,17 +195,21 @@ def integrate(
 def _solve_piece(
     right: Right, a: float, b: float, start: Array, guess: Array, feed: int | None
 ) -> tuple[Array, bool, float]:
-    """Values at the nodes of [a, b], (c, problems, nodes) like the guess; are they the solution; the last coefficients.
+    """Solve one piece [a, b] on the nodes of the guess, (c, problems, nodes).
 
-    Gives up at once where already the guess leads to more than these nodes hold.
+    Returns the values at the nodes, whether they are the solution, and the size of the last coefficients. Gives up at
+    once where even the guess leads to more than these nodes resolve.
     """
+    tolerance, rounding = 3e-14, 1e-12  # of a change of the iteration: converged; what rounding may leave of it
+    close = 1e-3  # a change so small shows whether the nodes are enough
+    some = slice(1, None, 2)  # every other node is enough to measure a change
     on = matrices(guess.shape[-1])
     x = (a + b) / 2 + (b - a) / 2 * on.nodes
     integral = (b - a) / 2 * on.integral
     y, change, fed = guess.copy(), np.inf, slice(None)
 
     def turn(parts: int | None) -> slice:
-        """Integrate these parts, in y; which components feed back."""
+        """Integrate these groups into y; return which components feed back."""
         fed = slice(0)
         for k, (part, slope) in enumerate(islice(right(x, y), parts)):
             np.add(multiply(slope, integral), start[part, :, None], out=y[part])
@@ -193,22 +219,22 @@ def _solve_piece(
     def last_ones(of: slice) -> float:
         return float((_norm(multiply(y[of], on.coefficients[:, -3:])) / size[of]).max())
 
-    with np.errstate(all="ignore"):  # a runaway piece is halved
-        for k in range(TURNS):
-            old = y[fed][..., SOME].copy()
+    with np.errstate(all="ignore"):  # overflows: such a piece is halved
+        for k in range(40):
+            old = y[fed][..., some].copy()
             fed = turn(feed if k else None)
             if k < 2:
                 size = _norm(y).mean(axis=1, keepdims=True) / np.sqrt(len(x)) + 1e-9  # no coordinate is small by chance
-            last, change = change, SOME.step * float((_norm(y[fed][..., SOME] - old[fed]) / size[fed]).max())
+            last, change = change, some.step * float((_norm(y[fed][..., some] - old[fed]) / size[fed]).max())
             if not np.isfinite(change):
                 return y, False, 0.0
             gain = min(change / last, 1.0) if k else 1.0
-            more = gain if feed is None else gain * gain  # one more turn is to come
-            settled = change * more < TOLERANCE or (change < SETTLED and change > last / 2)
-            if k == 0 or settled or change < CLOSE <= last:
+            more = gain if feed is None else gain * gain  # one more iteration follows
+            settled = change * more < tolerance or (change < rounding and change > last / 2)
+            if k == 0 or settled or change < close <= last:
                 tail = last_ones(fed if k else slice(None))
-                if tail > 10 * change + RESOLVED or (k == 0 and tail > HOPELESS * RESOLVED):
-                    return y, False, tail  # no further turn will mend it
+                if tail > 10 * change + RESOLVED or (k == 0 and tail > 100 * RESOLVED):
+                    return y, False, tail  # no further iteration can help
             if settled:
                 if feed is not None:
                     turn(None)
@@ -218,8 +244,11 @@ def _solve_piece(
 
 
 def multiply(values: Array, matrix: Array) -> Array:
-    """values (c, k, n) @ matrix (n, m), in blocks that BLAS leaves to one core: sharing them out costs far more."""
-    block = ALONE // matrix.size
+    """Multiply values (c, k, n) by a matrix (n, m), in blocks that BLAS leaves to one core.
+
+    OpenBLAS distributes products of more than 2^18 multiplications over cores, which costs far more than it saves.
+    """
+    block = 2**18 // matrix.size
     if values.shape[1] <= block:
         return np.asarray(values @ matrix)
     out = np.empty((*values.shape[:-1], matrix.shape[-1]))
@@ -229,5 +258,5 @@ def multiply(values: Array, matrix: Array) -> Array:
 
 
 def _norm(values: Array) -> Array:
-    """Root of the sum of squares over the last axis: a maximum takes numpy longer."""
+    """Return the root of the sum of squares over the last axis; a maximum takes numpy longer."""
     return np.asarray(np.sqrt(np.einsum("...n,...n->...", values, values)))

@@ -1,10 +1,10 @@
-"""What acts on balls that slide, roll or fly, many at once; and where a slide with a drilling spin is over.
+"""The forces on balls that slide, roll or fly, many at once, and the slip at which a slide with a drilling spin ends.
 
-Where a spin w drills, friction fades with the slip as F u/(u + c), c ~ |w|. A push p then keeps a slip of
-u = c p/(F - p) creeping, micrometres a second, until the spin is gone, perhaps a second later. For all that can be seen
-such a ball rolls, and what slows a rolling ball slows it: so a slide is over once its slip is small beside the
-drilling, at `ending_slip`, and what is left of the slip ends as if nothing drilled. That slip is fixed when the slide
-begins, and is the same whether the ball is solved alone or with another.
+Beside a drilling spin w, friction fades with the slip u as F u/(u + c), with c proportional to |w|. A push p then keeps
+up a slip of u = c p/(F - p), micrometres per second, until the spin is gone, perhaps a second later. In every
+observable such a ball rolls, and the rolling loss slows it. A slide is therefore over once its slip is small compared
+with the drilling (`find_ending_slip`); the remaining slip ends as without drilling. That slip is fixed when the slide
+begins, and does not depend on whether the ball is solved alone or with another.
 """
 
 from __future__ import annotations
@@ -16,34 +16,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
+from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, Array, contact_velocity, rolling_velocity
 from synthcam.model import Bodies, Model
 
 Ints = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 REST, ROLL, SLIDE, FLY = range(4)
-STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
-SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
-TOUCHING = 1e-12  # of a radius
-FINISH = 1e-5  # of the first slip: the rest of the slide, a microsecond, is taken as a uniform deceleration
-PROBE = 1e-9  # m/s: a slip at which it is seen how far a spin has friction fade
-SMALL = 0.1  # of c: so small a slip beside the drilling, friction being a tenth, is no longer a slide
+ZERO_SPEED_M_S = 1e-12  # slower is rest, or rolling for a contact velocity
+STOP_SPEED_M_S = 1e-7  # a rolling ball slower than this has stopped
+END_SLIP_SHARE = 1e-5  # of the first slip: the rest of the slide, a microsecond, is a uniform deceleration
 LAWS = {SLIDE: ("friction", "normal_load", "push", "drilling"), ROLL: ("rolling", "push"), FLY: ("push",)}
-NOWHERE = np.full(2, np.inf)  # where the other ball is when there is none
-TINY = 1e-300
+NOWHERE = np.full(2, np.inf)  # position of the other ball where there is none
+TINY = 1e-300  # keeps quotients finite
 
 
 def classify_modes(states: Array, radius: Array) -> Ints:
-    """What balls in states (m, 9) do: REST, ROLL, SLIDE or FLY."""
+    """Return REST, ROLL, SLIDE or FLY for balls in states (m, 9)."""
     u = contact_velocity(states, radius)
-    slips, moves = np.hypot(u[:, 0], u[:, 1]) > STILL, np.hypot(states[:, 3], states[:, 4]) > STILL
-    aloft = (states[:, 5] > 0) | (states[:, 2] > radius * (1 + TOUCHING))
+    slips, moves = np.hypot(u[:, 0], u[:, 1]) > ZERO_SPEED_M_S, np.hypot(states[:, 3], states[:, 4]) > ZERO_SPEED_M_S
+    aloft = (states[:, 5] > 0) | (states[:, 2] > radius * (1 + TOUCH_TOLERANCE))
     return np.where(aloft, FLY, np.where(slips, SLIDE, np.where(moves, ROLL, REST)))
 
 
 @dataclass(frozen=True)
 class Forces:
-    """What acts on m balls. known: what the laws may ask for that does not change, (m, 1) or a number."""
+    """The forces on m balls. constants: inputs of the laws that do not change with time, (m, 1) or a number."""
 
     model: Model
     constants: dict[str, Any]
@@ -57,7 +54,7 @@ class Forces:
         return Forces(self.model, {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.constants.items()})
 
     def act_on_sliding(self, slip: Array, hat: Array, spin: Any, place: Array, v: Array, other: Any) -> tuple[Any, ...]:
-        """What acts on m sliding balls at n instants each.
+        """Evaluate the forces on m sliding balls at n instants each.
 
         Parameters
         ----------
@@ -70,18 +67,18 @@ class Forces:
         place, v : (2, m, n) array
             m and m/s.
         other : array
-            Position of the other ball relative to this one, as the push may ask for it, m.
+            Position of the other ball relative to this one, m.
 
         Returns
         -------
         slowing : (m, n) array
-            How fast the slip speed falls, m/s^2.
+            Rate at which the slip speed falls, m/s^2.
         across : (m, n) array or 0
-            The push's part across the slip, hat x push.
+            Component of the push across the slip, hat x push.
         push : (2, m, n) array or 0
             m/s^2.
         twist : array or 0
-            The change of the spin about the vertical, rad/s^2.
+            Rate of change of the spin about the vertical, rad/s^2.
         """
         laws = self.model.laws
         instant = self.constants | dict(
@@ -101,7 +98,7 @@ class Forces:
         return slowing, hat[0] * push[1] - hat[1] * push[0], push, twist
 
     def accelerate_rolling(self, place: Array, v: Array, other: Any) -> Array:
-        """The acceleration of rolling balls, (2, m, n)."""
+        """Return the acceleration of rolling balls, (2, m, n) m/s^2."""
         model, speed = self.model, np.hypot(v[0], v[1])
         instant = self.constants | dict(position=last_axis(place), velocity=last_axis(v), other=other, speed=speed)
         loss = model.laws("rolling", model.rolling_drag * speed + model.rolling_decel, instant)
@@ -109,16 +106,17 @@ class Forces:
         return np.asarray(out + 5 / 7 * self.push(place, v, other) if model.laws.has_effect_on("push") else out)
 
     def push(self, place: Array, v: Array, other: Any) -> Array:
-        """The push on balls at these places with these velocities, (2, m, n) m/s^2."""
+        """Return the push on balls at these positions with these velocities, (2, m, n) m/s^2."""
         instant = self.constants | dict(position=last_axis(place), velocity=last_axis(v), other=other)
         return np.asarray(self.model.laws("push", last_axis(np.zeros_like(v)), instant)).transpose(2, 0, 1)
 
 
 @dataclass(frozen=True)
 class BallStates:
-    """Balls in states (m, 9), alone or, `each` = 2, two and two that push each other: all first ones, all second ones.
+    """Balls in states (m, 9): each alone, or, with `each` = 2, pairs that push each other.
 
-    floor (m,): slips at which a spin no longer drills, infinite if it never does. A unit is one ball, or two.
+    A unit is one ball or one pair. Rows hold the first balls of all pairs, then the second ones. floor (m,): the slip
+    at which a spin no longer drills, infinite if it never does.
     """
 
     model: Model
@@ -136,8 +134,8 @@ class BallStates:
 
     @property
     def slow(self) -> Flags:
-        """Which are about to stop."""
-        return np.asarray((self.modes == ROLL) & (np.hypot(self.states[:, 3], self.states[:, 4]) <= SLOWEST))
+        """Which balls are about to stop."""
+        return np.asarray((self.modes == ROLL) & (np.hypot(self.states[:, 3], self.states[:, 4]) <= STOP_SPEED_M_S))
 
     def rows(self, units: Ints) -> Ints:
         return np.concatenate([units + k * len(self) for k in range(self.each)])
@@ -152,27 +150,43 @@ class BallStates:
 
     @cached_property
     def partner(self) -> Ints:
-        """The other ball of each."""
+        """The row of the other ball of each pair."""
         return (np.arange(len(self.states)) + len(self)) % len(self.states)
 
     def any_of_unit(self, flags: Flags) -> Flags:
-        """Of each unit."""
+        """Whether the flag of any ball of each unit is set."""
         return np.asarray(flags.reshape(self.each, -1).any(axis=0))
 
     def min_of_unit(self, values: Array) -> Array:
-        """Of each unit."""
+        """Return the smaller value of each unit."""
         return np.asarray(values.reshape(self.each, -1).min(axis=0))
 
 
 def find_ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NOWHERE) -> Array:
-    """Where a spin drills: the slips (k,), m/s, at which slides that begin in these states (k, 9) are as good as over.
+    """Find the slips at which slides beside a drilling spin are over (see the head of this file).
 
-    c sqrt(SMALL^2 + (2 p/(F - p))^2), no less than FINISH of the first one: small beside the drilling, twice the creep
-    at least. Infinite where the first one is no more. other: places relative to these balls, (k, 1, 2) or NOWHERE.
+    That is c sqrt(0.1^2 + (2 p/(F - p))^2): small compared with the drilling, and at least twice the steady slip that
+    the push p keeps up. It is no less than END_SLIP_SHARE of the first slip.
+
+    Parameters
+    ----------
+    model : Model
+    state : (k, 9) array
+        States at the beginning of the slides.
+    bodies : Bodies
+    other : (k, 1, 2) array, optional
+        Positions of the other balls relative to these, m.
+
+    Returns
+    -------
+    (k,) array
+        m/s; infinite where the first slip is smaller.
     """
+    probe = 1e-9  # m/s: so slow a slip shows how far the spin makes friction fade
+    small = 0.1  # of c: with so small a slip, friction is a tenth and the slide is over
     u, forces = contact_velocity(state, bodies.radius), Forces.of(model, bodies)
     first = np.hypot(u[:, 0], u[:, 1])
-    hat, slip = (u.T / np.maximum(first, TINY))[..., None], np.full((len(state), 1), PROBE)
+    hat, slip = (u.T / np.maximum(first, TINY))[..., None], np.full((len(state), 1), probe)
     v = rolling_velocity(state, bodies.radius).T[..., None] + 2 / 7 * slip * hat
     there = state[:, :2].T[..., None], v, other
     found = [forces.act_on_sliding(slip, hat, spins * state[:, 8:], *there) for spins in (0.0, 1.0)]
@@ -180,18 +194,18 @@ def find_ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NO
     along = push[0] * hat[0] + push[1] * hat[1]
     whole, faded = (np.maximum(slowing + along, TINY) for slowing, *_ in found)
     size = np.hypot(push[0], push[1])
-    creep = size / np.maximum(whole - size, SMALL * whole)
-    beside = PROBE * (whole / faded - 1) * np.sqrt(SMALL**2 + 4 * creep**2)
-    late = np.maximum(beside[:, 0], FINISH * first)
+    creep = size / np.maximum(whole - size, small * whole)
+    beside = probe * (whole / faded - 1) * np.sqrt(small**2 + 4 * creep**2)
+    late = np.maximum(beside[:, 0], END_SLIP_SHARE * first)
     return np.where(late < first, late, np.inf)
 
 
 def flight_time(model: Model, states: Array, bodies: Bodies) -> Array:
-    """How long balls stay in the air, (m,)."""
+    """Return how long balls stay in the air, (m,) s."""
     up, height = states[:, 5], np.maximum(states[:, 2] - bodies.radius, 0.0)
     return np.asarray((up + np.sqrt(up * up + 2 * model.gravity * height)) / model.gravity)
 
 
 def last_axis(vectors: Array) -> Array:
-    """(2, m, n) as effects want it: (m, n, 2)."""
+    """Turn (2, m, n) into (m, n, 2), as effects take vectors."""
     return vectors.transpose(1, 2, 0)

@@ -1,4 +1,4 @@
-"""The two kinds of impact: ball on ball, of one pair or of many, and ball on plate. Instants."""
+"""The two kinds of impact, both instantaneous: ball on ball (one pair or many), and ball on plate."""
 
 from __future__ import annotations
 
@@ -10,12 +10,18 @@ import numpy as np
 from synthcam.dynamics.kinematics import Array, Real, State, apply_friction_impulse, contact_velocity
 from synthcam.model import Bodies, Model
 
-MOST = 5 / 7  # spin transfer: more would make energy
+MAX_SPIN_TRANSFER = 5 / 7  # more would create energy
+MIN_BOUNCE_SPEED_M_S = 1e-7  # a lower bounce, some 10 ns, and all that follow it are taken together
 
 
 @dataclass(frozen=True)
 class Impact:
-    """Outcome of collisions. target, striker: states (k, 9) just after; n (k, 3); impulses (k,) on the target, N s."""
+    """The outcome of k collisions.
+
+    target, striker : (k, 9) states just after.
+    n : (k, 3) unit vectors from striker to target.
+    impulse_n, impulse_t : (k,) impulses on the target, N s.
+    """
 
     target: Array
     striker: Array
@@ -25,7 +31,7 @@ class Impact:
 
 
 def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodies) -> Impact:
-    """`strike` of many pairs at once: states (k, 9) of the targets, bodies `one`, and of the strikers, bodies `two`."""
+    """Let k pairs collide: targets in states (k, 9), bodies `one`, and strikers, bodies `two`. See `strike`."""
     first, second = (tuple(np.ascontiguousarray(states.T)) for states in (target, striker))
     *vectors, along_n, along_t = strike(model, first, second, (one.radius, one.mass), (two.radius, two.mass))
     a, b, n = (np.stack(np.broadcast_arrays(*parts), axis=-1) for parts in vectors)
@@ -35,21 +41,28 @@ def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodie
 def strike(
     model: Model, target: State, striker: State, one: tuple[Real, Real], two: tuple[Real, Real]
 ) -> tuple[State, State, tuple[Real, Real, Real], Real, Real]:
-    """The impact of two balls that touch.
+    """Let two balls that touch collide.
 
-    With m the reduced mass. Normal impulse: P = (1 + r) v_n m along n. Tangential:
-    J = (2/5) C |u_t| 2 m against u_t, the velocity of the striker's touching surface over the target's, its vertical
-    part included; both balls turn by dw = (5/2) n x J / (mass R). Of the vertical impulse the plate holds back all but
-    the share `loft`: what it holds back spins the balls but lifts neither, as if the plate could pull too. C knows no
-    Coulomb cap mu P, which J exceeds at grazing hits; `ball_friction` has it. A ball may come out with vz < 0, pressed
-    on the plate: it then lands in the same instant.
+    With the reduced mass m:
+
+    - The normal impulse is P = (1 + r) v_n m along n.
+    - The tangential impulse is J = (2/5) C |u_t| 2 m against u_t. This is the velocity of the striker's surface
+      relative to the target's at the contact, its vertical part included.
+    - The spin of both balls changes by dw = (5/2) n x J / (mass R).
+    - The plate holds back the vertical impulse except for the share `loft`. The part held back spins the balls but
+      lifts neither.
+
+    C has no Coulomb limit mu P, which J exceeds at grazing hits; the effect `ball_friction` has it. A ball that leaves
+    the impact with vz < 0 is pressed on the plate and lands in the same instant.
+
+    The law of r and C is that of Painter & Behringer, Phys. Rev. E 62 (2000) 2380.
 
     Parameters
     ----------
     model : Model
         For the laws `restitution`, `spin_transfer` and `loft`.
     target, striker : tuple of 9 floats, or of 9 arrays
-        States at the contact, as in `kinematics`.
+        States at the contact, in the order of `kinematics`.
     one, two : (radius, mass)
         Of target and striker, m and kg.
 
@@ -91,35 +104,35 @@ def strike(
 def _contact_coefficients(
     model: Model, v_n: Real, u: tuple[Real, ...], approach: tuple[Real, Real], normal: tuple[Real, Real]
 ) -> tuple[Any, Any]:
-    """The restitution and the spin transfer of these impacts."""
+    """Return restitution and spin transfer of these impacts, with the effects on them, within their limits."""
     r, c = model.restitution, model.spin_transfer
     if model.laws.has_effect_on("restitution", "spin_transfer"):
         ax, ay, nx, ny = (np.atleast_1d(x) for x in (*approach, *normal))
         speed = np.hypot(ax, ay)
-        ways = {"heading": np.stack([ax, ay], axis=-1) / speed[:, None], "obliqueness": abs(ax * ny - ay * nx) / speed}
-        r = model.laws("restitution", r, ways | {"normal_speed": np.maximum(np.atleast_1d(v_n), 0.0)})
-        instant = ways | {
+        approach_direction = {
+            "heading": np.stack([ax, ay], axis=-1) / speed[:, None],
+            "obliqueness": abs(ax * ny - ay * nx) / speed,
+        }
+        r = model.laws("restitution", r, approach_direction | {"normal_speed": np.maximum(np.atleast_1d(v_n), 0.0)})
+        instant = approach_direction | {
             "contact_speed": np.sqrt(sum(np.atleast_1d(x * x) for x in u)),
             "normal_impulse": np.atleast_1d((1 + r) * v_n / 2),
             "approach_speed": speed,
         }
         c = model.laws("spin_transfer", c, instant)
-    limits = ((r, 1.0), (c, MOST))
+    limits = ((r, 1.0), (c, MAX_SPIN_TRANSFER))
     if isinstance(v_n, float):
         one, two = (min(max(float(np.ravel(x)[0]) if isinstance(x, np.ndarray) else x, 0.0), top) for x, top in limits)
         return one, two
-    return np.clip(r, 0.0, 1.0), np.clip(c, 0.0, MOST)
-
-
-LOWEST = 1e-7  # m/s: a bounce lower than this, some 10 ns, and all that follow it are taken together
+    return np.clip(r, 0.0, 1.0), np.clip(c, 0.0, MAX_SPIN_TRANSFER)
 
 
 def land(model: Model, state: Array, body: Bodies) -> Array:
-    """States (k, 9) after the impact on the plate of balls that come down at -vz.
+    """Let balls in states (k, 9) that come down at -vz hit the plate.
 
-    The plate's impulse is (1 + e) |vz| a mass, with e its restitution; friction mu times that acts on the lowest
-    point, until it no longer slips. Bounces that begin slower than LOWEST are summed: beside sliding for the same time
-    they lack a friction impulse of mu vz, which this one is the smaller by.
+    The impulse of the plate over the mass is (1 + e) |vz|, with its restitution e. Friction mu times that acts on the
+    lowest point until it no longer slips. Bounces slower than MIN_BOUNCE_SPEED_M_S are summed: compared with sliding
+    for the same time they lack a friction impulse of mu vz, so this impulse is smaller by as much.
     """
     down = np.maximum(-state[:, 5], 0.0)
     rebound = model.laws("rebound", 0.0, {})
@@ -136,7 +149,7 @@ def land(model: Model, state: Array, body: Bodies) -> Array:
     }
     mu = model.laws("friction", model.sliding_friction, instant)
     up = rebound * down
-    last = up < LOWEST
+    last = up < MIN_BOUNCE_SPEED_M_S
     out = apply_friction_impulse(state, mu * (down + np.where(last, 0.0, up)), body.radius)
     out[:, 2] = body.radius
     out[:, 5] = np.where(last, 0.0, up)

@@ -1,8 +1,8 @@
-"""Motion without closed form, as it was solved: states at any times, mean places over exposures.
+"""The result of an integration: states at any time, and mean positions over exposures.
 
-Series in w, a root of the share of time left. The cube root, where a slip turns: towards the end it turns as ln w, of
-which only terms as small as w^6 ln w are left in the place. A mean is the difference of two sums over time, of which
-dt ~ w^2 dw makes series in w again.
+The solution is a set of Chebyshev series in w, a root of the share of time left. Where a slip turns it is the cube
+root: towards the end the slip turns as ln w, of which the position keeps only terms as small as w^6 ln w. A mean is
+the difference of two integrals over time, which are series in w again, since dt ~ w^2 dw.
 """
 
 from __future__ import annotations
@@ -18,22 +18,27 @@ from synthcam.dynamics.collocation import matrices, multiply, resample, series
 from synthcam.dynamics.forces import Flags, Ints
 from synthcam.dynamics.kinematics import Array, fly, plate_state
 
-SIZES = 10, 16, 24, 40, 64  # nodes of a series; the first piece begins with the second
-TRUE = 3e-15  # m, of the last coefficients
-ROUNDING = 3e-16
-NARROW = 3e-4  # of a leg: over so little time a parabola says as much, and a difference of sums would be rounded
-SLIGHT = 1e-16  # m: coefficients of all balls that together are not worth their time
-GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact for a parabola, 1e-15 m for a roll
+NEGLIGIBLE_M = 1e-16  # coefficients of all balls that together are smaller are left out
 Pieces = Sequence[tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class IntegratedMotion:
-    """Motion of m balls from the times `begins` on for `lasts`, s (m,), which may be negative.
+    """Motion of m balls from the times `begins` (m,) for `durations` (m,), s, which may be negative.
 
-    pieces: times since `begins` (m, n), smooth images of n Chebyshev nodes, and there (c, m, n) x, y, qx, qy and, where
-    a ball slides, ux, uy, wz. states (m, 9): at the beginning. flies: balls in the air. power: of the root in w; 0
-    where the nodes are even in time.
+    Attributes
+    ----------
+    begins, durations : (m,) array
+    states : (m, 9) array
+        At the beginning.
+    radius : (m,) array
+    gravity : float
+    pieces : sequence of (times, y)
+        Times since `begins` (m, n), smooth images of n Chebyshev nodes, and y (c, m, n) there: x, y, qx, qy and, where
+        a ball slides, ux, uy, wz.
+    power : int
+        Of the root in w; 0 where the nodes are even in time.
+    airborne : (m,) bool array
     """
 
     begins: Array
@@ -54,7 +59,7 @@ class IntegratedMotion:
         return replace(self, begins=self.begins + by)
 
     def split_pieces(self) -> tuple[Array, list[IntegratedMotion]]:
-        """Each piece by itself where they are even in time; and the times (p + 1, m) between which they hold."""
+        """Return the times (p + 1, m) between pieces, and each piece as a motion where nodes are even in time."""
         if self.power or self.airborne.any() or len(self.pieces) == 1:
             return self.begins + np.array([0 * self.durations, self.durations]), [self]
         knots = self.begins + np.array([0 * self.durations, *(times[:, -1] for times, _ in self.pieces)])
@@ -62,12 +67,12 @@ class IntegratedMotion:
         return knots, [replace(self, begins=t, durations=d, pieces=[(p[0] - p[0][:, :1], p[1])]) for t, d, p in each]
 
     def at(self, times: Array) -> Array:
-        """States (m, k, 9) at times (m, k) within it."""
+        """Return states (m, k, 9) at times (m, k) within the motion."""
         elapsed = times - self.begins[:, None]
         return self._assemble_states(self._evaluate(self._series, elapsed), elapsed)
 
     def final_states(self) -> Array:
-        """States (m, 9) at the end."""
+        """Return states (m, 9) at the end."""
         return self._assemble_states(self.pieces[-1][1][..., -1:], self.durations[:, None])[:, 0]
 
     def _assemble_states(self, y: Array, elapsed: Array) -> Array:
@@ -81,13 +86,14 @@ class IntegratedMotion:
         return out
 
     def average_centres(self, middle: Array, wide: Any) -> Array:
-        """Centres (2, m, k) averaged over the times `wide`, a number or (m, k), about times (m, k)."""
+        """Average the centres, (2, m, k), over spans of the width `wide`, a number or (m, k), about times (m, k)."""
         elapsed = middle - self.begins[:, None]
         if self.power == 0 and np.ndim(wide) == 0 and len(self.pieces) == 1:
             return self._average_even(elapsed, wide)
         if self.power == 0:
             return average_by_quadrature(lambda times: self._evaluate(self._position_series, times), elapsed, wide)
-        narrow = wide < NARROW * self.durations[:, None] + 0 * middle
+        # over so short a span a parabola is as good, and a difference of integrals would lose digits
+        narrow = wide < 3e-4 * self.durations[:, None] + 0 * middle
         out = np.zeros((2, *middle.shape))
         if not narrow.all():
             a, b = (self._evaluate(self._time_integrals, elapsed + side * wide / 2) for side in (-1, 1))
@@ -98,16 +104,16 @@ class IntegratedMotion:
         return np.asarray(out)
 
     def _average_even(self, elapsed: Array, wide: float) -> Array:
-        """The mean of f over x +- h is the sum of h^(2j)/(2j+1)! f^(2j)(x)."""
+        """Average by the Taylor series: the mean of f over x +- h is the sum of h^(2j)/(2j+1)! f^(2j)(x)."""
         c = self._position_series[0]
-        half = np.minimum(np.abs(wide / self.durations), 1.0)[:, None]  # a longer one does not lie within
-        worth = np.flatnonzero(_norms(c) > SLIGHT).max(initial=1)
+        half = np.minimum(np.abs(wide / self.durations), 1.0)[:, None]  # a longer span would leave the motion
+        worth = np.flatnonzero(_norms(c) > NEGLIGIBLE_M).max(initial=1)
         term = mean = c[:, :, : worth + 1]
         curvature = matrices(term.shape[-1]).curvature
         for j in range(1, (term.shape[-1] + 1) // 2):
             term = multiply(term, curvature) * (half * half / (2 * j * (2 * j + 1)))
             mean = mean + term
-            if _norms(term).max() < SLIGHT:
+            if _norms(term).max() < NEGLIGIBLE_M:
                 break
         return series(mean, 2 * elapsed / self.durations[:, None] - 1)
 
@@ -127,15 +133,16 @@ class IntegratedMotion:
         return self._fit_series(slice(0, 2))
 
     def _fit_series(self, part: slice) -> list[Array]:
-        """Of each piece the coefficients in w, in as many as it asks for."""
+        """Fit the coefficients in w of each piece, as many as its accuracy needs."""
+        node_counts = 10, 16, 24, 40, 64  # tried in this order; the first piece begins with the second
         out: list[Array] = []
         for (times, y), first, last in zip(self.pieces, self._knots[:-1], self._knots[1:], strict=True):
             if self.power == 0:
                 out.append(multiply(y[part], matrices(y.shape[-1]).coefficients))
                 continue
             here = 2 * (first[:, None] - self._root_of_time_left(times)) / (first - last)[:, None] - 1
-            limit = TRUE + ROUNDING * np.abs(y[part][:6]).max()
-            for size in SIZES[len(out) == 0 :]:
+            limit = 3e-15 + 3e-16 * np.abs(y[part][:6]).max()
+            for size in node_counts[len(out) == 0 :]:
                 c = multiply(resample(y[part], here, size), matrices(size).coefficients)
                 if np.abs(c[:6, :, -2:]).max() < limit:
                     break
@@ -144,12 +151,12 @@ class IntegratedMotion:
 
     @property
     def _midpoint(self) -> Array:
-        """The place half way, (2, m, 1): sums are the smaller for it."""
+        """Return the middle position, (2, m, 1): without it the integrals are smaller and lose fewer digits."""
         return np.asarray((self.pieces[0][1][:2, :, :1] + self.pieces[-1][1][:2, :, -1:]) / 2)
 
     @cached_property
     def _time_integrals(self) -> list[Array]:
-        """Of each piece the coefficients of the place less the base, summed over the share of time."""
+        """Integrate position minus `_midpoint` over the share of time; coefficients of each piece."""
         sofar, out = np.zeros_like(self._midpoint), []
         for c, first, last in zip(
             self._position_series, self._knots[:-1, :, None], self._knots[1:, :, None], strict=True
@@ -164,7 +171,7 @@ class IntegratedMotion:
         return out
 
     def _evaluate(self, coefficients: Sequence[Array], elapsed: Array) -> Array:
-        """The series, (c, m, k), at times (m, k); within the ends."""
+        """Evaluate series at times (m, k) within the motion: (c, m, k)."""
         w = self._root_of_time_left(elapsed)
         out = np.empty((len(coefficients[0]), *w.shape))
         for k, c in enumerate(coefficients):
@@ -183,19 +190,20 @@ class IntegratedMotion:
 
 
 def _norms(coefficients: Array) -> Array:
-    """(c, m, n) -> (n,): roots of sums of squares, no less than any; a maximum takes numpy longer."""
+    """Return roots of sums of squares, (c, m, n) to (n,), which bound every entry; a maximum takes numpy longer."""
     return np.asarray(np.sqrt(np.einsum("cmn,cmn->n", coefficients, coefficients)))
 
 
 def average_by_quadrature(places: Callable[[Array], Array], middle: Array, wide: Any) -> Array:
-    """Means (2, m, k) of places (2, m, times) over the times `wide` about `middle`, by Gauss quadrature."""
+    """Average positions (2, m, times) over spans of the width `wide` about `middle`, by Gauss quadrature: (2, m, k)."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)  # exact for a parabola, 1e-15 m for a roll
     if np.ndim(wide) == 0 and wide == 0:
         return places(middle)
-    times = middle[:, None] + GAUSS[:, None] * (np.asarray(wide) / 2 + 0 * middle)[:, None]
+    times = middle[:, None] + nodes[:, None] * (np.asarray(wide) / 2 + 0 * middle)[:, None]
     found = places(times.reshape(len(middle), -1)).reshape(2, *times.shape)
-    return np.asarray(np.tensordot(found, WEIGHTS / 2, axes=(2, 0)))
+    return np.asarray(np.tensordot(found, weights / 2, axes=(2, 0)))
 
 
 def snap_to_goal(now: Array, goal: Array | float) -> Array:
-    """The goal where only rounding keeps it from having been reached."""
+    """Replace times that miss the goal by rounding alone with the goal."""
     return np.where(np.abs(now - goal) <= 1e-15 * (1 + np.abs(goal)), goal, now)

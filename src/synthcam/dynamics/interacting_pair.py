@@ -1,4 +1,4 @@
-"""The two balls of one run that push each other: what led to their launch, and their next legs, both together."""
+"""Two balls of one run that push each other: their past before the launch and their next legs, solved together."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from synthcam.dynamics.forces import (
     REST,
     ROLL,
     SLIDE,
-    SLOWEST,
+    STOP_SPEED_M_S,
     BallStates,
     Flags,
     Ints,
@@ -25,7 +25,7 @@ from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.propagate import propagate, propagate_back
 from synthcam.dynamics.start_from_rest import (
     PUSHED_AWAY,
-    STARTS,
+    START_NODE_COUNTS,
     UNKNOWN_PAST,
     excess_push,
     push_at_rest,
@@ -35,14 +35,14 @@ from synthcam.dynamics.start_from_rest import (
 from synthcam.dynamics.trajectory import Event, Leg, Motion, Numeric, Rest
 from synthcam.model import Bodies, Model
 
-AHEAD = 0.2  # s of motion beyond what was asked for
-LOOKS = 33  # within a piece at whether a ball at rest is pulled off
+LEAD_TIME_S = 0.2  # of motion beyond the end that was asked for
+SAMPLES = 33  # within a step, at which a ball at rest is checked for the push that starts it
 NAMES: dict[int, Motion] = {REST: "rest", ROLL: "roll", SLIDE: "slide", FLY: "fly"}
 HELD = "a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel"
 
 
 def make_leg(motion: IntegratedMotion, ball: int, mode: int, now: float) -> Leg:
-    """One ball's motion, led from time `now` on, or back from there."""
+    """Make a leg of one ball's integrated motion, forwards or backwards from the time `now`."""
     own = motion[np.array([ball])].shift(np.array([now]))
     ends = sorted((now + float(motion.begins[ball]), now + float(motion.begins[ball] + motion.durations[ball])))
     if mode == REST:
@@ -52,16 +52,17 @@ def make_leg(motion: IntegratedMotion, ball: int, mode: int, now: float) -> Leg:
 
 
 class InteractingPair:
-    """From `start` to `end`, s, or beyond; states are nine floats."""
+    """Solves both balls together from `start` to `end`, s, or beyond; states are nine floats."""
 
     def __init__(self, model: Model, bodies: Bodies, start: float, end: float) -> None:
         self.model, self.bodies, self.start, self.end = model, bodies, start, end
         self.floor = np.full(2, np.inf)
 
     def solve_past(self, launch: Launch) -> tuple[dict[int, State], list[list[Leg]], list[Event]]:
-        """The states at the launch, the legs that led there from the start, and when a ball was pulled from its rest.
+        """Solve the motion before the launch.
 
-        Of two balls that touch, one that rests has been pulled by the one that comes: its velocity is what follows.
+        Returns the states at the launch, the legs from the start to it, and the event at which a ball started from
+        rest. A target at rest that touches the striker has been pulled by it: its velocity follows.
         """
         rows, order, now = launch.states.copy(), np.arange(2), np.array([launch.time])
         modes, past, events = classify_modes(rows, self.bodies.radius), [list[Leg](), list[Leg]()], list[Event]()
@@ -87,7 +88,7 @@ class InteractingPair:
         return {k: tuple(rows[k].tolist()) for k in (0, 1)}, past, events
 
     def _propagate_back(self, rows: Array, modes: Ints, lasted: Array) -> list[tuple[Ints, IntegratedMotion]]:
-        """Balls that roll or rest, led back to the start."""
+        """Integrate balls that roll or rest back to the start."""
         if lasted[0] == 0:
             return []
         if np.any(modes > ROLL):
@@ -96,7 +97,7 @@ class InteractingPair:
             propagate_back(BallStates.without_drilling(self.model, self.bodies, rows, 2), np.zeros(1), -lasted)
         )
         for _, motion in pieces:
-            states = motion.at(motion.begins[:, None] + motion.durations[:, None] * np.linspace(0, 1, LOOKS))
+            states = motion.at(motion.begins[:, None] + motion.durations[:, None] * np.linspace(0, 1, SAMPLES))
             for k in (k for k in (0, 1) if modes[k] == REST):
                 if np.any(self._excess(k, rows[k], states[1 - k]) > 0):
                     raise ValueError(HELD)
@@ -105,14 +106,14 @@ class InteractingPair:
         return pieces
 
     def next_legs(
-        self, states: dict[int, State], t: float, anew: Iterable[int]
+        self, states: dict[int, State], t: float, restarted: Iterable[int]
     ) -> tuple[list[Leg], float, list[Event]]:
-        """Legs from t on, and how far both are known: none leads beyond that. And which balls just begin to roll.
+        """Return the legs from t on, the time to which both are known, and the events of balls that start to roll.
 
-        anew: balls to which something happened at t. The others go on, in a slide that began earlier.
+        restarted: balls with an event at t. The others continue, in a slide that began earlier.
         """
         rows, started = np.array([states[0], states[1]]), []
-        for k in anew if self.model.laws.has_effect_on("drilling") else ():
+        for k in restarted if self.model.laws.has_effect_on("drilling") else ():
             other = (rows[1 - k] - rows[k])[None, None, :2]
             self.floor[k] = find_ending_slip(self.model, rows[k : k + 1], self.bodies[k : k + 1], other)[0]
         modes = classify_modes(rows, self.bodies.radius)
@@ -121,7 +122,7 @@ class InteractingPair:
             started.append(make_start_event(self.model, self.bodies[k : k + 1], k, states[k], t, rows[1 - k]))
         if np.all(modes == REST) and not loose:
             return [Rest(t, math.inf, to_rest(states[k], float(self.bodies.radius[k]))) for k in (0, 1)], math.inf, []
-        goal = np.array([max(self.end - t, 0.0) + AHEAD])
+        goal = np.array([max(self.end - t, 0.0) + LEAD_TIME_S])
         motion, over = self._propagate(rows, modes, loose, goal)
         until = t + float(motion.durations[0])
         legs = [make_leg(motion, k, ROLL if k in loose else modes[k], t) for k in (0, 1)]
@@ -138,48 +139,49 @@ class InteractingPair:
             far = np.hypot(*(rows[1] - rows[0])[:2]) - self.bodies.radius.sum() * (_separation_rate(rows) < 0)
             lasts = np.minimum(goal, 0.3 * far / np.hypot(*rows[order[1], 3:5]))
             for _ in range(40):
-                for size in STARTS:
+                for size in START_NODE_COUNTS:
                     motion, good = solve_start(
                         self.model, self.bodies[order], rows[order], lasts, 0, np.zeros(1, bool), size
                     )
                     if good[0]:
                         return motion[order], np.zeros(2, dtype=bool)
                 lasts = lasts / 2
-        for k in loose:  # what comes is no roll: a little speed will do
+        for k in loose:  # the other ball does not roll: a small speed is enough
             rows[k] = nudge(self.model, self.bodies[k : k + 1], rows[k], rows[1 - k])
         ((_, step),) = propagate(BallStates(self.model, self.bodies, rows, self.floor, 2), goal)
         return step.motion, step.ended
 
     def _excess(self, k: int, row: Array, others: Array) -> Array:
-        """By how much the push on ball k exceeds what holds it, with the other in any of the states (n, 9)."""
+        """Return by how much the push on ball k exceeds what holds it, with the other in states (n, 9)."""
         return np.asarray(excess_push(self.model, self.bodies[k : k + 1], row[None], others[:, :2].T[:, None])[0])
 
     def _find_start_time(self, k: int, row: Array, other: Leg, t: float, until: float) -> float:
-        """When a ball at rest starts to roll, or infinity."""
-        times = np.linspace(t, until, LOOKS)
+        """Find when a ball at rest starts to roll, by bisection; infinity where it does not."""
+        times = np.linspace(t, until, SAMPLES)
         late = np.flatnonzero(self._excess(k, row, other.at(times)) > 0)
         if len(late) == 0:
             return math.inf
         low, high = times[max(late[0] - 1, 0)], times[late[0]]
-        while high - low > 1e-12 and low < (middle := (low + high) / 2) < high:  # late clocks are coarse
+        while high - low > 1e-12 and low < (middle := (low + high) / 2) < high:  # late times have few digits
             loose = self._excess(k, row, other.at(np.array([middle])))[0] > 0
             low, high = (low, middle) if loose else (middle, high)
         return float(high)
 
 
 def _separation_rate(states: Array) -> float:
-    """How fast balls in states (2, 9) part, times their distance, m^2/s."""
+    """Return the rate at which balls in states (2, 9) separate, times their distance, m^2/s."""
     apart = states[0] - states[1]
     return float(apart[:3] @ apart[3:6])
 
 
 def make_start_event(model: Model, body: Bodies, k: int, state: State, t: float, other: Array) -> Event:
-    """Ball k at rest begins to roll, the other being at `other` (2 or more,): afterwards with a little speed."""
+    """Make the event at which ball k starts from rest, with the other ball at `other` (2 or more,)."""
     still = to_rest(state, float(body.radius[0]))
     return Event(t, "start", k, before=np.array([still]), after=np.array([nudge(model, body, still, other)]))
 
 
 def nudge(model: Model, body: Bodies, still: State | Array, other: Array) -> State:
+    """Give a ball at rest a small speed along the push on it."""
     push = push_at_rest(model, body, np.array([still]), other[:2, None, None])[:, 0, 0]
-    nudge = 2 * SLOWEST * push / np.hypot(*push)
-    return to_rolling((*still[:3], *nudge.tolist(), *still[5:]), still[2])
+    velocity = 2 * STOP_SPEED_M_S * push / np.hypot(*push)
+    return to_rolling((*still[:3], *velocity.tolist(), *still[5:]), still[2])

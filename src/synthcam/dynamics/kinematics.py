@@ -1,9 +1,11 @@
-"""Closed forms of motion on the plate, for one ball or for many at once.
+"""Closed forms of sliding, rolling and flying, for one ball or for many at once.
 
 The state of a ball is nine numbers: position x, y, z (m), velocity vx, vy, vz (m/s), spin wx, wy, wz (rad/s).
-On the plate z = R. The contact velocity u = v - R (w x z) is that of the ball's lowest point; rolling is u = 0.
-`slip`, `after_sliding`, `after_rolling`, `after_flight` take the nine as floats, which numpy would make slow, or as
-arrays alike. The others take states (..., 9), radii and the like (...), elapsed times (..., m), and give (..., m, 9).
+On the plate z = R. The contact velocity u = v - R (w x z) is the velocity of the ball's lowest point; rolling is u = 0.
+
+- `slip_velocity`, `after_sliding`, `after_rolling` and `after_flight` take the nine numbers as floats or as arrays.
+  The event loop of one run uses floats, since numpy is slow on single numbers.
+- The other functions take states (..., 9), radii (...) and elapsed times (..., m), and return states (..., m, 9).
 """
 
 from __future__ import annotations
@@ -17,15 +19,19 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Real = Any  # a float or an array
 State = tuple[Real, ...]  # nine of them
+TOUCH_TOLERANCE = 1e-12  # of a radius
 
 
 def slip_velocity(state: State, radius: Real) -> tuple[Real, Real]:
-    """u, the velocity of the lowest point of a ball."""
+    """Return u, the velocity of the lowest point of a ball."""
     return state[3] - radius * state[7], state[4] + radius * state[6]
 
 
 def after_sliding(state: State, radius: Real, slowing: Real, t: Real) -> State:
-    """Sliding with constant friction: a parabola. slowing: mu times the load over the mass, m/s^2; u over zero."""
+    """Slide for the time t under constant friction: the centre moves on a parabola.
+
+    `slowing` is mu times the load over the mass, m/s^2. The slip must not be zero.
+    """
     x, y, z, vx, vy, vz, wx, wy, wz = state
     ux, uy = slip_velocity(state, radius)
     rate = -slowing / (ux * ux + uy * uy) ** 0.5
@@ -37,7 +43,7 @@ def after_sliding(state: State, radius: Real, slowing: Real, t: Real) -> State:
 
 
 def after_rolling(state: State, radius: Real, drag: float, decel: float, t: Real) -> State:
-    """Rolling straight on with the loss a = -(drag v + decel); t may be negative. Speeds over zero."""
+    """Roll straight on for the time t, which may be negative, with a = -(drag v + decel). The speed must not be 0."""
     x, y, _, vx, vy, _, _, _, wz = state
     slowing = decel / (vx * vx + vy * vy) ** 0.5
     decay, slack = coast(drag, t)
@@ -46,24 +52,24 @@ def after_rolling(state: State, radius: Real, drag: float, decel: float, t: Real
 
 
 def after_flight(state: State, gravity: float, t: Real) -> State:
-    """Free flight: no friction, spin kept."""
+    """Fly freely for the time t: no friction, constant spin."""
     x, y, z, vx, vy, vz, *w = state
     return (x + vx * t, y + vy * t, z + vz * t - 0.5 * gravity * t * t, vx, vy, vz - gravity * t, *w)
 
 
 def to_rest(state: State, radius: Real) -> State:
-    """At rest, but for a spin about the vertical."""
+    """Stop the ball; a spin about the vertical stays."""
     return state[0], state[1], radius, 0.0, 0.0, 0.0, 0.0, 0.0, state[8]
 
 
 def to_rolling(state: State, radius: Real) -> State:
-    """Rolling with the state's velocity; a vertical one is kept."""
+    """Let the ball roll with its own velocity; a vertical velocity stays."""
     x, y, _, vx, vy, vz, _, _, wz = state
     return x, y, radius, vx, vy, vz, -vy / radius, vx / radius, wz
 
 
 def _split_components(state: Array) -> State:
-    """States (..., 9) as nine arrays that broadcast with times (..., m)."""
+    """Split states (..., 9) into nine arrays that broadcast with times (..., m)."""
     return tuple(np.moveaxis(state[..., None, :], -1, 0))
 
 
@@ -75,17 +81,20 @@ def _stack_components(state: State, elapsed: Array) -> Array:
 
 
 def contact_velocity(state: Array, radius: Real) -> Array:
-    """u, shape (..., 2), of the lowest point of a ball."""
+    """Return u, the velocity (..., 2) of the lowest point of a ball."""
     return np.stack([state[..., 3] - radius * state[..., 7], state[..., 4] + radius * state[..., 6]], axis=-1)
 
 
 def rolling_velocity(state: Array, radius: Real) -> Array:
-    """(5 v + 2 R w x z)/7, shape (..., 2): the velocity left when sliding ends, whatever force at the lowest point."""
+    """Return q = (5 v + 2 R w x z)/7, shape (..., 2): the velocity with which the ball will roll once sliding ends.
+
+    No force at the lowest point can change q (conservation of angular momentum about that point).
+    """
     return np.asarray(state[..., 3:5] - 2 / 7 * contact_velocity(state, radius))
 
 
 def plate_state(position: Array, q: Array, u: Array, wz: Real, radius: Real) -> Array:
-    """The state of a ball on the plate from q, the velocity it will roll with, and its contact velocity u, (..., 2).
+    """Return the state of a ball on the plate from its rolling velocity q and contact velocity u, both (..., 2).
 
     v = q + (2/7) u and R w x z = q - (5/7) u.
     """
@@ -100,12 +109,12 @@ def plate_state(position: Array, q: Array, u: Array, wz: Real, radius: Real) -> 
 
 
 def rolling_state(position: Array, velocity: Array, wz: Real, radius: Real) -> Array:
-    """The state of a ball that rolls; position, velocity (..., 2)."""
+    """Return the state of a rolling ball from position and velocity, both (..., 2)."""
     return plate_state(position, velocity, np.zeros(2), wz, radius)
 
 
 def apply_friction_impulse(state: Array, impulse: Real, radius: Real) -> Array:
-    """The state after a friction impulse over the mass, (...), against the slip; no more than ends the slip."""
+    """Apply a friction impulse over the mass, (...), against the slip, but at most the impulse that ends the slip."""
     u = contact_velocity(state, radius)
     speed = np.hypot(u[..., 0], u[..., 1])
     hat = u / np.where(speed > 0, speed, 1)[..., None]
@@ -118,26 +127,26 @@ def apply_friction_impulse(state: Array, impulse: Real, radius: Real) -> Array:
 
 
 def slide(state: Array, radius: Real, slowing: Real, elapsed: Array) -> Array:
-    """`after_sliding` of many, at many times."""
+    """Slide many balls, each to many times: see `after_sliding`."""
     radius, slowing = np.asarray(radius)[..., None], np.asarray(slowing)[..., None]
     return _stack_components(after_sliding(_split_components(state), radius, slowing, elapsed), elapsed)
 
 
 def slide_time(state: Array, radius: Real, slowing: Real) -> Any:
-    """How long a slide with constant friction lasts, s; years where there is none."""
+    """Return how long a slide with constant friction lasts, s; without friction, years."""
     u = contact_velocity(state, radius)
     return np.hypot(u[..., 0], u[..., 1]) / np.where(slowing > 0, 3.5 * slowing, 1e-9)
 
 
 def roll(state: Array, radius: Real, drag: float, decel: float, elapsed: Array) -> Array:
-    """`after_rolling` of many, at many times."""
+    """Roll many balls, each to many times: see `after_rolling`."""
     return _stack_components(
         after_rolling(_split_components(state), np.asarray(radius)[..., None], drag, decel, elapsed), elapsed
     )
 
 
 def stop_time(speed: Real, drag: float, decel: float) -> Any:
-    """Seconds until a rolling ball of this speed stops; infinite when decel is 0."""
+    """Return the seconds until a rolling ball of this speed stops; infinite when decel is 0."""
     if isinstance(speed, float):
         if decel == 0:
             return math.inf
@@ -150,16 +159,13 @@ def stop_time(speed: Real, drag: float, decel: float) -> Any:
     return speed / decel * np.where(small, 1 - x / 2, np.log1p(x) / np.where(small, 1, x))
 
 
-TERMS = 6
-GENTLE = 1e-3  # 1/s: with less drag than this the closed form would cancel
-
-
 def coast(drag: float, t: Real) -> tuple[Real, Real]:
-    """(1 - e^(-drag t))/drag and its integral, without cancellation at small drag t; t a float or an array."""
+    """Return (1 - e^(-drag t))/drag and its integral over t, accurate at small drag t; t is a float or an array."""
     x = drag * t
-    if isinstance(t, float) and drag <= GENTLE and abs(x) < 1e-2:
+    weak = drag <= 1e-3  # 1/s: the closed forms would lose digits to cancellation
+    if isinstance(t, float) and weak and abs(x) < 1e-2:
         return t * _series(x, 1), t * t * _series(x, 2)
-    if isinstance(t, float) or drag > GENTLE:
+    if isinstance(t, float) or not weak:
         decay = (math.expm1(-x) if isinstance(t, float) else np.expm1(-x)) / -drag
         return decay, (t - decay) / drag
     small = np.abs(x) < 1e-2
@@ -170,14 +176,37 @@ def coast(drag: float, t: Real) -> tuple[Real, Real]:
 
 
 def _series(x: Real, n: int) -> Any:
-    """Sum of (-x)^k / (k + n)!, good to the last bit for |x| < 0.01."""
-    out = 1 - x / (n + TERMS)
-    for k in range(TERMS - 1, 0, -1):
+    """Sum (-x)^k / (k + n)!; six terms are exact to the last bit for |x| < 0.01."""
+    terms = 6
+    out = 1 - x / (n + terms)
+    for k in range(terms - 1, 0, -1):
         out *= -x / (n + k)
         out += 1
     return out if n == 1 else out / 2
 
 
 def fly(state: Array, gravity: float, elapsed: Array) -> Array:
-    """`after_flight` of many, at many times."""
+    """Fly many balls, each to many times: see `after_flight`."""
     return _stack_components(after_flight(_split_components(state), gravity, elapsed), elapsed)
+
+
+def interpolate_hermite(ends: Array, wide: Array, shares: Array) -> Array:
+    """Interpolate positions between knots by cubic Hermite polynomials.
+
+    Parameters
+    ----------
+    ends : (k, n, 4) array
+        x, y, vx, vy at the n knots of each of k balls.
+    wide : (k, n - 1) array
+        Times between the knots, s.
+    shares : (m,) array
+        Where to evaluate, as a share of each interval, 0 to 1.
+
+    Returns
+    -------
+    (k, n - 1, m, 2) array
+    """
+    s, h = shares[:, None], wide[..., None, None]
+    a, b = ends[:, :-1, None], ends[:, 1:, None]
+    left = (1 - s) ** 2 * ((1 + 2 * s) * a[..., :2] + s * h * a[..., 2:])
+    return np.asarray(left + s**2 * ((3 - 2 * s) * b[..., :2] + (s - 1) * h * b[..., 2:]))

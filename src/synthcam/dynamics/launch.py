@@ -1,4 +1,4 @@
-"""How a run begins: the balls' states at one instant."""
+"""How a run begins: the states of the balls at one instant."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from synthcam.dynamics.contact_time import TOUCHING
-from synthcam.dynamics.kinematics import Array, plate_state, rolling_state
+from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, Array, plate_state, rolling_state
 from synthcam.model import Bodies
 
-SPIN_COLUMNS = ("slip_along", "slip_across", "side")  # of a striker, m/s, as of `Launch.pair`
-NO_SPIN = (0.0, 0.0, 0.0)  # of a striker that rolls
+SPIN_COLUMNS = ("slip_along", "slip_across", "side")  # of a striker, m/s: see `Launch.pair`
+NO_SPIN = (0.0, 0.0, 0.0)  # a striker that rolls
 
 
 @dataclass(frozen=True)
 class Launch:
-    """States (balls, 9) of `bodies` at `time`, s. Before it every ball rolled, slid all the while, or was at rest.
+    """States (balls, 9) of `bodies` at `time`, s. Before it each ball rolled, slid all the time, or was at rest.
 
-    Where balls push each other, one that rests while another touches it was at rest long before, until it was pulled
-    off: its place here is that of the contact, its velocity then follows.
+    Where balls push each other, a target that another ball touches was at rest long before, until the push pulled it
+    off. Its position here is that of the contact; its velocity at the contact follows from the solution.
     """
 
     time: float
@@ -29,10 +28,10 @@ class Launch:
 
     @property
     def touches(self) -> bool:
-        """Does any ball touch another?"""
+        """Whether any ball touches another."""
         reach = self.bodies.radius[:, None] + self.bodies.radius
         gap = np.linalg.norm(self.states[:, None, :3] - self.states[:, :3], axis=-1) - reach
-        return bool(np.any(gap[~np.eye(len(gap), dtype=bool)] <= TOUCHING * self.bodies.radius.min()))
+        return bool(np.any(gap[~np.eye(len(gap), dtype=bool)] <= TOUCH_TOLERANCE * self.bodies.radius.min()))
 
     @classmethod
     def pair(
@@ -45,20 +44,31 @@ class Launch:
         contact: ArrayLike,
         spin: ArrayLike = NO_SPIN,
     ) -> Launch:
-        """Ball 1, bodies[0], at rest is touched by ball 2 at `time`, at the place `contact` between them.
+        """Launch ball 2 so that it touches ball 1, at rest, at `time`.
 
-        v0 in m/s, heading in rad from x to y; b is the impact parameter over the sum of the radii, |b| < 1: with d the
-        heading, b = z . [d x (x2 - x1)] / (R1 + R2). All are those of ball 2, whatever ball 1 does by then. spin, m/s:
-        the velocity of ball 2's lowest point along the heading and to the left of it, zero where it rolls; R times its
-        spin about the vertical.
-        """  # fmt: skip
+        Parameters
+        ----------
+        bodies : Bodies
+            Ball 1, the target, and ball 2, the striker.
+        time : float
+            Of the contact, s.
+        v0, heading : float
+            Speed, m/s, and direction of ball 2 at the contact, rad from x towards y.
+        b : float
+            Impact parameter over the sum of the radii, |b| < 1. With the heading d, b = z . [d x (x2 - x1)]/(R1 + R2).
+        contact : (2,) array_like
+            Position between the balls at the contact, m.
+        spin : (3,) array_like
+            Of ball 2, m/s: the velocity of its lowest point along the heading and to the left of it, both zero where
+            it rolls; and R times its spin about the vertical.
+        """
         numbers = np.array([v0]), np.array([b]), np.array([heading])
         states = touching(bodies[:1], bodies[1:], *numbers, np.array([contact]), np.array([spin], dtype=float))
         return cls(time, np.concatenate(states), bodies)
 
     @classmethod
     def single(cls, bodies: Bodies, time: float, v0: float, heading: float, place: ArrayLike) -> Launch:
-        """One ball that rolls through `place` (x, y) at `time`."""
+        """Launch one ball that rolls through `place` (x, y), m, at `time`."""
         v = v0 * np.array([np.cos(heading), np.sin(heading)])
         return cls(time, rolling_state(np.array([place], dtype=float), v[None], 0.0, bodies.radius), bodies)
 
@@ -66,7 +76,7 @@ class Launch:
 def touching(
     one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, contact: Array, spin: Array | None = None
 ) -> tuple[Array, Array]:
-    """Place balls at their contacts: targets at rest, and strikers that touch them.
+    """Set balls at their contacts: targets at rest, and strikers that touch them.
 
     Parameters
     ----------
@@ -75,9 +85,9 @@ def touching(
     v0, b, heading : (k,) array
         The strikers' speed, m/s, impact parameter over the sum of radii, and heading, rad.
     contact : (k, 2) array
-        Place between the balls, m.
+        Position of the contact, between the balls, m.
     spin : (k, 3) array, optional
-        Of the strikers, as of `Launch.pair`; without it they roll.
+        Of the strikers, as in `Launch.pair`; without it they roll.
 
     Returns
     -------
@@ -87,7 +97,7 @@ def touching(
     Raises
     ------
     ValueError
-        Where balls of these sizes pass each other without touching.
+        If balls of these sizes pass each other without touching.
     """
     d = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     apart = 2 * np.sqrt(one.radius * two.radius)  # of the centres, seen from above

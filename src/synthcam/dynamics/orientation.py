@@ -1,4 +1,4 @@
-"""How balls are turned: the integral of their spins, by Magnus's series of fourth order between knots."""
+"""The orientation of each ball over time: the integral of its spin, by the Magnus series of fourth order."""
 
 from __future__ import annotations
 
@@ -10,21 +10,31 @@ from synthcam.dynamics.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-STEP = 0.1  # rad between two knots, at most
-NODES = 0.5 + np.array([-1, 1]) / np.sqrt(12)  # Gauss's
-
 
 class OrientationHistory:
-    """Rotations from each ball's axes to the world's. first: quaternions (balls, 4), x y z w, as the motion starts."""
+    """Rotations from the axes of each ball to those of the world.
 
-    def __init__(self, motion: Trajectory, first: Array) -> None:
+    Parameters
+    ----------
+    motion : Trajectory
+    first : (balls, 4) array
+        Orientations at the start of the motion, as quaternions x, y, z, w.
+    max_step : float
+        Largest rotation between two knots, rad.
+
+    References
+    ----------
+    Blanes, Casas, Oteo & Ros, Physics Reports 470 (2009) 151.
+    """
+
+    def __init__(self, motion: Trajectory, first: Array, max_step: float = 0.1) -> None:
         self._motion = motion
         coarse = np.linspace(motion.t0, motion.t1, 257)
         spins = np.linalg.norm(motion.at(coarse)[..., 6:9], axis=-1).max(axis=1)
         jumps = [e.t for e in motion.events]
         self._knots, self._turns = [], []
         for ball, spin in enumerate(spins):
-            count = 2 + int(np.ceil(1.5 * spin * (motion.t1 - motion.t0) / STEP))
+            count = 2 + int(np.ceil(1.5 * spin * (motion.t1 - motion.t0) / max_step))
             knots = np.unique([*np.linspace(motion.t0, motion.t1, count), *jumps])
             steps = self._steps(ball, knots[:-1], knots[1:])
             turns = np.empty((len(knots), 4))
@@ -37,15 +47,16 @@ class OrientationHistory:
             self._turns.append(turns)
 
     def at(self, ball: int, times: Array) -> Rotation:
-        """One ball's rotations at times (m,) within the motion."""
+        """Return the rotations of one ball at times (m,) within the motion."""
         knots = self._knots[ball]
         k = np.clip(np.searchsorted(knots, times, "right") - 1, 0, len(knots) - 1)
         return self._steps(ball, knots[k], times) * Rotation.from_quat(self._turns[ball][k])
 
     def _steps(self, ball: int, start: Array, end: Array) -> Rotation:
-        """Rotations (m,) between two times (m,) without a jump between them."""
+        """Return the rotations (m,) between two times (m,) without a jump of the spin between them."""
         span = (end - start)[:, None]
-        times = np.clip(start[:, None] + span * NODES, self._motion.t0, self._motion.t1)
+        gauss_nodes = 0.5 + np.array([-1, 1]) / np.sqrt(12)
+        times = np.clip(start[:, None] + span * gauss_nodes, self._motion.t0, self._motion.t1)
         spins = self._motion.at(times.ravel())[ball, :, 6:9].reshape(-1, 2, 3)
         a, b = spins[:, 0], spins[:, 1]
         return Rotation.from_rotvec(span / 2 * (a + b) - np.sqrt(3) / 12 * span**2 * np.cross(a, b))

@@ -1,12 +1,14 @@
-"""Motion without closed form, of many balls at once: each alone, or two and two that push each other.
+"""Numerical integration of motion without closed form: many balls, each alone or in pairs that push each other.
 
-A sliding ball is motion in q = (5 v + 2 R w x z)/7 and the contact velocity u = s (cos th, sin th), v = q + (2/7) u:
-    q' = (5/7) p,   s' = -(7/2) mu N + p . u_hat = -A,   th' = (u_hat x p)/s,   x' = v
-with p the push, N the load over the mass, and cos th, sin th in place of th. Towards the end of the slide th' grows as
-1/s. So the slip of a ball whose slide is to end paces the integration, of both balls where they push each other: with
-ln s for the time every right-hand side is smooth, and the slide's end is a known place instead of an event to search
-for. Where nothing can turn the slip, s itself is as good. All other motion is integrated over time, that of a rolling
-ball, v' = (5/7) p - loss v_hat, for no longer than half of what would stop it.
+A sliding ball is integrated in q = (5 v + 2 R w x z)/7 and the contact velocity u = s (cos th, sin th):
+
+    v = q + (2/7) u,   x' = v,   q' = (5/7) p,   s' = -(7/2) mu N + p . u_hat = -A,   th' = (u_hat x p)/s
+
+with the push p and the load N over the mass; cos th and sin th take the place of th. Towards the end of the slide th'
+grows as 1/s. The slip of a ball whose slide will end therefore paces the integration, of both balls of a pair: with
+ln s in place of the time every right-hand side is smooth, and the end of the slide is a known point instead of an event
+to search for. Where nothing turns the slip, s itself serves. All other motion is integrated over time. A rolling ball,
+v' = (5/7) p - loss v_hat, is integrated for at most half the time that would stop it.
 """
 
 from __future__ import annotations
@@ -17,17 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.collocation import DEEPEST, SIZES, Parts, integrate, matrices
+from synthcam.dynamics.collocation import MAX_HALVINGS, NODE_COUNTS, Parts, integrate, matrices
 from synthcam.dynamics.forces import (
-    FINISH,
+    END_SLIP_SHARE,
     FLY,
     LAWS,
     NOWHERE,
     ROLL,
     SLIDE,
-    SLOWEST,
-    STILL,
+    STOP_SPEED_M_S,
     TINY,
+    ZERO_SPEED_M_S,
     BallStates,
     Flags,
     Forces,
@@ -40,21 +42,21 @@ from synthcam.dynamics.forces import (
 from synthcam.dynamics.integrated_motion import IntegratedMotion, Pieces, snap_to_goal
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
 
-FASTEST = 1e3  # m/s: a ball that must have come faster did not come
-BREAK = 0.33  # of ln(|u|/|u0|) on the way to its last: where pieces meet
-CLOSING = 1 - ((1 - matrices(10).nodes) / 2) ** 3  # of the time of an even end: nodes in the cube root of what is left
-ROOM = 3.0  # of the distance of two balls: by so much a piece may let it grow
-NEAR = 1e-9  # of the slip at which a spin no longer drills
-FEW = 28  # nodes of a logarithmic piece, first
-STRAIGHT = {"slip_speed", "slip", "gravity", "radius", "of_a"}  # laws that ask no more leave the slip's direction
-MOST = 1000  # pieces of a past
+MAX_SPEED_M_S = 1e3  # a ball that would have had to come faster has no past
+LOG_SLIP_BREAK = 0.33  # share of the fall of ln(slip) at which two pieces of a slide meet
+END_TIMES = 1 - ((1 - matrices(10).nodes) / 2) ** 3  # nodes of an even end, in the cube root of the time left
+FLOOR_TOLERANCE = 1e-9  # of the slip at which a spin no longer drills
 
 
 @dataclass(frozen=True)
 class IntegrationStep:
-    """How balls moved from time 0 on; states (m, 9) at the end, how long that lasted (m,).
+    """One step of m balls from time 0.
 
-    over: whose slide, roll or flight ended; sound: of which balls it is true.
+    motion : the motion during the step.
+    final_states : (m, 9) at the end.
+    durations : (m,) s.
+    ended : (m,) whether the slide, roll or flight of the ball ended with the step.
+    valid : (m,) whether the step is a solution for the ball.
     """
 
     motion: IntegratedMotion
@@ -70,7 +72,7 @@ class IntegrationStep:
 
 
 class PhaseIntegrator:
-    """Balls on the way: units for `spans`, (k,), or until the slide of their ball number `ender`, (k,), has ended."""
+    """Integrates k units, each in one phase: for `spans` (k,), or until the slide of ball `ender` (k,) has ended."""
 
     def __init__(self, balls: BallStates, spans: Array, ender: Ints) -> None:
         self.balls, self.modes, states, laws = balls, balls.modes, balls.states, balls.model.laws
@@ -81,23 +83,24 @@ class PhaseIntegrator:
             self.rows = {mode: slice(None) for mode in self.rows}
         k = len(balls)
         self.spans = np.tile(spans, balls.each)[:, None]
-        self.pacer = np.tile(ender * k + np.arange(k), balls.each)  # row whose slip paces each
+        self.pacer = np.tile(ender * k + np.arange(k), balls.each)  # the row whose slip paces each ball
         self.ends = (self.pacer == np.arange(len(states)))[:, None]
         self.slides, self.paced = SLIDE in self.rows, bool(np.any(self.ends))
-        self.free = self.slides and not self.ends.all()  # some slips are to be integrated
+        self.free = self.slides and not self.ends.all()  # some slips do not pace: they are integrated
         self.pushes, self.drills = laws.has_effect_on("push"), laws.has_effect_on("drilling")
         self.straight = self.paced and not (self.free or self.pushes or self.drills)
-        self.straight &= all(laws.inputs_of(law) <= STRAIGHT for law in ("friction", "normal_load"))
+        constant = {"slip_speed", "slip", "gravity", "radius", "of_a"}  # laws of these keep the direction of the slip
+        self.straight &= all(laws.inputs_of(law) <= constant for law in ("friction", "normal_load"))
         self.at = 4 if self.slides else 0  # of q among the components: hat, wz, s; q; x; the time
         u = contact_velocity(states, balls.bodies.radius).T[..., None] * (self.modes == SLIDE)[:, None]
         self.first = np.hypot(u[0], u[1])
         self.hat = u / np.maximum(self.first, TINY)
         floor = balls.floor[:, None]
-        drilling = self.first > floor * (1 + NEAR)
+        drilling = self.first > floor * (1 + FLOOR_TOLERANCE)
         self.spins = np.where(drilling, 1.0, 0.0) if self.drills else 1.0
-        self.least = np.where(drilling, floor * (1 - NEAR), 0.0)  # to which a slip may fall while another paces
-        self.cut = np.where(drilling, floor, FINISH * self.first)
-        self.late = bool(np.any(self.ends & drilling))  # slides go on when they no longer drill; pairs in a new phase
+        self.least = np.where(drilling, floor * (1 - FLOOR_TOLERANCE), 0.0)  # lowest slip while another one paces
+        self.cut = np.where(drilling, floor, END_SLIP_SHARE * self.first)
+        self.late = bool(np.any(self.ends & drilling))  # slides that continue without drilling; pairs in a new phase
         self.closes = self.paced and not self.straight and not (self.late and balls.each > 1)
         self.log = np.log(np.where(self.ends, self.cut / np.maximum(self.first, TINY), 1.0))
         q = rolling_velocity(states, balls.bodies.radius) if self.slides else states[:, 3:5]
@@ -108,7 +111,7 @@ class PhaseIntegrator:
         self.start = np.stack([*start, 0 * self.first] if self.paced else start)  # (c, m, 1)
 
     def count_feedback_parts(self) -> int | None:
-        """How many of the parts of `right` it makes use of itself."""
+        """Count the groups of `right_hand_side` on which it depends itself; None: on all."""
         laws = self.balls.model.laws
         asked = set().union(*(laws.inputs_of(law) for law in (*LAWS[SLIDE], "rolling")))
         if self.balls.each > 1 or "position" in asked:
@@ -116,19 +119,19 @@ class PhaseIntegrator:
         return max(self.pushes + self.drills + (self.pushes and "velocity" in asked), 1) if self.slides else 1
 
     def slip_speed(self, z: Any, y: Array) -> tuple[Any, Any]:
-        """Slip speeds (m, n), and how fast they fall along z where that is what paces."""
+        """Return slip speeds (m, n), and how fast they fall along z where a slip paces."""
         if not self.paced:
             return (y[3], 0.0) if self.slides else (0.0, 0.0)
         if self.straight:
             return self.first * (1 - z), self.first
         log, slip = self.log, self.first
-        if late := bool(np.mean(z) > 1):  # what is left when it no longer drills
-            log, slip = np.where(self.ends, np.log(FINISH), 0.0), self.cut
+        if late := bool(np.mean(z) > 1):  # the remaining slip, without drilling
+            log, slip = np.where(self.ends, np.log(END_SLIP_SHARE), 0.0), self.cut
         slip = slip * np.exp(log * (z - late))
         return np.where(self.ends, slip, y[3]) if self.free else slip, -log * slip
 
     def evaluate_forces(self, slip: Any, y: Array, late: bool = False) -> tuple[Any, ...]:
-        """dq/dt, A, u_hat x p and dwz/dt; late: in what is left of slides when they no longer drill."""
+        """Evaluate dq/dt, A, u_hat x p and dwz/dt; late: in the rest of slides, which no longer drill."""
         at, rows = self.at, self.rows
         q, place, shape = y[at : at + 2], y[at + 2 : at + 4], y[at].shape
         v = q + 2 / 7 * slip * y[:2] if self.slides else q
@@ -161,7 +164,7 @@ class PhaseIntegrator:
         return dq, slowing, across, twist
 
     def time_rate(self, fall: Any, slowing: Any) -> Any:
-        """dt/dz. Raises ValueError where friction does not end a slide."""
+        """Return dt/dz. Raises ValueError where friction does not end a slide."""
         if not self.paced:
             return self.spans
         if not np.all(slowing[self.ends[:, 0]] > 0):
@@ -187,7 +190,7 @@ class PhaseIntegrator:
             yield slice(at + 4, at + 5), rate[None]
 
     def make_guess(self) -> Callable[[Array], Array]:
-        """All forces were what they are at the start."""
+        """Return a first guess of the solution: all forces stay as they are at the start."""
         at, first, start = self.at, self.first, self.start
         dq, slowing, across, twist = self.evaluate_forces(first, start)
         self.time_rate(first, slowing)
@@ -212,11 +215,12 @@ class PhaseIntegrator:
         return guess
 
     def run(self) -> IntegrationStep:
-        """Raises ValueError when a slide does not end, and where a law is not smooth."""
+        """Integrate the phase. Raises ValueError when a slide does not end, and where a law is not smooth."""
+        first_nodes = 28  # of a piece in ln(slip)
         knots: tuple[float, ...] = (0.0, 1.0)
         if self.paced and not self.straight:
-            knots = (0.0, BREAK, 1.0, 2.0)[: 4 if self.late and self.closes else 3]
-        few = FEW if len(knots) > 2 else SIZES[0]
+            knots = (0.0, LOG_SLIP_BREAK, 1.0, 2.0)[: 4 if self.late and self.closes else 3]
+        few = first_nodes if len(knots) > 2 else NODE_COUNTS[0]
         solved = integrate(
             self.right_hand_side,
             knots,
@@ -246,7 +250,7 @@ class PhaseIntegrator:
         return self._make_step(pieces, lasts, over, sound & (lasts <= falls))
 
     def stop_evenly(self) -> IntegrationStep:
-        """The same where a ball, one of both, rolls so slowly that it is taken to stop evenly."""
+        """Make the step in which a ball, of one or of two, rolls so slowly that it stops at an even rate."""
         slow = self.balls.slow
         piece = self._finish_evenly(self.start, self.first, slow[:, None])
         return self._make_step([piece], piece[0][:, -1], slow, np.ones(len(slow), dtype=bool))
@@ -256,9 +260,9 @@ class PhaseIntegrator:
         return np.concatenate([y[at + 2 : at + 4], y[at : at + 2], *([slip * y[:2], y[2:3]] if self.slides else [])])
 
     def _finish_evenly(self, y: Array, slip: Array, ends: Flags) -> tuple[Array, Array]:
-        """What is left of a slip or of a roll ends evenly; meanwhile all else that acts stays as it is.
+        """End the rest of a slip or of a roll at an even rate, with all other forces constant, from y (c, m, 1).
 
-        y (c, m, 1): times, and what is kept there.
+        Returns times and the components of the motion there.
         """
         at, balls, slides = self.at, self.balls, (self.modes == SLIDE)[:, None]
         dq, slowing, across, twist = self.evaluate_forces(np.where(ends & slides, slip / 2, slip), y, True)
@@ -268,7 +272,7 @@ class PhaseIntegrator:
         both = np.tile(balls.min_of_unit(np.where(ends, late, np.inf)[:, 0]), balls.each)[:, None]
         ends = ends & (late <= both)
         dq = np.where(ends & ~slides, -q / np.maximum(both, TINY), dq)
-        t = both * (CLOSING if self.paced else (1 + matrices(3).nodes) / 2)
+        t = both * (END_TIMES if self.paced else (1 + matrices(3).nodes) / 2)
         v, dv, kept = q, dq, [q + dq * t]
         if self.slides:
             u = slip * y[:2]
@@ -300,9 +304,16 @@ Steps = Iterator[tuple[Ints, IntegrationStep]]
 
 
 def propagate(balls: BallStates, goal: Array) -> Steps:
-    """The next piece of motion of k units, on the way to `goal`, s from now (k,), which may be negative.
+    """Integrate the next step of k units towards `goal`, s from now (k,), which may be negative.
 
-    It leads no further than to the first end of a slide, roll or flight of a unit. Yields units and their balls' ways.
+    A step ends at the latest with the first slide, roll or flight of a unit that ends.
+
+    Yields
+    ------
+    units : array
+        Numbers of the units that make this step.
+    step : IntegrationStep
+        Of their balls.
     """
     k = len(balls)
     spans, ender, drills, stops = (
@@ -319,7 +330,8 @@ def propagate(balls: BallStates, goal: Array) -> Steps:
 
 
 def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Ints, Flags]:
-    """How long the next pieces may be, (k,); which ball's slide ends one, or -1; whether that drills."""
+    """Return how long the next steps may be, (k,); which ball's slide ends each, or -1; and whether it drills."""
+    max_growth = 3.0  # of the distance of two balls within a step
     phase = PhaseIntegrator(balls, goal, np.full(len(balls), -1))
     dq, slowing, *_ = phase.evaluate_forces(phase.first, phase.start)
     dq = dq + np.zeros((2, *phase.first.shape))
@@ -327,27 +339,29 @@ def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Ints, Flags]:
     half = np.hypot(v[0], v[1]) / np.maximum(2 * np.hypot(dq[0], dq[1])[:, 0], TINY)
     falls = flight_time(balls.model, balls.states, balls.bodies)
     half = balls.min_of_unit(np.where(modes == ROLL, half, np.where(modes == FLY, falls, np.inf)))
-    drills = first > balls.floor * (1 + NEAR)
+    drills = first > balls.floor * (1 + FLOOR_TOLERANCE)
     left = first - np.where(drills, balls.floor, 0.0)
     lasts = np.where(modes == SLIDE, left / np.maximum((slowing + 0 * phase.first)[:, 0], TINY), np.inf)
     lasts = np.where(np.tile(goal < 0, balls.each), np.inf, lasts)  # back in time a slip only grows
     ender, ends = np.argmin(lasts.reshape(balls.each, -1), axis=0), balls.min_of_unit(lasts)
     limit = np.minimum(half, np.abs(goal))
-    if balls.each > 1:  # through one another is no way
+    if balls.each > 1:  # the balls must not pass through each other
         apart = np.diff(balls.states[:, :5].reshape(2, -1, 5), axis=0)[0]
         far, speed = np.hypot(apart[:, 0], apart[:, 1]), np.hypot(apart[:, 3], apart[:, 4])
         close = 0.85 * balls.bodies.radius.reshape(2, -1).sum(axis=0) / far
         nears = (apart[:, 0] * apart[:, 3] + apart[:, 1] * apart[:, 4]) * goal < 0
-        limit = np.minimum(limit, np.where(nears, np.maximum(1 - close, 0.15), ROOM) * far / np.maximum(speed, TINY))
+        limit = np.minimum(
+            limit, np.where(nears, np.maximum(1 - close, 0.15), max_growth) * far / np.maximum(speed, TINY)
+        )
     spans = np.where(ends > 1.25 * limit, limit, np.minimum(ends, limit) / 2)
     drills = drills.reshape(balls.each, -1)[ender, np.arange(len(balls))]
     return np.copysign(spans, goal), np.where(ends < 0.8 * half, ender, -1), drills
 
 
 def _propagate_units(
-    balls: BallStates, units: Ints, spans: Array, ender: Ints, stops: bool, depth: int = DEEPEST
+    balls: BallStates, units: Ints, spans: Array, ender: Ints, stops: bool, depth: int = MAX_HALVINGS
 ) -> Steps:
-    """What has no solution in one piece is led again for half the time."""
+    """Integrate a step of these units; those without a solution are integrated again for half the time."""
     some = balls[units]
     phase, good = PhaseIntegrator(some, spans[units], ender[units]), np.zeros(len(units), dtype=bool)
     try:
@@ -367,21 +381,24 @@ def _propagate_units(
 
 
 def propagate_back(balls: BallStates, now: Array, until: Array) -> Iterator[tuple[Ints, IntegratedMotion]]:
-    """Motions of units whose balls roll, slide or rest at `now` (k,), led back. What slides has slid all the while.
+    """Integrate units whose balls roll, slide or rest at `now` (k,) back to `until` (k,), s.
 
-    Raises ValueError where a ball would have come from rest, or too fast.
+    A ball that slides now has slid all the time. Yields units and their motions. Raises ValueError where a ball would
+    have started from rest, or come faster than MAX_SPEED_M_S.
     """
     states, now, floor = balls.states.copy(), now.copy(), np.full(len(balls.states), np.inf)
     if balls.model.laws.has_effect_on("drilling"):
         floor = np.where(balls.modes == SLIDE, find_ending_slip(balls.model, states, balls.bodies), np.inf)
-    for _ in range(MOST):
+    for _ in range(1000):  # steps; a past of more does not end
         speed = np.hypot(states[:, 3], states[:, 4])
-        left = np.flatnonzero((now > until) & balls.any_of_unit(speed > STILL))
+        left = np.flatnonzero((now > until) & balls.any_of_unit(speed > ZERO_SPEED_M_S))
         if len(left) == 0:
             return
-        if np.any((speed > STILL) & (speed <= SLOWEST) & (classify_modes(states, balls.bodies.radius) == ROLL)):
+        if np.any(
+            (speed > ZERO_SPEED_M_S) & (speed <= STOP_SPEED_M_S) & (classify_modes(states, balls.bodies.radius) == ROLL)
+        ):
             raise ValueError(f"a ball has no past before {now[left].max():g} s: it would have had to come from rest")
-        if not np.all(speed < FASTEST):
+        if not np.all(speed < MAX_SPEED_M_S):
             break
         some = BallStates(balls.model, balls.bodies, states, floor, balls.each)[left]
         for units, step in propagate(some, (until - now)[left]):
@@ -389,4 +406,4 @@ def propagate_back(balls: BallStates, now: Array, until: Array) -> Iterator[tupl
             yield mine, step.motion.shift(np.tile(now[mine], balls.each))
             states[balls.rows(mine)] = step.final_states
             now[mine] = snap_to_goal(now[mine] + step.durations[: len(mine)], until[mine])
-    raise ValueError(f"a past does not settle: a ball would have had to come faster than {FASTEST:g} m/s")
+    raise ValueError(f"the past of a ball does not end: it would have had to come faster than {MAX_SPEED_M_S:g} m/s")

@@ -1,4 +1,8 @@
-"""Legs of many balls, all of one kind: where the balls are at given times, and their mean places over exposures."""
+"""Segments of motion of many balls at once: states at given times and mean positions over exposures.
+
+Each class holds balls that move in one way (at rest, sliding, rolling, flying, integrated). A `CollisionBatch` is a
+list of such segments.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +15,32 @@ from numpy.typing import NDArray
 from synthcam.dynamics.forces import Ints
 from synthcam.dynamics.integrated_motion import IntegratedMotion, snap_to_goal
 from synthcam.dynamics.kinematics import Array, Real, coast, contact_velocity, fly, roll, slide
-from synthcam.dynamics.packed import PackedRows
 from synthcam.dynamics.trajectory import Trajectory
 
 
+class PackedRows:
+    """The true entries of a mask (k, m) packed to the left, so that each row's work is done and no other.
+
+    inside : (k, most in a row) bool array
+        Which entries of the packed array are in use.
+    any : bool
+        Whether the mask has a true entry.
+    """
+
+    def __init__(self, mask: NDArray[np.bool_]) -> None:
+        counts = np.count_nonzero(mask, axis=1)
+        self.mask, self.any = mask, bool(counts.any())
+        self.inside = np.arange(counts.max(initial=0)) < counts[:, None]
+
+    def gather(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pack values (k, m) into (k, most in a row); zeros fill the shorter rows."""
+        out = np.zeros(self.inside.shape)
+        out[self.inside] = values[self.mask]
+        return out
+
+
 class Segment(Protocol):
-    """Balls `who` (k,) from `begins` to `ends`, (k,). Arguments and results within these times."""
+    """Balls `who` (k,) from the times `begins` to `ends`, (k,). All methods take times within these."""
 
     @property
     def who(self) -> Ints: ...
@@ -32,14 +56,16 @@ class Segment(Protocol):
         """Whether a ball may be off the plate."""
 
     def states(self, times: Array) -> Array:
-        """(k, m, 9) at times (k, m)."""
+        """Return states (k, m, 9) at times (k, m)."""
 
     def average_centres(self, middle: Array, wide: Real) -> Array:
-        """Centres (2, k, m) averaged over the times `wide`, a number or (k, m), about `middle` (k, m)."""
+        """Average the centres, (2, k, m), over spans of the width `wide`, a number or (k, m), about `middle` (k, m)."""
 
 
 @dataclass(frozen=True)
 class RestSegment:
+    """Balls at rest in `state` (k, 9)."""
+
     who: Ints
     begins: Array
     ends: Array
@@ -55,7 +81,7 @@ class RestSegment:
 
 @dataclass(frozen=True)
 class SlideSegment:
-    """Parabolas from the states `state` (k, 9) at `begins`; slowing (k,): mu g."""
+    """Slides in closed form, parabolas, from the states `state` (k, 9) at `begins`; slowing (k,): mu g, m/s^2."""
 
     who: Ints
     begins: Array
@@ -77,7 +103,7 @@ class SlideSegment:
 
 @dataclass(frozen=True)
 class RollSegment:
-    """Straight rolls on which the balls are in `state` (k, 9), at a speed over zero, at `time` (k,)."""
+    """Straight rolls in closed form; the balls are in `state` (k, 9), not at rest, at `time` (k,)."""
 
     who: Ints
     begins: Array
@@ -104,7 +130,7 @@ class RollSegment:
 
 @dataclass(frozen=True)
 class FlightSegment:
-    """Flights from `state` (k, 9) at `begins`."""
+    """Free flights from `state` (k, 9) at `begins`."""
 
     who: Ints
     begins: Array
@@ -122,7 +148,7 @@ class FlightSegment:
 
 @dataclass(frozen=True)
 class IntegratedSegment:
-    """Motion without closed form, within its own times."""
+    """Motion without closed form, integrated numerically."""
 
     who: Ints
     begins: Array
@@ -131,7 +157,7 @@ class IntegratedSegment:
 
     @classmethod
     def of(cls, who: Ints, motion: IntegratedMotion, goal: float) -> list[IntegratedSegment]:
-        """On the way to the time `goal`, which some reach but for rounding."""
+        """Make a segment of each piece of a motion towards the time `goal`, which some reach but for rounding."""
         knots, parts = motion.split_pieces()
         knots = snap_to_goal(knots, goal)
         spans = zip(np.minimum(knots[:-1], knots[1:]), np.maximum(knots[:-1], knots[1:]), parts, strict=True)
@@ -150,7 +176,7 @@ class IntegratedSegment:
 
 @dataclass(frozen=True)
 class TrajectorySegment:
-    """The whole motion of the one ball of a run."""
+    """One ball whose whole motion the event loop of `solve` has found."""
 
     who: Ints
     begins: Array
@@ -168,18 +194,18 @@ class TrajectorySegment:
 
 
 def _plane(vectors: Array) -> Array:
-    """(k, 2) as (2, k, 1)."""
+    """Turn (k, 2) into (2, k, 1)."""
     return np.asarray(vectors.T[..., None])
 
 
 def drop_balls(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
-    """Of some balls no time is left in it."""
+    """Empty a segment of the balls that are `gone`: no time is left in it for them."""
     ends = np.where(gone, segment.begins, segment.ends)
     return replace(segment, ends=ends) if np.any(gone) else segment  # type: ignore[type-var]
 
 
 def write_states(segment: Segment, times: Array, out: Array, part: slice) -> None:
-    """A part of the states of a segment's balls into out (2n, m, ...), at those of the times (2n, m) within it."""
+    """Write a part of the states of a segment's balls into `out` (2n, m, ...), at the times (2n, m) within it."""
     mine, begins, ends = times[segment.who], segment.begins[:, None], segment.ends[:, None]
     here = PackedRows((mine >= begins) & (mine <= ends))
     if here.any:

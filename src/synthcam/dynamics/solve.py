@@ -1,4 +1,4 @@
-"""solve: a model and a launch -> the whole motion, in exact legs between exactly placed events."""
+"""The event loop: from a model and a launch to the whole motion, in exact legs between exactly timed events."""
 
 from __future__ import annotations
 
@@ -7,66 +7,80 @@ import math
 
 import numpy as np
 
-from synthcam.dynamics.contact_time import LINGERING, STAYING, first_contact
+from synthcam.dynamics.contact_time import MIN_IMPACT_SPEED_M_S, STAYING, first_contact
 from synthcam.dynamics.forces import (
     LAWS,
     NOWHERE,
     ROLL,
     SLIDE,
-    STILL,
-    TOUCHING,
+    ZERO_SPEED_M_S,
     BallStates,
     classify_modes,
     find_ending_slip,
 )
-from synthcam.dynamics.impact import LOWEST, land, strike
-from synthcam.dynamics.interacting_pair import AHEAD, HELD, InteractingPair, make_leg, make_start_event
-from synthcam.dynamics.kinematics import Array, State, slip_velocity, stop_time, to_rest, to_rolling
+from synthcam.dynamics.impact import MIN_BOUNCE_SPEED_M_S, land, strike
+from synthcam.dynamics.interacting_pair import HELD, LEAD_TIME_S, InteractingPair, make_leg, make_start_event
+from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, Array, State, slip_velocity, stop_time, to_rest, to_rolling
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.propagate import FASTEST, propagate, propagate_back
-from synthcam.dynamics.start_from_rest import CLINGING, excess_push
+from synthcam.dynamics.propagate import MAX_SPEED_M_S, propagate, propagate_back
+from synthcam.dynamics.start_from_rest import MIN_IMPACT_SPEED_OF_PAIR_M_S, excess_push
 from synthcam.dynamics.trajectory import Event, Fly, Leg, Rest, Roll, Slide, Trajectory
 from synthcam.model import Bodies, Model
 
-LIMIT = 10_000  # events: more means that something never settles
-FAR = 1e4  # s: beyond it the clock's last bit is too coarse for an event
-NEVER = np.full(1, math.inf)  # slips at which a ball that does not drill no longer does
-LONG = 60.0  # s: balls that push each other are motion in small steps
+MAX_TIME_S = 1e4  # beyond it the last bit of the time is too coarse for an event
+MAX_PAIR_TIME_S = 60.0  # balls that push each other are integrated in small steps
 
 
-def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0, settled: bool = True) -> Trajectory:
-    """The motion from `start` to `end` (s) or, if it is to be `settled`, to the last slide's end, if that is later.
+def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0, finish_slides: bool = True) -> Trajectory:
+    """Solve the motion of a launch.
 
-    Legs are closed forms where no active effect bends them, numerical solutions elsewhere. Raises ValueError when a
-    ball that should be at rest cannot stay there, when balls overlap, when a slide or the motion does not end, and when
-    it is asked for at times or speeds beyond FAR and FASTEST.
+    Legs are closed forms where no active effect changes their laws, and numerical solutions elsewhere.
+
+    Parameters
+    ----------
+    model : Model
+    launch : Launch
+    start, end : float
+        s.
+    finish_slides : bool
+        Continue beyond the end until the last slide has ended.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    ValueError
+        If a ball that should be at rest cannot stay there, if balls overlap, if a slide or the motion does not end, and
+        beyond times of MAX_TIME_S or speeds of MAX_SPEED_M_S.
     """
     for what, t in (("its launch", launch.time), ("its start", start), ("its end", end)):
-        if not abs(t) <= FAR:
-            raise ValueError(f"{what} is at {t:g} s: a motion is solved within {FAR:g} s of 0")
+        if not abs(t) <= MAX_TIME_S:
+            raise ValueError(f"{what} is at {t:g} s: a motion is solved within {MAX_TIME_S:g} s of 0")
     if model.laws.needs("push", "other"):
         lasts = max(launch.time, end) - min(launch.time, start)
         if len(launch.states) > 2:
             raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
-        if lasts > LONG:
-            raise ValueError(f"balls that push each other are followed for {LONG:g} s, not for {lasts:g} s")
-    return _EventLoop(model, launch, start, end, settled).motion()
+        if lasts > MAX_PAIR_TIME_S:
+            raise ValueError(f"balls that push each other are followed for {MAX_PAIR_TIME_S:g} s, not for {lasts:g} s")
+    return _EventLoop(model, launch, start, end, finish_slides).motion()
 
 
 def without_mutual_push(model: Model) -> Model:
-    """The model without the effects by which balls push each other."""
+    """Return the model without the effects by which balls push each other."""
     return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
 
 
 class _EventLoop:
-    """One run of the event loop; states are nine floats. Two balls that push each other are led together."""
+    """One run of the event loop; states are nine floats. Balls that push each other are solved together."""
 
-    def __init__(self, model: Model, launch: Launch, start: float, end: float, settled: bool) -> None:
-        self.model, self.bodies, self.end, self.settled = model, launch.bodies, end, settled
+    def __init__(self, model: Model, launch: Launch, start: float, end: float, finish_slides: bool) -> None:
+        self.model, self.bodies, self.end, self.finish_slides = model, launch.bodies, end, finish_slides
         self.radius, self.mass = launch.bodies.radius.tolist(), launch.bodies.mass.tolist()
         self.start, self.t = start, launch.time
         self.events: list[Event] = []
-        self.rolled: set[int] = set()  # balls whose slide ended as they bounced: what slips in a flight is no slide
+        self.rolled: set[int] = set()  # balls whose slide ended at a bounce: slip in a flight is not a slide
         laws = model.laws
         self.slides, self.rolls = (
             laws.has_effect_on(*LAWS[SLIDE]),
@@ -75,7 +89,7 @@ class _EventLoop:
         self.pushes, self.drills = laws.has_effect_on("push"), laws.has_effect_on("drilling")
         mutual = laws.needs("push", "other") and len(launch.states) == 2
         self.pairing = InteractingPair(model, launch.bodies, start, end) if mutual else None
-        self.until = math.inf  # how far balls that push each other have been led
+        self.until = math.inf  # to this time balls that push each other are solved
         states = {k: tuple(row) for k, row in enumerate(launch.states.tolist())}
         self.past: list[list[Leg]] = [[] for _ in states]
         if self.pairing:
@@ -84,9 +98,10 @@ class _EventLoop:
             self.past = [self._past_legs(k, states[k], launch.time) for k in states]
         self.legs = self._make_legs(states, tuple(states))
 
-    def motion(self) -> Trajectory:
-        for _ in range(LIMIT):
-            busy = self.settled and any(leg.motion in ("slide", "fly") for leg in self.legs)
+    def motion(self, max_events: int = 10_000) -> Trajectory:
+        """Run to the end. Raises ValueError after `max_events`: the motion does not settle."""
+        for _ in range(max_events):
+            busy = self.finish_slides and any(leg.motion in ("slide", "fly") for leg in self.legs)
             horizon = min([self.until, *(leg.t1 for leg in self.legs)] + ([] if busy else [max(self.end, self.t)]))
             contact = first_contact(self.legs, self.radius, self.t, horizon)
             if contact is not None:
@@ -101,33 +116,33 @@ class _EventLoop:
             else:
                 break
         else:
-            raise ValueError(f"the motion does not settle: {LIMIT} events by {self.t:g} s")
+            raise ValueError(f"the motion does not settle: {max_events} events by {self.t:g} s")
         for k in range(len(self.legs)):
             self._archive_leg(k)
         return Trajectory(self.start, self.t, tuple(tuple(x) for x in self.past), tuple(self.events))
 
     def _start_legs(self, states: dict[int, State]) -> None:
-        """Begin new legs: of these balls, and of those that they push."""
-        anew = tuple(states)
+        """Start new legs of these balls, and of those that they push."""
+        restarted = tuple(states)
         if self.pairing:
             states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
         for k in states:
             self._archive_leg(k)
-        for k, leg in zip(states, self._make_legs(states, anew), strict=True):
+        for k, leg in zip(states, self._make_legs(states, restarted), strict=True):
             self.legs[k] = leg
 
     def _archive_leg(self, k: int) -> None:
-        """A ball's leg is past; a rest that went on is one leg."""
+        """Move the present leg of a ball to its past; a rest that continued stays one leg."""
         leg, past = self.legs[k].spanning(self.legs[k].t0, self.t), self.past[k]
         if past and isinstance(leg, Rest) and isinstance(past[-1], Rest) and leg.state == past[-1].state:
             leg = leg.spanning(past.pop().t0, self.t)
         past.append(leg)
 
-    def _make_legs(self, states: dict[int, State], anew: tuple[int, ...]) -> list[Leg]:
-        """The legs of balls in these states now; of balls that push each other those of both, `anew` after an event."""
+    def _make_legs(self, states: dict[int, State], restarted: tuple[int, ...]) -> list[Leg]:
+        """Make the legs of balls in these states; restarted: those with an event now, where balls push each other."""
         if self.pairing is None:
             return [self._next_leg(k, states[k], self.t) for k in states]
-        legs, self.until, started = self.pairing.next_legs(states, self.t, anew)
+        legs, self.until, started = self.pairing.next_legs(states, self.t, restarted)
         self.events += started
         return legs
 
@@ -137,13 +152,13 @@ class _EventLoop:
         return self.bodies[k : k + 1]
 
     def _past_legs(self, k: int, state: State, time: float) -> list[Leg]:
-        """The legs that lead to a launch: a ball rolling, sliding all the while, or at rest."""
+        """Make the legs that lead to a launch: the ball rolled, slid all the time, or was at rest."""
         if self.start >= time:
             return []
         if state[5] != 0:
             raise ValueError("a ball that flies at its launch has no past: start the run at the launch")
-        slides = math.hypot(*slip_velocity(state, self.radius[k])) > STILL
-        if not slides and math.hypot(state[3], state[4]) <= STILL:
+        slides = math.hypot(*slip_velocity(state, self.radius[k])) > ZERO_SPEED_M_S
+        if not slides and math.hypot(state[3], state[4]) <= ZERO_SPEED_M_S:
             still = to_rest(state, self.radius[k])
             if self._excess(k, still) > 0:
                 raise ValueError(HELD)
@@ -164,21 +179,21 @@ class _EventLoop:
             speed = math.hypot(*legs[0].now(self.start)[3:5])
         except OverflowError:
             speed = math.inf
-        if not speed <= FASTEST:
+        if not speed <= MAX_SPEED_M_S:
             raise ValueError(
-                f"a ball would have had to come faster than {FASTEST:g} m/s, {time - self.start:g} s earlier"
+                f"a ball would have had to come faster than {MAX_SPEED_M_S:g} m/s, {time - self.start:g} s earlier"
             )
         return legs
 
     def _next_leg(self, k: int, state: State, t: float) -> Leg:
-        """The leg of a ball that has this state at t, to its own next event."""
+        """Make the leg of a ball in this state at t, up to its own next event."""
         radius = self.radius[k]
         if state[5] > 0 or _is_airborne(state, radius):
             return self._fly(k, state, t)
-        if math.hypot(*slip_velocity(state, radius)) > STILL:
+        if math.hypot(*slip_velocity(state, radius)) > ZERO_SPEED_M_S:
             return self._slide(k, state, t)
-        if math.hypot(state[3], state[4]) > STILL:
-            return self._roll(k, state, t, max(self.end, t) + AHEAD)
+        if math.hypot(state[3], state[4]) > ZERO_SPEED_M_S:
+            return self._roll(k, state, t, max(self.end, t) + LEAD_TIME_S)
         return self._rest(k, state, t)
 
     def _slide(self, k: int, state: State, t: float) -> Leg:
@@ -203,9 +218,10 @@ class _EventLoop:
         lasts = (up + math.sqrt(up * up + 2 * gravity * height)) / gravity
         return self._integrate_leg(k, state, t, lasts) if self.pushes else Fly(t, t + lasts, t, state, gravity)
 
-    def _integrate_leg(self, k: int, state: State, t: float, goal: float, floor: Array = NEVER) -> Leg:
-        """A leg without closed form, or as much of it as one piece holds."""
+    def _integrate_leg(self, k: int, state: State, t: float, goal: float, floor: Array | None = None) -> Leg:
+        """Integrate a leg without closed form, or as much of it as one step covers."""
         row = np.array([state])
+        floor = np.full(1, math.inf) if floor is None else floor
         ((_, step),) = propagate(BallStates(self.model, self._body(k), row, floor), np.array([goal]))
         return make_leg(step.motion, 0, int(classify_modes(row, self._body(k).radius)[0]), t)
 
@@ -225,13 +241,13 @@ class _EventLoop:
         """The end of a leg: of a slide, a roll, a rest, a flight; no event where a numerical roll was solved to."""
         leg, radius = self.legs[k], self.radius[k]
         before = leg.now(leg.t1)
-        if leg.motion == "roll" and math.hypot(before[3], before[4]) > STILL:
+        if leg.motion == "roll" and math.hypot(before[3], before[4]) > ZERO_SPEED_M_S:
             self._start_legs({k: before})
         elif leg.motion == "fly":
             self._start_legs({k: self._land(k, before)})
         elif leg.motion == "rest":
             started = [] if self.pairing else [make_start_event(self.model, self._body(k), k, before, self.t, NOWHERE)]
-            self.events += started  # a pairing tells of its own
+            self.events += started  # a pair has recorded its own
             self._start_legs({e.i: tuple(np.asarray(e.after)[0].tolist()) for e in started})
         elif leg.motion == "slide":
             self._record_event("slide_end", k, before, _end_slip(before, radius))
@@ -245,7 +261,7 @@ class _EventLoop:
         after: State = tuple(up[0].tolist())
         slips = [math.hypot(*slip_velocity(s, radius)) for s in (before, after)]
         self.events.append(Event(self.t, "land", k, before=down, after=up))
-        if slips[0] > STILL and slips[1] <= 1e-9 * slips[0]:
+        if slips[0] > ZERO_SPEED_M_S and slips[1] <= 1e-9 * slips[0]:
             after = _end_slip(after, radius)
             if k not in self.rolled:
                 self.events.append(Event(self.t, "slide_end", k, before=down, after=np.array([after])))
@@ -265,9 +281,11 @@ class _EventLoop:
             i, j = j, i  # the slower ball is the target
         bodies = (self.radius[i], self.mass[i]), (self.radius[j], self.mass[j])
         target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], *bodies)
-        if along_n < (CLINGING if self.pairing else LINGERING) * self.mass[i]:
+        if along_n < (MIN_IMPACT_SPEED_OF_PAIR_M_S if self.pairing else MIN_IMPACT_SPEED_M_S) * self.mass[i]:
             raise ValueError(f"balls {i} and {j} " + STAYING.format(t))
-        new = {k: s if abs(s[5]) >= LOWEST else (*s[:5], 0.0, *s[6:]) for k, s in ((i, target), (j, striker))}
+        new = {
+            k: s if abs(s[5]) >= MIN_BOUNCE_SPEED_M_S else (*s[:5], 0.0, *s[6:]) for k, s in ((i, target), (j, striker))
+        }
         before: Array = np.array((states[i], states[j]))
         after: Array = np.array((new[i], new[j]))
         self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t))
@@ -279,10 +297,10 @@ class _EventLoop:
 
 
 def _end_slip(state: State, radius: float) -> State:
-    """Rolling as when the slip is over, (5 v + 2 R w x z)/7; a flight's vertical velocity is kept."""
+    """Let the ball roll as after its slide, with (5 v + 2 R w x z)/7; a vertical velocity stays."""
     ux, uy = slip_velocity(state, radius)
     return to_rolling((*state[:3], state[3] - 2 / 7 * ux, state[4] - 2 / 7 * uy, *state[5:]), radius)
 
 
 def _is_airborne(state: State, radius: float) -> bool:
-    return bool(state[2] > radius * (1 + TOUCHING))
+    return bool(state[2] > radius * (1 + TOUCH_TOLERANCE))

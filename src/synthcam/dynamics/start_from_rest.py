@@ -1,8 +1,8 @@
-"""A ball at rest that another one, rolling, pulls off: what holds it, and how it starts.
+"""How a ball at rest starts when the push of a rolling ball overcomes what holds it.
 
-A ball that starts from rest goes after the push: its lag d behind the push's direction phi obeys
-    (s/f) d' + sin d = (s/f) phi',
-with s its speed and f the push on it, which has one smooth solution.
+The ball starts in the direction of the push. Its lag d behind the push's direction phi obeys
+    (s/f) d' + sin d = (s/f) phi'
+with its speed s and the push f on it. This equation has one smooth solution.
 """
 
 from __future__ import annotations
@@ -12,19 +12,14 @@ from typing import Any
 import numpy as np
 
 from synthcam.dynamics.collocation import matrices, multiply
-from synthcam.dynamics.forces import SLOWEST, TINY, BallStates, Flags, Forces, Ints, last_axis
+from synthcam.dynamics.forces import STOP_SPEED_M_S, TINY, BallStates, Flags, Forces, Ints, last_axis
 from synthcam.dynamics.integrated_motion import IntegratedMotion
 from synthcam.dynamics.kinematics import Array, rolling_state
 from synthcam.dynamics.propagate import propagate_back
 from synthcam.model import Bodies, Model
 
-STARTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest: tried in this order
-TURNS = 120  # of the iteration
-QUICK = 5  # turns in which a start is looked for in whole steps
-SETTLED = 2e-13  # m/s, of an iteration's change
-TRUE, STEADY = 3e-14, 5e-13  # m, m/s: of the last coefficients
-AWAY = 8.0  # distances of touching: a ball at rest is let go when the other comes so near, if not yet pulled off
-CLINGING = 1e-4  # m/s: a softer impact of balls that push each other is one of an endless row
+START_NODE_COUNTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest, tried in this order
+MIN_IMPACT_SPEED_OF_PAIR_M_S = 1e-4  # softer impacts of balls that push each other belong to an endless sequence
 UNKNOWN_PAST = "a ball that slides or flies at its launch, pushed by another, has no past: start the run at the launch"
 PUSHED_AWAY = "the ball at rest would be pushed away faster than the other comes"
 NEVER = (
@@ -34,18 +29,20 @@ NEVER = (
 
 
 def push_at_rest(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
-    """The push on balls at rest, states (k, 9), while the others are at (2, k, n): (2, k, n), m/s^2."""
+    """Return the push on balls at rest, states (k, 9), with the others at (2, k, n): (2, k, n), m/s^2."""
     place = np.broadcast_to(states[:, :2].T[..., None], (2, len(states), other.shape[-1]))
     return Forces.of(model, bodies).push(place, np.zeros(place.shape), last_axis(other - place))
 
 
 def excess_push(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
-    """By how much 5/7 of that push exceeds what holds the balls, or would were they to roll, (k, n), m/s^2."""
+    """Return by how much 5/7 of the push exceeds the force over mass that holds balls at rest, (k, n), m/s^2."""
     push = push_at_rest(model, bodies, states, other)
     size = np.hypot(push[0], push[1])
     place = np.broadcast_to(states[:, :2].T[..., None], push.shape)
     known = Forces.of(model, bodies).constants | dict(position=last_axis(place), other=last_axis(other - place))
-    known |= dict(velocity=last_axis(SLOWEST * push / np.maximum(size, TINY)), speed=np.full(size.shape, SLOWEST))
+    known |= dict(
+        velocity=last_axis(STOP_SPEED_M_S * push / np.maximum(size, TINY)), speed=np.full(size.shape, STOP_SPEED_M_S)
+    )
     loss = model.laws("rolling", model.rolling_decel, known)
     return np.asarray(size * 5 / 7 - np.maximum(model.rolling_decel, loss))
 
@@ -53,18 +50,40 @@ def excess_push(model: Model, bodies: Bodies, states: Array, other: Array) -> Ar
 def solve_approach(
     model: Model, bodies: Bodies, touching: Array, lasted: Array
 ) -> tuple[Array, list[tuple[Ints, IntegratedMotion]], Array]:
-    """What led to contacts at time 0, states (2 k, 9): balls that rested, then those that come to them.
+    """Solve the past of k contacts at time 0 between a ball that rested and a ball that rolls towards it.
 
-    A ball is let go where the pull on it overcomes what holds it, but when the other is AWAY at the earliest. Returns
-    the states at the contact, of the first balls with the velocities that they then have; motions of units back from
-    there, for `lasted` (k,) or to when they were let go, whichever is longer; and when that was, (k,).
-    Raises ValueError if there is no such past.
+    A ball at rest starts where the push on it overcomes what holds it, but not before the other ball is within 8
+    distances of touching.
+
+    Parameters
+    ----------
+    model : Model
+    bodies : Bodies
+        The k balls that rested, then the k rolling ones.
+    touching : (2 k, 9) array
+        States at the contacts; the velocities of the first balls are not used.
+    lasted : (k,) array
+        How far to go back, s; further where a ball started earlier.
+
+    Returns
+    -------
+    states : (2 k, 9) array
+        At the contacts, with the velocities that the first balls have then.
+    motions : list of (units, IntegratedMotion)
+        Back from the contacts.
+    onset : (k,) array
+        When the balls at rest started, s.
+
+    Raises
+    ------
+    ValueError
+        If there is no such past.
     """
     k = len(lasted)
     hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Ints, IntegratedMotion]]()
     lasts, held = _guess_pull_duration(model, bodies, touching)
     left = np.flatnonzero(lasts > 0)
-    for size in STARTS:
+    for size in START_NODE_COUNTS:
         if len(left) == 0:
             break
         rows = np.concatenate([left, left + k])
@@ -88,11 +107,30 @@ def solve_approach(
 def solve_start(
     model: Model, bodies: Bodies, states: Array, lasts: Array, anchor: int, onset: Flags, size: int
 ) -> tuple[IntegratedMotion, Flags]:
-    """Balls that start from rest, and those that pull them: states (2 k, 9) at time 0, for `lasts` (k,).
+    """Solve k balls that start from rest together with the balls that pull them.
 
-    anchor: 0 where they start at time 0, -1 where they did so `lasts` (negative) from then; onset: whose start is to be
-    found where the pull overcomes what holds the ball. Solved on `size` nodes; of which units that is the motion, (k,).
+    Parameters
+    ----------
+    states : (2 k, 9) array
+        At time 0: the balls at rest, then the others.
+    lasts : (k,) array
+        Length of the motion, s; negative: back in time.
+    anchor : {0, -1}
+        0: the balls start at time 0; -1: they started `lasts` (negative) from then.
+    onset : (k,) bool array
+        Whether the start is to be found where the pull overcomes what holds the ball.
+    size : int
+        Number of nodes.
+
+    Returns
+    -------
+    motion : IntegratedMotion
+    good : (k,) bool array
+        For which units it is the solution.
     """
+    iterations, whole_steps = 120, 5  # the start moves in whole steps at first, then in half steps
+    converged = 2e-13  # m/s, of the change of an iteration
+    accurate_m, accurate_m_s = 3e-14, 5e-13  # of the last coefficients
     on, k = matrices(size), len(lasts)
     integral = on.integral / 2
     slope = 2 * on.coefficients @ on.slope @ on.values
@@ -109,18 +147,18 @@ def solve_start(
     e = np.repeat(hat, size, axis=-1)
     place[:, :k] += long * multiply(s * e, integral)
     with np.errstate(all="ignore"):
-        for turn in range(TURNS):
+        for turn in range(iterations):
             apart = last_axis(place[:, k:] - place[:, :k])
-            v0 = np.maximum(s, SLOWEST) * e
+            v0 = np.maximum(s, STOP_SPEED_M_S) * e
             pull = 5 / 7 * one.push(place[:, :k], v0, apart)
             known = one.constants | dict(position=last_axis(place[:, :k]), velocity=last_axis(v0), other=apart)
-            base, speed = model.rolling_drag * np.maximum(s, 0.0) + decel, np.maximum(s, SLOWEST)
+            base, speed = model.rolling_drag * np.maximum(s, 0.0) + decel, np.maximum(s, STOP_SPEED_M_S)
             loss = model.laws("rolling", base, known | {"speed": speed}) + 0 * s
             force = two.accelerate_rolling(place[:, k:], v1, -apart)
             strength = np.maximum(np.hypot(pull[0], pull[1]), TINY)
             early = strength - np.maximum(loss, decel)
             beyond = np.clip(early[:, -1:] / (early @ slope[:, -1:]), -0.3, 0.3)
-            long = np.where(onset[:, None], long * (1 - beyond * (1.0 if turn < QUICK else 0.5)), long)
+            long = np.where(onset[:, None], long * (1 - beyond * (1.0 if turn < whole_steps else 0.5)), long)
             phi = np.arctan2(hat[0] * pull[1] - hat[1] * pull[0], hat[0] * pull[0] + hat[1] * pull[1])
             gain = (strength * np.cos(lag) - loss) @ integral
             s = long * (gain - gain[:, anchor, None])
@@ -137,29 +175,31 @@ def solve_start(
             moved = np.abs(place - old).max(axis=(0, 2)).reshape(2, k).max(axis=0) / np.abs(long[:, 0])
             last, change = change, moved
             to_come = change * np.minimum(change / np.maximum(last, TINY), 1.0)
-            if turn > 0 and not np.any((to_come >= SETTLED) & (to_come < np.inf)):
+            if turn > 0 and not np.any((to_come >= converged) & (to_come < np.inf)):
                 break
     found = multiply(np.concatenate([place, v]), on.coefficients)
     rough = (
-        np.maximum(_largest_component(found[:2, :, -2:]) / TRUE, _largest_component(found[2:, :, -2:]) / STEADY)
+        np.maximum(
+            _largest_component(found[:2, :, -2:]) / accurate_m, _largest_component(found[2:, :, -2:]) / accurate_m_s
+        )
         .reshape(2, k)
         .max(axis=0)
     )
-    good = (to_come < SETTLED) & (rough < 1) & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
+    good = (to_come < converged) & (rough < 1) & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
     long = np.tile(long, (2, 1))
     piece, none = (long * (1 + on.nodes) / 2, np.concatenate([place, v])), np.zeros(2 * k, dtype=bool)
     return IntegratedMotion(0 * long[:, 0], long[:, 0], states, bodies.radius, model.gravity, [piece], 0, none), good
 
 
 def _largest_component(vectors: Any) -> Array:
-    """The largest part of any of (2, m, few): (m,)."""
+    """Return the largest component of (2, m, few): (m,)."""
     return np.asarray(np.abs(vectors).max(axis=(0, 2)))
 
 
 def _guess_pull_duration(model: Model, bodies: Bodies, touching: Array) -> tuple[Array, Flags]:
-    """How long the first balls are pulled along before the contact, were the others' rolls uniform, (k,).
+    """Estimate how long the first balls move before the contact, (k,) s, as if the others rolled at a constant speed.
 
-    And whether that is longer than we look.
+    Also returns whether that is longer than the search, which goes back to 8 distances of touching.
     """
     k = len(touching) // 2
     here, way = touching[k:, :2].T[..., None], touching[k:, 3:5].T[..., None]
@@ -167,7 +207,7 @@ def _guess_pull_duration(model: Model, bodies: Bodies, touching: Array) -> tuple
     def early(tau: Array) -> Flags:
         return np.asarray(excess_push(model, bodies[:k], touching[:k], here - tau[:, None] * way)[:, 0] > 0)
 
-    far = AWAY * (bodies.radius[:k] + bodies.radius[k:]) / np.hypot(way[0, :, 0], way[1, :, 0])
+    far = 8.0 * (bodies.radius[:k] + bodies.radius[k:]) / np.hypot(way[0, :, 0], way[1, :, 0])
     pulled, held = early(0 * far), early(far)
     low, high = 1e-4 * far, far
     for _ in range(12):

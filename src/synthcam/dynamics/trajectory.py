@@ -1,4 +1,4 @@
-"""Exact motion: legs between events, and the trajectory they make up."""
+"""The motion of a run: legs between events, and the trajectory that they make up."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from synthcam.dynamics.kinematics import State
 
 Array = NDArray[np.float64]
 Motion = Literal["rest", "roll", "slide", "fly"]
-GAUSS = 4  # nodes a span: exact for a parabola, 1e-15 m for a roll
-CLOSE = 32  # likewise, where an event cuts or follows: the friction before a slide's end may change all but suddenly
 
 
 class Leg(Protocol):
-    """Motion of one ball without an event, from t0 to t1 (which may be infinite)."""
+    """The motion of one ball between two of its events, from t0 to t1 (which may be infinite)."""
 
     @property
     def t0(self) -> float: ...
@@ -32,20 +30,20 @@ class Leg(Protocol):
     def motion(self) -> Motion: ...
 
     def at(self, t: Array) -> Array:
-        """States (len(t), 9) at times within the leg."""
+        """Return states (len(t), 9) at times within the leg."""
 
     def now(self, t: float) -> State:
-        """The state at one instant, nine floats."""
+        """Return the state at one instant, nine floats."""
 
     def bound(self, t: float) -> float:
-        """No acceleration after t within the leg is larger, m/s^2."""
+        """Return an upper bound of the acceleration after t within the leg, m/s^2."""
 
     def spanning(self, t0: float, t1: float) -> Leg:
-        """The same motion, between other times."""
+        """Return the same motion between other times."""
 
 
 class Rest(NamedTuple):
-    """A ball that stays where it is; it may spin about the vertical. state: nine floats, here and below."""
+    """A ball at rest, which may spin about the vertical. state: nine floats, here and below."""
 
     t0: float
     t1: float
@@ -66,7 +64,7 @@ class Rest(NamedTuple):
 
 
 class Roll(NamedTuple):
-    """Rolling on a straight line with the loss a = -(drag v + decel); `time` is when `state` holds."""
+    """Rolling on a straight line with a = -(drag v + decel); `state` holds at `time`."""
 
     t0: float
     t1: float
@@ -138,7 +136,7 @@ class Fly(NamedTuple):
 
 
 class Numeric(NamedTuple):
-    """A leg without closed form: `states` maps times (m,) to states (m, 9)."""
+    """A leg without closed form: `states` maps times (m,) to states (m, 9); `steepest` bounds the acceleration."""
 
     t0: float
     t1: float
@@ -148,7 +146,7 @@ class Numeric(NamedTuple):
 
     @classmethod
     def of(cls, t0: float, t1: float, motion: Motion, states: Callable[[Array], Array], lift: float = 0.0) -> Numeric:
-        """No acceleration is larger than twice the largest found between samples, and a vertical `lift`."""
+        """Bound the acceleration by twice the largest one found between 65 samples, plus a vertical `lift`."""
         times = np.linspace(t0, t1, 65)
         v = states(times)[:, 3:5]
         steepest = 2 * np.max(np.linalg.norm(np.diff(v, axis=0), axis=1)) / max(abs(t1 - t0) / 64, 1e-300)
@@ -169,10 +167,21 @@ class Numeric(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happens at one instant. before, after: states (2, 9) of balls i, j, or (1, 9) of i alone.
+    """Something that happens to one ball, or to two, at one instant.
 
-    n: unit vector (its horizontal part) from ball j's centre to ball i's, at a contact. impulse_n along n, impulse_t
-    along t = z x n: on ball i, N s.
+    Attributes
+    ----------
+    t : float
+        s.
+    kind : str
+    i, j : int
+        The balls; j is -1 where the event has one ball.
+    before, after : array
+        States (2, 9) of i and j, or (1, 9) of i alone.
+    n : tuple of 2
+        At a contact: horizontal part of the unit vector from the centre of ball j to that of ball i.
+    impulse_n, impulse_t : float
+        At a contact: impulses on ball i along n and along t = z x n, N s.
     """
 
     t: float
@@ -188,7 +197,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The motion of all balls from t0 to t1. legs[i]: ball i's, in order; events in order of time."""
+    """The motion of all balls from t0 to t1. legs[i]: those of ball i, in order; events: in order of time."""
 
     t0: float
     t1: float
@@ -196,7 +205,7 @@ class Trajectory:
     events: tuple[Event, ...]
 
     def at(self, t: ArrayLike) -> Array:
-        """States (balls, len(t), 9) at any times; just after the event where one falls on an event.
+        """Return states (balls, len(t), 9) at any times in [t0, t1]; at an event, the state just after it.
 
         Raises ValueError outside [t0, t1].
         """
@@ -211,21 +220,18 @@ class Trajectory:
         return out
 
     def motion(self, t: ArrayLike) -> NDArray[np.str_]:
-        """rest, roll, slide or fly: shape (balls, len(t))."""
+        """Return "rest", "roll", "slide" or "fly" for each ball and time, (balls, len(t))."""
         times = np.atleast_1d(np.asarray(t, dtype=float))
         self._check(times)
         return np.array([[legs[k].motion for k in self._which(legs, times)] for legs in self.legs])
 
     def average(self, spans: Array, of: Callable[[Array], Array]) -> Array:
-        """Means over time spans (n, 2) of a function of the states: (balls, n, k).
-
-        `of` maps states (balls, m, 9) to (balls, m, k). Gauss quadrature, split where an event falls into a span.
-        """
+        """Average a function of the states over time spans (n, 2): (balls, n, k). See `average_over_spans`."""
         breaks = np.array([e.t for e in self.events])
         return average_over_spans(lambda t: self.at(np.clip(t, self.t0, self.t1)), breaks, spans, of)
 
     def first(self, kind: str, ball: int = -1, after: float = -np.inf) -> Event | None:
-        """The first event of a kind (that ball i = `ball` suffers, if given) after a time."""
+        """Return the first event of a kind after a time, of ball i = `ball` alone if given."""
         for e in self.events:
             if e.kind == kind and e.t >= after and ball in (-1, e.i):
                 return e
@@ -243,7 +249,23 @@ class Trajectory:
 def average_over_spans(
     at: Callable[[Array], Array], breaks: Array, spans: Array, of: Callable[[Array], Array]
 ) -> Array:
-    """Means over time spans (n, 2) of a function of the states `at` gives: (balls, n, k); see Trajectory.average."""
+    """Average a function of the states over time spans by Gauss quadrature, split where the motion has a kink.
+
+    Parameters
+    ----------
+    at : callable
+        Maps times (m,) to states (balls, m, 9).
+    breaks : (e,) array
+        Times of the kinks, rising.
+    spans : (n, 2) array
+        Begin and end of each span, s.
+    of : callable
+        Maps states (balls, m, 9) to (balls, m, k).
+
+    Returns
+    -------
+    (balls, n, k) array
+    """
     after = 2 * spans[:, 1] - spans[:, 0]
     near = np.searchsorted(breaks, spans[:, 0], "right") < np.searchsorted(breaks, after, "left")
     cuts, owners = [], []
@@ -252,22 +274,23 @@ def average_over_spans(
         inner = np.concatenate([[a], breaks[(breaks > a) & (breaks < b)], [b]])
         cuts.append(np.stack([inner[:-1], inner[1:]], axis=1))
         owners.append(np.full(len(inner) - 1, k))
-    smooth = _means(at, spans[~near], of, GAUSS)
+    smooth = _average_smooth(at, spans[~near], of, 4)  # exact for a parabola, 1e-15 m for a roll
     out = np.zeros((len(smooth), len(spans), smooth.shape[-1]))
     out[:, ~near] = smooth
     if np.any(near):
         pieces, owner = np.concatenate(cuts), np.concatenate(owners)
         width, whole = np.diff(pieces), np.diff(spans)[owner]
-        parts = _means(at, pieces, of, CLOSE) * np.where(whole > 0, width / np.where(whole > 0, whole, 1), 1.0)
+        # just before the end of a slide the friction may change all but suddenly, hence 32 nodes
+        parts = _average_smooth(at, pieces, of, 32) * np.where(whole > 0, width / np.where(whole > 0, whole, 1), 1.0)
         for ball in range(len(out)):
             np.add.at(out[ball], owner, parts[ball])
     return out
 
 
-def _means(at: Callable[[Array], Array], spans: Array, of: Callable[[Array], Array], count: int) -> Array:
-    """Over smooth spans (n, 2), by Gauss quadrature: (balls, n, k)."""
+def _average_smooth(at: Callable[[Array], Array], spans: Array, of: Callable[[Array], Array], count: int) -> Array:
+    """Average over smooth spans (n, 2) by Gauss quadrature with `count` nodes: (balls, n, k)."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     times = spans.mean(axis=1)[:, None] + np.diff(spans) / 2 * nodes
-    found = of(at(times.ravel()))
-    found = found.reshape(len(found), *times.shape, found.shape[-1])
-    return np.asarray(np.einsum("bmnk,n->bmk", found, weights / 2))
+    values = of(at(times.ravel()))
+    values = values.reshape(len(values), *times.shape, values.shape[-1])
+    return np.asarray(np.einsum("bmnk,n->bmk", values, weights / 2))

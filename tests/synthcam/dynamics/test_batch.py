@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.dynamics.batch import AT_ONCE, LAUNCH_COLUMNS, solve_collisions
+from synthcam.dynamics.batch import LAUNCH_COLUMNS, MAX_GROUP, solve_collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
@@ -102,15 +102,15 @@ def test_instants_of_each_balls_own():
 
 def test_groups_led_together_change_nothing():
     model = Model().replace({"plate_waviness.a": 6e-7, "drilling_spin.a": 2e-5, "eccentric_mass.c": 1e-6})
-    rows = launches(AT_ONCE)
-    some = np.arange(0, AT_ONCE, 57)
+    rows = launches(MAX_GROUP)
+    some = np.arange(0, MAX_GROUP, 57)
     whole, part = solve_collisions(model, rows, 0.0, END), solve_collisions(model, rows[some], 0.0, END)
     starts = np.arange(95) / FPS
     np.testing.assert_allclose(
         whole.average_centres(starts, 3e-4)[:, some], part.average_centres(starts, 3e-4), rtol=0, atol=1e-14
     )
-    balls = np.concatenate([some, some + AT_ONCE])
-    assert whole.breaks.shape == (2 * AT_ONCE, part.breaks.shape[1])
+    balls = np.concatenate([some, some + MAX_GROUP])
+    assert whole.breaks.shape == (2 * MAX_GROUP, part.breaks.shape[1])
     np.testing.assert_allclose(np.sort(whole.breaks[balls]), np.sort(part.breaks), rtol=0, atol=1e-13)
 
 
@@ -134,7 +134,7 @@ SPUN = np.array(
         [0.0, 0.01, 0.12, 0.5, -0.7, -0.3, -0.25, 0.1, 0.0],
         [0.0, 0.0, 0.12, 0.5, 2.7, 0.2, 0.0, 0.0, 0.3],
     ]
-)  # columns LAUNCH and SPIN
+)  # columns LAUNCH_COLUMNS and SPIN_COLUMNS
 PAIRED = ("magnetic_attraction",)  # of balls that push each other only rolling ones have a past
 
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 from synthcam.dynamics import collocation
-from synthcam.dynamics.collocation import SIZES, matrices, resample, series
+from synthcam.dynamics.collocation import NODE_COUNTS, matrices, resample, series
 
 
 class Solved:
@@ -80,8 +80,8 @@ def test_few_nodes_where_few_will_do():
     paths = [integrate(lambda x, y, f=f: np.cos(f * x) + 0 * y, (0.0, 1.0), np.zeros((1, 1))) for f in (1, 15, 30)]
     sizes = [p.pieces[0][1].shape[-1] for p in paths]
     assert sizes == sorted(sizes)
-    assert sizes[0] == SIZES[0]
-    assert sizes[1] > SIZES[1]
+    assert sizes[0] == NODE_COUNTS[0]
+    assert sizes[1] > NODE_COUNTS[1]
     x = np.linspace(0, 1, 50)
     for path, f in zip(paths, (1, 15, 30), strict=True):
         np.testing.assert_allclose(path(x[None])[0, 0], np.sin(f * x) / f, rtol=0, atol=1e-14)
@@ -108,8 +108,8 @@ def test_a_kink_passes_only_between_pieces():
         return np.abs(x - 0.3) + 0 * y
 
     with pytest.raises(ValueError, match="not smooth"):
-        integrate(right, (0.0, 1.0), np.zeros((1, 1)), deepest=6)
-    path = integrate(right, (0.0, 0.3, 1.0), np.zeros((1, 1)), deepest=0)
+        integrate(right, (0.0, 1.0), np.zeros((1, 1)), max_halvings=6)
+    path = integrate(right, (0.0, 0.3, 1.0), np.zeros((1, 1)), max_halvings=0)
     assert path.last()[0, 0] == pytest.approx((0.3**2 + 0.7**2) / 2, abs=1e-14)
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from synthcam.dynamics.impact import LOWEST, collide, land
+from synthcam.dynamics.impact import MIN_BOUNCE_SPEED_M_S, collide, land
 from synthcam.dynamics.kinematics import contact_velocity, rolling_velocity
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
@@ -204,7 +204,7 @@ def test_a_landing(down, vx, vy, wx, wy, wz, bounce, mu):
     after = land(Model(sliding_friction=mu, effects=(Hop(bounce=bounce),)), before, ONE)
     u = contact_velocity(before, R)[0]
     given_ = min(mu * (1 + bounce) * down, np.hypot(*u) / 3.5)
-    assert after[0, 5] == pytest.approx(bounce * down if bounce * down >= LOWEST else 0.0)
+    assert after[0, 5] == pytest.approx(bounce * down if bounce * down >= MIN_BOUNCE_SPEED_M_S else 0.0)
     np.testing.assert_allclose(after[0, 3:5] - before[0, 3:5], -given_ * u / max(np.hypot(*u), 1e-300), atol=2e-7)
     np.testing.assert_allclose(rolling_velocity(after, R), rolling_velocity(before, R), rtol=0, atol=1e-15)
     lowest = np.cross(-R * UP, [*(after[0, 3:5] - before[0, 3:5]), 0.0]) / (0.4 * R**2)

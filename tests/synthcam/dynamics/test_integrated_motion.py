@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from synthcam.dynamics.collocation import matrices
-from synthcam.dynamics.forces import FINISH
+from synthcam.dynamics.forces import END_SLIP_SHARE
 from synthcam.dynamics.integrated_motion import IntegratedMotion
-from synthcam.dynamics.propagate import BREAK, CLOSING
+from synthcam.dynamics.propagate import END_TIMES, LOG_SLIP_BREAK
 
-KNOTS = np.log(FINISH) * np.array([0.0, BREAK, 1.0])
+KNOTS = np.log(END_SLIP_SHARE) * np.array([0.0, LOG_SLIP_BREAK, 1.0])
 LASTS = np.array([0.04, 0.013])
 
 
@@ -34,7 +34,7 @@ def led(pieces, power):
 def read(logarithmic):
     if logarithmic:
         nodes = [(a + b) / 2 + (b - a) / 2 * matrices(28).nodes for a, b in itertools.pairwise(KNOTS)]
-        shares = [*(1 - np.exp(x) for x in nodes), 1 - FINISH * (1 - CLOSING)]
+        shares = [*(1 - np.exp(x) for x in nodes), 1 - END_SLIP_SHARE * (1 - END_TIMES)]
         return led([(s * LASTS[:, None], place(s * LASTS[:, None])) for s in shares], 3)
     z = matrices(20).nodes  # an uneven image of nodes
     times = LASTS[:, None] * (1 + z + 0.1 * (z * z - 1)) / 2

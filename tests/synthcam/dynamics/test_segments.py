@@ -5,6 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 from everything import BENT, R
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from synthcam.dynamics.forces import BallStates
 from synthcam.dynamics.integrated_motion import average_by_quadrature
@@ -14,6 +17,7 @@ from synthcam.dynamics.propagate import propagate
 from synthcam.dynamics.segments import (
     FlightSegment,
     IntegratedSegment,
+    PackedRows,
     RestSegment,
     RollSegment,
     SlideSegment,
@@ -99,3 +103,16 @@ def test_gauss_is_exact_for_polynomials():
     found = average_by_quadrature(lambda t: np.stack([t**7, t**6]), middle, wide)
     a, b = middle - wide / 2, middle + wide / 2
     np.testing.assert_allclose(found, [(b**8 - a**8) / 8 / wide, (b**7 - a**7) / 7 / wide], rtol=1e-13)
+
+
+@given(arrays(bool, st.tuples(st.integers(1, 6), st.integers(1, 9))))
+def test_each_row_of_a_packed_mask_keeps_its_own_in_order(mask):
+    values = np.arange(mask.size, dtype=float).reshape(mask.shape)
+    some = PackedRows(mask)
+    packed = some.gather(values)
+    assert packed.shape == (len(mask), mask.sum(axis=1).max())
+    assert some.any == mask.any()
+    for row, own, kept, taken in zip(values, mask, packed, some.inside, strict=True):
+        np.testing.assert_array_equal(kept[: own.sum()], row[own])
+        np.testing.assert_array_equal(kept[own.sum() :], 0.0)
+        np.testing.assert_array_equal(taken, np.arange(len(taken)) < own.sum())
