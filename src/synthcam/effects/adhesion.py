@@ -1,4 +1,4 @@
-"""Balls that cling to the plate."""
+"""Balls that stick to the plate."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,10 +8,10 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class Adhesion(Effect):
-    """A load of (1 + pull) m g while in contact with the plate: an attraction of `pull` weights.
+    """While in contact with the plate, a ball presses on it with the load (1 + pull) m g.
 
-    In flight it is gone. Of a magnet under the plate, a film of water, or static charge. Newton's second law: friction
-    is mu times the load.
+    The attraction `pull` is in units of the weight: a magnet under the plate, a film of water, static charge. It is gone
+    in flight. Friction is mu times the load (Coulomb).
     """
 
     pull: float = parameter("1", typical=0.1, low=-0.5, high=5)

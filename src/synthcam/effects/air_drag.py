@@ -8,24 +8,24 @@ from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
 
-DENSITY = 1.204  # kg/m^3, dry air at 20 C
-VISCOSITY = 1.516e-5  # m^2/s, likewise
-SLOW = 1e-6  # of the Reynolds number
+AIR_DENSITY_KG_M3 = 1.204  # dry, 20 C
+AIR_VISCOSITY_M2_S = 1.516e-5  # kinematic, likewise
 
 
 @dataclass(frozen=True)
 class AirDrag(Effect):
-    """a = share (3/8) (rho_air/rho) Cd(Re) v^2 / R with Cd = (24/Re)(1 + 0.15 Re^0.687), Re = 2 R v / nu, to Re = 800.
+    """The drag of air slows a ball: a = share (3/8) (rho_air/rho) Cd v^2 / R.
 
-    Schiller & Naumann 1933, of a sphere far from walls; share 1. It acts on sliding balls and flying ones in full, on
-    rolling ones by 5/7.
+    Cd = (24/Re)(1 + 0.15 Re^0.687) with Re = 2 R v / nu, valid to Re = 800, for a sphere far from walls (Schiller &
+    Naumann, VDI-Zeitschrift 77 (1933) 318); share = 1. It acts in full on a sliding or flying ball, by 5/7 on a rolling
+    one. Air at 20 C: 1.204 kg/m^3, nu = 1.516e-5 m^2/s.
     """
 
     share: float = parameter("1", typical=1.0, low=0, high=10, default=1.0)
 
     def push(self, acceleration: Any, velocity: Any, radius: Any, mass: Any) -> NDArray[np.float64]:
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
-        reynolds = np.maximum(2 * radius * speed / VISCOSITY, SLOW)
+        reynolds = np.maximum(2 * radius * speed / AIR_VISCOSITY_M2_S, 1e-6)  # a ball at rest has no drag
         drag = 24 / reynolds * (1 + 0.15 * reynolds**0.687)
-        rate = 0.5 * DENSITY * np.pi * radius**2 * drag * speed / mass
+        rate = 0.5 * AIR_DENSITY_KG_M3 * np.pi * radius**2 * drag * speed / mass
         return np.asarray(acceleration - self.share * rate[..., None] * velocity)

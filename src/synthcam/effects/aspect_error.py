@@ -10,7 +10,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class AspectError(Effect):
-    """The picture is wider by the fraction e/2 and lower by e/2 than the camera's file says."""
+    """The picture is wider by the fraction e/2, and lower by e/2, than camera.json says."""
 
     e: float = parameter("1", typical=1e-3, low=-0.3, high=0.3)
 

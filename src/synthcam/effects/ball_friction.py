@@ -1,4 +1,4 @@
-"""Friction between the balls that follows Coulomb's law."""
+"""Friction between the balls by Coulomb's law."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,22 +7,25 @@ import numpy as np
 
 from synthcam.effect import Effect, parameter
 
-STICK = 2.5 / 7  # J/m = (1 + beta)|u_t|/7 is C = (1 + beta) 5/14
-
 
 @dataclass(frozen=True)
 class BallFriction(Effect):
-    """J = min(mu P, what turns u_t into -beta u_t): slip, or stick with tangential restitution.
+    """Friction between the balls obeys Coulomb: J = min(mu P, the impulse that turns u_t into -beta u_t).
 
-    share: of this law in place of the model's fixed spin transfer C, from 0, absent. mu: friction between the balls.
-    beta: 0 sticks: J/m = |u_t|/7, C = 5/14, head-on and oblique, as of balls that nothing holds vertically while they
-    touch: where `hop` lets both go, the surfaces end at rest. A plate that held both would make it 1/2 head-on, but
-    they touch for 9 us and the plate answers in 20: with Hertz contacts of steel, on aluminium, C = .38 (beta .07).
-    What the plate then takes of the vertical motion is `hop`'s matter.
+    The contact slips, or sticks with tangential restitution beta.
 
-    Where C is fitted too, tracks determine share (1 + beta), mu / (1 + beta) and (1 - share) C, no more; a search keeps
-    the beta that it is given. A share over 1 stands for a larger beta: 1.2 without any C for .2. Beside a C it is no
-    law of contact. Walton & Braun, J. Rheol. 30 (1986) 949; Foerster et al., Phys. Fluids 6 (1994) 1108.
+    - share: how much of this law replaces the constant spin transfer C; 0 is absent. With no C at all, a
+      share over 1 acts as a larger beta: 1.2 as beta = 0.2. Together with a C it is not a law of contact.
+    - mu: friction between the balls.
+    - beta: 0 sticks, J/m = |u_t|/7, C = 5/14 for head-on and oblique hits. This holds where nothing stops the vertical
+      motion of the balls during the contact: where `hop` lets both go, the surfaces end at rest. A plate that held both
+      would give C = 1/2 head-on. The balls touch for 9 us and the plate answers in 20 us; with Hertz contacts of steel
+      on aluminium, C = 0.38 (beta = 0.07). The share of the vertical motion that the plate takes is a matter of `hop`.
+
+    If C is fitted too, tracks determine share (1 + beta), mu / (1 + beta) and (1 - share) C, no more. A search
+    therefore leaves beta as given.
+
+    Walton & Braun, J. Rheol. 30 (1986) 949; Foerster et al., Phys. Fluids 6 (1994) 1108.
     """
 
     share: float = parameter("1", typical=1.0, low=0, high=2, default=1.0)
@@ -31,4 +34,5 @@ class BallFriction(Effect):
 
     def spin_transfer(self, c: Any, contact_speed: Any, normal_impulse: Any) -> Any:
         slipping = 2.5 * self.mu * normal_impulse / np.maximum(contact_speed, 1e-300)
-        return (1 - self.share) * c + self.share * np.minimum((1 + self.beta) * STICK, slipping)
+        sticking = (1 + self.beta) * (2.5 / 7)  # J/m = (1 + beta)|u_t|/7
+        return (1 - self.share) * c + self.share * np.minimum(sticking, slipping)

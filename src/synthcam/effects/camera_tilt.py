@@ -1,4 +1,4 @@
-"""A camera that does not look straight down, unknown to its file."""
+"""A camera that does not look straight down, which its file does not say."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,12 +10,10 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class CameraTilt(Effect):
-    """The camera, in its place, is turned about the world's x axis by `x`, then about its y by `y`, and re-aimed.
+    """The camera stays in place, turned about the world's x axis by x, then about its y axis by y, and is re-aimed.
 
-    Right-handed, as a scene's `camera.tilt`: the axes of the camera become Ry Rx times what they were.
-
-    Re-aimed: the picture is shifted back so that the middle of the plate is seen where the file says; what is left is
-    the keystone.
+    Right-handed, as `camera.tilt` of a scene: the axes of the camera become Ry Rx times what they were. Re-aiming
+    shifts the picture so that the middle of the plate appears where the file says; the keystone distortion remains.
     """
 
     x: float = parameter("rad", typical=5e-3, low=-0.3, high=0.3)

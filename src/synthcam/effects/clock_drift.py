@@ -1,4 +1,4 @@
-"""A frame rate that changes while the camera warms up."""
+"""A frame rate that drifts while the camera warms up."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +8,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class ClockDrift(Effect):
-    """Frame k is taken at t (1 + e t), t = k/fps: the rate falls by 2 e a second."""
+    """Frame k is taken at t (1 + e t), t = k/fps: the frame rate falls by the fraction 2 e per second."""
 
     e: float = parameter("1/s", typical=1e-3, low=-0.2, high=0.2)
 

@@ -1,4 +1,4 @@
-"""A frame rate that is not what the camera says."""
+"""A frame rate that differs from what the camera says."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +10,8 @@ from synthcam.effect import Effect, parameter
 class ClockError(Effect):
     """Frame k is taken at (1 + e) k/fps.
 
-    Tracks cannot show it: v0 and drag times f, mu and decel times f^2 absorb it exactly. For scenes.
+    Tracks cannot show it: v0 and rolling_drag scaled by f, mu_k and rolling_decel by f^2, absorb it exactly. It is
+    meant for scenes.
     """
 
     e: float = parameter("1", typical=1e-3, low=-0.3, high=0.3)

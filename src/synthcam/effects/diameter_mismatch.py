@@ -8,7 +8,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class DiameterMismatch(Effect):
-    """Ball a is larger by the fraction `excess`, of the same steel: its mass goes with the cube."""
+    """Ball a is larger by the fraction excess; of the same steel, its mass grows as the cube."""
 
     excess: float = parameter("1", typical=1e-3, low=-0.2, high=0.2)
 

@@ -1,4 +1,4 @@
-"""A drag in proportion to the speed, on one ball or another on each."""
+"""A drag proportional to the speed, with its own rate for each ball."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,11 +11,11 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class DragMismatch(Effect):
-    """Force over mass -a v on ball a, -b v on ball b: in full on a sliding or flying ball, by 5/7 on a rolling one.
+    """A force over mass of -a v acts on ball a, of -b v on ball b.
 
-    A magnetised ball over a plate that conducts: a dipole that moves at v much slower than 2/(mu0 sigma thickness) is
-    held back in proportion to v, Reitz, J. Appl. Phys. 41 (1970) 2067. It acts while the ball slides too, unlike a
-    mismatch in rolling.
+    It acts in full on a sliding or flying ball, by 5/7 on a rolling one. Example: a magnetised ball over a conducting
+    plate. A dipole much slower than 2/(mu0 sigma thickness) is held back in proportion to its speed (Reitz, J. Appl.
+    Phys. 41 (1970) 2067). Unlike `rolling_mismatch`, it acts while the ball slides, too.
     """
 
     a: float = parameter("1/s", typical=0.01, low=-1, high=10)

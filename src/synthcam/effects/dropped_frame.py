@@ -1,4 +1,4 @@
-"""A frame that the camera lost and did not count."""
+"""Frames that the camera lost and did not count."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 
 from synthcam.effect import Effect, parameter
-
-EDGE = 0.02  # frames: the step is smooth, so that a fit can find its position
 
 
 @dataclass(frozen=True)
@@ -18,5 +16,6 @@ class DroppedFrame(Effect):
     frame: float = parameter("1", typical=40.0, low=0, high=1e6, fixed=True, tries=range(1, 500))
 
     def clock(self, t: Any, fps: Any) -> Any:
-        late = 0.5 * (1 + np.tanh((t * fps - self.frame + 0.5) / EDGE))
+        edge = 0.02  # frames: the step is smooth, so that a fit can find its position
+        late = 0.5 * (1 + np.tanh((t * fps - self.frame + 0.5) / edge))
         return t + self.lost / fps * late

@@ -1,4 +1,4 @@
-"""A shutter that stays open longer than the camera's file says."""
+"""A shutter that stays open longer than camera.json says."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +8,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class ExposureBlur(Effect):
-    """The exposure is longer by `longer`: moving glints are blurred more, their middles later by half of it."""
+    """The exposure is longer by `longer`: moving glints are blurred more, and their middles are later by half of it."""
 
     longer: float = parameter("s", typical=5e-4, low=-1e-3, high=4e-3)
 

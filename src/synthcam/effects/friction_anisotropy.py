@@ -1,4 +1,4 @@
-"""A plate with a grain: sliding friction that depends on the direction of the slip."""
+"""A plate with a grain: sliding friction depends on the direction of the slip."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,10 +8,10 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class FrictionAnisotropy(Effect):
-    """mu(th) = mu [1 + c cos 2 th + s sin 2 th], th the direction of the slip from x.
+    """mu(th) = mu [1 + c cos 2 th + s sin 2 th], with the direction th of the slip from x.
 
-    The first harmonic of Zmitrowicz, Wear 73 (1981) 9. The friction stays opposite to the slip; of a grain at th0 with
-    the size e, c = e cos 2 th0 and s = e sin 2 th0.
+    The first harmonic of Zmitrowicz, Wear 73 (1981) 9. The friction stays opposite to the slip. A grain at th0 with the
+    size e has c = e cos 2 th0 and s = e sin 2 th0.
     """
 
     c: float = parameter("1", typical=0.1, low=-0.45, high=0.45)

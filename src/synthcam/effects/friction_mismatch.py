@@ -1,4 +1,4 @@
-"""A ball that slides with another friction than the other."""
+"""Balls of unequal sliding friction."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,11 +8,11 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class FrictionMismatch(Effect):
-    """Ball a slides with (1 + excess) mu, ball b with mu; on landings too.
+    """Ball a slides with (1 + excess) mu, ball b with mu, also when they land.
 
-    A ball that is oiled, rusty or worn: sliding friction is that of the two surfaces which touch. Where every slide of
-    ball a begins at other speeds than ball b's it is like a friction that depends on the slip's speed: balls exchanged
-    in half the clips separate the two.
+    Sliding friction belongs to both surfaces that touch, so an oiled, rusty or worn ball has its own. If every slide of
+    ball a begins at other speeds than those of ball b, the effect resembles a friction that depends on the slip speed.
+    Exchanging the balls in half of the clips separates the two.
     """
 
     excess: float = parameter("1", typical=0.01, low=-0.9, high=10)

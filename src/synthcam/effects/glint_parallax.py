@@ -1,4 +1,4 @@
-"""A tracker that takes the glint for the ball's centre."""
+"""A tracker that takes the glint for the centre of the ball."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,9 +8,9 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class GlintParallax(Effect):
-    """The share `share` of the way from the centre to the glint, R [(x_lamp - x)/h_lamp - (x_camera - x)/h_camera]/2.
+    """Positions are off by `share` times the glint's offset, R [(x_lamp - x)/h_lamp - (x_camera - x)/h_camera]/2.
 
-    A defect of the tracker: no scene may have it.
+    A defect of the tracker: a scene cannot have it.
     """
 
     share: float = parameter("1", typical=1.0, low=-2, high=2)

@@ -1,4 +1,4 @@
-"""Balls that leave the plate when they hit."""
+"""Balls that leave the plate when they collide."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,11 +8,14 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class Hop(Effect):
-    """The vertical part of the ball-ball impulse, 0.4 m C v0 head-on, lifts the striker and presses the target down.
+    """The vertical part of the impulse between the balls, 0.4 m C v0 head-on, lifts the striker off the plate.
 
-    share: of that impulse which the plate does not hold back, 0 (absent) to 1. bounce: the plate's restitution; every
-    landing brings its own friction impulse, mu (1 + bounce) |vz|. In flight nothing rubs. The plate of Painter &
-    Behringer, PRE 62 (2000) 2380, holds all of the impulse back.
+    It presses the target down by as much.
+
+    - share: the part of that impulse which the plate does not hold back, 0 (absent) to 1.
+    - bounce: the restitution of the plate. Every landing brings a friction impulse of mu (1 + bounce) |vz|.
+
+    In flight there is no friction. The plate of Painter & Behringer, PRE 62 (2000) 2380, holds all of the impulse back.
     """
 
     share: float = parameter("1", typical=1.0, low=0, high=1, default=1.0)

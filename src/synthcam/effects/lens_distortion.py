@@ -1,4 +1,4 @@
-"""A lens that bends straight lines, unknown to the camera's file."""
+"""Lens distortion that camera.json does not contain."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,7 +10,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class LensDistortion(Effect):
-    """OpenCV's k1 differs from the file's by `k1`: r' = r (1 + k1 r^2), r over the focal length."""
+    """OpenCV's k1 differs from the file's by k1: r' = r (1 + k1 r^2), with r over the focal length."""
 
     k1: float = parameter("1", typical=0.05, low=-5, high=5)
 

@@ -8,30 +8,31 @@ from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
 
-NEAREST = 0.8  # diameters: no two centres are nearer but in a path that is only tried
-
 
 @dataclass(frozen=True)
 class MagneticAttraction(Effect):
-    """A force of `pull` (2R/r)^4 times the mass of a ball of the model, on each towards the other; pull < 0 repels.
+    """Each ball is pulled towards the other by the force pull (2R/r)^4 times the mass of a ball of the model.
 
-    r: distance of the centres; 2R: the model's diameter. It is the same for both, whatever their masses and sizes.
-    Dipoles of moment m (Jackson, Classical Electrodynamics (1999), ch. 5): upright ones, side by side, repel by
-    3 mu0 m^2/(4 pi r^4), opposite ones attract by as much; ones along the line of centres attract by twice that.
+    r is the distance of the centres, 2R the diameter of the model's ball; pull < 0 repels. The force is the same for
+    both balls, whatever their masses and sizes. For dipoles of moment m (Jackson, Classical Electrodynamics (1999),
+    ch. 5): upright ones side by side repel by 3 mu0 m^2/(4 pi r^4), opposite ones attract by as much, and ones along
+    the line of centres attract by twice that.
 
-    Moments must stay as they are while the balls roll: of soft steel in a field, m = 4 pi R^3 B/mu0. An upright B of
-    1 mT gives pull = -0.05 m/s^2 wherever the balls are; one along the line of centres, as near head-on, +0.1. A moment
-    fixed in the steel turns with the ball, and its force with it, every 2 pi R = 7.5 mm: that is not modelled. A ball
-    at rest stays while 5/7 of the push is under `rolling_decel`. So the target of a pair (Launch.pair, and every scene)
-    is pulled off before it is hit, and comes to meet the striker.
+    The moments must stay constant while the balls roll, as those of soft steel in a field do: m = 4 pi R^3 B/mu0. An
+    upright field of 1 mT gives pull = -0.05 m/s^2 at any position; one along the line of centres, as in nearly
+    head-on hits, +0.1 m/s^2. A moment fixed in the steel turns with the ball every 2 pi R = 7.5 mm: not modelled.
+
+    A ball at rest stays while 5/7 of the push is under rolling_decel. The target of a pair (Launch.pair, and every
+    scene) is therefore pulled off before it is hit, and moves towards the striker.
     """
 
     pull: float = parameter("m/s^2", typical=0.1, low=-0.5, high=0.5)
 
     def push(self, acceleration: Any, other: Any, mass: Any, ball: Any) -> NDArray[np.float64]:
+        nearest = 0.8  # diameters: closer centres occur only in paths that a solver tries and rejects
         x, y = other[..., 0], other[..., 1]
         size = ball.diameter**2
-        square = np.maximum(x * x + y * y, NEAREST * NEAREST * size)  # infinite where there is no other
+        square = np.maximum(x * x + y * y, nearest * nearest * size)  # infinite without another ball
         strength = size / square
         strength *= strength
         strength /= np.sqrt(square)

@@ -8,7 +8,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class MassMismatch(Effect):
-    """Ball a is heavier by the fraction `excess`, with the same diameter."""
+    """Ball a is heavier by the fraction excess, with the same diameter."""
 
     excess: float = parameter("1", typical=0.01, low=-0.5, high=1)
 

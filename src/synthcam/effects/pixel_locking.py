@@ -1,4 +1,4 @@
-"""A tracker drawn to the middles of pixels."""
+"""A tracker that draws positions to the middles of pixels."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +10,10 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class PixelLocking(Effect):
-    """Each coordinate is off by -amplitude sin(2 pi x), x in px: amplitude > 0 draws to the middles.
+    """Each coordinate is off by -amplitude sin(2 pi x), x in px; a positive amplitude draws to the middles of pixels.
 
-    A defect of the tracker: no scene may have it. Positions rounded to whole px have amplitude 1/pi, their first
-    harmonic.
+    A defect of the tracker: a scene cannot have it. Positions rounded to whole pixels have the amplitude 1/pi in their
+    first harmonic.
     """
 
     amplitude: float = parameter("px", typical=0.02, low=-0.35, high=0.35)

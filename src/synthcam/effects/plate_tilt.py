@@ -11,10 +11,10 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class PlateTilt(Effect):
-    """g sin(x), g sin(y) along the plate: in full on a sliding ball, 5/7 of it on a rolling one.
+    """Gravity pulls along the plate by g sin(x), g sin(y): in full on a sliding ball, by 5/7 on a rolling one.
 
-    x, y: slopes, positive where the plate falls towards +x, +y. A ball at rest is held by the rolling loss while
-    (5/7) g sin(tilt) stays under `rolling_decel`. The load's loss, 1 - cos(tilt), 5e-7 at 1 mrad, is left out.
+    x, y: slopes, positive where the plate falls towards +x, +y. The rolling loss holds a ball at rest while
+    (5/7) g sin(tilt) is under rolling_decel. The loss of load, 1 - cos(tilt), 5e-7 at 1 mrad, is neglected.
     """
 
     x: float = parameter("rad", typical=1e-3, low=-0.1, high=0.1)

@@ -11,13 +11,15 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class PlateWaviness(Effect):
-    """Height h = a cos(k s) + b sin(k s), k = 2 pi / wavelength, s along the direction `angle` from x.
+    """The plate has waves along `angle` of the height h = a cos(k s) + b sin(k s), with k = 2 pi / wavelength.
 
-    A push of -g h', in full on a sliding ball, 5/7 of it on a rolling one; and the load g + v_s^2 h'' of a ball that
-    slides over it, at least 0: of friction, that is mu v_s^2 k/g of the push. From the motion of a sphere on a curved
-    plate, to the first order in h. A spin w about the vertical would push a rolling ball across by (2/7) R w v_s h'',
-    some 0.2 of the push after a hit at b = 0.5 and 0.3 m/s on waves of 20 mm: left out. A ball at rest is held while
-    5/7 of the push is under `rolling_decel`.
+    The waves push by -g h', in full on a sliding ball, by 5/7 on a rolling one. A ball that slides over them has the
+    load g + v_s^2 h'', at least 0; its friction changes by mu v_s^2 k/g of the push. The law is that of a sphere on a
+    curved plate, to first order in h.
+
+    A spin w about the vertical would push a rolling ball across by (2/7) R w v_s h''. This is neglected: it is about
+    0.2 of the push after a hit at b = 0.5 and 0.3 m/s on waves of 20 mm. A ball at rest stays while 5/7 of the push is
+    under rolling_decel.
     """
 
     a: float = parameter("m", typical=2e-6, low=-5e-5, high=5e-5)
@@ -36,9 +38,9 @@ class PlateWaviness(Effect):
         return np.maximum(load - along * along * k * k * height, 0.0)
 
     def _wave(self, position: Any) -> tuple[float, float, float, Any, Any]:
-        """The direction, k, h and h'/k."""
+        """Return the direction, k, h and h'/k."""
         k, x, y = 2 * np.pi / self.wavelength, np.cos(self.angle), np.sin(self.angle)
-        phase = k * (x * position[..., 0] + y * position[..., 1]) + np.arctan2(self.a, self.b)  # one sine will do
-        half, height = np.tan(phase / 2), np.hypot(self.a, self.b)  # numpy is quick at tangents, not at sines
+        phase = k * (x * position[..., 0] + y * position[..., 1]) + np.arctan2(self.a, self.b)  # one sine suffices
+        half, height = np.tan(phase / 2), np.hypot(self.a, self.b)  # numpy computes tangents faster than sines
         share = height / (1 + half * half)
         return x, y, k, 2 * half * share, 2 * share - height

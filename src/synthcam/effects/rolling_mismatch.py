@@ -1,4 +1,4 @@
-"""A ball that rolls worse than the other."""
+"""A ball that loses more in rolling than the other."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,10 +8,11 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class RollingMismatch(Effect):
-    """Ball a loses more in rolling: its loss is (rolling_drag + drag) v + rolling_decel + decel, ball b's as ever.
+    """Ball a loses more in rolling: (rolling_drag + drag) v + rolling_decel + decel; ball b keeps the model's loss.
 
-    Negative where ball a rolls better. Rolling loss is hysteresis where ball and plate deform, Tabor, Proc. R. Soc. A
-    229 (1955) 198; a ball that is dented, soft or dirty has its own. Nothing while sliding, unlike a drag on one ball.
+    Negative values where ball a loses less. The rolling loss is hysteresis where ball and plate deform (Tabor, Proc. R.
+    Soc. A 229 (1955) 198); a dented, soft or dirty ball has its own. Unlike `drag_mismatch`, it does not act while the
+    ball slides.
     """
 
     drag: float = parameter("1/s", typical=0.01, low=-0.1, high=10)

@@ -1,4 +1,4 @@
-"""A rolling loss that grows with the square of the speed."""
+"""A rolling loss that grows as the square of the speed."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,9 +8,10 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class RollingQuadratic(Effect):
-    """a = -(drag v + decel + K v^2) while rolling; nothing while sliding, which separates it from the drag of air.
+    """The rolling loss has a quadratic term: a = -(drag v + decel + K v^2).
 
-    No published law: the next term after those of Painter & Behringer, PRE 62 (2000) 2380.
+    It does not act while sliding, which distinguishes it from the drag of air. There is no published law: it is the
+    next term after those of Painter & Behringer, PRE 62 (2000) 2380.
     """
 
     K: float = parameter("1/m", typical=0.1, low=-0.1, high=10)

@@ -8,7 +8,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class RollingShutter(Effect):
-    """What is seen in row y is exposed `line` y seconds later than row 0. A ball is taken by its centre's row."""
+    """Row y of the picture is exposed line * y seconds later than row 0. The row of its centre times a ball."""
 
     line: float = parameter("s", typical=5e-6, low=-5e-5, high=5e-5)
 

@@ -8,7 +8,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class ScaleError(Effect):
-    """The camera magnifies more than its file says by the fraction `e`."""
+    """The camera magnifies more than camera.json says, by the fraction e."""
 
     e: float = parameter("1", typical=1e-3, low=-0.3, high=0.3)
 

@@ -1,4 +1,4 @@
-"""A tracker that takes the glint for the ball's centre, because camera.json has no lamp."""
+"""A tracker that takes the glint for the centre of the ball, because camera.json has no lamp."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,11 +8,11 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class UnknownLamp(Effect):
-    """The share `share` of the way from the centre to the glint of a lamp at `x`, `y`, `height` that camera.json does
-    not have.
+    """Positions are off by the share `share` of the distance from the centre to the glint of an unknown lamp.
 
-    A small share of a lamp far from the camera looks like all of one near it: few tracks determine the share, which is
-    1. A defect of the tracker: no scene may have it. Nothing where camera.json has a lamp: see glint_parallax.
+    The lamp is at x, y, height. A small share of a distant lamp looks like all of a near one, so few tracks determine
+    the share, which is 1. A defect of the tracker: a scene cannot have it. It does nothing where camera.json has a
+    lamp: see `glint_parallax`.
     """
 
     share: float = parameter("1", typical=1.0, low=0, high=1)

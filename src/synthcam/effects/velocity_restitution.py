@@ -5,19 +5,17 @@ from typing import Any
 
 from synthcam.effect import Effect, parameter
 
-POWER = 1 / 5
-REFERENCE = 0.3  # m/s: there the law gives the model's own restitution
-
 
 @dataclass(frozen=True)
 class VelocityRestitution(Effect):
-    """1 - r(v) = (1 - r) [1 + e ((v/v_ref)^(1/5) - 1) 5], v the normal speed of approach, v_ref = 0.3 m/s.
+    """1 - r(v) = (1 - r) [1 + 5 e ((v/v_ref)^(1/5) - 1)], with the normal speed of approach v and v_ref = 0.3 m/s.
 
-    Never over 1, which e = 1 would reach under 0.1 m/s. e = 0.2 is the viscoelastic sphere, 1 - r ~ v^(1/5): Ramirez,
-    Poeschel, Brilliantov & Schwager, PRE 60 (1999) 4465.
+    r never exceeds 1, which e = 1 would reach under 0.1 m/s. e = 0.2 is the viscoelastic sphere, 1 - r ~ v^(1/5):
+    Ramirez, Poeschel, Brilliantov & Schwager, PRE 60 (1999) 4465.
     """
 
     e: float = parameter("1", typical=0.2, low=-1, high=1)
 
     def restitution(self, r: Any, normal_speed: Any) -> Any:
-        return 1 - (1 - r) * (1 + self.e * ((normal_speed / REFERENCE) ** POWER - 1) / POWER)
+        power = 1 / 5
+        return 1 - (1 - r) * (1 + self.e * ((normal_speed / 0.3) ** power - 1) / power)

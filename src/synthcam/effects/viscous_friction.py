@@ -1,4 +1,4 @@
-"""Sliding friction that grows in proportion to slip speed, as with a film of oil."""
+"""Sliding friction that grows in proportion to the slip speed, as with a film of oil."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +8,10 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class ViscousFriction(Effect):
-    """mu(u) = mu (1 + k u).  Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083."""
+    """mu(u) = mu (1 + k u): friction grows in proportion to the slip speed u.
+
+    Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083.
+    """
 
     k: float = parameter("s/m", typical=0.2, low=-0.5, high=10)
 
