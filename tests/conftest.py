@@ -47,5 +47,5 @@ def own(tmp_path, monkeypatch):
     monkeypatch.undo()
     for forget in effects_module._forget:
         forget()
-    for name in [n for n in sys.modules if n.startswith(effects_module.PREFIX)]:
+    for name in [n for n in sys.modules if n.startswith("synthcam_effects_of_a_folder")]:
         del sys.modules[name]

@@ -1,14 +1,14 @@
-"""What an effect is: a few parameters and the laws it bends.
+"""The base class of effects: a few parameters, and the laws of motion or of the picture that they change.
 
-A law is a number of the base model (a restitution, a friction coefficient, a force) at one instant. An effect
-overrides a law by defining a method of that name, which takes the value so far, then whatever it needs to know of
-that instant, by name, and returns the bent value::
+A law is a quantity of the base model at one instant, such as a restitution, a friction coefficient or a force. An
+effect changes a law by a method of that name. The method takes the value so far and then, by name, the quantities that
+it needs of that instant, and returns the new value::
 
     def friction(self, mu, slip_speed):
         return mu * (1 + self.rise * np.exp(-slip_speed / self.slip))
 
-`LAWS` lists the laws and what each may ask for. Several effects on one law are applied in the order of their names,
-after the model's tables (`free_law.py`).
+`LAWS` lists the laws and the inputs that each may ask for. Several effects on one law are applied in the order of
+their names, after the model's tables (`tabulated_law.py`).
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ from typing import Any, ClassVar, Self
 
 from synthcam_shared.errors import PluginError
 
-# All balls, or all nodes of an integration, come together: numbers are arrays (balls, n) or broadcast with them,
-# vectors have a last axis of two. "slip" is the unit vector of the contact velocity; "of_a" is 1 for the experimenter's
-# ball a, 0 for ball b; "other" is the position of the other ball relative to this one; "ball" is the model's,
-# whose radius and mass no effect has bent.
+# Inputs hold all balls, or all nodes of an integration, at once: numbers are arrays (balls, n) or broadcast with them,
+# vectors have a last axis of two. "slip" is the unit vector of the contact velocity. "of_a" is 1 for ball a of the
+# experimenter and 0 for ball b. "other" is the position of the other ball relative to this one. "ball" is the ball of
+# the model, with the radius and mass before any effect.
 LAWS: dict[str, tuple[str, ...]] = {
-    # the balls, once a run; bends ball a's
+    # the balls, once a run: radius and mass of ball a
     "mass": (),
     "radius": (),
     # impact, once a collision; speeds in m/s, approach_speed of the centres, normal_impulse over twice the reduced
     # mass, obliqueness of the approach: |b|, the sine of its angle with the normal
     "restitution": ("normal_speed", "heading", "obliqueness"),
     "spin_transfer": ("contact_speed", "normal_impulse", "approach_speed", "heading", "obliqueness"),
-    "loft": (),  # the share of the vertical impulse that the plate does not hold back
+    "loft": (),  # share of the vertical impulse that the plate does not hold back
     "rebound": (),  # the plate's restitution
     # sliding: mu; the load on the plate over the mass, m/s^2; the torque about the vertical, as dwz/dt
     "friction": ("slip_speed", "slip", "position", "velocity", "spin", "radius", "of_a"),
     "normal_load": ("gravity", "position", "velocity", "of_a"),
-    "drilling": ("spin", "slip_speed", "friction", "load", "radius", "of_a"),  # of friction as it is bent
+    "drilling": ("spin", "slip_speed", "friction", "load", "radius", "of_a"),  # of the friction with all effects
     # rolling loss, m/s^2 against the motion
     "rolling": ("speed", "position", "velocity", "gravity", "radius", "of_a"),
     # force over mass on the centre, m/s^2
     "push": ("position", "velocity", "gravity", "radius", "mass", "of_a", "other", "ball"),
-    # the picture: the camera as it is; when a moment of the film really was; how long the shutter was open
+    # the picture: the true camera; the true time of a moment of the film; how long the shutter was open
     "camera": (),
     "clock": ("fps", "row"),
     "exposure": ("fps",),
-    # a defect of the tracker, which no scene may have: where it puts a centre that is seen at (x, y) px. Two functions
-    # of such pixels: "glint", where the glint is; "mirrored", where it would be, were the lamp at (x, y, z) m, which is
-    # (x, y) itself where camera.json has a lamp
+    # a defect of the tracker, which a scene cannot have: the measured position of a centre that is at (x, y) px. Two
+    # inputs are functions of such pixels. "glint" gives the position of the glint; "mirrored" gives it for a lamp at
+    # (x, y, z) m, or the pixels themselves where camera.json has a lamp
     "measure": ("glint", "mirrored"),
 }
-VECTOR_INPUTS = {"slip", "position", "velocity", "other", "glint", "mirrored"}  # of what laws ask for
+VECTOR_INPUTS = {"slip", "position", "velocity", "other", "glint", "mirrored"}  # inputs that are vectors
 
 
 def parameter(
@@ -77,15 +77,15 @@ def parameter(
     low, high : float
         Limits, inclusive.
     fixed : bool
-        A shape parameter, meaningless while the strengths are zero: a search scans it and does not fit it. All others
-        are strengths: the effect is absent when every one of them is zero.
+        A shape parameter, meaningless while the strengths are zero: a search scans it. All others are strengths: the
+        effect is absent when every one of them is zero.
     given : bool
-        A shape parameter that tracks cannot separate from the others: a search leaves it as it is.
+        A shape parameter that tracks cannot separate from the others: a search does not change it.
     default : float, optional
         Default: `typical` for a shape parameter, 0 for a strength.
     tries : iterable of float
-        Values of a shape parameter at which a search starts, close enough together to overlook nothing; default: a
-        few about `typical`.
+        Values of a shape parameter at which a search starts, close enough together to miss nothing; default: a few
+        about `typical`.
 
     Returns
     -------
@@ -113,10 +113,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Effect:
-    """Base of all effects. A subclass holds parameters and the laws it bends, and lives in a file of its own name."""
+    """Base of all effects. A subclass holds parameters and the laws that it changes, in a file of its own name."""
 
     laws: ClassVar[dict[str, tuple[str, ...]]] = {}
-    first: ClassVar[bool] = False  # does it act before all others, whatever its name?
+    first: ClassVar[bool] = False  # whether it acts before all others
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -149,32 +149,32 @@ class Effect:
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
-        """The parameters in the order of declaration."""
+        """Return the parameters in the order of declaration."""
         return tuple(Parameter(name=f.name, default=f.default, **f.metadata) for f in fields(cls))  # type: ignore[arg-type]
 
     @classmethod
     def strengths(cls) -> tuple[Parameter, ...]:
-        """The parameters that are zero when the effect is absent."""
+        """Return the parameters that are zero when the effect is absent."""
         return tuple(p for p in cls.parameters() if not p.fixed)
 
     @classmethod
     def absent(cls) -> Self:
-        """The effect with every strength zero and every shape parameter at its default."""
+        """Return the effect with every strength zero and every shape parameter at its default."""
         return cls(**{p.name: 0.0 for p in cls.strengths()})
 
     @property
     def bends(self) -> Iterator[tuple[str, Callable[..., Any], tuple[str, ...]]]:
-        """The laws that it bends, the method of each, and what that asks to know."""
+        """Each law that the effect changes, the method that changes it, and the inputs of that method."""
         return ((law, getattr(self, law), asks) for law, asks in self.laws.items())
 
     @property
     def active(self) -> bool:
-        """False when every strength is exactly zero: the effect is then left out, bit for bit."""
+        """False when every strength is exactly zero: results are then those without the effect, bit for bit."""
         return any(getattr(self, p.name) != 0.0 for p in self.strengths())
 
 
 class Laws:
-    """The laws of a model with its active effects applied; one callable attribute for each law."""
+    """The laws of a model with its active effects: call it with a law, its value and the inputs of the instant."""
 
     def __init__(self, effects: Iterable[Effect]) -> None:
         active = sorted((e for e in effects if e.active), key=lambda e: (not e.first, e.name()))
@@ -184,19 +184,19 @@ class Laws:
                 self._bends[law].append((bend, asks))
 
     def has_effect_on(self, *laws: str) -> bool:
-        """True when an active effect bends any of these laws."""
+        """Whether an active effect changes any of these laws."""
         return any(self._bends[law] for law in laws)
 
     def inputs_of(self, law: str) -> set[str]:
-        """What the active effects on `law` want to know."""
+        """Return the inputs that the active effects on `law` need."""
         return {what for _, asks in self._bends[law] for what in asks}
 
     def needs(self, law: str, what: str) -> bool:
-        """True when an active effect on `law` wants to know `what`."""
+        """Whether an active effect on `law` needs the input `what`."""
         return any(what in asks for _, asks in self._bends[law])
 
     def __call__(self, law: str, value: Any, instant: Mapping[str, Any]) -> Any:
-        """`value` after every effect on `law`; `instant` maps the names in LAWS[law] to what they are now."""
+        """Return `value` after every effect on `law`; `instant` maps the inputs of LAWS[law] to their values."""
         for bend, asks in self._bends[law]:
             value = bend(value, *[instant[a] for a in asks])
         return value

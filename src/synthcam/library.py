@@ -1,6 +1,6 @@
-"""The library of effects: each is a file of the folder `effects`, found by its being there.
+"""The library of effects: every file of the folder `effects`, and the effects that users and packages add.
 
-Further ones come from folders that a user names, and from packages, as entry points of the group `synthcam.effects`.
+Users name a folder of their own; packages declare entry points of the group `synthcam.effects`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ from synthcam.tabulated_law import SEARCH_ONLY_LAWS, table_names
 from synthcam_shared.errors import InputError, PluginError
 
 T = TypeVar("T")
-GROUP = "synthcam.effects"
-PREFIX = "synthcam_effects_of_a_folder"  # of the modules' names, which no package may have
+GROUP = "synthcam.effects"  # of entry points
 _folders: dict[Path, dict[str, type[Effect]]] = {}
 _forget: list[Callable[[], None]] = []
 
 
 def classes_in(package: ModuleType, base: type[T]) -> Iterator[type[T]]:
-    """The one subclass of `base` in each module of a package, by the modules' names. Raises TypeError."""
+    """Iterate over the one subclass of `base` in each module of a package, by name. Raises PluginError."""
     for info in sorted(pkgutil.iter_modules(package.__path__), key=lambda i: i.name):
         yield _only_class(importlib.import_module(f"{package.__name__}.{info.name}"), base)
 
@@ -46,7 +45,7 @@ def _only_class(module: ModuleType, base: type[T]) -> type[T]:
 
 
 def cache_until_effects_change(make: Callable[[], T]) -> _lru_cache_wrapper[T]:
-    """Decorate what is made of the library, and must be made anew when effects are added to it."""
+    """Decorate a function of the library whose result must be made again when effects are added."""
     made = cache(make)
     _forget.append(made.cache_clear)
     return made
@@ -54,7 +53,7 @@ def cache_until_effects_change(make: Callable[[], T]) -> _lru_cache_wrapper[T]:
 
 @cache_until_effects_change
 def library() -> dict[str, type[Effect]]:
-    """Every effect by name: the files of the folder `effects`, those of packages, those of the folders added."""
+    """Return every effect by name: of synthcam, then of packages, then of folders that were added."""
     found = {e.name(): e for e in classes_in(effects, Effect)}
     for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
         found[point.name] = _load_entry_point(point.name, point.load, found)
@@ -68,7 +67,7 @@ def _load_entry_point(name: str, load: Callable[[], object], known: dict[str, ty
     _check_free(name, known, where)
     try:
         kind = load()
-    except Exception as error:  # whatever that package raises
+    except Exception as error:  # a package may raise anything
         raise PluginError(f"{where}: {type(error).__name__}: {' '.join(str(error).split())}") from None
     if not (inspect.isclass(kind) and issubclass(kind, Effect)):
         raise PluginError(f"{where}: expected a class of Effect, found {type(kind).__name__}")
@@ -79,13 +78,13 @@ def _load_entry_point(name: str, load: Callable[[], object], known: dict[str, ty
 
 
 def add_effects(folder: str | Path) -> None:
-    """Add the effects of a folder of one's own to the library: a file for each, as those of synthcam.
+    """Add the effects of your own folder to the library, one file for each, written like those of synthcam.
 
     Parameters
     ----------
     folder : str or Path
-        Every .py file in it, but for those whose names begin with "_", must hold one effect. A folder that was added
-        before changes nothing.
+        Every .py file in it must hold one effect, except files whose names begin with "_". Adding a folder twice
+        changes nothing.
 
     Raises
     ------
@@ -117,12 +116,12 @@ def add_effects(folder: str | Path) -> None:
 
 
 def list_added_folders() -> tuple[Path, ...]:
-    """The folders added, for processes that must add them too."""
+    """Return the folders that were added, for worker processes that must add them too."""
     return tuple(_folders)
 
 
 def digest(name: str) -> str | None:
-    """SHA-256 of an effect's file, where it is one of a folder that was added."""
+    """Return the SHA-256 of the file of an effect from an added folder, or None."""
     for folder, found in _folders.items():
         if name in found:
             return hashlib.sha256((folder / f"{name}.py").read_bytes()).hexdigest()
@@ -130,29 +129,29 @@ def digest(name: str) -> str | None:
 
 
 def check_name(name: str, where: str) -> None:
-    """Raises PluginError where an effect cannot have that name, or another one has it. where: for the message."""
+    """Raise PluginError if an effect cannot have that name, or another effect has it. where: for the message."""
     _check_free(name, library(), where)
 
 
 def _check_free(name: str, known: dict[str, type[Effect]], where: str) -> None:
     if not (name.isascii() and name.isidentifier() and name == name.lower()) or name.startswith("_"):
-        raise PluginError(f"{where}: expected a name of small letters, digits and _, as my_effect")
+        raise PluginError(f"{where}: expected a name of lower-case letters, digits and _, such as my_effect")
     if name in known:
-        raise PluginError(f"{where}: there is an effect of this name already")
+        raise PluginError(f"{where}: an effect of this name exists already; choose another name")
     if name in {*table_names(), *SEARCH_ONLY_LAWS, *LAWS}:
-        raise PluginError(f"{where}: that is a law's name; expected another")
+        raise PluginError(f"{where}: this is the name of a law; choose another name")
 
 
 def _load_file(file: Path, known: dict[str, type[Effect]]) -> type[Effect]:
-    """The effect in a file. Raises PluginError."""
+    """Load the effect in a file. Raises PluginError."""
     _check_free(file.stem, known, str(file))
     key = hashlib.sha256(str(file.resolve().parent).encode()).hexdigest()[:12]
-    name = f"{PREFIX}_{key}.{file.stem}"
+    name = f"synthcam_effects_of_a_folder_{key}.{file.stem}"  # no package has such a name
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where dataclasses look for it
+    sys.modules[name] = module  # dataclasses search it there
     try:
         spec.loader.exec_module(module)
         kind = _only_class(module, Effect)
@@ -161,26 +160,26 @@ def _load_file(file: Path, known: dict[str, type[Effect]]) -> type[Effect]:
         del sys.modules[name]
         if not isinstance(error, Exception):
             raise
-        said = " ".join(str(error).split()).removeprefix(f"{name}: ").removeprefix(f"{file}: ")
+        message = " ".join(str(error).split()).removeprefix(f"{name}: ").removeprefix(f"{file}: ")
         if isinstance(error, SyntaxError):
-            said = f"line {error.lineno}: {error.msg}"
+            message = f"line {error.lineno}: {error.msg}"
         elif not isinstance(error, InputError):
-            said = f"{type(error).__name__}: {said}"
-        raise PluginError(f"{file}: {said}") from None
+            message = f"{type(error).__name__}: {message}"
+        raise PluginError(f"{file}: {message}") from None
     return kind
 
 
 def _check(kind: type[Effect], where: str) -> None:
-    """Raises PluginError where a class is no complete effect."""
+    """Raise PluginError if a class is not a complete effect."""
     if "__dataclass_params__" not in vars(kind):
         raise PluginError(f"{where}: expected @dataclass(frozen=True) before class {kind.__name__}")
     plain = [f.name for f in fields(kind) if "typical" not in f.metadata or f.default is MISSING]
     if plain:
         raise PluginError(
-            f'{where}: {plain[0]}: expected a parameter, as {plain[0]}: float = parameter("1", typical=1)'
+            f'{where}: {plain[0]}: expected a parameter, such as {plain[0]}: float = parameter("1", typical=1)'
         )
     if not kind.laws:
-        raise PluginError(f"{where}: bends no law; expected a method of the name of one of {', '.join(LAWS)}")
+        raise PluginError(f"{where}: changes no law; expected a method named as one of {', '.join(LAWS)}")
     if not kind.strengths():
         raise PluginError(f"{where}: expected a parameter that is not fixed: the effect's strength")
     try:

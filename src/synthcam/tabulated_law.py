@@ -1,7 +1,7 @@
-"""Laws that a model holds as a table: a curve, or a map, in place of numbers of the base model.
+"""Laws given as a table: a curve or a map that replaces numbers of the base model.
 
-`free_laws: {friction_speed: {x: [0, 0.1, 0.2], y: [0.20, 0.23, 0.24]}}` of a model file is mu at those slip speeds. Its
-names are those of the free laws of a search, which writes what it found in this form.
+`free_laws: {friction_speed: {x: [0, 0.1, 0.2], y: [0.20, 0.23, 0.24]}}` in a model file gives mu at those slip speeds.
+The names are those of the free laws of a search, which writes its results in this form.
 """
 
 from __future__ import annotations
@@ -22,32 +22,30 @@ from synthcam.table import SmoothTable, to_tuples
 Array = NDArray[np.float64]
 Owners = tuple[tuple[str, int], ...]
 
-REFERENCE_SPEED_M_S = (
-    0.1  # m/s: at this speed a rolling loss's part in proportion to the speed counts as its constant part does
-)
+REFERENCE_SPEED_M_S = 0.1  # at which the proportional part of a rolling loss is given
 LINE, TURN, PLACE = "line", "turn", "place"
 
 
 @dataclass(frozen=True)
 class TableKind:
-    """What a table may be of.
+    """One kind of table: the law that it gives and the quantity that this law depends on.
 
     Attributes
     ----------
     law, what : str
-        The law of `LAWS` that it makes, and what that depends on.
+        The law of `LAWS`, and the input that it depends on.
     owners : tuple of (str, int)
-        The numbers of the base model that it stands for, each times x to a power; none: it adds to the law.
+        The numbers of the base model that it replaces, each times x to a power; none: it adds to the law.
     axis : str
-        LINE (of a vector its size), TURN (the direction of a vector, rad) or PLACE (a map over both parts of a vector).
+        LINE (of a vector: its size), TURN (the direction of a vector, rad) or PLACE (a map over both components).
     unit, x_unit : str
     parts : int
         2: of a force its parts along x and y, or, over an angle, along the motion and across it, over the speed; of a
         rolling loss a constant part, and one in proportion to the speed, as it is at REFERENCE_SPEED_M_S.
     low, high : float
-        Between them the law must stay.
+        Limits of the law.
     one_ball : bool
-        Whether it may be that of ball a or b alone: NAME_a, NAME_b.
+        Whether it may apply to ball a or b alone: NAME_a, NAME_b.
     """
 
     law: str
@@ -98,7 +96,7 @@ TABLE_KINDS: dict[str, TableKind] = {
     "force_heading": TableKind("push", "velocity", (), TURN, "1/s", "rad", parts=2),
     "force_place": TableKind("push", "position", (), PLACE, "m/s^2", "m", parts=2, one_ball=True),
 }
-SEARCH_ONLY_LAWS = {  # free laws of a search that no model holds, and why
+SEARCH_ONLY_LAWS = {  # free laws of a search that a model cannot hold, and why
     **dict.fromkeys(("lag_speed", "warp_place"), "of the instrument; a model holds only laws of motion"),
     "side_spin_clip": "of the launches: `free: [launch.spin]` has it fitted in each, launch.side of a scene makes it",
     **dict.fromkeys(
@@ -109,7 +107,7 @@ SEARCH_ONLY_LAWS = {  # free laws of a search that no model holds, and why
 
 
 def kind_of(name: str) -> tuple[TableKind, str]:
-    """What a table of that name is of, and of which ball alone ("a", "b" or "" for both). Raises KeyError."""
+    """Return the kind of a table by its name, and its ball: "a", "b" or "" for both. Raises KeyError."""
     if name in TABLE_KINDS:
         return TABLE_KINDS[name], ""
     own, _, ball = name.rpartition("_")
@@ -119,7 +117,7 @@ def kind_of(name: str) -> tuple[TableKind, str]:
 
 
 def table_names() -> Iterator[str]:
-    """Every name that a table may have."""
+    """Iterate over every name that a table may have."""
     for name, kind in TABLE_KINDS.items():
         yield name
         if kind.one_ball:
@@ -128,15 +126,15 @@ def table_names() -> Iterator[str]:
 
 @dataclass(frozen=True)
 class AddedLaw(Effect):
-    """Base of what is added to one law, a function of one thing it depends on, of both balls or of one alone.
+    """Base of a term added to one law: a function of one input, for both balls or for one of them.
 
-    It has no parameters, and acts before all effects: what these multiply is the law with it.
+    It has no parameters. It acts before all effects, which therefore multiply the law with this term.
     """
 
     first: ClassVar[bool] = True
 
     def __init_subclass__(cls) -> None:
-        cls.laws = {}  # its methods are no laws
+        cls.laws = {}  # its methods are not laws
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
@@ -145,11 +143,11 @@ class AddedLaw(Effect):
     @property
     @abstractmethod
     def target(self) -> tuple[str, str, str] | None:
-        """The law, what it depends on ("": the value itself), and the ball that it is of; None: no law of a model."""
+        """The law, its input ("": the value itself) and its ball; None: not a law of a model."""
 
     @abstractmethod
     def _addition(self, what: Any, speed: Any) -> Array:
-        """What it adds to the law where that depends on `what`: (...), or (..., 2) of a push."""
+        """Return the term at the inputs `what`: (...), or (..., 2) for a push."""
 
     @property
     def bends(self) -> Iterator[tuple[str, Callable[..., Any], tuple[str, ...]]]:
@@ -159,7 +157,7 @@ class AddedLaw(Effect):
             yield law, partial(self._bend, tuple(asks)), tuple(asks)
 
     def _bend(self, asks: tuple[str, ...], value: Any, *known: Any) -> Any:
-        """The law's value, bent. known: what it asks for."""
+        """Return the value of the law with the term; known: the inputs in the order of `asks`."""
         assert self.target
         law, what, ball = self.target
         instant = dict(zip(asks, known, strict=True))
@@ -172,7 +170,7 @@ class AddedLaw(Effect):
 
 @dataclass(frozen=True)
 class TabulatedLaw(AddedLaw):
-    """A law from a table, in place of the numbers of the base model that it stands for.
+    """A law from a table, in place of numbers of the base model.
 
     Attributes
     ----------
@@ -190,7 +188,7 @@ class TabulatedLaw(AddedLaw):
 
     @classmethod
     def of(cls, law: str, x: Any, y: Any, numbers: Mapping[str, float]) -> TabulatedLaw:
-        """A table beside these numbers of the base model. Raises ValueError, which says what was expected."""
+        """Make the law beside these numbers of the base model. Raises ValueError with what was expected."""
         kind, _ = kind_of(law)
         table = SmoothTable(to_tuples(x), to_tuples(y), kind.axis == TURN)
         if table.plane != (kind.axis == PLACE):
@@ -221,7 +219,7 @@ class TabulatedLaw(AddedLaw):
         return kind.law, kind.what, ball
 
     def beyond(self, *x: Any) -> Array:
-        """What it has beyond the numbers that it stands for, at places x: (...), or (..., 2) of two parts."""
+        """Return the table minus the numbers that it replaces, at x: (...), or (..., 2) for two components."""
         out = self.table(*x)
         for (_, power), value in zip(self.kind.owners, self.base_numbers, strict=True):
             out = out - value * np.asarray(x[0]) ** power
@@ -246,7 +244,7 @@ class TabulatedLaw(AddedLaw):
         return out
 
     def to_settings(self, numbers: Mapping[str, float]) -> dict[str, list[Any]]:
-        """x and y as `of` takes them, beside these numbers of the base model."""
+        """Return x and y as `of` takes them, beside these numbers of the base model."""
         x, y = np.array(self.table.x), np.array(self.table.y)
         for (name, power), value in zip(self.kind.owners, self.base_numbers, strict=True):
             if numbers[name] != value:

@@ -183,10 +183,10 @@ def test_the_command_writes_and_says_the_line(reports, own, capsys):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("../x", "expected a name of small letters"),
-        ("x y", "expected a name of small letters"),
-        ("stribeck", "an effect of this name already"),
-        ("friction_speed", "that is a law's name"),
+        ("../x", "expected a name of lower-case letters"),
+        ("x y", "expected a name of lower-case letters"),
+        ("stribeck", "an effect of this name exists already"),
+        ("friction_speed", "this is the name of a law"),
     ],
 )
 def test_a_name_that_cannot_be(name, said, reports, own):

@@ -62,14 +62,14 @@ def test_workers_know_the_folder_and_the_dataset_which_file_it_was(own, tmp_path
         (
             "a",
             STICKY.replace('parameter("s/m", typical=0.05, low=0)', "0.1"),
-            "k: expected a parameter, as k: float = ",
+            "k: expected a parameter, such as k: float = ",
         ),
         ("a", STICKY.replace("low=0)", "low=0, fixed=True)"), "expected a parameter that is not fixed"),
         ("a", STICKY.replace("low=0)", "low=1)"), r"a\.k = 0: expected a number from 1"),
-        ("a", STICKY.replace("def friction", "def _friction"), "bends no law; expected a method"),
-        ("stribeck", STICKY, "there is an effect of this name already"),
-        ("friction_speed", STICKY, "that is a law's name"),
-        ("Sticky", STICKY, "expected a name of small letters, digits and _"),
+        ("a", STICKY.replace("def friction", "def _friction"), "changes no law; expected a method"),
+        ("stribeck", STICKY, "an effect of this name exists already"),
+        ("friction_speed", STICKY, "this is the name of a law"),
+        ("Sticky", STICKY, "expected a name of lower-case letters, digits and _"),
     ],
 )
 def test_a_file_that_is_no_effect_is_one_line(own, name, text, said):
@@ -110,7 +110,7 @@ def test_a_package_brings_an_effect_as_an_entry_point(own, monkeypatch):
         (Point("sticky", lambda: kind), "expected the name of the effect's file, sticky_fingers"),
         (Point("sticky_fingers", lambda: 3), "expected a class of Effect, found int"),
         (Point("sticky_fingers", lambda: 1 / 0), "ZeroDivisionError"),
-        (Point("hop", lambda: kind), "there is an effect of this name already"),
+        (Point("hop", lambda: kind), "an effect of this name exists already"),
     ):
         with pytest.raises(InputError, match=f"entry point {point.name} of synthcam.effects: .*{said}"):
             brought(point)

@@ -60,9 +60,9 @@ def test_a_map_of_two_parts_is_a_product_of_lines_within_and_level_without():
         ((0.0, float("nan")), (1.0, 2.0), False, "x: expected finite"),
         ((0.0, 1.0), (1.0, (2.0, 3.0)), False, "y: expected finite numbers, or pairs"),
         (((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)), (1.0, 1.0, 1.0), False, "whole grid"),
-        (((0.0, 0.0), (0.0, 1.0)), (1.0, 1.0), False, "2 places or more along each axis"),
+        (((0.0, 0.0), (0.0, 1.0)), (1.0, 1.0), False, "2 points or more along each axis"),
         ((0.0, 7.0), (1.0, 2.0), True, "within one turn"),
-        ((0.0, 1e-9, 2e-9, 1.0), (1.0, 2.0, 1.0, 2.0), False, "places that stand apart more evenly"),
+        ((0.0, 1e-9, 2e-9, 1.0), (1.0, 2.0, 1.0, 2.0), False, "points that are spaced more evenly"),
         ((0.0, 3.0, 2 * np.pi), (1.0, 2.0, 1.5), True, "same value after a whole turn"),
     ],
 )

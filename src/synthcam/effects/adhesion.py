@@ -10,8 +10,8 @@ from synthcam.effect import Effect, parameter
 class Adhesion(Effect):
     """While in contact with the plate, a ball presses on it with the load (1 + pull) m g.
 
-    The attraction `pull` is in units of the weight: a magnet under the plate, a film of water, static charge. It is gone
-    in flight. Friction is mu times the load (Coulomb).
+    The attraction `pull` is in units of the weight: a magnet under the plate, a film of water, static charge. It is
+    gone in flight. Friction is mu times the load (Coulomb).
     """
 
     pull: float = parameter("1", typical=0.1, low=-0.5, high=5)

@@ -15,8 +15,8 @@ TORQUE_SERIES = (0.2, 0.01, 2.003, -10.752, 25.74, -25.326, 3 * np.pi / 16 + 8.1
 class DrillingSpin(Effect):
     """A spin w about the vertical weakens sliding friction: the force is mu N F u/h, with h^2 = u^2 + (a w)^2.
 
-    Its torque is mu N a M a w/h: Coulomb friction over a Hertz contact of radius a. F and M are polynomials in y = (a w/h)^2, within 1 % of the
-    integrals of friction over the contact, and exact at both ends:
+    Its torque is mu N a M a w/h: Coulomb friction over a Hertz contact of radius a. F and M are polynomials in
+    y = (a w/h)^2. They are within 1 % of the integrals of friction over the contact, and exact at both ends:
 
     - fast slides: mu N (1 - (a w/u)^2/10) and mu N a (a w/u)/5
     - drilling: (3 pi/8) mu N u/(a w) and (3 pi/16) mu N a
