@@ -46,7 +46,7 @@ def test_workers_know_the_folder_and_the_dataset_which_file_it_was(own, tmp_path
     monkeypatch.setattr(generate, "digest", lambda name: None)  # a package brings it now
     with pytest.raises(InputError, match="another effect_files"):
         generate_dataset(plan, tmp_path / "d", 1, lambda done, of: None)
-    assert make_clip(plan, 0, tmp_path) == ""
+    assert make_clip(plan, 0, tmp_path) is None
 
 
 @pytest.mark.parametrize(

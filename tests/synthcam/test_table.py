@@ -55,7 +55,7 @@ def test_a_map_of_two_parts_is_a_product_of_lines_within_and_level_without():
     ("x", "y", "turn", "said"),
     [
         ((0.0,), (1.0,), False, "x: expected 2 to"),
-        ((0.0, 1.0), (1.0,), False, "y: expected a value for each of 2 places, found 1"),
+        ((0.0, 1.0), (1.0,), False, "y: expected a value for each of 2 points, found 1"),
         ((0.0, 0.0), (1.0, 2.0), False, "x: expected rising"),
         ((0.0, float("nan")), (1.0, 2.0), False, "x: expected finite"),
         ((0.0, 1.0), (1.0, (2.0, 3.0)), False, "y: expected finite numbers, or pairs"),
