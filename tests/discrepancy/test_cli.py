@@ -248,7 +248,7 @@ def one_camera_too_many(recorded, tmp):
 
 def all_swapped(recorded, tmp):
     table, *camera = swapped(recorded, tmp, *range(7))
-    return table, camera, "exchanged"
+    return table, camera, "exchange their numbers"
 
 
 BAD = [no_folder, no_estimates, damaged, a_column_short, a_clip_short, few, none_at_all, nothing_finite, no_camera]

@@ -1,4 +1,4 @@
-"""What a search begins with: collisions of one camera, their noise, and the fit of the model as it is given."""
+"""The start of a search: checks the clips, estimates their noise, and fits the model as it is given."""
 
 from __future__ import annotations
 
@@ -21,22 +21,20 @@ from synthcam.model import LAUNCH_SPIN, Model
 from synthcam_shared.errors import InputError
 from tracker.camera.same_view import first_difference
 
-TIMING = ("fps", "exposure")  # in which clips of one study may differ
-CLAIMED_NOISE = Noise(NoiseComponent(1.0))  # white, and as large as is claimed
-LOST = 100.0  # chi^2 a degree of freedom of a fit that may have lost its way
+CLAIMED_NOISE = Noise(NoiseComponent(1.0))  # white noise of the claimed size
 Progress = Callable[[str], None]
 
 
 def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[MeasuredCollision]:
-    """Check that there are enough clips, all of one camera, and that they are measured by the model's ball.
+    """Check that there are enough clips, that all have one camera, and that their ball is the model's.
 
-    A ball of another size, or another camera, would otherwise pass for a discovery. Frame rates and exposures may
+    A ball of another size or another camera would otherwise look like a missing effect. Frame rates and exposures may
     differ.
 
     Returns
     -------
-    sequence of Measured
-        With a spin of each striker where the model calls that free.
+    sequence of MeasuredCollision
+        With a side spin of each striker where the model's `free` lists it.
 
     Raises
     ------
@@ -44,7 +42,7 @@ def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[Me
     """
     if len(clips) < current_policy().min_collisions:
         least = current_policy().min_collisions
-        raise InputError(f"{len(clips)} measured collisions: expected {least} or more, some to fit, some to keep out")
+        raise InputError(f"{len(clips)} measured collisions: expected {least} or more, to fit some and hold out others")
     first, held = clips[0].camera, 2 * model.ball.radius
     for c in clips:
         if abs(c.camera.ball_diameter / held - 1) > current_policy().max_diameter_mismatch:
@@ -52,51 +50,55 @@ def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[Me
                 f"the ball of camera.json is {1e3 * c.camera.ball_diameter:.6g} mm wide (clip {c.clip}), that of the "
                 f"model {1e3 * held:.6g} mm; expected the same"
             )
-        if other := first_difference(c.camera, first, besides=TIMING):
+        if other := first_difference(c.camera, first, besides=("fps", "exposure")):
             raise InputError(
                 f"camera.json: {other} of clip {c.clip} is not that of clip {clips[0].clip}; expected clips of one "
-                "camera; search those of each by themselves"
+                "camera; search each camera's clips separately"
             )
     return [replace(c, launch=allow_side_spin(c.launch)) for c in clips] if LAUNCH_SPIN in model.free else clips
 
 
 def estimate_noise(clips: Sequence[MeasuredCollision]) -> Noise:
-    """As `estimate` reads it. Raises InputError."""
+    """`estimate`, with an InputError where the tracks show no noise."""
     try:
         return estimate(clips)
     except ValueError as e:
         raise InputError(f"the tracks: {e}") from None
 
 
-def fit_base_model(clips: Sequence[MeasuredCollision], model: Model, noise: Noise, progress: Progress) -> ModelFit:
+def fit_base_model(
+    clips: Sequence[MeasuredCollision], model: Model, noise: Noise, progress: Progress, poor: float = 100.0
+) -> ModelFit:
     """Fit the model's base parameters that are not zero, and those in `model.free`.
 
-    The fit starts from the model's values. Where it ends far from the data, it starts again from the friction that the
-    slides' lengths show, with the rolling loss in proportion, as a wrong clock would change them.
+    The fit starts from the model's values. If it ends with chi^2 per degree of freedom above `poor`, it starts again
+    from the friction that the slides' durations give. The rolling loss is scaled too, as a wrong clock would do it.
 
     Parameters
     ----------
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
     model : Model
     noise : Noise
     progress : callable
-        Told the word "fit" at each step.
+        Called with "fit" at each step.
+    poor : float
+        100 is far beyond any misfit of a start near the minimum.
 
     Returns
     -------
-    Fit
+    ModelFit
 
     Raises
     ------
     InputError
-        Where the model has no motion for these collisions.
+        The model has no motion for these collisions.
     """
     names = names_to_fit(model)
     try:
         found = fit_model(clips, model, names, noise, progress=lambda: progress("fit"))
     except ValueError as e:
         raise InputError(f"the model has no motion for these collisions: {e}") from None
-    if found.chi2 > LOST * (found.points - found.parameters) and "sliding_friction" in names:
+    if found.chi2 > poor * (found.points - found.parameters) and "sliding_friction" in names:
         with suppress(ValueError):
             again = fit_model(clips, _rescale_friction(clips, model), names, noise, progress=lambda: progress("fit"))
             return min(found, again, key=lambda f: f.chi2)
@@ -106,32 +108,32 @@ def fit_base_model(clips: Sequence[MeasuredCollision], model: Model, noise: Nois
 def remove_outliers_beside_model(
     clips: Sequence[MeasuredCollision], kept_out: Sequence[MeasuredCollision], model: Model, progress: Progress
 ) -> tuple[list[MeasuredCollision], list[MeasuredCollision]]:
-    """Take out what are outliers beside the base model, before the noise is read, which they would be taken for.
+    """Remove positions that are outliers relative to the base model, so that they do not count as noise.
 
     Parameters
     ----------
-    clips, kept_out : sequence of Measured
-        The base model is fitted to the first; of those kept out, only the launches are fitted.
+    clips, kept_out : sequence of MeasuredCollision
+        The base model is fitted to `clips`; of the held-out clips only the launches are fitted.
     model : Model
     progress : callable
 
     Returns
     -------
-    (list of Measured, list of Measured)
-        Both without their outliers.
+    (list of MeasuredCollision, list of MeasuredCollision)
+        Both lists without outliers.
     """
     base = fit_base_model(clips, model, CLAIMED_NOISE, progress)
     every, places = [*clips, *kept_out], base.launches
     with suppress(ValueError):  # the model has no motion for one of them
         if kept_out:
             places = np.concatenate([places, fit_model(kept_out, base.model, (), CLAIMED_NOISE).launches])
-    told = every[: len(places)]
-    kept = [*remove_outliers(told, predict_tracks(base.model, places, told)), *every[len(places) :]]
+    predicted = every[: len(places)]
+    kept = [*remove_outliers(predicted, predict_tracks(base.model, places, predicted)), *every[len(places) :]]
     return kept[: len(clips)], kept[len(clips) :]
 
 
 def _rescale_friction(clips: Sequence[MeasuredCollision], model: Model) -> Model:
-    """With mu = 2 u / (7 g tau), from the speed u at which the hit target slips and from how long tau it does so."""
+    """The model with mu = 2 u / (7 g tau): u is the target's slip speed after the contact, tau its sliding time."""
     t_c, v0, b = np.array([c.launch for c in clips]).T[[T_C, V0, B]]
     lasts = np.array([c.slide_ends[0] for c in clips]) - t_c
     slip = (1 + model.restitution) / 2 * v0 * np.sqrt(1 - b**2)

@@ -1,7 +1,8 @@
-"""One model, all clips: shared physics and each clip's own launch, by Gauss-Newton on whitened residuals.
+"""Fits one model to all clips by Gauss-Newton: shared parameters, and each clip's own launch as nuisance parameters.
 
-The normal equations have an arrow's shape: the launches are eliminated clip by clip (variable projection), so the cost
-grows linearly with the number of clips. Derivatives are kept for as long as chi^2 falls as they foretell.
+The launches are eliminated from the normal equations clip by clip (a Schur complement; variable projection, Golub &
+Pereyra, Inverse Problems 19 (2003) R1), so the cost grows linearly with the number of clips. Derivatives are reused for
+as long as chi^2 falls as they predict.
 """
 
 from __future__ import annotations
@@ -25,14 +26,8 @@ from synthcam.dynamics.batch import LAUNCH_COLUMNS
 from synthcam.dynamics.solve import without_mutual_push
 from synthcam.model import Model
 
-ITERATIONS = 40
-SETTLED = 1e-3  # of chi^2
-ROUGH = 0.1  # of chi^2: enough to see which of two models fits better
-FORETOLD = 0.2  # of what the derivatives foretell: chi^2 falling so much more or less calls for new ones
-SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn: along a valley that bends, a part of it still leads down
-DAMPED = 1e6  # the strongest damping
-FEW, GUILTY = 0.2, 0.1  # of the clips, whose launches alone may be damped; of the largest rise of chi^2 in a clip
-FAILED = (ValueError, ArithmeticError)  # of a step: no motion, a singular matrix, an overflow
+STEP_ERRORS = (ValueError, ArithmeticError)  # a step fails: no motion, a singular matrix, an overflow
+MAX_DAMPING = 1e6
 
 
 def fit_model(
@@ -43,69 +38,74 @@ def fit_model(
     launches: Array | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> ModelFit:
-    """Fit shared parameters and every launch, by Gauss-Newton with Levenberg's damping when a step fails.
+    """Fit shared parameters and every launch by Gauss-Newton, with Marquardt's damping when a step fails.
 
     Parameters
     ----------
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
     model : Model
-        Where the parameters start from.
+        Its values are the start of the fit.
     names : sequence of str
         The shared parameters; with none only the launches are fitted.
     noise : Noise
     launches : (clips, p) array, optional
-        To start from; by default the clips' own first guesses.
+        Start of the launches; by default the clips' own first guesses.
     progress : callable
         Called at every step.
 
     Returns
     -------
-    Fit
+    ModelFit
 
     Raises
     ------
     ValueError
-        The model has no motion for a launch to start from.
+        The model has no motion for one of the first launches.
     """
-    evidence = WhitenedClips.of(clips, noise)
+    whitened = WhitenedClips.of(clips, noise)
     places = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
-    return minimise_chi2(evidence, linearise(evidence, model, tuple(names), places), progress)
+    return minimise_chi2(whitened, linearise(whitened, model, tuple(names), places), progress)
 
 
 def minimise_chi2(
-    evidence: WhitenedClips, fit: ModelFit, progress: Callable[[], None] = lambda: None, rough: bool = False
+    whitened: WhitenedClips, fit: ModelFit, progress: Callable[[], None] = lambda: None, rough: bool = False
 ) -> ModelFit:
-    """The least chi^2, by steps from a fit.
+    """Minimise chi^2 by steps from a fit.
+
+    A whole step is tried first, then 30 and 10 % of it, since along a bent valley a shorter step still descends. If all
+    fail, a few clips may be at fault: their launches are damped (`_find_failing_clips`), else all parameters. New
+    derivatives are taken when chi^2 falls by 20 % more or less than the old ones predict.
 
     Parameters
     ----------
-    evidence : Evidence
-    fit : Fit
+    whitened : WhitenedClips
+    fit : ModelFit
     progress : callable
         Called at every step.
     rough : bool
-        Stop within ROUGH or so of the least chi^2, with derivatives of somewhere near.
+        Stop about 0.1 above the least chi^2, with derivatives of a point nearby: enough to rank models. Else the
+        tolerance is 1e-3, with derivatives at the minimum.
 
     Returns
     -------
-    Fit
+    ModelFit
     """
-    damping, settled, last = 0.0, ROUGH if rough else SETTLED, False
+    damping, tolerance, last = 0.0, 0.1 if rough else 1e-3, False
     held = np.zeros(len(fit.residuals))  # damping of single launches
-    for _ in range(ITERATIONS):
+    for _ in range(40):
         progress()
         try:
             values, own = _step(fit, damping, held)
-        except FAILED:
+        except STEP_ERRORS:
             break
-        foretold = fit.chi2 - _predict_chi2(fit, values, own)
-        if last or foretold < settled:
-            if fit.is_linearised_here or rough or (here := _relinearise(evidence, fit)) is None:
+        predicted = fit.chi2 - _predict_chi2(fit, values, own)
+        if last or predicted < tolerance:
+            if fit.is_linearised_here or rough or (here := _relinearise(whitened, fit)) is None:
                 break
             fit, last = here, False
             continue
-        for share in SHARES if fit.is_linearised_here else (1.0,):
-            moved = _apply_step(evidence, fit, _interpolate(fit, values, share), share * own)
+        for share in (1.0, 0.3, 0.1) if fit.is_linearised_here else (1.0,):
+            moved = _apply_step(whitened, fit, _interpolate(fit, values, share), share * own)
             gained = fit.chi2 - moved.chi2 if moved else -np.inf
             if gained > 0 or (few := _find_failing_clips(fit, moved, held)).any():
                 break
@@ -114,101 +114,106 @@ def minimise_chi2(
                 held[few] = np.maximum(10 * held[few], 1e-3)
             elif fit.is_linearised_here:
                 damping = max(10 * damping, 1e-3)
-                if damping > DAMPED:
+                if damping > MAX_DAMPING:
                     break
-            elif (here := _relinearise(evidence, fit)) is None:
+            elif (here := _relinearise(whitened, fit)) is None:
                 break
             else:
                 fit = here
             continue
         damping, held = float(_reduce_damping(damping)), np.asarray(_reduce_damping(held))
-        last = gained < settled and share == 1
+        last = gained < tolerance and share == 1
         if last and fit.is_linearised_here:
-            return moved if rough else _relinearise(evidence, moved) or moved
+            return moved if rough else _relinearise(whitened, moved) or moved
         fit = moved
-        if not last and abs(gained - foretold) > FORETOLD * foretold:
-            if (here := _relinearise(evidence, fit)) is None:
+        if not last and abs(gained - predicted) > 0.2 * predicted:
+            if (here := _relinearise(whitened, fit)) is None:
                 break
             fit = here
     return fit
 
 
 def _reduce_damping(damping: Array | float) -> Array | np.float64:
-    """The damping after a step that gained."""
+    """The damping after a step that lowered chi^2."""
     return np.where(np.greater(damping, 1e-4), np.divide(damping, 10), 0.0)
 
 
 def _find_failing_clips(fit: ModelFit, moved: ModelFit | None, held: Array) -> NDArray[np.bool_]:
-    """Which clips alone made a step fail, if they are few: their launches are to be damped, and no others."""
+    """Clips that alone made a step fail, if they are few; only their launches are then damped.
+
+    These are the clips whose chi^2 rises by more than a tenth of the largest rise. They must be at most a fifth of the
+    clips, and in the others chi^2 must fall.
+    """
     none = np.zeros(len(fit.residuals), dtype=bool)
     if moved is None or not fit.is_linearised_here:
         return none
     rise = np.array([(a**2).sum() - (b**2).sum() for a, b in zip(moved.residuals, fit.residuals, strict=True)])
-    few = (rise > GUILTY * rise.max()) & (rise > 0)
-    if few.mean() > FEW or rise[~few].sum() > 0 or held[few].max() > DAMPED:
+    few = (rise > 0.1 * rise.max()) & (rise > 0)
+    if few.mean() > 0.2 or rise[~few].sum() > 0 or held[few].max() > MAX_DAMPING:
         return none
     return np.asarray(few)
 
 
-def _relinearise(evidence: WhitenedClips, fit: ModelFit) -> ModelFit | None:
-    """The fit with derivatives taken where it stands; None where the model has no motion near there."""
+def _relinearise(whitened: WhitenedClips, fit: ModelFit) -> ModelFit | None:
+    """The fit with derivatives at its own values; None where the model has no motion near there."""
     try:
-        return linearise(evidence, fit.model, fit.names, fit.launches)
-    except FAILED:
+        return linearise(whitened, fit.model, fit.names, fit.launches)
+    except STEP_ERRORS:
         return None
 
 
 def _interpolate(fit: ModelFit, values: Mapping[str, float], share: float) -> dict[str, float]:
-    """A share of the way to new values."""
+    """Values between the fit's and new ones, by this share."""
     return {n: (1 - share) * fit.model.value(n) + share * v for n, v in values.items()} if share < 1 else dict(values)
 
 
 def linearise(
-    evidence: WhitenedClips, model: Model, names: tuple[str, ...], launches: Array, exact: bool = False
+    whitened: WhitenedClips, model: Model, names: tuple[str, ...], launches: Array, exact: bool = False
 ) -> ModelFit:
-    """The residuals of a model and their derivatives, at given values and launches; nothing is fitted.
+    """Compute the residuals of a model and their derivatives, at given values and launches, without a fit.
 
     Parameters
     ----------
-    evidence : Evidence
+    whitened : WhitenedClips
     model : Model
     names : tuple of str
-        The shared parameters to take derivatives by.
+        The shared parameters whose derivatives are taken.
     launches : (clips, p) array
     exact : bool
         Count the push between balls in all derivatives; see `jacobian.derivatives`.
 
     Returns
     -------
-    Fit
+    ModelFit
 
     Raises
     ------
     ValueError
-        Where the model has no motion for such a launch.
+        The model has no motion for a launch.
     """
-    expected, own = differentiate_launches(model, launches, evidence.clips)
-    shared = differentiate_all(model, launches, evidence.clips, names, expected, exact)
-    residuals = evidence.whiten([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
+    expected, own = differentiate_launches(model, launches, whitened.clips)
+    shared = differentiate_all(model, launches, whitened.clips, names, expected, exact)
+    residuals = whitened.whiten([c.xy - e for c, e in zip(whitened.clips, expected, strict=True)])
     if names:
-        slopes = evidence.whiten([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
+        slopes = whitened.whiten([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
         slopes = zero_unidentifiable_shapes(model, names, slopes)
     else:
         slopes = tuple(np.zeros((len(r), 0)) for r in residuals)
-    own_slopes = zero_unidentifiable_spins(launches, evidence.whiten(own))
+    own_slopes = zero_unidentifiable_spins(launches, whitened.whiten(own))
     return ModelFit(model, names, launches, residuals, Linearisation(model, names, launches, slopes, own_slopes))
 
 
 def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Set to zero the derivatives by shape parameters that move nothing by one sigma over all their range.
+    """Set to zero the derivatives by shape parameters that are not identifiable.
 
-    So no step carries such a parameter away: a dropped frame, say, may be anywhere between two frames.
+    Such a parameter moves the tracks by less than one sigma over its whole range. Without derivatives no step carries
+    it away; a dropped frame, for example, may be anywhere between two frames.
 
     Parameters
     ----------
     model : Model
     names : sequence of str
-        The parameters, dotted where they are an effect's.
+        The parameters; an effect's are dotted.
     slopes : tuple of (2n, S) array
         Whitened derivatives of each clip by these.
 
@@ -228,9 +233,9 @@ def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple
 
 
 def zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Set to zero the derivatives by spins that move nothing by one sigma, however large they may be.
+    """Set to zero the derivatives by spins that move the tracks by less than one sigma, however large they may be.
 
-    Without friction and spin transfer no track shows a striker's spin, and rounding would pass for a derivative.
+    Without friction and spin transfer the tracks do not depend on a striker's spin; its derivative is rounding.
 
     Parameters
     ----------
@@ -249,35 +254,41 @@ def zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tup
     return tuple(np.where(none, 0.0, s) for none, s in zip(silent, slopes, strict=True)) if silent.any() else slopes
 
 
-def take_one_step(evidence: WhitenedClips, fit: ModelFit, model: Model) -> ModelFit | None:
-    """One Gauss-Newton step of all that is fitted, with another model in place of the fit's.
+def take_one_step(whitened: WhitenedClips, fit: ModelFit, model: Model) -> ModelFit | None:
+    """Take one Gauss-Newton step of all fitted parameters from another model than the fit's.
 
-    Returns that model without the step where the step gains nothing; None where it has no motion.
+    Returns
+    -------
+    ModelFit or None
+        Without the step if it does not lower chi^2; None where that model has no motion.
     """
-    there = _apply_step(evidence, dataclasses.replace(fit, model=model), {}, np.zeros_like(fit.launches))
+    there = _apply_step(whitened, dataclasses.replace(fit, model=model), {}, np.zeros_like(fit.launches))
     if there is None:
         return None
     try:
-        further = _apply_step(evidence, there, *_step(there, 0.0))
-    except FAILED:
+        further = _apply_step(whitened, there, *_step(there, 0.0))
+    except STEP_ERRORS:
         return there
     return further if further and further.chi2 < there.chi2 else there
 
 
 def choose_most_likely(
-    evidence: WhitenedClips, fit: ModelFit, tries: Sequence[Mapping[str, float]]
+    whitened: WhitenedClips, fit: ModelFit, tries: Sequence[Mapping[str, float]]
 ) -> Mapping[str, float] | None:
-    """Of several values of the same parameters, those that fit best once all else is fitted, to first order.
+    """Choose those values of the same parameters that fit best when everything else is fitted to first order.
 
-    Returns None where none of them has a motion.
+    Returns
+    -------
+    mapping of str to float, or None
+        None where the model has no motion for any of them.
     """
     names = tuple(tries[0])
-    kept, (here, *there) = fit.drop(fit.model, names), _predict_trials(fit, evidence.clips, names, [{}, *tries])
+    kept, (here, *there) = fit.drop(fit.model, names), _predict_trials(fit, whitened.clips, names, [{}, *tries])
     best, least = None, np.inf
     for values, places in zip(tries, there, strict=True):
         if here is None or places is None:
             continue
-        off = evidence.whiten([a - b for a, b in zip(here, places, strict=True)])
+        off = whitened.whiten([a - b for a, b in zip(here, places, strict=True)])
         look = dataclasses.replace(kept, residuals=tuple(r + o for r, o in zip(fit.residuals, off, strict=True)))
         if (chi2 := _predict_chi2(look, *_step(look, 0.0))) < least:
             best, least = values, chi2
@@ -287,27 +298,27 @@ def choose_most_likely(
 def _predict_trials(
     fit: ModelFit, clips: Sequence[MeasuredCollision], names: Sequence[str], tries: Sequence[Mapping[str, float]]
 ) -> Iterator[list[Array] | None]:
-    """The forecasts with other values of some parameters; without the push between balls where they are not of it."""
+    """Predicted tracks for other values of some parameters, without the push between balls unless they belong to it."""
     plain = without_mutual_push(fit.model)
     model = fit.model if coupling_effects(fit.model, plain) & {n.partition(".")[0] for n in names} else plain
     for values in tries:
         try:
             yield predict_tracks(model.replace(values), fit.launches, clips)
-        except FAILED:
+        except STEP_ERRORS:
             yield None
 
 
-def _apply_step(evidence: WhitenedClips, fit: ModelFit, values: Mapping[str, float], own: Array) -> ModelFit | None:
-    """The fit after a step, with its derivatives as they were; None where the model has no motion there."""
+def _apply_step(whitened: WhitenedClips, fit: ModelFit, values: Mapping[str, float], own: Array) -> ModelFit | None:
+    """The fit after a step, with unchanged derivatives; None where the model has no motion there."""
     launches = limit_spins(fit.launches + own)
     if not is_possible(launches):
         return None
     try:
         model = replace_within_limits(fit.model, values)
         return dataclasses.replace(
-            fit, model=model, launches=launches, residuals=evidence.whitened_residuals(model, launches)
+            fit, model=model, launches=launches, residuals=whitened.whitened_residuals(model, launches)
         )
-    except FAILED:
+    except STEP_ERRORS:
         return None
 
 
@@ -327,17 +338,17 @@ def _step(fit: ModelFit, damping: float, held: Array | float = 0.0) -> tuple[dic
 def solve_step(
     fit: ModelFit, damping: float, least: Array, most: Array, held: Array | float = 0.0
 ) -> tuple[Array, Array]:
-    """The Gauss-Newton step of a fit, the launches eliminated clip by clip.
+    """Solve for the Gauss-Newton step of a fit, with the launches eliminated clip by clip.
 
     Parameters
     ----------
-    fit : Fit
+    fit : ModelFit
     damping : float
-        Marquardt's, as a share of each diagonal element.
+        Marquardt's damping, as a share of each diagonal element.
     least, most : (S,) array
         Bounds of the shared parameters' changes.
     held : (clips,) array, optional
-        Damping of each clip's launch, beyond that.
+        Additional damping of each clip's launch.
 
     Returns
     -------
@@ -365,7 +376,7 @@ def solve_step(
 
 
 def _solve_or_least_norm(matrix: Array, right: Array) -> Array:
-    """The solution of a linear system; the shortest where tracks do not show all of a launch."""
+    """The solution of a linear system; the one of least norm where tracks do not determine all of a launch."""
     try:
         return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
@@ -373,7 +384,7 @@ def _solve_or_least_norm(matrix: Array, right: Array) -> Array:
 
 
 def _minimise_quadratic(matrix: Array, right: Array, least: Array, most: Array) -> Array:
-    """The x within bounds for which x' matrix x / 2 - right' x is least; zero along directions without curvature."""
+    """The x within bounds that minimises x' matrix x / 2 - right' x, with zero along directions without curvature."""
     scale = np.sqrt(np.diag(matrix).clip(0))
     scale = np.where(scale > 0, scale, 1)
     values, axes = np.linalg.eigh(matrix / np.outer(scale, scale))
@@ -382,6 +393,6 @@ def _minimise_quadratic(matrix: Array, right: Array, least: Array, most: Array) 
     target = (axes[:, seen].T @ (right / scale)) / np.sqrt(values[seen])
     x = np.linalg.lstsq(root, target, rcond=None)[0]
     if np.any((x < least * scale) | (x > most * scale)):
-        narrow = 1e-12 * scale  # lsq_linear wants room
+        narrow = 1e-12 * scale  # lsq_linear requires an interval
         x = lsq_linear(root, target, (least * scale - narrow, most * scale + narrow), method="bvls").x
     return np.asarray(np.clip(x / scale, least, most))

@@ -1,4 +1,4 @@
-"""Derivatives of the forecast by shared parameters and by the launches, by finite differences."""
+"""Derivatives of the predicted tracks by shared parameters and by launches, by finite differences."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from synthcam.dynamics.solve import without_mutual_push
 from synthcam.model import Model
 
 LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
-AT_ONCE = 64  # clips whose launches are nudged in one batch
 
 
 def differentiate(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], name: str, here: Sequence[Array] | None = None
 ) -> list[Array]:
-    """The derivative of the forecast by a shared parameter.
+    """Differentiate the predicted tracks by a shared parameter.
 
     A central difference, or a one-sided one at a limit of the parameter or where there is no motion on the other side,
     as when a tilt would set the resting ball rolling; zero where there is none on either side.
@@ -33,11 +32,11 @@ def differentiate(
     model : Model
     launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
     name : str
-        Of the parameter, dotted.
+        Dotted name of the parameter.
     here : sequence of (n, 2) array, optional
-        The forecast, where it is known: a short forward difference from it is then taken where there is a motion.
+        The predicted tracks, if known; a short forward difference from them is then taken where possible.
 
     Returns
     -------
@@ -71,8 +70,8 @@ def differentiate_all(
 ) -> list[list[Array]]:
     """`differentiate` by each of several parameters.
 
-    Where balls push each other the motion takes some eight times as long to compute, and other parameters act on it
-    nearly as they do without the push. Their derivatives are then taken without it, where there is such a motion.
+    The motion of balls that push each other takes about eight times as long to compute, and other parameters act on it
+    nearly as they do without the push. Their derivatives are therefore taken without it, if that motion exists.
 
     Parameters
     ----------
@@ -80,7 +79,7 @@ def differentiate_all(
         As of `differentiate`.
     names : sequence of str
     here : sequence of (n, 2) array
-        The forecast.
+        The predicted tracks.
     exact : bool
         Take all derivatives with the push.
 
@@ -102,10 +101,16 @@ def differentiate_all(
 def decouple(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], here: Sequence[Array] | None = None
 ) -> tuple[Model, Sequence[Array]]:
-    """The model without the push between balls, whose motion is computed sooner, and its forecast.
+    """The model without the push between balls, which is faster to compute, and its predicted tracks.
 
-    The model itself where it has no such push, or where a ball would not have rested without it. `here` is the model's
-    own forecast, where it is known.
+    It returns the model itself if it has no such push, or if a ball would not have rested without it.
+
+    Parameters
+    ----------
+    model, launches, clips
+        As of `differentiate`.
+    here : sequence of (n, 2) array, optional
+        The model's own predicted tracks, if known.
     """
     plain = without_mutual_push(model)
     if plain.effects != model.effects:
@@ -120,11 +125,12 @@ def coupling_effects(model: Model, plain: Model) -> set[str]:
 
 
 def differentiate_launches(
-    model: Model, launches: Array, clips: Sequence[MeasuredCollision]
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision], batch: int = 64
 ) -> tuple[list[Array], list[Array]]:
-    """The forecast, and its derivatives by each clip's own launch, many clips in one batch.
+    """Predict tracks and differentiate them by each clip's own launch, `batch` clips at a time.
 
-    At the edge of where a ball can rest, differences are taken to the side that has a motion; zero where neither has.
+    Where a motion exists on one side only, as at the limit of a ball's rest, the difference is taken to that side. A
+    derivative is zero where neither side has one.
 
     Parameters
     ----------
@@ -140,8 +146,8 @@ def differentiate_launches(
     """
     here: list[Array] = []
     slopes: list[Array] = []
-    for first in range(0, len(clips), AT_ONCE):
-        some, places = clips[first : first + AT_ONCE], launches[first : first + AT_ONCE]
+    for first in range(0, len(clips), batch):
+        some, places = clips[first : first + batch], launches[first : first + batch]
         try:
             parts = [_difference_launches(model, places, some)]
         except ValueError:

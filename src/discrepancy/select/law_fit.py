@@ -12,7 +12,7 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import is_possible
-from discrepancy.fitting.gauss_newton import FAILED, fit_model, linearise, minimise_chi2, solve_step
+from discrepancy.fitting.gauss_newton import STEP_ERRORS, fit_model, linearise, minimise_chi2, solve_step
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, replace_within_limits
 from discrepancy.free_laws.credible_band import gain_of_steps
@@ -147,7 +147,7 @@ def _moved(
             evidence, clips=tuple(law.subtract_from(evidence.clips, plain, launches, coefs + step))
         )
         residuals = here.whitened_residuals(model, launches)
-    except FAILED:
+    except STEP_ERRORS:
         return None
     return here, dataclasses.replace(fit, model=model, launches=launches, residuals=residuals), plain
 

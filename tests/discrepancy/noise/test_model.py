@@ -12,9 +12,8 @@ from scipy.signal import savgol_filter
 from scipy.stats import multivariate_normal
 
 from discrepancy.noise.model import (
-    CEILING,
-    FLOOR,
-    IMPOSSIBLE,
+    MAX_WHITE_SHARE,
+    MIN_WHITE_SHARE,
     BallPairs,
     Noise,
     NoiseComponent,
@@ -243,7 +242,7 @@ def test_a_noise_far_from_the_tracks_has_a_cost_too():
     def singular(x):
         return float(np.linalg.cholesky(np.array([[1.0, x[0]], [x[0], 1.0]])).sum()) if x[0] > 1.5 else float(x[0] ** 2)
 
-    assert finite_cost(singular, np.array([2.0])) == finite_cost(lambda x: float("nan"), np.zeros(1)) == IMPOSSIBLE
+    assert finite_cost(singular, np.array([2.0])) == finite_cost(lambda x: float("nan"), np.zeros(1)) == 1e12
     assert abs(minimise(singular, np.array([1.4]))[0]) <= 1.01
 
 
@@ -259,7 +258,7 @@ def test_a_noise_says_its_scale_and_correlation():
     assert (noise.scale, noise.correlation, noise.common_mode_rms) == (2.0, 0.5, 0.0)
 
 
-@pytest.mark.parametrize("part", [FLOOR, CEILING])
+@pytest.mark.parametrize("part", [MIN_WHITE_SHARE, MAX_WHITE_SHARE])
 def test_noise_at_the_end_of_its_range_is_a_start_like_any_other(part):
     numbers = numbers_from_component(NoiseComponent(1.0, (0.5,), part))
     assert np.isfinite(numbers).all()
