@@ -1,4 +1,4 @@
-"""One benchmark for every tracker: a suite of films, trackers run on it, entries beside one another."""
+"""A benchmark for every tracker: a suite of films, runs of trackers on it, and a comparison of their entries."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Trackers on a suite: run, scored, set beside each other. Each step is kept, so that the same call goes on."""
+"""A contest of trackers on a suite: run, score and compare them. Finished steps are kept after an interruption."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ def run_contest(
     Parameters
     ----------
     suite : Suite
-        With its truth, which no tracker is given.
+        With its truth, which no tracker gets.
     report : Path
-        Folder to make. Entries that are there stay.
+        Folder to make. Earlier entries stay.
     names : str
-        Trackers, with commas between; default: the suite's own list.
+        Trackers, separated by commas; default: the list of the suite.
     how : str
-        What the page says that made it.
+        The command that made the page.
     progress : callable
-        Takes steps done and steps in all.
+        Called with the number of finished steps and of all steps.
     scheduler : str
         Address of a Dask scheduler, whose workers see the same folders and have the same packages.
 
@@ -55,7 +55,7 @@ def run_contest(
     entries : list of dict
         All of the report, the best first.
     notes : list of str
-        Of trackers that were left out.
+        A line for each tracker that was left out.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def run_contest(
 
 
 def publish(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
-    """Leaderboard and page of the entries that a report has."""
+    """Write leaderboard and page of all entries in a report."""
     whole = entries(report, suite.about)
     write_leaderboard(report, whole)
     write_report(report, whole, suite.definition, suite.about, how)
@@ -89,7 +89,7 @@ def publish(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
 
 @contextmanager
 def open_report(report: Path) -> Iterator[None]:
-    """The report's folder, held by one process. Raises InputError where it holds something else."""
+    """Lock the folder of a report. Raises InputError where it holds other files."""
     mine = any((report / name).is_dir() for name in (RESULTS, ENTRIES, SUITE))
     if report.exists() and not (report.is_dir() and (mine or not any(report.iterdir()))):
         raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")

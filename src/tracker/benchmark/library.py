@@ -1,4 +1,4 @@
-"""The benchmark from Python: a detector of one's own, as a function or a class, held to the truth in a notebook."""
+"""The benchmark from Python: score your own detector, a function or a class, in a notebook."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ Finder = Callable[[NDArray[Any]], ArrayLike]
 
 @dataclass(frozen=True, repr=False)
 class TrackerRun:
-    """How a detector did on a suite.
+    """The scores of a detector on a suite.
 
     Attributes
     ----------
     entry : dict
-        All figures, as a report's entries/NAME.json has them.
+        All scores, as in entries/NAME.json of a report.
     headline : dict
-        The parts that the score is made of, and a word for each.
+        The parts that enter the score, with a label for each.
     """
 
     entry: Mapping[str, Any]
@@ -58,10 +58,11 @@ class TrackerRun:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """A row for each part of the suite.
+        """Scores of positions and tracks, a row for each part of the suite.
 
-        ratio: rmse over the Cramer-Rao bound; rmse_px, bound_px (px, each axis); found: share of the balls in view;
-        false: detections of nothing; phase_bias_px; z: errors over those claimed; jsc, mota, idf1, hota; clips.
+        Columns: ratio (rmse over the Cramér-Rao bound), rmse_px and bound_px (px, of x and y), found (share of the
+        balls in view), false (detections of nothing), phase_bias_px, z (error over claimed error), jsc, mota, idf1,
+        hota, clips.
         """
         rows = {name: {key: part[key] for key in FIGURES} for name, part in self.entry["parts"].items()}
         table = pd.DataFrame.from_dict(rows, orient="index", columns=FIGURES, dtype=float)
@@ -69,7 +70,7 @@ class TrackerRun:
 
     @cached_property
     def quantities(self) -> pd.DataFrame:
-        """A row for each part and quantity, SI: what was measured of the collisions, held to the truth."""
+        """Errors of measured quantities (SI), a row for each part and quantity."""
         rows = {
             (part, name): {key: figures.get(key) for key in QUANTITIES}
             for part, found in self.entry["quantities"].items()
@@ -89,7 +90,7 @@ class TrackerRun:
         return f"<p>{self!r}</p>{self.table.to_html(float_format=lambda v: f'{v:.3g}')}"
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Plot the error over its bound in the settings that the score is made of.
+        """Plot rmse over bound in the settings that enter the score.
 
         Parameters
         ----------
@@ -120,7 +121,7 @@ def run(
     name: str | None = None,
     point: str = "either",
 ) -> TrackerRun:
-    """Run a detector on the benchmark and hold it to the truth.
+    """Run a detector on the benchmark and score it.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Tables of a tracker in any language, measured and scored as those that run here.
+"""Submissions: tables of a tracker in any language, which are measured and scored like those of a tracker run here.
 
-FOLDER has submission.json, of which only `name` is needed, and for each film of the suite FILM.csv or FILM.parquet with
-a column `clip`, or FILM/NNNNNN.EXT, a file a clip in any of the formats that `tracker measure` reads.
+FOLDER has submission.json, which needs only `name`. It also has a table for each film of the suite: FILM.csv or
+FILM.parquet with a column `clip`, or FILM/NNNNNN.EXT, one file per clip in any format that `tracker measure` reads.
 """
 
 from __future__ import annotations
@@ -24,9 +24,7 @@ from tracker.recording import measure_tracks
 from tracker.results import load_json
 from tracker.tables.read import read_tracks
 
-FORM = "submission.json"
 KEYS = ("name", "authors", "url", "version", "licence", "point", "ms_per_frame", "machine", "notes")
-LONGEST = 60  # characters of a name
 TABLES = (".csv", ".parquet", ".txt", ".xml")
 Progress = Callable[[int, int], None]
 
@@ -39,15 +37,15 @@ def score_submission(
     Parameters
     ----------
     suite : Suite
-        With its truth, of which only sums over clips go into the report.
+        With its truth; only sums over clips go into the report.
     folder : Path
         The submission.
     report : Path
         Folder to make, or to add to.
     how : str
-        What the page says that made it.
+        The command that made the page.
     progress : callable
-        Takes films done and films in all.
+        Called with the number of finished films and of all films.
 
     Returns
     -------
@@ -59,7 +57,7 @@ def score_submission(
     Raises
     ------
     InputError
-        For a form or a table that is wrong, and where no table has a position.
+        For a wrong submission.json or table, and where no table has a position.
     """
     about = read_form(folder)
     found, notes = read_tables(suite, folder, about.get("point", "centre"), progress)
@@ -69,15 +67,15 @@ def score_submission(
 
 
 def read_form(folder: Path) -> dict[str, Any]:
-    """What submission.json says. Raises InputError."""
-    path = folder / FORM
+    """Read submission.json. Raises InputError."""
+    path = folder / "submission.json"
     if not path.is_file():
-        raise InputError(f"{path}: no such file, expected a submission: {FORM} and a table for each film")
+        raise InputError(f"{path}: no such file, expected a submission: submission.json and a table for each film")
     about = load_json(path)
     if not isinstance(about, dict) or not isinstance(about.get("name"), str) or not about["name"].strip():
         raise InputError(f"{path}: name: expected the tracker's name")
-    if len(about["name"]) > LONGEST or not about["name"].isprintable():
-        raise InputError(f"{path}: name: expected one line of at most {LONGEST} characters")
+    if len(about["name"]) > 60 or not about["name"].isprintable():
+        raise InputError(f"{path}: name: expected one line of at most 60 characters")
     for key, value in about.items():
         if key not in KEYS:
             near = did_you_mean(key, {k: k for k in KEYS})
@@ -93,7 +91,7 @@ def read_form(folder: Path) -> dict[str, Any]:
 def read_tables(
     suite: Suite, folder: Path, point: str, progress: Progress = lambda done, of: None
 ) -> tuple[ResultsInMemory, list[str]]:
-    """The tables of a submission, each clip measured by its own camera; and what is missing."""
+    """Read the tables of a submission, measure each clip with its camera, and list missing tables."""
     found, notes = ResultsInMemory(), []
     films = dict.fromkeys(part.film for part in suite.parts.values())
     _check_names(folder, list(films))
@@ -117,7 +115,7 @@ def read_tables(
 
 
 def _check_names(folder: Path, films: list[str]) -> None:
-    """Each table, and each folder of tables, is named after a film. Raises InputError."""
+    """Raise InputError where a table, or a folder of tables, does not have the name of a film."""
     given = [p for p in sorted(folder.iterdir()) if p.suffix in TABLES or (p.is_dir() and not p.name.startswith("."))]
     for path in given:
         name = path.name if path.is_dir() else path.stem
@@ -135,7 +133,7 @@ def _camera(suite: Suite, film: str, clip: int) -> Camera:
 
 
 def _read_given(folder: Path, film: str, camera: Mapping[int, Camera]) -> Iterator[tuple[int, Tracks]]:
-    """Clip and tracks of the tables that there are of a film."""
+    """Yield clip and tracks for each table of a film."""
     whole = [path for ending in TABLES if (path := folder / f"{film}{ending}").is_file()]
     for path in whole[:1]:
         if path.suffix == ".csv" and len(camera) > 1:

@@ -18,53 +18,51 @@ from tracker.pipeline import run
 from tracker.recording import track_clip
 from tracker.results import load_json, write_json
 
-OWN = "synthcam"  # this package's own: the detector that the film asks for
-CENTRES = (OWN, "maximum_likelihood", "discs")  # that say themselves where centres are
-PACE = "pace.json"
-RUN_HERE = "run here"  # and not submitted
+OWN_TRACKER = "synthcam"  # the detector of this package that suits the film
+RUN_HERE = "run here"  # in an entry: not submitted
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class Entrant:
-    """A tracker by name: the detector of that name, or this package's own; and on which clips it runs."""
+    """A tracker by its name, and the clips that it runs on."""
 
     name: str
     sample: ClipSample = ALL
 
     @property
     def detector(self) -> str | None:
-        """None: the film decides."""
-        return None if self.name == OWN else self.name
+        """Name of the detector; None where the film decides."""
+        return None if self.name == OWN_TRACKER else self.name
 
     @property
     def own(self) -> str:
-        """Whose word it is where a centre lies: see `Tracked`."""
-        return "centre" if self.name.partition("+")[0] in CENTRES else "glint"
+        """Who determines the centres: see `TrackerResults`."""
+        return "centre" if self.name.partition("+")[0] in (OWN_TRACKER, "maximum_likelihood", "discs") else "glint"
 
 
 def parse_names(names: str) -> list[str]:
-    """The names between commas, each once. Raises InputError for one that is none, or whose package is missing."""
+    """Split names at commas, each once. Raises InputError for an unknown name, or where its package is missing."""
     wanted = list(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
     for name in wanted:
-        if name != OWN:
+        if name != OWN_TRACKER:
             load_detector(name)
     return wanted
 
 
 def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
-    """Trackers by their names with commas between; '': the suite's own list, without those that cannot run here.
+    """Make trackers from names separated by commas; '': the list of the suite, without those that cannot run here.
 
     Returns
     -------
     entrants : list of Entrant
     notes : list of str
-        Of those that were left out, and why.
+        A line for each that was left out, with the reason.
 
     Raises
     ------
     InputError
-        For a name that is none, or whose package is missing.
+        For an unknown name, or where its package is missing.
     """
     data, notes, out = suite.definition.data, [], []
     wanted, clip = parse_names(names), _first(suite)
@@ -86,7 +84,7 @@ def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
 def run_tracker(
     suite: Suite, one: Entrant, folder: Path, progress: Progress, workers: int = 0, scheduler: str = ""
 ) -> ResultsInFolder:
-    """Run a tracker on all films into FOLDER/FILM; what is there is kept. scheduler: Dask's, in place of processes."""
+    """Run a tracker on all films into FOLDER/FILM, except where results exist; scheduler: of Dask, for processes."""
     folder.mkdir(parents=True, exist_ok=True)
     films = list(dict.fromkeys(part.film for part in suite.parts.values()))
     for number, film in enumerate(films):
@@ -94,13 +92,13 @@ def run_tracker(
         if only:
             run(suite.film(film), folder / film, None, one.detector, workers, only=only, scheduler=scheduler)
         progress(number + 1, len(films))
-    if not (folder / PACE).is_file():
-        write_json(folder / PACE, {"ms_per_frame": time_frame(suite, one)})
+    if not (folder / "pace.json").is_file():
+        write_json(folder / "pace.json", {"ms_per_frame": time_frame(suite, one)})
     return ResultsInFolder(folder, one.sample, one.own)
 
 
 def time_frame(suite: Suite, one: Entrant) -> float:
-    """ms of processor time a frame, of finding and linking in the suite's first clip, by one process."""
+    """Measure the processor time per frame (ms) of detection and linking in the first clip of the suite."""
     clip = _first(suite)
     name = one.detector or choose_detector(clip.frames, clip.camera)[0]
     started = time.process_time()
@@ -109,8 +107,8 @@ def time_frame(suite: Suite, one: Entrant) -> float:
 
 
 def describe(one: Entrant, folder: Path) -> Mapping[str, Any]:
-    """What an entry says of a tracker that was run here."""
-    spent = load_json(folder / PACE)["ms_per_frame"]
+    """Describe a tracker that was run here, for its entry."""
+    spent = load_json(folder / "pace.json")["ms_per_frame"]
     limits = {"clips_of_each_part": one.sample.clips, "not_run_on": list(one.sample.without)}
     more = {} if one.sample == ALL else limits
     return {"name": one.name, "made": RUN_HERE, "ms_per_frame": spent, "point": one.own} | more

@@ -1,1 +1,1 @@
-"""Results against the truth: localisation, tracks, error bars, comparison of detectors, reports."""
+"""Scores of results against the truth: positions, tracks, error bars, a comparison of detectors, report pages."""

@@ -1,4 +1,4 @@
-"""Estimates held to the truth: bias, scatter, whether the error bars are true, and how near the limit they come."""
+"""Errors of estimates: bias, scatter, correctness of the error bars, and ratio to the Cramér-Rao bound."""
 
 from __future__ import annotations
 
@@ -20,20 +20,17 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
 
 Floats = NDArray[np.float64]
-KINDS = ("", "_free", "_paper")
-HEAVIEST = 0.9999  # |b/2R| beyond which a hit is a miss
-FIGURES = ("n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95")
 
 
 def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """Q (with "", "_free", "_paper") -> the contract's figures.
+    """Score each quantity Q by each method ("", "_free", "_paper"), as in score.json.
 
-    table: one row a clip, with Q, Q_std, the truth as Q_true, and the bounds as Q_bound. Rows without a claim or
-    without a truth do not count; z only where an error is claimed. bound: root mean square over those rows.
+    table: one row per clip with Q, Q_std, the truth Q_true and the bound Q_bound. Rows without an estimate or a truth
+    do not count, and z counts only where an error is claimed. bound: root mean square over the rows that count.
     """
     out = {}
     for name in QUANTITY_NAMES:
-        for kind in KINDS:
+        for kind in ("", "_free", "_paper"):
             if f"{name}{kind}" in table:
                 columns = (f"{name}{kind}", f"{name}{kind}_std", f"{name}_true", f"{name}{kind}_bound")
                 value, std, true, bound = (
@@ -44,11 +41,12 @@ def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
 
 
 def error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str, float]:
-    """The contract's figures of one quantity over clips (n,); NaN marks what is not claimed or not known."""
+    """Statistics of one quantity over clips (n,); NaN marks values that are not claimed or not known."""
     use = np.isfinite(value) & np.isfinite(true)
     off = value[use] - true[use]
     if not use.any():
-        return {name: 0 if name == "n" else np.nan for name in FIGURES}
+        names = ("bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95")
+        return {"n": 0} | dict.fromkeys(names, np.nan)
     claimed = np.isfinite(std[use]) & (std[use] > 1e-12 * np.maximum(np.abs(true[use]), 1e-12))
     z = off[claimed] / std[use][claimed]
     rmse, limit = float(np.sqrt((off**2).mean())), float(np.sqrt((bound[use] ** 2).mean()))
@@ -66,9 +64,9 @@ def error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) ->
 
 
 def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | None:
-    """Tied parameters (13,) of a clip's truth; None unless both balls are in its tracks before the contact.
+    """True parameters of the tied fit, (16,), of a clip; None unless both balls are tracked before the contact.
 
-    Positions and velocities are those of the last frame before it, carried on for less than a frame.
+    Positions and velocities are those of the last frame before it, extrapolated by less than a frame.
     """
     t_c = float(scalars["t_c"])
     early = truth[truth["t_s"] < t_c] if np.isfinite(t_c) else truth.iloc[:0]
@@ -77,7 +75,7 @@ def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | N
         return None
     w, v = (ball[["vx", "vy"]].iloc[-1].to_numpy(float) for ball in (first, second))
     x, y = first[["x", "y"]].iloc[-1].to_numpy(float) + w * (t_c - float(first["t_s"].iloc[-1]))
-    b = float(np.clip(scalars["b"], -HEAVIEST, HEAVIEST))
+    b = float(np.clip(scalars["b"], -0.9999, 0.9999))
     heading = np.arctan2(*(v - w)[::-1])
     launch = [t_c, x, y, heading, np.arcsin(b), scalars["v0"], scalars["drag"], scalars["decel"]]
     tied = np.array([*launch, scalars["r"], np.log(scalars["mu_k"]), scalars["C"], 0, 0, 0, *w], dtype=np.float64)
@@ -85,10 +83,10 @@ def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | N
 
 
 def quantity_bounds(matched: MatchedDetections, cov: Floats, tied: Floats, camera: Camera) -> dict[str, float]:
-    """Q_bound and Q_free_bound of a clip: Fisher bounds of either fit at the true motion, on the positions found.
+    """Compute the Cramér-Rao bounds Q_bound and Q_free_bound of both fits at the true motion, for the positions found.
 
-    cov (n, 2, 2) px^2: the localisation bound of each pair, not what the tracker claims; what a resting ball shares
-    of it from frame to frame is counted. tied (16,): the truth.
+    cov (n, 2, 2) px^2: the bound of each position, not the error that the tracker claims. The error that a resting ball
+    shares between frames is included. tied (16,): the true parameters.
     """
     if len(cov) == 0 or not np.isfinite(cov).all():
         return {}

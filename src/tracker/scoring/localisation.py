@@ -1,6 +1,6 @@
-"""Detections held to the true positions: missed, false, how far off, and how that compares with the bound.
+"""Errors of detected positions: missed, false, rmse, and its ratio to the Cramér-Rao bound.
 
-All are sums first and figures last, so clips pool by adding.
+Clips are pooled by adding their sums.
 """
 
 from __future__ import annotations
@@ -21,16 +21,22 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-MOVING_PX = 0.05  # per frame; a resting ball shows one sub-pixel phase over and over
+MIN_MOTION_PX = 0.05  # per frame; a ball at rest always has the same sub-pixel phase
 
 
 @dataclass(frozen=True)
 class MatchedDetections:
-    """One clip's detections beside the truth.
+    """Detections of one clip, paired with the truth.
 
-    truth, found: the tables; pairs (n, 2): rows of truth and found that belong together, whole balls only;
-    counted (k,): False for detections on balls partly out of view, which are neither right nor wrong;
-    missed: whole balls in view without a detection; false: detections without a ball.
+    Attributes
+    ----------
+    truth, found : DataFrame
+    pairs : (n, 2) array
+        Rows of `truth` and `found` that belong together, of balls wholly in view.
+    counted : (k,) array
+        False for detections on balls partly out of view, which do not count.
+    missed, false : int
+        Balls wholly in view without a detection; detections without a ball.
     """
 
     truth: pd.DataFrame
@@ -42,14 +48,14 @@ class MatchedDetections:
 
     @property
     def off(self) -> Floats:
-        """(n, 2) px, found - true."""
+        """Found minus true position, (n, 2) px."""
         return _xy(self.found)[self.pairs[:, 1]] - _true(self.truth)[self.pairs[:, 0]]
 
 
 def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> MatchedDetections:
     """Pair detections with true balls, frame by frame.
 
-    A ball that is not whole in view need not be found, and a detection on what shows of it is neither right nor wrong.
+    A ball partly out of view need not be found, and a detection on it does not count.
 
     Parameters
     ----------
@@ -85,9 +91,9 @@ def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float)
 
 
 def position_bounds(matched: MatchedDetections, camera: Camera) -> Floats:
-    """Cramer-Rao covariance (n, 2, 2) px^2 of each paired position.
+    """Compute the Cramér-Rao covariance (n, 2, 2) px^2 of each paired position.
 
-    Flux from the detection, motion blur from the true velocity. NaN where the camera or the table lack what it needs.
+    The flux is that of the detection, the motion blur follows from the true velocity. NaN without flux or optics.
     """
     n = len(matched.pairs)
     if camera.sigma is None or "flux" not in matched.found or n == 0:
@@ -107,7 +113,7 @@ def position_bounds(matched: MatchedDetections, camera: Camera) -> Floats:
 
 @dataclass(frozen=True)
 class PositionSums:
-    """Sums over the positions of clips, which add.
+    """Sums over the positions of clips, which can be added.
 
     Attributes
     ----------
@@ -135,12 +141,12 @@ class PositionSums:
 
     @classmethod
     def none(cls) -> PositionSums:
-        """Those of no clip."""
+        """Make the sums of no clip."""
         return cls(0, 0, 0, 0.0, 0.0, np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2))
 
     @classmethod
     def of(cls, matched: MatchedDetections, cov: Floats) -> PositionSums:
-        """Those of one clip; cov (n, 2, 2) px^2: the bounds of its pairs."""
+        """Make the sums of one clip; cov (n, 2, 2) px^2: the bounds of its pairs."""
         off, true, moving = matched.off, _true(matched.truth)[matched.pairs[:, 0]], _moving(matched)
         waves, errors, squares = np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2)
         for axis in (0, 1):
@@ -154,10 +160,10 @@ class PositionSums:
         return PositionSums(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
     def statistics(self) -> dict[str, float]:
-        """The contract's localisation figures.
+        """Compute the localisation scores of score.json.
 
-        rmse_px, bound_px per axis; phase_bias_px: peak to peak of the error's first harmonic in the sub-pixel phase
-        of moving balls, the worse axis, less what noise makes of it.
+        rmse_px and bound_px are those of x and y. phase_bias_px is the peak-to-peak first harmonic of the error in the
+        sub-pixel phase of moving balls, corrected for noise, of the worse axis.
         """
         rmse, bound = (float(np.sqrt(x / (2 * self.n))) if self.n else np.nan for x in (self.squares, self.bound))
         return {
@@ -184,14 +190,14 @@ class PositionSums:
 
 
 def score_positions(clips: Iterable[tuple[MatchedDetections, Floats]]) -> dict[str, float]:
-    """The contract's localisation figures, as of `PositionSums`, over clips of (matched, bounds)."""
+    """Score the positions of clips, given as (matched, bounds), as `PositionSums.statistics` does."""
     return sum((PositionSums.of(*clip) for clip in clips), PositionSums.none()).statistics()
 
 
 def _moving(matched: MatchedDetections) -> NDArray[np.bool_]:
-    """(n, 2): whether the ball of a pair moves along each axis."""
+    """Whether the ball of a pair moves along each axis, (n, 2)."""
     pace = matched.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
-    return np.asarray(pace.reindex(matched.truth.index).to_numpy(float)[matched.pairs[:, 0]] > MOVING_PX)
+    return np.asarray(pace.reindex(matched.truth.index).to_numpy(float)[matched.pairs[:, 0]] > MIN_MOTION_PX)
 
 
 def _true(truth: pd.DataFrame) -> Floats:

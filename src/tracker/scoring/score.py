@@ -1,4 +1,4 @@
-"""Results held to the truth: `score` reads both, and knows the keys of score.json."""
+"""Scoring of results against the truth, with the keys of score.json."""
 
 from __future__ import annotations
 
@@ -22,17 +22,13 @@ from tracker.scoring.localisation import MatchedDetections, PositionSums, match,
 from tracker.scoring.tracking_metrics import GATE_PX, TrackingCounts, TrackPoints
 
 Floats = NDArray[np.float64]
-TRUTH = "clip v0 b t_c r mu_k C drag decel"  # columns of clips.parquet that are needed, and of a clip's tracks
-TRACKS = "frame t_s particle visible x y z vx vy vz glint_x_px glint_y_px x_mean_px y_mean_px"
-OF_ONE_BALL = ("drag", "decel")  # what a clip without a collision is held to
 
 
 @dataclass(frozen=True)
 class DetectorScore:
-    """How one set of results compares with the truth.
+    """Scores of one set of results: the parts of score.json, and a table.
 
-    table: a row a clip, with the estimates, the truth as Q_true and the Fisher bounds as Q_bound; the rest are
-    the parts of score.json.
+    table: a row per clip with each quantity Q, the truth as Q_true and the Cramér-Rao bound as Q_bound.
     """
 
     suite: str
@@ -45,7 +41,7 @@ class DetectorScore:
     table: pd.DataFrame = field(repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """The contents of score.json: plain numbers, None for what is not known."""
+        """Return the contents of score.json: plain numbers, None for unknown values."""
         parts = {
             "localisation": self.localisation,
             "tracking": self.tracking,
@@ -57,7 +53,7 @@ class DetectorScore:
         return whole
 
     def write(self, report: Path | str) -> Path:
-        """REPORT/score.json, written aside and moved into place; returns its path."""
+        """Write REPORT/score.json and return its path."""
         folder = Path(report)
         folder.mkdir(parents=True, exist_ok=True)
         write_json(folder / "score.json", self.to_dict())
@@ -80,11 +76,11 @@ def score(
     dataset : str or Path
         With its truth.
     detector : str
-        What to call it.
+        Name of the detector.
     ms_per_frame : float, optional
-        What it took.
+        Processing time per frame.
     scheduler : str
-        Address of a Dask scheduler, whose workers see the same folders and hold the clips to the truth.
+        Address of a Dask scheduler, whose workers see the same folders and score the clips.
 
     Returns
     -------
@@ -93,7 +89,7 @@ def score(
     Raises
     ------
     InputError
-        Where either lacks what it must have.
+        Where a file or a column is missing.
     """
     results, dataset = Path(results), Path(dataset)
     if scheduler:  # the workers may stand elsewhere
@@ -120,18 +116,18 @@ def score(
 
 
 def _scalars(dataset: Path) -> pd.DataFrame:
-    """True quantities of all clips, read once by each process."""
+    """True quantities of all clips; each process reads them once."""
     path = dataset / "truth" / "clips.parquet"
     return _read_scalars(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 @lru_cache(maxsize=1)
 def _read_scalars(path: Path, changed: int) -> pd.DataFrame:
-    return _table(path, "a dataset's truth", TRUTH)
+    return _table(path, "the truth of a dataset", "clip v0 b t_c r mu_k C drag decel")
 
 
 def _table(path: Path, what: str, columns: str) -> pd.DataFrame:
-    """A table that holds at least these columns. Raises InputError."""
+    """Read a table. Raises InputError where one of `columns` is missing."""
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected {what}")
     try:
@@ -145,7 +141,7 @@ def _table(path: Path, what: str, columns: str) -> pd.DataFrame:
 
 
 class ClipScore(NamedTuple):
-    """A clip beside its truth: what adds up over clips, and the bounds of its quantities, by name."""
+    """Score of a clip: sums that can be added, and the bounds of its quantities by name."""
 
     positions: PositionSums
     tracking: TrackingCounts
@@ -163,7 +159,8 @@ def _score_clip(results: Path, dataset: Path, clip: int) -> tuple[int, ClipScore
 def _read_clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, pd.DataFrame, Camera]:
     """True tracks, tracks, camera."""
     name = f"{clip:06d}"
-    truth = _table(dataset / "clips" / name / "truth" / "tracks.parquet", "true tracks", TRACKS)
+    columns = "frame t_s particle visible x y z vx vy vz glint_x_px glint_y_px x_mean_px y_mean_px"
+    truth = _table(dataset / "clips" / name / "truth" / "tracks.parquet", "true tracks", columns)
     path = results / "clips" / name / "tracks.parquet"
     empty = pd.DataFrame({"frame": np.empty(0, np.int64), "particle": np.empty(0, np.int64)})
     found = empty.assign(x=np.empty(0), y=np.empty(0))
@@ -177,7 +174,7 @@ def _read_clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, p
 
 
 def to_track_points(matched: MatchedDetections) -> tuple[TrackPoints, TrackPoints]:
-    """Tracks for the tracking measures: balls whole in view, and the detections that count."""
+    """Make tracks for the tracking measures, of balls wholly in view and of the detections that count."""
     truth = matched.truth[matched.truth["visible"].to_numpy(bool)]
     found = matched.found[matched.counted]
     tables = ((truth, ["x_mean_px", "y_mean_px"]), (found, ["x", "y"]))
@@ -198,7 +195,7 @@ def _clip_bounds(
 
 
 def join_truth(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame) -> pd.DataFrame:
-    """One row a clip: its first measured collision, the truth beside it, the bounds beside that."""
+    """Join one row per clip: its first measured collision, the truth and the bounds."""
     bad = ~estimates["status"].isin(MEASURED)
     order = estimates.assign(_bad=bad).sort_values(["clip", "_bad", "collision"], kind="stable")
     first = order.drop_duplicates("clip").drop(columns="_bad")
@@ -209,12 +206,12 @@ def join_truth(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFr
 
 
 def drop_unclaimed(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows' claims that a truth can be held against.
+    """Set to NaN what a row does not claim.
 
-    Without a collision only the rolling loss; of a misfit nothing of the tied fit, which claims nothing.
+    A row without a collision claims only the rolling loss; the tied fit of a misfit claims nothing.
     """
     held = table.copy()
-    other = [f"{n}{kind}" for n in QUANTITY_NAMES if n not in OF_ONE_BALL for kind in ("", "_free", "_paper")]
+    other = [f"{n}{kind}" for n in QUANTITY_NAMES if n not in ("drag", "decel") for kind in ("", "_free", "_paper")]
     held.loc[~held["status"].isin(MEASURED), [c for c in other if c in held]] = np.nan
     held.loc[held["status"] == MISFIT, [n for n in QUANTITY_NAMES if n in held]] = np.nan
     return held

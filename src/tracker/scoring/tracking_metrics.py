@@ -1,10 +1,10 @@
-"""How well tracks follow the truth, in the measures that tracking papers use.
+"""Measures of tracking papers: alpha, beta, JSC, MOTA, IDF1, HOTA and others.
 
 alpha, beta, JSC and JSC_theta of the Particle Tracking Challenge (Chenouard et al. 2014, Nature Methods 11, 281);
 MOTA, MOTP and identity switches (Bernardin & Stiefelhagen 2008), IDF1 (Ristani et al. 2016), HOTA, DetA and AssA
-(Luiten et al. 2021). Of boxes the similarity is their intersection over union, and two that are alike by half are
-paired; of points it is 1 - distance/gate for HOTA and 1 - distance/(2 gate) for the others. All are counts first and
-ratios last, so clips pool by adding.
+(Luiten et al. 2021). Two positions are paired from a similarity of one half on. The similarity of boxes is their
+intersection over union. That of points is 1 - distance/gate for HOTA and 1 - distance/(2 gate) for the other measures.
+Clips are pooled by adding their counts.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ Ints = NDArray[np.int64]
 GATE_PX = 5.0
 Counts = dict[str, float]
 HOTA_LEVELS = np.arange(0.05, 0.99, 0.05)
-HALF = 0.5 - float(np.finfo(float).eps)  # similarity from which two are paired
-KEEP = 1000.0  # over any similarity: a partner is kept before a better one is looked for
+MIN_SIMILARITY = 0.5 - float(np.finfo(float).eps)  # of a pair
 
 
 class FrameDistances(NamedTuple):
@@ -185,10 +184,10 @@ def _count_clear(truth: TrackPoints, found: TrackPoints, near: dict[int, FrameDi
         if not len(i) or not len(j):
             misses, extras = misses + len(i), extras + len(j)
             continue
-        gain = np.where(alike >= HALF, alike, 0.0)
+        gain = np.where(alike >= MIN_SIMILARITY, alike, 0.0)
         for a, b in zip(*np.nonzero(gain), strict=True):
             if previous.get(int(truth.track[i[a]])) == found.track[j[b]]:
-                gain[a, b] += KEEP
+                gain[a, b] += 1000.0  # over any similarity: a partner is kept even where another is more similar
         rows, columns = linear_sum_assignment(-gain)
         met = gain[rows, columns] > 0
         kept = list(zip(truth.track[i[rows[met]]].tolist(), found.track[j[columns[met]]].tolist(), strict=True))
@@ -206,7 +205,7 @@ def _count_identity(truth: TrackPoints, found: TrackPoints, near: dict[int, Fram
     """One partner for the whole clip, for as many frames as possible."""
     both = np.zeros((truth.tracks, found.tracks))
     for i, j, _, alike, _ in near.values():
-        for a, b in np.argwhere(alike >= HALF):
+        for a, b in np.argwhere(alike >= MIN_SIMILARITY):
             both[truth.track[i[a]], found.track[j[b]]] += 1
     rows, columns = linear_sum_assignment(-both)
     return {"idtp": float(both[rows, columns].sum())}

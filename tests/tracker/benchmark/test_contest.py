@@ -82,7 +82,7 @@ def test_an_unknown_tracker_and_another_suites_report(report, tmp_path):
         entrants(suite(), "centriod")
     other = replace(suite(), about={**suite().about, "truth_sha256": "0"})
     copy = shutil.copytree(report[0], tmp_path / "copy")
-    with pytest.raises(InputError, match="figures of two suites are not set beside each other"):
+    with pytest.raises(InputError, match="scores another suite"):
         module.publish(other, copy, "")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("")

@@ -91,7 +91,7 @@ def test_a_withheld_truth_is_scored_where_it_lies(tmp_path, monkeypatch, capsys)
         main()
     err = capsys.readouterr().err
     assert (stopped.value.code, err.count("\n")) == (2, 1)
-    assert "this suite's truth is withheld" in err
+    assert "the truth of this suite is withheld" in err
     before = {path: path.read_bytes() for path in truth.rglob("*") if path.is_file()}
     monkeypatch.setattr(sys, "argv", [*typed, "--truth", str(truth), "--json"])
     with pytest.raises(SystemExit) as stopped:

@@ -255,7 +255,7 @@ def test_what_is_missing_is_named(found, data, tmp_path):
 def test_a_damaged_table_is_one_line(data, found, tmp_path):
     folders = {"truth": shutil.copytree(data, tmp_path / "truth"), "found": shutil.copytree(found, tmp_path / "found")}
     for where, file, said in (
-        ("truth", "truth/clips.parquet", "damaged, expected a dataset's truth"),
+        ("truth", "truth/clips.parquet", "damaged, expected the truth of a dataset"),
         ("truth", "clips/000000/truth/tracks.parquet", "damaged, expected true tracks"),
         ("found", "estimates.parquet", "damaged, expected results of tracker track"),
         ("found", "clips/000000/tracks.parquet", "damaged, expected tracks"),
@@ -269,5 +269,5 @@ def test_a_damaged_table_is_one_line(data, found, tmp_path):
         path.write_bytes(before)
     path = folders["truth"] / "truth/clips.parquet"
     pd.read_parquet(path)[["clip", "scene", "b"]].to_parquet(path)
-    with pytest.raises(InputError, match="no column v0, t_c, r, mu_k, C, drag, decel, expected a dataset's truth"):
+    with pytest.raises(InputError, match="no column v0, t_c, r, mu_k, C, drag, decel, expected the truth of a dataset"):
         score(folders["found"], folders["truth"])

@@ -1,1 +1,1 @@
-"""A tracker's results held to the truth of a suite: positions, quantities, what its defects do to the physics."""
+"""Scores of a tracker's results against the truth of a suite: positions, quantities, effects of its defects."""

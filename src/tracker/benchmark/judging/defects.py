@@ -1,11 +1,12 @@
-"""What a tracker's defects do to the physics: each alone, put into true tracks, which are then measured.
+"""Effect of each defect of a tracker on the physics: it is put alone into true tracks, and these are measured.
 
-The true tracks have the noise of the bound, the same for all trackers and defects: a difference is the defect's.
+The true tracks have the noise of the Cramér-Rao bound, the same for all trackers and defects, so that every difference
+is due to the defect. The defects:
 
-- locking: the error that follows the phase of the glint within the pixel, as it was seen in this tracker's own tracks
-- glint: the share of the way from centre to glint by which its own positions are off, before a camera file takes them
-  to the centre: 1 of a tracker that takes the glint for the ball
-- lost: the frames in which it missed a ball are taken out
+- locking: the error as a function of the phase of the glint within its pixel, as in the tracks of this tracker
+- glint: the share of the vector from centre to glint by which its own positions are off, before the camera file
+  corrects them; 1 for a tracker that takes the glint for the centre of the ball
+- lost: the frames in which it missed a ball are removed
 """
 
 from __future__ import annotations
@@ -27,31 +28,31 @@ from tracker.tables.rows import to_tracks
 
 Floats = NDArray[np.float64]
 QUANTITIES = ("r", "tau1", "energy_fraction")
-KINDS = ("", "_free")
 DEFECTS = ("locking", "glint", "lost")
-SEED = 21
-LEVER = 0.05  # px, rms of the way from centre to glint, from which on a share of it can be read
 
 
-def glint_share(pairs: pd.DataFrame) -> float:
-    """Share of the way from centre to glint by which a tracker's own positions are off; NaN where there is no way."""
+def glint_share(pairs: pd.DataFrame, min_lever_px: float = 0.05) -> float:
+    """Share of the vector from centre to glint by which a tracker's own positions are off.
+
+    NaN where the rms length of that vector is under `min_lever_px`, so that no share can be determined.
+    """
     lever = pairs[["lever_x", "lever_y"]].to_numpy(np.float64).ravel()
     own = pairs[["own_x", "own_y"]].to_numpy(np.float64).ravel()
     use = np.isfinite(lever) & np.isfinite(own)
     weight = float((lever[use] ** 2).sum())
-    return float((lever[use] * own[use]).sum()) / weight if weight > LEVER**2 * max(use.sum(), 1) else np.nan
+    return float((lever[use] * own[use]).sum()) / weight if weight > min_lever_px**2 * max(use.sum(), 1) else np.nan
 
 
 def measure_defects(suite: Suite, part: SuitePart, held: PositionMatches, base: Mapping[int, Any]) -> dict[str, Any]:
-    """How far each defect alone moves each quantity.
+    """Measure how far each defect alone moves each quantity.
 
     Parameters
     ----------
     suite : Suite
     part : Part
-        Whose true tracks are used.
+        The part whose true tracks are used.
     held : Held
-        This tracker's positions of that part.
+        Positions of this tracker in that part.
     base : mapping
         Clip -> what `undisturbed` gave for it.
 
@@ -80,12 +81,14 @@ def measure_defects(suite: Suite, part: SuitePart, held: PositionMatches, base: 
     return out
 
 
-def simulate_at_bound(suite: Suite, part: SuitePart, clip: int) -> tuple[pd.DataFrame, Camera, Mapping[str, Any]]:
-    """True tracks of a clip with the noise of the bound, its camera, and what is measured in them."""
+def simulate_at_bound(
+    suite: Suite, part: SuitePart, clip: int, seed: int = 21
+) -> tuple[pd.DataFrame, Camera, Mapping[str, Any]]:
+    """True tracks of a clip with the noise of the bound, its camera, and the measurement of these tracks."""
     camera = suite.camera(part, clip)
     truth = suite.tracks(part.truth, clip)
     truth = truth[truth["visible"].to_numpy(bool) & np.isfinite(truth["xx"].to_numpy(float))].reset_index(drop=True)
-    rng = np.random.default_rng([SEED, clip])
+    rng = np.random.default_rng([seed, clip])
     cov = covariances(truth)
     noise = np.einsum("nij,nj->ni", np.linalg.cholesky(cov), rng.standard_normal((len(truth), 2)))
     table = truth.assign(
@@ -99,14 +102,14 @@ def simulate_at_bound(suite: Suite, part: SuitePart, clip: int) -> tuple[pd.Data
 
 
 def measure_collision(table: pd.DataFrame, camera: Camera) -> Mapping[str, Any]:
-    """The first collision that tracks show; an empty row where they show none."""
+    """Measure the first collision in tracks; an empty row where there is none."""
     columns = ["frame", "particle", "x", "y", "x_std", "y_std", "cov_xy"]
     rows, _ = measure_clip(to_tracks(table[columns], "true tracks"), camera)
     return next((row for row in rows if row["status"] in MEASURED), {})
 
 
 def _lever(table: pd.DataFrame) -> Floats:
-    """From centre to glint, px."""
+    """Vector from centre to glint, px."""
     glint, centre = table[["glint_x_px", "glint_y_px"]], table[["x_px", "y_px"]]
     by: Floats = glint.to_numpy(np.float64) - centre.to_numpy(np.float64)
     return by
@@ -133,7 +136,7 @@ def _drop_lost(table: pd.DataFrame, lost: pd.DataFrame | None) -> pd.DataFrame:
 def _shifts(rows: Mapping[int, Mapping[str, Any]], base: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
     known = [clip for clip in rows if base[clip]]
     out: dict[str, Any] = {"unmeasured": sum(not rows[clip] for clip in known), "clips": len(known)}
-    for name in (f"{quantity}{kind}" for quantity in QUANTITIES for kind in KINDS):
+    for name in (f"{quantity}{kind}" for quantity in QUANTITIES for kind in ("", "_free")):
         pairs = [(rows[c].get(name, np.nan), base[c][name], base[c][f"{name}_std"]) for c in known if rows[c]]
         values = np.array(pairs, dtype=np.float64).reshape(-1, 3)
         shift = (values[:, 0] - values[:, 1])[np.isfinite(values).all(axis=1)]

@@ -1,4 +1,4 @@
-"""One tracker's entry: all its figures on a suite, as a file that others may set beside theirs."""
+"""The entry of a tracker: all its scores on a suite, as a file that can be compared with those of others."""
 
 from __future__ import annotations
 
@@ -14,12 +14,9 @@ from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.folder import Suite
 from tracker.results import finite
 
-SHOWN_DEFECTS = 12  # clips into which defects are put
-ABOUT = ("version", "size", "split", "definition_sha256", "truth_sha256")
-
 
 def make_entry(suite: Suite, tracked: TrackerResults, about: Mapping[str, Any]) -> dict[str, Any]:
-    """All figures of a tracker on a suite.
+    """Score a tracker on a suite.
 
     Parameters
     ----------
@@ -27,7 +24,7 @@ def make_entry(suite: Suite, tracked: TrackerResults, about: Mapping[str, Any]) 
         With its truth.
     tracked : Tracked
     about : mapping
-        Of the tracker: name, and what else there is to say.
+        Name of the tracker, and further facts about it.
 
     Returns
     -------
@@ -41,7 +38,7 @@ def make_entry(suite: Suite, tracked: TrackerResults, about: Mapping[str, Any]) 
     parts = {name: one.statistics for name, one in held.items()}
     out: dict[str, Any] = {
         "tracker": dict(about),
-        "suite": {key: suite.about[key] for key in ABOUT},
+        "suite": {key: suite.about[key] for key in ("version", "size", "split", "definition_sha256", "truth_sha256")},
         "score": overall_score(parts, [name for name in chosen.headline if suite.has_bounds(suite.parts[name])]),
         "parts": parts,
         "phase": {name: phase_curve(held[name].pairs) for name in chosen.named_parts("phase") if name in run},
@@ -54,15 +51,17 @@ def make_entry(suite: Suite, tracked: TrackerResults, about: Mapping[str, Any]) 
 
 
 def overall_score(parts: Mapping[str, Mapping[str, float]], headline: list[str]) -> float:
-    """100 times the mean efficiency over these parts; one that was not run counts 0. NaN where there is none."""
+    """Compute 100 times the mean efficiency over these parts; a part that was not run counts 0. NaN without parts."""
     values = [parts[name]["efficiency"] if name in parts else 0.0 for name in headline]
     return 100 * float(np.mean(values)) if values else float("nan")
 
 
-def _defects(suite: Suite, tracked: TrackerResults, held: Mapping[str, PositionMatches]) -> dict[str, Any]:
+def _defects(
+    suite: Suite, tracked: TrackerResults, held: Mapping[str, PositionMatches], max_clips: int = 12
+) -> dict[str, Any]:
     for name in (name for name in suite.definition.named_parts("physics") if name in held):
         part = suite.parts[name]
-        clips = tracked.sample.of(part)[:SHOWN_DEFECTS]
+        clips = tracked.sample.of(part)[:max_clips]
         base = {clip: simulate_at_bound(suite, part, clip) for clip in clips}
         return measure_defects(suite, part, held[name], base)
     return {}

@@ -1,4 +1,4 @@
-"""Positions of a part's clips held to the truth: figures, and how the error follows the pixel's phase and the gap."""
+"""Errors of the positions in a part of a suite, also against the phase within the pixel and the gap between balls."""
 
 from __future__ import annotations
 
@@ -13,28 +13,34 @@ from numpy.typing import NDArray
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite, covariances
-from tracker.scoring.localisation import MOVING_PX, MatchedDetections, match, score_positions
+from tracker.scoring.localisation import MIN_MOTION_PX, MatchedDetections, match, score_positions
 from tracker.scoring.score import to_track_points
 from tracker.scoring.tracking_metrics import GATE_PX, score_tracks
 
 Floats = NDArray[np.float64]
-BINS = 16  # of the phase within the pixel
-FEWEST = 5  # errors of which a mean is shown
-GAPS = (0.0, 0.06, 0.15, 0.3, 0.6, 1.2, 2.4)  # between two balls, in diameters
-KEPT = "alpha beta jsc jsc_theta mota idf1 hota swaps".split()
 
 
 @dataclass(frozen=True)
 class PositionMatches:
-    """The clips of a part: `pairs` has a row for each position found, `figures` the part's."""
+    """Positions of a tracker in a part of a suite, paired with the truth.
+
+    Attributes
+    ----------
+    statistics : dict
+        Of the part: errors of positions, and tracking measures.
+    pairs : DataFrame
+        A row for each position found.
+    lost : dict
+        By clip: frame and particle of the balls wholly in view that were missed.
+    """
 
     statistics: dict[str, float]
     pairs: pd.DataFrame
-    lost: dict[int, pd.DataFrame]  # clip -> frame, particle of the balls whole in view that were missed
+    lost: dict[int, pd.DataFrame]
 
 
 def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> PositionMatches:
-    """Match the tracks of a part with its truth.
+    """Pair the positions of a tracker with the truth of a part.
 
     Parameters
     ----------
@@ -71,18 +77,23 @@ def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> P
     figures["phase_bias_px"] = fit_pixel_locking(pairs)[1]
     figures["z"] = _claimed_z(pairs)
     figures["efficiency"] = efficiency(figures)
-    return PositionMatches(figures | {name: score_tracks(dots)[name] for name in KEPT}, pairs, lost)
+    tracking = score_tracks(dots)
+    measures = ("alpha", "beta", "jsc", "jsc_theta", "mota", "idf1", "hota", "swaps")
+    return PositionMatches(figures | {name: tracking[name] for name in measures}, pairs, lost)
 
 
 def efficiency(figures: Mapping[str, float]) -> float:
-    """1: every ball found and nothing else, each at its bound. NaN without a bound; 0 where nothing is found."""
+    """Efficiency: 1 where every ball is found at its bound and nothing else is; 0 where nothing is found.
+
+    NaN without a bound.
+    """
     if not figures["n"]:
         return 0.0
     return float(figures["jaccard"] / max(figures["ratio"], 1.0)) if np.isfinite(figures["ratio"]) else np.nan
 
 
 def _claimed_z(pairs: pd.DataFrame) -> float:
-    """Errors over the standard errors that the tracker claims, root mean square: 1 where they hold."""
+    """Root mean square of errors over claimed standard errors: 1 where these are correct."""
     z = pairs[["off_x", "off_y"]].to_numpy() / pairs[["std_x", "std_y"]].to_numpy()
     z = z[np.isfinite(z)]
     return float(np.sqrt((z**2).mean())) if len(z) else np.nan
@@ -98,7 +109,7 @@ def _pairs(near: MatchedDetections, cov: Floats, ball_px: float, point: str) -> 
         raw = found[["glint_x", "glint_y"]].to_numpy(np.float64) - centre
         own = np.where(np.isfinite(raw), raw, own)
     pace = near.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
-    moving = pace.reindex(true.index).to_numpy(np.float64) > MOVING_PX
+    moving = pace.reindex(true.index).to_numpy(np.float64) > MIN_MOTION_PX
     bright = centre + np.where(np.isfinite(lever), lever, 0.0)
     for k, axis in enumerate("xy"):
         std = found[f"{axis}_std"].to_numpy(np.float64) if f"{axis}_std" in found else np.full(len(out), np.nan)
@@ -111,7 +122,7 @@ def _pairs(near: MatchedDetections, cov: Floats, ball_px: float, point: str) -> 
 
 
 def _about_the_other(truth: pd.DataFrame, true: pd.DataFrame, off: Floats) -> tuple[Floats, Floats]:
-    """Distance to the other ball, px, and the error towards it; NaN where there is none."""
+    """Distance to the other ball and error towards it, px; NaN where there is no other ball."""
     place = truth.set_index(["frame", "particle"])[["x_mean_px", "y_mean_px"]]
     wanted = pd.MultiIndex.from_arrays([true["frame"], 1 - true["particle"]])
     way = place.reindex(wanted).to_numpy(np.float64) - true[["x_mean_px", "y_mean_px"]].to_numpy(np.float64)
@@ -119,21 +130,22 @@ def _about_the_other(truth: pd.DataFrame, true: pd.DataFrame, off: Floats) -> tu
     return length, np.asarray((off * way).sum(axis=1) / length, dtype=np.float64)
 
 
-def fit_pixel_locking(pairs: pd.DataFrame) -> tuple[Floats, float]:
-    """How the error follows the phase of the glint within the pixel.
+def fit_pixel_locking(pairs: pd.DataFrame, min_errors: int = 20) -> tuple[Floats, float]:
+    """Fit the error as a function of the phase of the glint within its pixel.
 
     Returns
     -------
     waves : (2, 4) array
-        By axis, px: cosine and sine of one and of two periods a pixel, fitted to the errors of moving balls.
+        By axis, px: cosine and sine with one and with two periods per pixel, fitted to the errors of moving balls.
     bias : float
-        Peak to peak of the first, the worse axis, px, less what noise makes of it; NaN of few errors.
+        Peak-to-peak amplitude of the first period, px, corrected for noise, of the worse axis; NaN where an axis has
+        fewer than `min_errors` errors.
     """
     waves, worst = np.zeros((2, 4)), np.nan
     for k, axis in enumerate("xy"):
         use = pairs[f"moving_{axis}"].to_numpy(bool)
         phase, off = (pairs[f"{name}_{axis}"].to_numpy(np.float64)[use] for name in ("phase", "off"))
-        if len(off) < 4 * FEWEST:
+        if len(off) < min_errors:
             continue
         by = [wave(n * phase * 2 * np.pi) for n in (1, 2) for wave in (np.cos, np.sin)]
         fit = np.linalg.lstsq(np.column_stack([*by, np.ones_like(phase)]), off, rcond=None)[0]
@@ -143,27 +155,27 @@ def fit_pixel_locking(pairs: pd.DataFrame) -> tuple[Floats, float]:
     return waves, float(worst)
 
 
-def phase_curve(pairs: pd.DataFrame) -> list[list[float | None]]:
-    """Phase, mean error px and its standard error, both axes together, of moving balls."""
+def phase_curve(pairs: pd.DataFrame, bins: int = 16, min_errors: int = 5) -> list[list[float | None]]:
+    """Phase, mean error (px) and its standard error by bins of the phase, for both axes of moving balls."""
     phase, off = (
         np.concatenate([pairs[f"{name}_{a}"].to_numpy(float)[pairs[f"moving_{a}"].to_numpy(bool)] for a in "xy"])
         for name in ("phase", "off")
     )
-    edges = np.linspace(-0.5, 0.5, BINS + 1)
+    edges = np.linspace(-0.5, 0.5, bins + 1)
     return [
         [float(middle), float(part.mean()), float(part.std() / np.sqrt(len(part)))]
         for low, high in pairwise(edges)
-        if len(part := off[(phase >= low) & (phase < high)]) >= FEWEST
+        if len(part := off[(phase >= low) & (phase < high)]) >= min_errors
         for middle in [(low + high) / 2]
     ]
 
 
-def gap_curve(pairs: pd.DataFrame) -> list[dict[str, float]]:
-    """By the gap to the other ball: rmse over bound, and the mean error towards it, px."""
+def gap_curve(pairs: pd.DataFrame, min_positions: int = 5) -> list[dict[str, float]]:
+    """Rmse over bound, and mean error towards the other ball (px), by the gap between the balls (diameters)."""
     out = []
-    for low, high in pairwise(GAPS):
+    for low, high in pairwise((0.0, 0.06, 0.15, 0.3, 0.6, 1.2, 2.4)):
         part = pairs[(pairs["gap"] >= low) & (pairs["gap"] < high)]
-        if len(part) >= FEWEST:
+        if len(part) >= min_positions:
             rmse = float(np.sqrt((part[["off_x", "off_y"]].to_numpy() ** 2).mean()))
             bound = float(np.sqrt((part["bound"] ** 2).mean()))
             middle = float(part["gap"].mean())

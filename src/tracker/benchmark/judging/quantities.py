@@ -1,4 +1,4 @@
-"""What a tracker would have published of the collisions of a part, held to the truth."""
+"""Errors of the quantities that a tracker would have published from the collisions of a part."""
 
 from __future__ import annotations
 
@@ -14,15 +14,9 @@ from tracker.results import estimates_table
 from tracker.scoring.error_bars import score_quantities
 from tracker.scoring.score import drop_unclaimed, join_truth
 
-NAMES = ("r", "mu_k", "C", "tau1", "tau2", "energy_fraction")
-KINDS = ("", "_free")
-SPINS = ("u2ix", "u2iy", "side2i")  # of a striker that does not roll: the bounds are those of one that does
-STILL = 1e-6  # m/s
-FEWEST = 3  # collisions of which something is published
 
-
-def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart) -> dict[str, Any]:
-    """Figures of each quantity, tied and free.
+def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min_collisions: int = 3) -> dict[str, Any]:
+    """Score each quantity of the tied and of the free fit.
 
     Parameters
     ----------
@@ -44,23 +38,24 @@ def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart) -> 
             for clip in clips for row in tracked.of(part.film, clip)[1]]  # fmt: skip
     empty = pd.DataFrame({"clip": [], "collision": [], "status": []}).astype({"clip": int, "status": str})
     limits = suite.quantity_bounds(part.truth)
-    if any((scalars.get(name, pd.Series(0.0)).abs() > STILL).any() for name in SPINS):
+    if any((scalars.get(name, pd.Series(0.0)).abs() > 1e-6).any() for name in ("u2ix", "u2iy", "side2i")):
         limits = limits[["clip"]]
     table = drop_unclaimed(join_truth(scalars, estimates_table(rows).copy() if rows else empty, limits))
     out: dict[str, Any] = {"clips": len(clips), "measured": int(table["status"].isin(["ok"]).sum())}
     scores = score_quantities(table)
-    for name in (f"{name}{kind}" for name in NAMES for kind in KINDS):
+    names = ("r", "mu_k", "C", "tau1", "tau2", "energy_fraction")
+    for name in (f"{name}{fit}" for name in names for fit in ("", "_free")):
         if name in scores:
-            out[name] = dict(scores[name]) | _weighted_error(table, name)
+            out[name] = dict(scores[name]) | _weighted_error(table, name, min_collisions)
     return out
 
 
-def _weighted_error(table: pd.DataFrame, name: str) -> dict[str, float]:
-    """The weighted mean of the errors that come with an error bar, and its own error bar."""
+def _weighted_error(table: pd.DataFrame, name: str, min_collisions: int) -> dict[str, float]:
+    """Mean of the errors, weighted by the claimed error bars, and its error bar; NaN for few collisions."""
     value, std = (table[column].to_numpy(np.float64) for column in (name, f"{name}_std"))
     true = table[f"{name.removesuffix('_free')}_true"].to_numpy(np.float64)
     use = np.isfinite(value) & np.isfinite(true) & np.isfinite(std) & (std > 0)
-    if use.sum() < FEWEST:
+    if use.sum() < min_collisions:
         return {"published": np.nan, "published_std": np.nan}
     weight = std[use] ** -2
     return {

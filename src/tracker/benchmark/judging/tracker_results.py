@@ -1,4 +1,4 @@
-"""What a tracker gave for the films of a suite, in files or in memory."""
+"""Results of a tracker for the films of a suite, in files or in memory."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ NOTHING = pd.DataFrame(
 
 @dataclass(frozen=True)
 class ClipSample:
-    """What of a suite a tracker is run on: so many clips of each part (None: all), and no part of some films."""
+    """The clips of a suite that a tracker is run on: so many of each part (None: all), without some films."""
 
     clips: int | None = None
     without: tuple[str, ...] = ()
 
     def of(self, part: SuitePart) -> tuple[int, ...]:
-        """The clips of a part that count."""
+        """Return the clips of a part that count."""
         return () if part.truth in self.without else part.clips[: self.clips]
 
     def of_film(self, parts: Iterable[SuitePart], film: str) -> set[int]:
-        """The clips of a film that count."""
+        """Return the clips of a film that count."""
         return {clip for part in parts if part.film == film for clip in self.of(part)}
 
 
@@ -44,14 +44,14 @@ class TrackerResults(Protocol):
 
     @property
     def sample(self) -> ClipSample:
-        """What it was run on."""
+        """The clips that it was run on."""
 
     @property
     def own(self) -> str:
-        """ "centre" where it says itself where centres are; "glint" where the camera file took what it found there."""
+        """ "centre" where the tracker itself gives centres; "glint" where the camera file corrects its positions."""
 
     def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
-        """Tracks as in tracks.parquet, a row of estimates for each collision; nothing of a clip that is not there."""
+        """Return tracks as in tracks.parquet and a row of estimates for each collision; empty for a missing clip."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class ResultsInFolder:
     own: str = "centre"
 
     def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
-        """Tracks and estimates of a clip."""
+        """Return tracks and estimates of a clip."""
         home = results.clip_folder(self.folder / film, clip)
         if not home.is_dir():
             return NOTHING, []
@@ -79,7 +79,7 @@ class ResultsInMemory:
     own: str = "centre"
 
     def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
-        """Tracks and estimates of a clip."""
+        """Return tracks and estimates of a clip."""
         if (film, clip) not in self.found:
             return NOTHING, []
         result = self.found[film, clip]

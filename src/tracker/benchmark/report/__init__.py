@@ -1,1 +1,1 @@
-"""Entries beside one another: leaderboard, pictures, page."""
+"""Comparison of entries: leaderboard, figures, page."""

@@ -1,4 +1,4 @@
-"""The entries of a report beside one another: a file, and who is how good."""
+"""The leaderboard: all entries of a report, the best first, as leaderboard.csv."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ from synthcam_shared.outputs import write_atomically
 from tracker.results import load_json, write_json
 
 ENTRIES = "entries"
-LEADERBOARD = "leaderboard.csv"
 COLUMNS = ("rank name score ratio_median found false_per_ball hota ms_per_frame r_tied_rmse r_tied_z_std made truth "
            "suite_version truth_sha256").split()  # fmt: skip
 Entries = Sequence[Mapping[str, Any]]
 
 
 def file_name(name: str) -> str:
-    """Of an entry, such that any name makes one."""
+    """Make a file name from the name of any tracker."""
     kept = "".join(c if c.isalnum() or c in "-_+." else "_" for c in name).strip(".")
     return f"{kept or 'tracker'}.json"
 
 
 def save(report: Path, entry: Mapping[str, Any]) -> None:
-    """REPORT/entries/NAME.json. A submission may take the place of its like, and of nothing else: InputError."""
+    """Write REPORT/entries/NAME.json. Raises InputError where it is the entry of another tracker."""
     name, made = entry["tracker"]["name"], entry["tracker"]["made"]
     path = report / ENTRIES / file_name(name)
     if path.is_file():
@@ -40,21 +39,21 @@ def save(report: Path, entry: Mapping[str, Any]) -> None:
 
 
 def entries(report: Path, suite: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """All entries of a report, the best first. Raises InputError for one of another suite."""
+    """Read all entries of a report, the best first. Raises InputError for an entry of another suite."""
     found = []
     for path in sorted((report / ENTRIES).glob("*.json")):
         one = load_json(path)
         if not isinstance(one, dict) or not {"tracker", "suite", "parts", "score"} <= set(one):
             raise InputError(f"{path}: damaged, expected an entry of `tracker benchmark`")
         if one["suite"]["truth_sha256"] != suite["truth_sha256"]:
-            raise InputError(f"{path}: of another suite (version {one['suite']['version']}); figures of two suites are "
-                             "not set beside each other, expected a report of its own")  # fmt: skip
+            other = one["suite"]["version"]
+            raise InputError(f"{path}: scores another suite (version {other}); expected a report of its own")
         found.append(one)
     return sorted(found, key=lambda one: (-(one["score"] or 0.0), one["tracker"]["name"]))
 
 
 def row(rank: int, one: Mapping[str, Any]) -> dict[str, Any]:
-    """A line of the leaderboard."""
+    """Make a line of the leaderboard."""
     parts = one["parts"].values()
     ratios = [part["ratio"] for part in parts if part["ratio"] is not None]
     whole = sum(part["n"] + part["missed"] for part in parts)
@@ -79,10 +78,10 @@ def row(rank: int, one: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def write_leaderboard(report: Path, found: Entries) -> None:
-    """REPORT/leaderboard.csv."""
+    """Write REPORT/leaderboard.csv."""
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     table.writeheader()
     for rank, one in enumerate(found, 1):
         table.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row(rank, one).items()})
-    write_atomically(report / LEADERBOARD, text.getvalue())
+    write_atomically(report / "leaderboard.csv", text.getvalue())

@@ -1,7 +1,7 @@
-"""The Cramer-Rao bound of every true position of a film, and of the quantities of its collisions.
+"""Cramér-Rao bounds of all true positions of a film, and of the quantities of its collisions.
 
-A bound needs the light of the glint. It is measured once, when the suite is made, by the maximum-likelihood detector:
-the median over the clip, for each ball. All trackers are then held to the same bounds.
+A bound needs the light of the glint. The maximum-likelihood detector measures it once, when the suite is made, as the
+median over the clip for each ball. All trackers are compared with the same bounds.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SCALARS = ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")
 
 
 def write_bounds(film: Path, truth: Path, workers: int = 0, scheduler: str = "") -> None:
-    """Write the bounds of a film beside its truth, unless they are there; by processes here, or by Dask's workers."""
+    """Write the bounds of a film beside its truth, unless they exist; by processes here, or by workers of Dask."""
     if (truth / BOUNDS).is_file() and (truth / QUANTITY_BOUNDS).is_file():
         return
     source = open_source(film)
@@ -38,7 +38,7 @@ def write_bounds(film: Path, truth: Path, workers: int = 0, scheduler: str = "")
 
 
 def _of_clip(source: RecordingSource, truth: Path, index: int) -> Rows:
-    """Frame, particle, xx, xy, yy (px^2) of each true position, and the bounds of the clip's quantities."""
+    """Bound xx, xy, yy (px^2) of each true position, with frame and particle; bounds of the quantities of the clip."""
     use_one_thread()
     clip = source.open_clip(index)
     folder = truth / "clips" / f"{clip.number:06d}" / "truth"
@@ -68,7 +68,7 @@ def _of_clip(source: RecordingSource, truth: Path, index: int) -> Rows:
 
 
 def _perfect(true: pd.DataFrame, flux: pd.Series[float]) -> MatchedDetections:
-    """The truth as a tracker would give it that makes no error: all balls whole in view."""
+    """The result of a tracker without errors: all balls that are wholly in view."""
     whole = np.flatnonzero(true["visible"].to_numpy(bool) & np.isfinite(flux.to_numpy(float)))
     found = true.iloc[whole].assign(x=true["x_mean_px"], y=true["y_mean_px"], flux=flux)
     pairs = np.stack([whole, np.arange(len(whole))], axis=1)

@@ -1,4 +1,4 @@
-"""The card of a suite, as hosts of data sets expect it: README.md with its front matter."""
+"""The card of a suite: README.md with the front matter that hosts of data sets expect."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ CITATION = "The synthcam developers, synthcam: films of rolling balls with the t
 
 
 def card(about: Mapping[str, Any], definition: SuiteDefinition) -> str:
-    """README.md of a suite."""
+    """Write the text of README.md."""
     clips = sum(len(part["clips"]) for part in about["parts"].values())
     open_split = about["split"] == "open"
     seed = about["seed"] if open_split else "withheld"
     where = (
-        "in `truth/`, for whoever works on a tracker; no tracker is given it"
+        "in `truth/`, for developers of trackers; no tracker gets it"
         if open_split
-        else "withheld; it is the one whose SHA-256 stands above, which whoever scores checks first"
+        else "withheld; its SHA-256 is given above, and is checked before scoring"
     )
     rows = "\n".join(
         f"| {name} | films/{part['film']} | {part['clips'][0]:06d} to {part['clips'][-1]:06d} |"
@@ -46,23 +46,23 @@ version: {about["version"]}
 | cite | {CITATION.format(version=version("synthcam"))}; benchmark version {about["version"]} |
 
 {clips} clips of two balls that collide. `films/FILM/clips/NNNNNN` has frames.tif (or frames.mp4, frames.avi) and
-camera.json: what a tracker may see. The truth lies {where}.
-What is to be found: the centre of each ball in each frame, px, its mean over the exposure, (0, 0) being the centre of
-the top-left pixel.
+camera.json: the input of a tracker. The truth is {where}.
+A tracker has to find the centre of each ball in each frame: its mean over the exposure, in px, where (0, 0) is the
+centre of the top-left pixel.
 
 ## To submit
 
-A folder with `submission.json`, of which only the name is needed,
+A folder with `submission.json`, which needs only the name,
 
     {{"name": "...", "authors": "...", "url": "...", "point": "centre", "ms_per_frame": 2.5}}
 
-and for each film `FILM.csv` (or .parquet) with the columns clip, frame, particle, x, y, and, where they are known,
-x_std, y_std, cov_xy; or `FILM/NNNNNN.EXT`, a file a clip in any format of docs/format.md. Then
+and for each film a table: `FILM.csv` (or .parquet) with the columns clip, frame, particle, x, y, and x_std, y_std,
+cov_xy where they are known; or `FILM/NNNNNN.EXT`, one file per clip in any format of docs/format.md. Then run
 
     tracker benchmark submit SUITE FOLDER -o REPORT
 
-A clip without a table counts as not found. `"point": "glint"` says that x, y are those of the bright spot; the camera
-file then takes them to the centre. Of a withheld split, whoever holds the truth types this with `--truth TRUTH`.
+The balls of a clip without a table count as not found. `"point": "glint"` means that x, y are positions of the bright
+spot; the camera file then converts them to centres. For a withheld split, the holder of the truth adds `--truth TRUTH`.
 
 ## Parts
 

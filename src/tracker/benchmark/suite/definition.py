@@ -1,4 +1,4 @@
-"""The suite as a file defines it: films, their scenes and seeds, the axes along which errors are drawn."""
+"""The definition of a suite, read from YAML: films, scenes, seeds, and the properties along which errors are drawn."""
 
 from __future__ import annotations
 
@@ -12,15 +12,13 @@ import yaml
 
 from synthcam_shared.errors import InputError
 
-OWN = Path(__file__).with_name("suite.yaml")
-SIZES = ("full", "small")
 KEYS = "name version seed licence films axes headline near phase measured physics trackers sampled".split()
 FILM_KEYS = "clips small scene scenes encoded small_encoded".split()
 
 
 @dataclass(frozen=True)
 class SuiteFilm:
-    """One dataset: so many clips of each scene, and the encoded copies of it."""
+    """A dataset with `clips` clips of each scene, and its encoded copies."""
 
     name: str
     clips: int
@@ -30,7 +28,7 @@ class SuiteFilm:
 
 @dataclass(frozen=True)
 class SuitePart:
-    """Clips of one scene in one film: what an error is given for. truth: the film that holds their truth."""
+    """Clips of one scene in one film, which are scored together; truth: the film that holds their truth."""
 
     name: str
     film: str
@@ -40,7 +38,7 @@ class SuitePart:
 
 @dataclass(frozen=True)
 class SuiteDefinition:
-    """A suite, in one of its sizes. `text` is the file's."""
+    """A suite in one of its sizes; `text` is the content of the file."""
 
     text: str
     size: str
@@ -49,17 +47,17 @@ class SuiteDefinition:
 
     @property
     def version(self) -> str:
-        """Of the suite; the small size says so."""
+        """Version of the suite; that of a smaller size ends in its name."""
         return str(self.data["version"]) + ("" if self.size == "full" else f"-{self.size}")
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the file's text: two suites of one digest, size and seed are the same films."""
+        """SHA-256 of the text: suites with the same digest, size and seed have the same films."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @property
     def parts(self) -> dict[str, SuitePart]:
-        """By name, in the file's order."""
+        """Parts by name, in the order of the file."""
         found = {}
         for film in self.films:
             for k, scene in enumerate(film.scenes):
@@ -70,7 +68,7 @@ class SuiteDefinition:
         return found
 
     def axes(self) -> Iterator[tuple[str, Mapping[str, Any], list[tuple[Any, str]]]]:
-        """Name, settings and points (value, part) of each axis that has two parts or more in this size."""
+        """Yield name, settings and points (value, part) of each axis with two or more parts in this size."""
         known = self.parts
         for name, axis in self.data["axes"].items():
             points = [(value, part) for value, part in axis["points"] if part in known]
@@ -79,27 +77,28 @@ class SuiteDefinition:
 
     @property
     def headline(self) -> dict[str, str]:
-        """Part and its word in the first picture."""
+        """Parts of the first figure, with their labels."""
         return {part: str(word) for part, word in self.data["headline"].items() if part in self.parts}
 
     def named_parts(self, key: str) -> list[str]:
-        """The parts that a key names, in this size."""
+        """Return the parts that a key names and that this size has."""
         named = self.data[key]
         return [part for part in ([named] if isinstance(named, str) else named) if part in self.parts]
 
 
 def read_definition(path: Path | None = None, size: str = "full") -> SuiteDefinition:
-    """The suite of a file, or the one that comes with the package. Raises InputError."""
-    path = path or OWN
-    if size not in SIZES:
-        raise InputError(f"--size: expected one of {', '.join(SIZES)}, not {size!r}")
+    """Read the definition of a file, or the one of this package. Raises InputError."""
+    path = path or Path(__file__).with_name("suite.yaml")
+    sizes = ("full", "small")
+    if size not in sizes:
+        raise InputError(f"--size: expected one of {', '.join(sizes)}, not {size!r}")
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected the definition of a suite (YAML)")
     return parse_definition(path.read_text(encoding="utf-8"), size, str(path))
 
 
 def parse_definition(text: str, size: str, where: str) -> SuiteDefinition:
-    """A suite of its YAML. Raises InputError."""
+    """Parse the YAML of a definition. Raises InputError."""
     try:
         data = yaml.safe_load(text)
     except yaml.YAMLError as error:
@@ -108,7 +107,7 @@ def parse_definition(text: str, size: str, where: str) -> SuiteDefinition:
     films = tuple(film for name, given in data["films"].items() if (film := _film(name, given, size, where)).clips)
     names = [scene for film in films for scene in (*film.scenes, *film.encoded)]
     if len(set(names)) < len(names):
-        raise InputError(f"{where}: films: a scene's name stands twice, expected each once")
+        raise InputError(f"{where}: films: a scene's name occurs twice, expected once")
     made = SuiteDefinition(text, size, data, films)
     known = {scene for given in data["films"].values() for scene in (*given["scenes"], *given.get("encoded", {}))}
     named = [part for axis in data["axes"].values() for _, part in axis["points"]]
@@ -139,7 +138,7 @@ def _check(data: Any, keys: list[str], where: str, what: str, extra: list[str] |
 
 
 def merge_settings(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with those of `other` over them, one section at a time; a distribution is replaced whole."""
+    """Merge settings, one section at a time; those of `other` win, and replace a distribution as a whole."""
     out = dict(one)
     for key, value in other.items():
         section = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)

@@ -1,4 +1,4 @@
-"""A suite on disk: the films that a tracker may see, and the truth in a folder apart from them."""
+"""A suite on disk: the films that a tracker gets, and the truth in a separate folder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BOUNDS, QUANTITY_BOUNDS = "bounds.parquet", "quantity_bounds.parquet"
 
 @dataclass(frozen=True)
 class Suite:
-    """`path` has films/FILM, `truth` has FILM; the latter may be anywhere."""
+    """A suite on disk: `path` holds films/FILM, `truth` holds FILM and may be anywhere."""
 
     path: Path
     truth: Path
@@ -33,39 +33,39 @@ class Suite:
 
     @property
     def parts(self) -> dict[str, SuitePart]:
-        """By name."""
+        """Parts by name."""
         return self.definition.parts
 
     def film(self, name: str) -> Path:
-        """The folder that a tracker is given."""
+        """Return the folder of a film, which a tracker gets."""
         return self.path / FILMS / name
 
     def camera(self, part: SuitePart, clip: int) -> Camera:
-        """Of a clip."""
+        """Read the camera of a clip."""
         return Camera.read(self.film(part.film) / "clips" / f"{clip:06d}" / "camera.json")
 
     def scalars(self, film: str) -> pd.DataFrame:
-        """truth/clips.parquet of a film."""
+        """Read truth/clips.parquet of a film."""
         return _read(self.truth / film / "truth" / "clips.parquet")
 
     def tracks(self, film: str, clip: int) -> pd.DataFrame:
-        """True tracks of a clip, with the bound of each position as xx, xy, yy (px^2; NaN where there is none)."""
+        """Read the true tracks of a clip, with the bound of each position as xx, xy, yy (px^2; NaN without a bound)."""
         truth = _read(self.truth / film / "clips" / f"{clip:06d}" / "truth" / "tracks.parquet")
         limits = self.bounds(film)
         own = limits[limits["clip"] == clip].drop(columns="clip")
         return truth.merge(own, on=["frame", "particle"], how="left")
 
     def bounds(self, film: str) -> pd.DataFrame:
-        """Cramer-Rao bounds of all true positions of a film."""
+        """Return the Cramér-Rao bounds of all true positions of a film."""
         return self._limits[film][0]
 
     def has_bounds(self, part: SuitePart) -> bool:
-        """Whether positions of a part have a bound: those of matte balls have none."""
+        """Return whether positions of a part have a bound; those of matte balls have none."""
         limits = self.bounds(part.truth)
         return bool(limits.loc[limits["clip"].isin(part.clips), "xx"].notna().any())
 
     def quantity_bounds(self, film: str) -> pd.DataFrame:
-        """Bounds of the quantities of its collisions."""
+        """Return the bounds of the quantities of the collisions in a film."""
         return self._limits[film][1]
 
     @cached_property
@@ -76,10 +76,7 @@ class Suite:
 
 
 def open_suite(path: Path, truth: Path | None = None) -> Suite:
-    """A suite that was made. truth: where it lies, of a suite that withholds it.
-
-    Raises InputError where it is none, or where the truth is not the one that the suite was made with.
-    """
+    """Open a suite; truth: its folder, where it is withheld. Raises InputError where `path` is no suite."""
     if not (path / SUITE).is_file():
         raise InputError(f"{path / SUITE}: no such file, expected a suite of `tracker benchmark make`")
     about = load_json(path / SUITE)
@@ -92,10 +89,10 @@ def open_suite(path: Path, truth: Path | None = None) -> Suite:
 
 
 def with_truth(suite: Suite) -> Suite:
-    """The suite, its truth held to the digest in its card. Raises InputError."""
+    """Check the truth of a suite by the digest in its card. Raises InputError where it is missing or another one."""
     if not suite.truth.is_dir():
         withheld = suite.about["split"] == "withheld"
-        more = "; this suite's truth is withheld: --truth TRUTH, for those who have it" if withheld else ""
+        more = "; the truth of this suite is withheld: give its folder with --truth TRUTH" if withheld else ""
         raise InputError(f"{suite.truth}: no such folder, expected the truth of the suite{more}")
     if truth_digest(suite.truth, suite.definition) != suite.about["truth_sha256"]:
         raise InputError(f"{suite.truth}: not the truth of {suite.path}: its SHA-256 differs from that in {SUITE}")
@@ -103,7 +100,7 @@ def with_truth(suite: Suite) -> Suite:
 
 
 def truth_digest(truth: Path, definition: SuiteDefinition) -> str:
-    """SHA-256 over names and bytes of all true files; bounds, which follow from them, are left out."""
+    """Compute the SHA-256 over names and bytes of all true files, without bounds, which follow from them."""
     mark = hashlib.sha256()
     for film in sorted(one.name for one in definition.films):
         for path in sorted(p for p in (truth / film).rglob("*") if p.is_file()):
@@ -114,7 +111,7 @@ def truth_digest(truth: Path, definition: SuiteDefinition) -> str:
 
 
 def covariances(truth: pd.DataFrame) -> NDArray[np.float64]:
-    """(n, 2, 2) px^2, the bounds beside true tracks."""
+    """Turn the bounds beside true tracks into covariances (n, 2, 2), px^2."""
     xx, xy, yy = (truth[name].to_numpy(np.float64) for name in ("xx", "xy", "yy"))
     return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
 

@@ -1,4 +1,4 @@
-"""Making a suite: films by the command `synthcam`, the bounds of their positions, and the card."""
+"""Generation of a suite: films by the command `synthcam`, bounds of their positions, and the card."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from tracker.benchmark.suite.folder import DEFINITION, FILMS, SUITE, TRUTH, Suit
 from tracker.results import load_json, write_json
 
 SEED = "seed.json"  # with the truth
-GENERATOR = (sys.executable, "-m", "synthcam")
 Progress = Callable[[int, int], None]
 
 
@@ -34,7 +33,7 @@ def make(
     progress: Progress = lambda done, of: None,
     scheduler: str = "",
 ) -> Suite:
-    """Make a suite. What is complete is kept: interrupted, the same call goes on.
+    """Make a suite. The same call continues after an interruption.
 
     Parameters
     ----------
@@ -42,13 +41,13 @@ def make(
         Folder to make.
     definition : Definition
     withhold : Path, optional
-        Where the truth goes, apart from the films; default: output/truth.
+        Folder of the truth, apart from the films; default: output/truth.
     seed : int, optional
-        Of everything drawn; default: the definition's, or, where the truth is withheld, one that nobody guesses.
+        Seed of all random draws; default: that of the definition, or a random one where the truth is withheld.
     workers : int
         Processes; 0: one a core. A script without `if __name__ == "__main__"` needs 1.
     progress : callable
-        Takes steps done and steps in all.
+        Called with the number of finished steps and of all steps.
     scheduler : str
         Address of a Dask scheduler, whose workers see the same folders; they film the clips and find the bounds.
 
@@ -59,12 +58,12 @@ def make(
     Raises
     ------
     InputError
-        Where a folder holds something else, or `synthcam` refuses.
+        Where a folder holds other files, or `synthcam` fails.
     """
     output = output.resolve()
     truth = withhold.resolve() if withhold else output / TRUTH
     if withhold and (output in truth.parents or truth in output.parents or truth == output):
-        raise InputError(f"{truth}: lies in {output}, or around it; expected a folder for the truth apart from it")
+        raise InputError(f"{truth}: is inside {output} or contains it; expected a separate folder for the truth")
     if (output / SUITE).is_file():
         return _reopen(output, truth, definition, seed)
     if output.exists() and any(output.iterdir()) and not (output / DEFINITION).is_file():
@@ -101,7 +100,7 @@ def make(
 
 
 def _reopen(output: Path, truth: Path, definition: SuiteDefinition, seed: int | None) -> Suite:
-    """A suite that is complete, if it is the one asked for."""
+    """Open a complete suite. Raises InputError where it is another one."""
     suite = open_suite(output, truth)
     there = (suite.about["size"], suite.about["definition_sha256"])
     if there != (definition.size, definition.digest) or (seed is not None and suite.about["seed"] not in (None, seed)):
@@ -110,7 +109,7 @@ def _reopen(output: Path, truth: Path, definition: SuiteDefinition, seed: int | 
 
 
 def _seed(truth: Path, definition: SuiteDefinition, seed: int | None, withheld: bool) -> int:
-    """The seed, kept with the truth so that an interrupted command goes on with it."""
+    """Choose the seed and keep it with the truth, for the same call after an interruption."""
     known = truth / SEED
     if known.is_file():
         return int(load_json(known)["seed"])
@@ -120,7 +119,7 @@ def _seed(truth: Path, definition: SuiteDefinition, seed: int | None, withheld: 
 
 
 def _film(output: Path, truth: Path, film: SuiteFilm, seed: int, scheduler: str) -> None:
-    """The clips of a film, its truth apart from them; nothing where they are there."""
+    """Generate the clips of a film, with the truth in its own folder."""
     folder, kept = output / FILMS / film.name, truth / film.name
     scenes = output / "scenes"
     scenes.mkdir(exist_ok=True)
@@ -136,7 +135,7 @@ def _film(output: Path, truth: Path, film: SuiteFilm, seed: int, scheduler: str)
 
 
 def _encode(output: Path, truth: Path, film: SuiteFilm, name: str, codec: str) -> None:
-    """The same clips, encoded."""
+    """Encode the clips of a film, unless that was done."""
     folder = output / FILMS / name
     if not folder.exists():
         whole = str(output / FILMS / film.name)
@@ -144,12 +143,11 @@ def _encode(output: Path, truth: Path, film: SuiteFilm, name: str, codec: str) -
 
 
 def _synthcam(*words: str) -> None:
-    """Run the command. What it says is wrong is what the user reads."""
+    """Run the command `synthcam`. Raises InputError with its last message."""
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [*GENERATOR, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False,
-        env=os.environ | threads,
-    )  # fmt: skip
+    command = [sys.executable, "-m", "synthcam", *words]
+    env = os.environ | threads
+    done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False, env=env)
     if done.returncode:
         said = [line for line in done.stderr.splitlines() if line.strip()]
         raise InputError(f"synthcam {words[0]} ended with status {done.returncode}: {said[-1] if said else ''}")

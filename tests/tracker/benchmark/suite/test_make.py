@@ -63,7 +63,7 @@ def test_a_withheld_truth_lies_apart_with_a_seed_that_is_drawn(tmp_path, monkeyp
     text = "".join(path.read_text() for path in (tmp_path / "suite").glob("*.*"))
     assert str(drawn) not in text
     alone = open_suite(tmp_path / "suite")
-    with pytest.raises(InputError, match="this suite's truth is withheld: --truth TRUTH"):
+    with pytest.raises(InputError, match="the truth of this suite is withheld: give its folder"):
         with_truth(alone)
     assert with_truth(open_suite(tmp_path / "suite", tmp_path / "truth")).bounds("axes") is not None
     tracks = next((tmp_path / "truth").rglob("tracks.parquet"))
@@ -74,7 +74,7 @@ def test_a_withheld_truth_lies_apart_with_a_seed_that_is_drawn(tmp_path, monkeyp
 
 def test_a_truth_within_the_films_is_refused(tmp_path):
     for truth in (tmp_path / "suite" / "truth", tmp_path):
-        with pytest.raises(InputError, match="expected a folder for the truth apart from it"):
+        with pytest.raises(InputError, match="expected a separate folder for the truth"):
             make(tmp_path / "suite", tiny(), truth)
 
 
