@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import format_with_error
 from tracker import results
-from tracker.camera.camera import Camera
+from tracker.camera.camera import Camera, CameraSource
 from tracker.camera.camera_notes import describe_camera_gaps, describe_exposure, describe_frame_rate
 from tracker.camera.film_in_memory import FILM, wrap_frames
 from tracker.camera.recordings import Recording, make_recording, open_frames, open_source
@@ -35,7 +35,7 @@ from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.notes import Note, NoteKind, note_all
 from tracker.settings import FitSettings, SettingsSource, TrackerSettings
-from tracker.tables.read import GivenCamera, read_tracks, to_pixels
+from tracker.tables.read import read_tracks, to_pixels
 from tracker.tables.rows import tracks_table
 from tracker.tables.table import TrackTable
 
@@ -171,7 +171,7 @@ class Result:
 
 def track(
     film: Film,
-    camera: GivenCamera | None = None,
+    camera: CameraSource | None = None,
     *,
     detector: DetectorChoice | None = None,
     channel: str | None = None,
@@ -186,7 +186,8 @@ def track(
         uint8 or uint16 counts; in colour (frames, height, width, 3). Or a stack, video, clip or folder of pictures.
         What has a length and an index is read frame by frame.
     camera : Camera, dict, str or Path, optional
-        What camera.json holds, or where it lies. Without one, what lies beside the film; else pixels are all there is.
+        The keys of camera.json, a path to it, or a clip of synthcam or its camera. Without one, the file beside the
+        film; without that, lengths are in pixels.
     detector : str or callable, optional
         How balls are found, by name, or a class as the files of ``detectors/`` hold; default: what the film asks for.
     channel : {"grey", "red", "green", "blue"}, optional
@@ -224,10 +225,11 @@ def track(
     return replace(result, notes=(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
 
 
-def _open(film: Film, camera: GivenCamera | None) -> Recording:
+def _open(film: Film, camera: CameraSource | None) -> Recording:
     names = FILM, f"{camera}" if isinstance(camera, str | Path) else "camera"
+    known = None if camera is None else Camera.of(camera)
     if not isinstance(film, str | Path):
-        return make_recording(0, wrap_frames(film), _camera(camera), names)
+        return make_recording(0, wrap_frames(film), known, names)
     source = open_source(film)
     if len(source) > 1:
         first = source.clips[0][1].parent
@@ -235,18 +237,12 @@ def _open(film: Film, camera: GivenCamera | None) -> Recording:
     if camera is None:
         return source.open_clip(0)
     ((number, location),) = source.clips
-    return make_recording(number, open_frames(location), _camera(camera), (f"{location}", names[1]))
-
-
-def _camera(given: GivenCamera | None) -> Camera | None:
-    if given is None or isinstance(given, Camera):
-        return given
-    return Camera.read(given) if isinstance(given, str | Path) else Camera.from_dict(given)
+    return make_recording(number, open_frames(location), known, (f"{location}", names[1]))
 
 
 def measure(
     tracks: pd.DataFrame | str | Path,
-    camera: GivenCamera,
+    camera: CameraSource,
     *,
     point: str = "centre",
     columns: str = "",

@@ -193,3 +193,18 @@ def test_the_plot_is_the_picture(result):
     assert ax.get_ylim() == (159.5, -0.5)
     drawn = np.concatenate([line.get_xydata() for line in ax.lines])
     np.testing.assert_array_equal(drawn, result.tracks[["x", "y"]])
+
+
+def test_a_clip_and_its_camera_are_cameras_as_their_keys_are(clip, result):
+    for camera in (clip.camera, clip):
+        other = tracker.track(clip.film(), camera, number=1)
+        pd.testing.assert_frame_equal(other.estimates, result.estimates, check_exact=True)
+    table = clip.tracks[["frame", "particle"]].assign(x=clip.tracks.x_mean_px, y=clip.tracks.y_mean_px)
+    measured = [tracker.measure(table, camera).estimates for camera in (clip.camera, clip.camera_json)]
+    pd.testing.assert_frame_equal(*measured, check_exact=True)
+
+
+@pytest.mark.parametrize("camera", [5, object(), [1.0]])
+def test_what_is_no_camera_is_one_line(clip, camera):
+    with pytest.raises(tracker.InputError, match=r"^camera: of type .*, expected the keys of camera\.json, a path"):
+        tracker.track(clip.film(), camera)

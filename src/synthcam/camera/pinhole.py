@@ -4,8 +4,9 @@ Conventions are OpenCV's: x_cam = R x_world + t, image x right and y down, pixel
 distortion k1, k2, p1, p2, k3 (OpenCV 4, "Camera calibration and 3D reconstruction").
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,6 +47,9 @@ class PinholeCamera:
         Share of the light that is lost in the corners of the picture.
     line_time : float
         Delay of the exposure from one row to the next, s; 0 for a global shutter.
+    camera_json : dict
+        The experimenter's knowledge of this camera, with the keys of ``camera.json``; of the camera of a clip only.
+        It lets `tracker.track` take the camera.
     """
 
     K: Array
@@ -61,6 +65,7 @@ class PinholeCamera:
     airy_px: float = 0.0
     vignetting: float = 0.0
     line_time: float = 0.0
+    camera_json: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def overhead(
@@ -72,7 +77,7 @@ class PinholeCamera:
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         *,
         ball_radius: float,
-        **fields: float,
+        **fields: Any,
     ) -> "PinholeCamera":
         """Make a camera at a distance of `height` m from the world's origin, at which it looks.
 

@@ -228,7 +228,7 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         model=model,
         launch=_build_launch(model, launch, timing["contact_frame"] / timing["fps"]),
         nominal=nominal,
-        camera=_apply_effects(model, nominal),
+        camera=replace(_apply_effects(model, nominal), camera_json=camera_json(nominal, drawn)),
         lamp=lamp,
         surface=build_surface(drawn["surface"]),
         sensor=Sensor(**sensor),

@@ -7,15 +7,16 @@ integers, ``x_cam = R x_world + t`` and lens distortion as OpenCV defines them.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_json import STANDARD_ERRORS, LampSettings, parse, read_keys
+from tracker.camera.camera_json import STANDARD_ERRORS, HasCameraJson, LampSettings, parse, read_keys, read_source
 from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import SensorSpec
@@ -286,6 +287,29 @@ class Camera:
         return at
 
     @staticmethod
+    def of(given: CameraSource) -> Camera:
+        """A camera from whatever describes one.
+
+        Parameters
+        ----------
+        given : Camera, dict, str, Path or object
+            The keys of camera.json, a path to it, or an object whose attribute ``camera_json`` holds the keys, such as
+            the clips of synthcam and their cameras.
+
+        Returns
+        -------
+        Camera
+
+        Raises
+        ------
+        InputError
+            One line, with file and key.
+        """
+        if isinstance(given, Camera):
+            return given
+        return Camera.from_dict(read_source(given), f"{given}" if isinstance(given, str | Path) else "camera")
+
+    @staticmethod
     def read(path: Path | str) -> Camera:
         """Read a camera file.
 
@@ -397,3 +421,6 @@ class Camera:
         if self.exposure_from_blur is not None:
             out["exposure_seen_s"] = self.exposure_from_blur
         return out
+
+
+CameraSource: TypeAlias = Camera | Mapping[str, Any] | str | Path | HasCameraJson

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -47,6 +47,28 @@ def read_keys(path: Path) -> Any:
         raise InputError(f"{path}: a folder, expected a camera.json") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as JSON ({error})") from None
+
+
+@runtime_checkable
+class HasCameraJson(Protocol):
+    """An object that knows the keys of its camera file, such as a clip of synthcam and its camera."""
+
+    @property
+    def camera_json(self) -> Mapping[str, Any]:
+        """The keys of camera.json."""
+
+
+def read_source(given: Mapping[str, Any] | str | Path | HasCameraJson) -> Any:
+    """The keys of camera.json from a path, or from an object that holds them. Raises InputError."""
+    if isinstance(given, str | Path):
+        return read_keys(Path(given))
+    if isinstance(given, Mapping):
+        return given
+    keys = given.camera_json if isinstance(given, HasCameraJson) else None
+    if not keys:
+        kind = type(given).__name__
+        raise InputError(f"camera: of type {kind}, expected the keys of camera.json, a path to it, or a tracker.Camera")
+    return keys
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera import Camera
-from tracker.camera.camera_json import read_keys
+from tracker.camera.camera import Camera, CameraSource
+from tracker.camera.camera_json import read_source
 from tracker.camera.camera_keys import did_you_mean, format_value
 from tracker.detection.link import Tracks
 from tracker.notes import Note, NoteKind, note_all
@@ -24,7 +24,6 @@ from tracker.tables.content import Content
 from tracker.tables.rows import NEEDED, check_columns, split_tracks, to_numbers
 from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
 
-GivenCamera = Camera | Mapping[str, Any] | str | Path
 SAME_RATE = 0.01  # 29.97 is 30
 OPTIONAL = "t clip striker x_std y_std cov_xy ep".split()
 USUAL = 15  # px, of a ball in a picture that is made up for a table in metres
@@ -48,7 +47,7 @@ def formats() -> dict[str, Any]:
     return {name: importlib.import_module(f"{format_files.__name__}.{name}") for name in names}
 
 
-def read_tracks(path: Path, camera: GivenCamera, columns: str = "", unit: str = "") -> ClipTracks:
+def read_tracks(path: Path, camera: CameraSource, columns: str = "", unit: str = "") -> ClipTracks:
     """Read a file of tracks.
 
     Parameters
@@ -122,7 +121,7 @@ def _pick_columns(content: Content, columns: str) -> TrackTable:
     return TrackTable(rows, fps=fps)
 
 
-def to_pixels(table: TrackTable, name: str, camera: GivenCamera, unit: str = "", where: str = "") -> ClipTracks:
+def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = "", where: str = "") -> ClipTracks:
     """Tracks, px, of a table in whatever unit. where: what messages call it; name: what notes do."""
     where, notes = where or name, list[str]()
     given = unit_of(unit, "--unit") if unit else table.unit
@@ -146,12 +145,13 @@ def to_pixels(table: TrackTable, name: str, camera: GivenCamera, unit: str = "",
     return ClipTracks(clips, known, tuple(note_all(NoteKind.TABLE, notes)))
 
 
-def _camera(given: GivenCamera, metres: TrackTable | None, where: str) -> Camera:
+def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camera:
     """The camera; where tracks are in metres and its file says nothing of a picture, one that they fit in."""
     if isinstance(given, Camera):
         return given
-    keys = dict(given) if isinstance(given, Mapping) else read_keys(Path(given))
-    named = "camera" if isinstance(given, Mapping) else f"{given}"
+    keys = read_source(given)
+    keys = dict(keys) if isinstance(keys, Mapping) else keys
+    named = f"{given}" if isinstance(given, str | Path) else "camera"
     if metres is not None and isinstance(keys, dict):
         check_columns(metres.rows, where)
         reach = max(
