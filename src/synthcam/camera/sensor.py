@@ -1,7 +1,7 @@
-"""From a picture to counts: the linear camera of EMVA standard 1288, release 4.
+"""Expose a picture: noise and counts of the linear camera of EMVA standard 1288, release 4.
 
-Electrons are Poisson about signal (1 + PRNU) + dark current; DSNU is added, the full well clips, read noise
-and gain follow, and the converter rounds and clips. All random numbers come from keyed seeds.
+The number of electrons is Poisson distributed about signal (1 + PRNU) + dark current. DSNU is added, the full well
+clips, read noise and gain follow, and the converter rounds and clips. All random numbers come from keyed seeds.
 """
 
 from dataclasses import dataclass
@@ -19,20 +19,38 @@ Float32 = NDArray[np.float32]
 Part = slice | NDArray[np.intp]
 Counts = NDArray[np.unsignedinteger[Any]]  # uint8 or uint16
 
-PATTERN, NOISE, HOT = 0, 1, 2  # streams of random numbers
-CELLS = 1 << 16
-TABLES = 96  # tables kept, .8 MB each: mains light at 250 frames a second shows 5 to 25 plates
-UNEVEN = 0.01  # plate pixels share a table of noise while their variance differs by less
+PATTERN_STREAM, NOISE_STREAM, HOT_STREAM = 0, 1, 2  # of random numbers
+CELLS_OF_TABLE = 1 << 16  # one for each 16-bit random number
+MAX_TABLES = 96  # kept, .8 MB each: mains light at 250 frames/s shows 5 to 25 different plates
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A camera's chip. bits: of its converter. gain: e-/count. read_noise: e-. dark: e-/s. full_well: e-.
+    """A camera's chip.
 
-    prnu: spread of the pixels' response, relative. dsnu: spread of their offset, e-. black_level: counts.
-    glint_peak: counts above black at the peak of a resting ball's glint, before clipping. hot_pixels: share of the
-    pixels that leak; hot_dark: e-/s, mean of their exponentially distributed dark currents. Raises ValueError for
-    settings no camera has.
+    Attributes
+    ----------
+    bits : int
+        Of the converter.
+    gain : float
+        e-/count.
+    read_noise, full_well : float
+        e-.
+    dark : float
+        Dark current, e-/s.
+    prnu, dsnu : float
+        Standard deviation of the pixels' response, relative, and of their offset, e-.
+    black_level : float
+        Counts.
+    glint_peak : float
+        Counts above black at the peak of the glint of a ball at rest, before clipping.
+    hot_pixels, hot_dark : float
+        Share of the pixels that leak, and the mean of their exponentially distributed dark currents, e-/s.
+
+    Raises
+    ------
+    ValueError
+        For settings that no camera has.
     """
 
     bits: int = 8
@@ -59,7 +77,7 @@ class Sensor:
 
 
 class Chip:
-    """One copy of a sensor with its fixed pattern, drawn from root_seed alone: the same in every clip.
+    """One copy of a sensor. Its fixed pattern depends on root_seed alone: it is the same in every clip.
 
     size: (w, h) px. exposure: s.
     """
@@ -67,23 +85,24 @@ class Chip:
     def __init__(self, sensor: Sensor, size: tuple[int, int], exposure: float, root_seed: int) -> None:
         self.sensor, self.exposure, self.root_seed = sensor, exposure, root_seed
         w, h = size
-        rng = _generator(root_seed, (PATTERN,))
+        rng = _generator(root_seed, (PATTERN_STREAM,))
         self.response = 1 + sensor.prnu * rng.standard_normal((h, w))
         self.offset = sensor.dsnu * rng.standard_normal((h, w))
         self.hot = np.zeros(0, np.intp)
         if sensor.hot_pixels:
-            rng = _generator(root_seed, (HOT,))
+            rng = _generator(root_seed, (HOT_STREAM,))
             self.hot = np.flatnonzero(rng.random((h, w)) < sensor.hot_pixels)
             self.leak = np.zeros((h, w))
             self.leak.flat[self.hot] = sensor.hot_dark * rng.exponential(size=len(self.hot))
         self._backgrounds: list[_Background] = []
 
     def expose(self, picture: Picture | Float32, clip: int, frame: int) -> Counts:
-        """Counts (h, w), uint8 up to 8 bits, else uint16; the noise depends on (root_seed, clip, frame) only.
+        """Expose a picture: counts (h, w), uint8 up to 8 bits, else uint16.
 
-        A bare array of picture values will do too; it is then drawn pixel by pixel, which is slower.
+        The noise depends on (root_seed, clip, frame) only. A bare array of picture values is exposed pixel by pixel,
+        which is slower.
         """
-        rng = _generator(self.root_seed, (clip, NOISE, frame))
+        rng = _generator(self.root_seed, (clip, NOISE_STREAM, frame))
         counts: Counts
         if not isinstance(picture, Picture):
             return self._exact(np.asarray(picture), slice(None), slice(None), rng)
@@ -93,13 +112,13 @@ class Chip:
         counts = background.expose(rng)
         for (rows, columns), part in zip(picture.boxes, picture.parts, strict=True):
             counts[rows, columns] = self._exact(part, rows, columns, rng)
-        if len(self.hot):  # too unlike their neighbours for tables
+        if len(self.hot):  # they do not fit into the tables of the others
             at = np.unravel_index(self.hot, counts.shape)
             counts[at] = self._exact(picture.image[at], at[0], at[1], rng)
         return counts
 
     def electrons(self, picture: NDArray[Any], rows: Part, columns: Part) -> Array:
-        """Mean number of electrons in the pixels of a part of the picture."""
+        """Compute the mean number of electrons in the pixels of a part of the picture."""
         sensor = self.sensor
         signal = picture * (sensor.glint_peak * sensor.gain)
         mean = np.maximum(signal * self.response[rows, columns], 0) + sensor.dark * self.exposure
@@ -109,10 +128,10 @@ class Chip:
         for same in (_Background.holds, _Background.fits):
             for background in self._backgrounds:
                 if same(background, plate):
-                    background.plate = plate  # known by its identity the next time
+                    background.plate = plate  # recognised by its identity the next time
                     return background
         self._backgrounds.append(_Background(self, plate))
-        while len(self._backgrounds) > 1 and sum(len(b.groups) for b in self._backgrounds) > TABLES:
+        while len(self._backgrounds) > 1 and sum(len(b.groups) for b in self._backgrounds) > MAX_TABLES:
             del self._backgrounds[0]
         return self._backgrounds[-1]
 
@@ -124,7 +143,7 @@ class Chip:
 
 
 def digitise(values: NDArray[Any], bits: int) -> Counts:
-    """Nearest counts (half to even), clipped to the converter's range."""
+    """Round to counts (half to even), and clip to the converter's range."""
     counts = np.clip(np.rint(values), 0, (1 << bits) - 1)
     return np.asarray(counts, dtype=np.uint8 if bits <= 8 else np.uint16)
 
@@ -132,16 +151,16 @@ def digitise(values: NDArray[Any], bits: int) -> Counts:
 class _Background:
     """Noise of the plate by tables of the inverse distribution function.
 
-    A 16-bit uniform number picks one of 65536 equally likely cells of (shot + read noise), each represented
-    by its median; the two outermost are divided into 65536 once more, so that the tails reach 6.2 sigma.
-    Only the fixed pattern is approximated: pixels within UNEVEN of one variance share one of at most 64 tables.
+    A 16-bit uniform number selects one of 65536 equally likely cells of (shot + read noise), each represented by its
+    median. The two outermost cells are divided into 65536 again, so that the tails reach 6.2 sigma. Only the fixed
+    pattern is approximated: pixels whose variances differ by less than `uneven` share one of at most 64 tables.
     """
 
-    def __init__(self, chip: Chip, plate: Float32) -> None:
+    def __init__(self, chip: Chip, plate: Float32, uneven: float = 0.01) -> None:
         sensor = chip.sensor
         self.plate, self.sensor = plate, sensor
         means = chip.electrons(plate, slice(None), slice(None))
-        means.flat[chip.hot] = np.median(means)  # drawn apart
+        means.flat[chip.hot] = np.median(means)  # hot pixels are drawn separately
         top = means.max() + 9 * np.sqrt(means.max() + 1) + chip.offset.max()
         self.deep = bool(top > sensor.full_well)
         self.groups: list[tuple[NDArray[np.intp], Float32, Float32]] = []
@@ -149,12 +168,12 @@ class _Background:
             return
         variance = means + sensor.read_noise**2
         base, ratio = variance.min(), variance.max() / max(variance.min(), 1e-9)
-        levels = min(int(np.ceil(np.log(ratio) / UNEVEN)) if ratio > 1 else 1, 64)
+        levels = min(int(np.ceil(np.log(ratio) / uneven)) if ratio > 1 else 1, 64)
         level = np.zeros(means.shape, int)
         if levels > 1:
             level = np.minimum(levels * np.log(variance / base) / np.log(ratio), levels - 1).astype(int)
         shift = np.empty(means.shape)
-        self.owner = np.zeros(means.size, np.int8)  # of each pixel, the group
+        self.owner = np.zeros(means.size, np.int8)  # the group of each pixel
         for k in range(levels):
             members = np.flatnonzero(level == k)
             if len(members):
@@ -190,7 +209,7 @@ class _Background:
 
     def _draw_tails(self, noise: Float32, cells: NDArray[np.uint16], rng: np.random.Generator) -> None:
         outer = np.flatnonzero(cells + np.uint16(1) <= 1)  # the first cell and, wrapped round, the last
-        finer = rng.integers(0, CELLS, len(outer))
+        finer = rng.integers(0, CELLS_OF_TABLE, len(outer))
         side = (cells[outer] > 0).astype(int)
         owner = self.owner[outer]
         for k, (_, _, tails) in enumerate(self.groups):
@@ -203,7 +222,7 @@ def _to_counts(electrons: Array, gain: float) -> Float32:
 
 
 def _look_up(table: Float32, cells: NDArray[np.uint16]) -> Float32:
-    """table[cells]; OpenCV 5 does it four times faster, its forerunners know 8-bit tables only."""
+    """Compute table[cells]. OpenCV 5 does it four times faster; earlier versions have 8-bit tables only."""
     if int(cv2.__version__.split(".")[0]) >= 5:
         found: Any = cv2.LUT(cells.reshape(1, -1), table.reshape(1, -1))
         return np.asarray(found).ravel()
@@ -211,32 +230,33 @@ def _look_up(table: Float32, cells: NDArray[np.uint16]) -> Float32:
 
 
 def noise_tables(mean: float, read_noise: float) -> tuple[Array, Array]:
-    """Electrons of a pixel of that mean, shot and read noise.
+    """Tabulate the electrons of a pixel with that mean: shot noise and read noise.
 
-    Medians of 65536 equally likely cells, (65536,), and of the outer two cells' own divisions, (2, 65536).
+    Returns the medians of 65536 equally likely cells, (65536,), and those of the divisions of the outer two cells,
+    (2, 65536).
     """
     if mean == 0 and read_noise == 0:
-        return np.zeros(CELLS), np.zeros((2, CELLS))
+        return np.zeros(CELLS_OF_TABLE), np.zeros((2, CELLS_OF_TABLE))
     spread = np.sqrt(mean + read_noise**2)
     numbers = np.arange(max(0, np.floor(mean - 9 * np.sqrt(mean) - 9)), np.ceil(mean + 9 * np.sqrt(mean) + 20))
     log_weights = numbers * np.log(mean) - mean - gammaln(numbers + 1) if mean > 0 else -1e9 * numbers
     weights = np.exp(log_weights)
-    at = (np.arange(CELLS) + 0.5) / CELLS
+    at = (np.arange(CELLS_OF_TABLE) + 0.5) / CELLS_OF_TABLE
     if read_noise == 0:
         below = np.cumsum(weights)
         above = np.cumsum(weights[::-1])[::-1]
         last = len(numbers) - 1
         middle = numbers[np.minimum(np.searchsorted(below, at), last)]
-        low = numbers[np.minimum(np.searchsorted(below, at / CELLS), last)]
-        high = numbers[np.maximum(len(numbers) - 1 - np.searchsorted(above[::-1], at / CELLS), 0)]
+        low = numbers[np.minimum(np.searchsorted(below, at / CELLS_OF_TABLE), last)]
+        high = numbers[np.maximum(len(numbers) - 1 - np.searchsorted(above[::-1], at / CELLS_OF_TABLE), 0)]
         return middle, np.stack([low, high])
     grid = np.linspace(max(mean - 9 * spread, -9 * read_noise), mean + 9 * spread + 20, 4096)
     scores = (grid[:, None] - numbers) / read_noise
     below, above = ndtr(scores) @ weights, ndtr(-scores) @ weights
     middle = np.interp(at, below, grid)
-    # Log scale keeps interpolation straight far out.
-    low = np.interp(np.log(at / CELLS), np.log(below + 1e-300), grid)
-    high = np.interp(np.log(at / CELLS), np.log(above[::-1] + 1e-300), grid[::-1])
+    # On a logarithmic scale, the interpolation stays accurate in the tails.
+    low = np.interp(np.log(at / CELLS_OF_TABLE), np.log(below + 1e-300), grid)
+    high = np.interp(np.log(at / CELLS_OF_TABLE), np.log(above[::-1] + 1e-300), grid[::-1])
     return middle, np.stack([low, high])
 
 

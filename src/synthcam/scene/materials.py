@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from synthcam.camera.room.finish import GREY, BallFinish, Colour, Pattern, SurfaceFinish
+from synthcam.camera.room.finish import GREY_WEIGHTS, BallFinish, Colour, Pattern, SurfaceFinish
 from synthcam.camera.surface import Surface
 from synthcam.settings import Fraction, NotNegative, Settings
 from synthcam_shared.errors import InputError
@@ -131,4 +131,4 @@ def _parse_colour(given: Any, usual: tuple[float, ...]) -> tuple[float, ...]:
 def _channel_reflectance(albedo: float, rgb: tuple[float, ...], colour: bool) -> Colour:
     """Reflectance in each channel of a camera: three, or one of a grey camera."""
     whole = albedo * np.array(rgb)
-    return tuple(whole.tolist()) if colour else (float(whole @ GREY),)
+    return tuple(whole.tolist()) if colour else (float(whole @ GREY_WEIGHTS),)

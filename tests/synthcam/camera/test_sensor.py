@@ -201,7 +201,7 @@ def test_hot_pixels_leak_their_share():
 
 
 def test_plates_in_changing_light_keep_their_tables(monkeypatch):
-    monkeypatch.setattr(module, "TABLES", 4)
+    monkeypatch.setattr(module, "MAX_TABLES", 4)
     chip = Chip(Sensor(), SIZE, 5e-4, root_seed=14)
     plates = [np.full(SIZE[::-1], level, np.float32) for level in (0.02, 0.03)]
     first = [chip.expose(Picture(p, (), ()), 0, k) for k, p in enumerate(plates)]

@@ -1,6 +1,6 @@
-"""OpenGL off-screen: pyrender with a float32 buffer and our own shaders, by EGL or by OSMesa.
+"""Draw off-screen by OpenGL: pyrender with a float32 buffer and our own shaders, by EGL or OSMesa.
 
-The only importer of pyrender, trimesh and PyOpenGL.
+This is the only module that imports pyrender and PyOpenGL.
 """
 
 import ctypes
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from synthcam.camera.render import windowless
 from synthcam_shared.errors import NoGL as NoGL
 
-# Read when the libraries load. Rasterising in the calling thread leaves the other cores to worker processes.
+# Read when the libraries load. llvmpipe then draws in the calling thread and leaves the other cores to other processes.
 os.environ.setdefault("LP_NUM_THREADS", "0")
 WHY = windowless.choose()
 _missing = ""
@@ -32,12 +32,12 @@ except Exception as error:  # PyOpenGL raises whatever its loader happens to tri
 
 Float32 = NDArray[np.float32]
 
-SIDE = 1024  # usual side of the buffer, samples
-MOST = 2048  # balls in one draw call
+BUFFER_SIDE = 1024  # usual side of the buffer, samples
+MAX_BALLS_PER_CALL = 2048
 
 
 class _Programs(pyrender.shader_program.ShaderProgramCache if pyrender else object):  # type: ignore[misc]
-    """pyrender's shader programs, each compiled for what it is to draw."""
+    """pyrender's shader programs, each compiled with the defines of its drawing."""
 
     wanted: ClassVar[dict[str, int]] = {}
 
@@ -46,15 +46,15 @@ class _Programs(pyrender.shader_program.ShaderProgramCache if pyrender else obje
 
 
 class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc]
-    """pyrender's renderer with a float32 buffer, our shaders and balls that add up where they overlap."""
+    """pyrender's renderer with a float32 buffer and our shaders; overlapping balls are added."""
 
     def __init__(self) -> None:
-        super().__init__(SIDE, SIDE)
+        super().__init__(BUFFER_SIDE, BUFFER_SIDE)
         shaders = Path(__file__).with_name("shaders")
         self._program_cache: Any = _Programs(shader_dir=str(shaders))
         self.uniforms: dict[str, Any] = {}
         self.jobs = np.zeros((0, 4, 4), np.float32)
-        self.rows = SIDE
+        self.rows = BUFFER_SIDE
         self._others: Any = None
         self._main_fb: Any
         self._main_fb_dims: tuple[int, int]
@@ -74,7 +74,7 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
 
     def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
         for name, value in self.uniforms.items():
-            if GL.glGetUniformLocation(program._program_id, name) >= 0:  # else this program has no use for it
+            if GL.glGetUniformLocation(program._program_id, name) >= 0:  # otherwise the program does not use it
                 program.set_uniform(name, value)
         GL.glActiveTexture(GL.GL_TEXTURE0)
         GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
@@ -97,9 +97,9 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
         return np.frombuffer(read, np.float32).reshape(self.rows, self.viewport_width)
 
     def load_others(self, others: Float32) -> None:
-        """Neighbours (n, k, 4) of each ball, read by the shader as the rows of a texture."""
+        """Load the neighbours (n, k, 4) of each ball, which the shader reads as rows of a texture."""
         if self._others is None:
-            # Two, for with one PyOpenGL 3.1.0, which pyrender wants, passes a ctypes pointer that Python 3.12 refuses.
+            # Two: for one, PyOpenGL 3.1.0, which pyrender needs, passes a ctypes pointer that Python 3.12 refuses.
             self._others = int(GL.glGenTextures(2)[0])
         GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
         for setting in (GL.GL_TEXTURE_MIN_FILTER, GL.GL_TEXTURE_MAG_FILTER):
@@ -109,13 +109,13 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
 
 
 class _Screen(pyrender.OffscreenRenderer if pyrender else object):  # type: ignore[misc]
-    """pyrender's off-screen renderer on the platform chosen, with our renderer in it."""
+    """pyrender's off-screen renderer on the selected platform, with our renderer in it."""
 
     def _create(self) -> None:
         if os.environ["PYOPENGL_PLATFORM"] != "osmesa":
             super()._create()
         else:
-            # PyOpenGL 3.1.0 keys its books by the context, and OSMesa's pointer type has no hash.
+            # PyOpenGL 3.1.0 uses the context as a key, and OSMesa's pointer type has no hash.
             PLATFORM.GetCurrentContext.restype = ctypes.c_void_p
             self._platform = windowless.OSMesa(self.viewport_width, self.viewport_height)
             self._platform.init_context()
@@ -130,7 +130,7 @@ class Canvas:
         if pyrender is None:
             raise NoGL(_no_gl(_missing))
         try:
-            self._screen = _Screen(SIDE, SIDE)
+            self._screen = _Screen(BUFFER_SIDE, BUFFER_SIDE)
             self._renderer: _Renderer = self._screen._renderer
             self.info = {
                 name.lower(): GL.glGetString(getattr(GL, f"GL_{name}")).decode()
@@ -140,28 +140,28 @@ class Canvas:
             raise NoGL(_no_gl(" ".join(str(error).split()) or type(error).__name__)) from error
         self.info |= {"platform": os.environ["PYOPENGL_PLATFORM"], "why": WHY}
         quad = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
-        room_for_jobs = np.zeros((MOST, 4, 4), np.float32)
+        room_for_jobs = np.zeros((MAX_BALLS_PER_CALL, 4, 4), np.float32)
         self._scene = pyrender.Scene(bg_color=np.zeros(4))
         self._scene.add(pyrender.Mesh.from_trimesh(quad, poses=room_for_jobs))
-        self._scene.add(pyrender.IntrinsicsCamera(1, 1, 0, 0))  # pyrender asks for one; the shader does not
+        self._scene.add(pyrender.IntrinsicsCamera(1, 1, 0, 0))  # pyrender requires one; the shader ignores it
 
     def draw(
         self, jobs: Float32, others: Float32, size: tuple[int, int], uniforms: dict[str, Any], **defines: int
     ) -> Float32:
-        """Buffer (rows, columns) of that size after all jobs (n, 4, 4) with their neighbours (n, k, 4).
+        """Draw all jobs (n, 4, 4) with their neighbours (n, k, 4); return the buffer (rows, columns) of that size.
 
         uniforms, defines: of the shader.
         """
         self._renderer._program_cache.wanted = defines
         total: Float32 | None = None
         screen = self._screen
-        screen.viewport_height, screen.viewport_width = max(SIDE, size[0]), max(SIDE, size[1])
+        screen.viewport_height, screen.viewport_width = max(BUFFER_SIDE, size[0]), max(BUFFER_SIDE, size[1])
         self._renderer.rows = size[0]
         columns = screen.viewport_width
         self._renderer.uniforms = uniforms | {"atlas": np.array([columns, screen.viewport_height], float)}
         self._renderer.uniforms["others"] = 0
-        for first in range(0, len(jobs), MOST):
-            batch = slice(first, first + MOST)
+        for first in range(0, len(jobs), MAX_BALLS_PER_CALL):
+            batch = slice(first, first + MAX_BALLS_PER_CALL)
             jobs[batch, 3, 2] = np.arange(len(jobs[batch]))
             self._renderer.jobs = np.ascontiguousarray(jobs[batch])
             screen._platform.make_current()
@@ -176,7 +176,7 @@ _canvas: tuple[int, Canvas] | None = None
 
 
 def get_canvas() -> Canvas:
-    """A second context in one process, or one carried over a fork, crashes some drivers."""
+    """Return the one canvas of this process. A second context, or one kept over a fork, crashes some drivers."""
     global _canvas
     if _canvas is None:
         _canvas = (os.getpid(), Canvas())
@@ -187,10 +187,12 @@ def get_canvas() -> Canvas:
 
 def _no_gl(why: str) -> str:
     absent = windowless.missing_packages()
-    advice = f"missing (Debian, Ubuntu): apt install {' '.join(absent)}" if absent else "its libraries are all there"
+    advice = (
+        f"missing (Debian, Ubuntu): apt install {' '.join(absent)}" if absent else "all its libraries are installed"
+    )
     return f"no off-screen OpenGL ({os.environ.get('PYOPENGL_PLATFORM')}): {why}; {advice}"
 
 
 def gl_info() -> dict[str, str]:
-    """Renderer, version, vendor and platform of the OpenGL in use, and why that. Raises NoGL where there is none."""
+    """Describe the OpenGL in use: renderer, version, vendor, platform, reason. Raises NoGL without OpenGL."""
     return dict(get_canvas().info)

@@ -1,4 +1,4 @@
-"""A clip in three dimensions for other programs: plate, balls, lamp and camera as a glTF scene, the motion animated.
+"""Write a clip in three dimensions for other programs: a glTF scene with the motion as an animation.
 
 Khronos glTF 2.0 and KHR_lights_punctual. Lengths are m; glTF's y points up, so the world's axes hang in a turned node.
 """
@@ -17,19 +17,24 @@ Array = NDArray[np.float64]
 untyped: Any = trimesh
 material: Any = untyped.visual.material.PBRMaterial
 
-FLOAT = 5126  # glTF's componentType of float32
-ROUND = 4  # subdivisions of an icosahedron: a ball's outline is then round to 1e-3 of its radius
-BEYOND = 1.5  # of the view's longer side, the plate's
-THICK = 1e-3  # m, of the plate
-LIGHT = material(name="lamp", baseColorFactor=[0.0, 0.0, 0.0, 1.0], emissiveFactor=[1.0, 1.0, 1.0])
-Z_UP = [-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]  # turns the world's z to glTF's y
+LAMP_MATERIAL = material(name="lamp", baseColorFactor=[0.0, 0.0, 0.0, 1.0], emissiveFactor=[1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class BallMotion:
-    """One ball. times: (T,) s, increasing, of positions (T, 3) m; turn_times: (S,) s, of turns (S, 4), unit quaternions
-    x, y, z, w from the ball's axes to the world's. paint: of matte balls, unit vectors (n, 3) on the ball's axes ->
-    what is reflected there of red, green, blue (n, 3)."""
+    """The motion of one ball.
+
+    Attributes
+    ----------
+    radius : float
+        m.
+    times, positions : ndarray of shape (T,), ndarray of shape (T, 3)
+        Increasing times, s, of positions, m.
+    turn_times, turns : ndarray of shape (S,), ndarray of shape (S, 4)
+        Times, s, of unit quaternions x, y, z, w from the ball's axes to the world's.
+    paint : callable or None
+        Of matte balls: unit vectors (n, 3) on the ball's axes -> reflectance of red, green, blue (n, 3).
+    """
 
     radius: float
     times: Array
@@ -41,9 +46,9 @@ class BallMotion:
 
 @dataclass(frozen=True)
 class Appearance:
-    """What is seen, as glTF counts it: linear, 1 is white.
+    """Lamps and materials in glTF's units: linear, 1 is white.
 
-    lamps: each with its candela. steel, plate: base colours, of metals but where the plate is dull. roughness: glTF's.
+    lamps: each with its candela. steel, plate: base colours of metals; a dull plate is not a metal. roughness: glTF's.
     """
 
     lamps: tuple[tuple[Lamp, float], ...]
@@ -54,7 +59,7 @@ class Appearance:
 
 
 def glb(camera: dict[str, Any], balls: list[BallMotion], appearance: Appearance) -> bytes:
-    """A binary glTF file of one clip. camera: the keys of camera.json; its lens distortion has no place in glTF."""
+    """A binary glTF file of one clip. camera: the keys of camera.json; glTF has no lens distortion."""
     metals = {"plate": (appearance.plate, 1.0), "steel": (appearance.steel, appearance.roughness)}
     lights = {f"light{k or ''}": each for k, each in enumerate(appearance.lamps)}
 
@@ -70,8 +75,8 @@ def glb(camera: dict[str, Any], balls: list[BallMotion], appearance: Appearance)
 
     def complete(tree: dict[str, Any]) -> None:
         nodes = {node["name"]: node for node in tree["nodes"]}
-        nodes["table"] |= {"rotation": Z_UP}
-        for k, ball in enumerate(balls):  # what is animated may have no matrix
+        nodes["table"] |= {"rotation": [-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]}  # the world's z to glTF's y
+        for k, ball in enumerate(balls):  # an animated node may not have a matrix
             nodes[f"ball{k}"].pop("matrix", None)
             nodes[f"ball{k}"] |= {"translation": ball.positions[0].tolist(), "rotation": ball.turns[0].tolist()}
         tree["cameras"] = [_perspective(camera)]
@@ -112,18 +117,26 @@ def _scene(
     """Plate, balls, lamps and camera as trimesh's scene. metals: base colour and roughness."""
     scene = untyped.Scene(base_frame="scene")
     scene.graph.update(frame_from="scene", frame_to="table")
-    side = BEYOND * max(camera["size"]) * camera["scale"]
-    plate = untyped.creation.box([side, side, THICK])
-    plate.unmerge_vertices()  # corners shared by faces would have slanting normals, and the plate the light of a dome
+    thickness = 1e-3  # of the plate, m
+    subdivisions = 4  # of an icosahedron: outlines are then round to 1e-3 of the radius
+    side = 1.5 * max(camera["size"]) * camera["scale"]
+    plate = untyped.creation.box([side, side, thickness])
+    plate.unmerge_vertices()  # with shared corners it would be shaded like a dome
     black, steel = (
         material(name=name, metallicFactor=1.0, roughnessFactor=rough) for name, (_, rough) in metals.items()
     )
-    _add(scene, "plate", plate, black, _at([0.0, 0.0, -THICK / 2]))
+    _add(scene, "plate", plate, black, _at([0.0, 0.0, -thickness / 2]))
     for k, ball in enumerate(balls):
-        sphere = untyped.creation.icosphere(ROUND + (ball.paint is not None), ball.radius)
+        sphere = untyped.creation.icosphere(subdivisions + (ball.paint is not None), ball.radius)
         _add(scene, f"ball{k}", sphere, steel, _at(ball.positions[0]), ball.paint)
     for name, (lamp, _) in lights.items():
-        _add(scene, name.replace("light", "lamp"), _shape(lamp), LIGHT, _at(lamp.position, lamp.axes * [1, 1, -1]))
+        _add(
+            scene,
+            name.replace("light", "lamp"),
+            _shape(lamp),
+            LAMP_MATERIAL,
+            _at(lamp.position, lamp.axes * [1, 1, -1]),
+        )
     for name in (*lights, "camera"):
         scene.graph.update(frame_from="table", frame_to=name)
     return scene
@@ -203,7 +216,7 @@ def _accessor(tree: dict[str, Any], buffers: dict[Any, bytes], key: str, values:
     number = len(tree["accessors"])
     tree["accessors"][key] = {
         "bufferView": len(buffers),
-        "componentType": FLOAT,
+        "componentType": 5126,  # float32
         "count": len(data),
         "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[data.shape[1]],
         "min": data.min(axis=0).tolist(),

@@ -27,7 +27,7 @@ from synthcam.camera.glints import GlintImages, find_glints, join_glints
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.plate import BLACK_PLATE_RADIANCE, gloss, grain, irradiance, is_plain, plate_points, shadow_casters
 from synthcam.camera.psf import Psf
-from synthcam.camera.render.canvas import SIDE, Float32, get_canvas
+from synthcam.camera.render.canvas import BUFFER_SIDE, Float32, get_canvas
 from synthcam.camera.shutter import roll_shutter
 from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
 
@@ -267,7 +267,7 @@ class MirrorRenderer:
         for width in np.unique(patches.widths):
             same = np.flatnonzero(patches.widths == width)
             tile = (width - 2 * patches.margin) * FINENESS
-            room_for = max(1, SIDE // tile) ** 2
+            room_for = max(1, BUFFER_SIDE // tile) ** 2
             for first in range(0, len(same), room_for):
                 selected = same[first : first + room_for]
                 images = self._draw_balls(centres, coarse, patches, selected, BALLS if self._plain else ON_PLATE)
@@ -324,7 +324,7 @@ class MirrorRenderer:
         extent = self._reach(positions, slope)
         width, margin = int(patches.widths[selected[0]]), patches.margin
         tile = (width - 2 * margin) * FINENESS
-        across = max(1, SIDE // tile)
+        across = max(1, BUFFER_SIDE // tile)
         ranks = patches.ranks(selected)[patches.number[moments.frames]]
         moment, ball = np.nonzero(ranks >= 0)
         rank, position = ranks[moment, ball], pixels[moment, ball]

@@ -1,6 +1,6 @@
-"""Which OpenGL draws without a window: EGL where it works, OSMesa when asked or where EGL does not.
+"""Choose the OpenGL that draws without a window: EGL if it works, otherwise OSMesa.
 
-PyOpenGL reads PYOPENGL_PLATFORM when it is first imported, so the choice comes before it.
+PyOpenGL reads PYOPENGL_PLATFORM when it is first imported: choose before.
 """
 
 import ctypes
@@ -11,25 +11,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
-EGL_EXTENSIONS, EGL_PLATFORM_DEVICE = 0x3055, 0x313F  # EGL 1.5, EGL_EXT_platform_device
-# OSMesa's own constants (GL/osmesa.h, Mesa 11.2 and later)
-OSMESA_FORMAT, OSMESA_RGBA, OSMESA_DEPTH_BITS = 0x22, 0x1908, 0x30
-OSMESA_PROFILE, OSMESA_CORE_PROFILE, OSMESA_MAJOR, OSMESA_MINOR = 0x33, 0x34, 0x36, 0x37
-GL_UNSIGNED_BYTE = 0x1401
-
-# Debian's and Ubuntu's packages, by the library that each brings
-PACKAGES = {
-    "libEGL.so.1": "libegl1",
-    "libEGL_mesa.so.0": "libegl-mesa0",
-    "libGL.so.1": "libgl1",
-    "libOpenGL.so.0": "libopengl0",
-}
-DRIVERS = "libgl1-mesa-dri"
-
 
 @contextmanager
 def without_viewer() -> Iterator[None]:
-    """Let pyrender be imported without its interactive viewer, which would load pyglet and with it X11's libraries."""
+    """Let pyrender be imported without its interactive viewer, which would load pyglet and X11's libraries."""
     name = "pyrender.viewer"
     if name in sys.modules:
         yield
@@ -44,20 +29,26 @@ def without_viewer() -> Iterator[None]:
 
 
 def missing_packages() -> list[str]:
-    """Debian's packages whose libraries are wanted and not found here; EGL's drivers where all else is there."""
+    """List Debian's packages whose libraries are needed and missing; EGL's drivers if all libraries are there."""
     if os.environ.get("PYOPENGL_PLATFORM") == "osmesa":
         return [] if osmesa() is not None else ["libosmesa6"]
-    absent = []
-    for library, package in PACKAGES.items():
+    absent: list[str] = []
+    packages = {
+        "libEGL.so.1": "libegl1",
+        "libEGL_mesa.so.0": "libegl-mesa0",
+        "libGL.so.1": "libgl1",
+        "libOpenGL.so.0": "libopengl0",
+    }
+    for library, package in packages.items():
         try:
             ctypes.CDLL(library)
         except OSError:
             absent.append(package)
-    return absent or ([DRIVERS] if egl_device()[0] is None else [])
+    return absent or (["libgl1-mesa-dri"] if egl_device()[0] is None else [])
 
 
 def choose() -> str:
-    """Set PYOPENGL_PLATFORM and, for EGL, EGL_DEVICE_ID, where the user has not; say why, in a few words."""
+    """Set PYOPENGL_PLATFORM and, for EGL, EGL_DEVICE_ID if the user has not. Returns the reason in a few words."""
     asked = os.environ.get("PYOPENGL_PLATFORM")
     if asked is None:
         device, why = egl_device()
@@ -77,7 +68,7 @@ def choose() -> str:
 
 
 def egl_device() -> tuple[int | None, str]:
-    """Number of the EGL device to draw on, graphics cards first, and why; None where EGL has none that starts."""
+    """Number of the EGL device to draw on, graphics cards first, and the reason; None if no device starts."""
     try:
         egl = ctypes.CDLL("libEGL.so.1")
         address = egl.eglGetProcAddress
@@ -89,21 +80,22 @@ def egl_device() -> tuple[int | None, str]:
     except (OSError, AttributeError, TypeError):
         return None, "EGL is missing"
     devices, count = (pointer * 16)(), integer(0)
+    extensions, platform_device = 0x3055, 0x313F  # EGL_EXTENSIONS of EGL 1.5, EGL_PLATFORM_DEVICE_EXT
     if not query(16, devices, ctypes.byref(count)):
         return None, "EGL has no device"
     egl.eglInitialize.argtypes = [pointer, pointer, pointer]
-    # Mesa's own rasteriser calls itself software; a card comes before it.
-    ranked = sorted(range(count.value), key=lambda k: b"software" in (about(devices[k], EGL_EXTENSIONS) or b""))
+    # Mesa's own rasteriser calls itself software; graphics cards come first.
+    ranked = sorted(range(count.value), key=lambda k: b"software" in (about(devices[k], extensions) or b""))
     for k in ranked:
-        display = show(EGL_PLATFORM_DEVICE, devices[k], None)
+        display = show(platform_device, devices[k], None)
         if display and egl.eglInitialize(display, None, None):
-            software = b"software" in (about(devices[k], EGL_EXTENSIONS) or b"")
+            software = b"software" in (about(devices[k], extensions) or b"")
             return k, "EGL works, no graphics card" if software else "EGL works on a graphics card"
     return None, "EGL has no device that starts"
 
 
 def osmesa() -> ctypes.CDLL | None:
-    """Mesa's off-screen library, or None. Mesa 25.1 dropped it."""
+    """Load Mesa's off-screen library; None without. Mesa 25.1 dropped it."""
     for name in ("libOSMesa.so.8", ctypes.util.find_library("OSMesa")):
         try:
             if name:
@@ -114,30 +106,31 @@ def osmesa() -> ctypes.CDLL | None:
 
 
 class OSMesa:
-    """A context of OSMesa's for pyrender: what its own platform does with a later PyOpenGL than it asks for."""
+    """An OSMesa context for pyrender, whose own platform class needs a later PyOpenGL than pyrender allows."""
 
     def __init__(self, width: int, height: int) -> None:
         self.viewport_width, self.viewport_height = width, height
         self._context: int | None = None
 
     def init_context(self) -> None:
-        """Create the context. Raises RuntimeError where the library is missing or too old."""
+        """Create the context. Raises RuntimeError if the library is missing or too old."""
         library = osmesa()
         if library is None:
             raise RuntimeError("libOSMesa is missing")
-        wanted = [OSMESA_FORMAT, OSMESA_RGBA, OSMESA_DEPTH_BITS, 24, OSMESA_PROFILE, OSMESA_CORE_PROFILE]
-        wanted += [OSMESA_MAJOR, 4, OSMESA_MINOR, 1, 0]
+        # GL/osmesa.h, Mesa 11.2 and later: format RGBA, depth bits 24, core profile, OpenGL 4.1, end
+        wanted = [0x22, 0x1908, 0x30, 24, 0x33, 0x34, 0x36, 4, 0x37, 1, 0]
         library.OSMesaCreateContextAttribs.restype = ctypes.c_void_p
         self._library = library
         self._context = library.OSMesaCreateContextAttribs((ctypes.c_int * len(wanted))(*wanted), None)
         if not self._context:
             raise RuntimeError("OSMesa offers no OpenGL 4.1")
-        # What is drawn goes to a framebuffer of our own: OSMesa's may be as small as it likes.
+        # All is drawn to our own framebuffer: OSMesa's may be of any size.
         self._buffer = (ctypes.c_ubyte * 4)()
 
     def make_current(self) -> None:
+        unsigned_byte = 0x1401  # GL_UNSIGNED_BYTE
         context, made = ctypes.c_void_p(self._context), self._library.OSMesaMakeCurrent
-        if not made(context, ctypes.byref(self._buffer), GL_UNSIGNED_BYTE, 1, 1):
+        if not made(context, ctypes.byref(self._buffer), unsigned_byte, 1, 1):
             raise RuntimeError("OSMesa cannot make its context current")
 
     def make_uncurrent(self) -> None:

@@ -1,4 +1,4 @@
-"""What matte things are made of: a ball's colours and their pattern, its varnish; the plate; how it is lit."""
+"""Finish of matte surfaces: the colours and patterns of balls, the plate and its texture, ambient light."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,18 +11,19 @@ Colour = tuple[float, ...]  # reflectance of each channel: three, or one for a g
 Pattern = Literal["plain", "half", "stripe", "spots"]
 PlateTexture = Literal["plain", "cloth", "wood", "paper"]
 
-STRIPE = 0.5  # half the stripe's width, over the radius
-SPOT = np.cos(0.36)  # cosine of a spot's angular radius
-GREY = np.array([0.299, 0.587, 0.114])  # of red, green and blue in a grey camera: ITU-R BT.601
-CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3)
-SPOTS = np.concatenate([np.eye(3), -np.eye(3), CORNERS])
+STRIPE_HALF_WIDTH = 0.5  # over the radius
+SPOT_COSINE = np.cos(0.36)  # of the angular radius of a spot
+CUBE_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3)
+SPOT_CENTRES = np.concatenate([np.eye(3), -np.eye(3), CUBE_CORNERS])
+GREY_WEIGHTS = np.array([0.299, 0.587, 0.114])  # of red, green and blue in a grey camera: ITU-R BT.601
 
 
 @dataclass(frozen=True)
 class BallFinish:
-    """A ball's surface. colour: Lambert's reflectance; second: the pattern's other colour.
+    """The surface of a ball.
 
-    pattern: "half" and half; a "stripe" round the equator; 14 "spots". It turns with the ball.
+    colour: Lambert's reflectance. second: the other colour of the pattern. pattern: "plain"; "half" and half;
+    a "stripe" around the equator; or 14 "spots". It rotates with the ball.
     """
 
     colour: Colour
@@ -35,15 +36,15 @@ class BallFinish:
         share = {
             "plain": 0.0,
             "half": 0.5,
-            "stripe": STRIPE,
-            "spots": len(SPOTS) * (1 - SPOT) / 2,
+            "stripe": STRIPE_HALF_WIDTH,
+            "spots": len(SPOT_CENTRES) * (1 - SPOT_COSINE) / 2,
         }[self.pattern]
         return np.asarray((1 - share) * np.array(self.colour) + share * np.array(self.second))
 
     def paint(self, normals: Array, sharp: float) -> Array:
         """Reflectance (n, c) at unit vectors (n, 3) from the centre, on the ball's own axes.
 
-        sharp: width over the radius in which one colour gives way to the other.
+        sharp: width, over the radius, of the transition between the colours.
         """
         first, second = np.array(self.colour), np.array(self.second)
         if self.pattern == "plain":
@@ -51,19 +52,26 @@ class BallFinish:
         if self.pattern == "half":
             over = normals[:, 2]
         elif self.pattern == "stripe":
-            over = STRIPE - np.abs(normals[:, 2])
+            over = STRIPE_HALF_WIDTH - np.abs(normals[:, 2])
         else:
-            over = ((normals @ SPOTS.T).max(axis=1) - SPOT) / np.sqrt(1 - SPOT * SPOT)
+            over = ((normals @ SPOT_CENTRES.T).max(axis=1) - SPOT_COSINE) / np.sqrt(1 - SPOT_COSINE * SPOT_COSINE)
         share = np.clip(over / sharp + 0.5, 0, 1)[:, None]
         return np.asarray(first + share * (second - first))
 
 
 @dataclass(frozen=True)
 class SurfaceFinish:
-    """Balls and plate as a camera of one channel or three sees them.
+    """Finish of balls and plate for a camera of one channel or three.
 
-    balls: one each. plate: reflectance; texture and, over that of such a plate, its contrast; seed of the texture.
-    ambient: share of the light at the world's origin that comes from the whole sky alike, the rest is the lamps'.
+    Attributes
+    ----------
+    balls : tuple of BallFinish
+    plate : tuple of float
+        Reflectance by channel.
+    texture, contrast, seed
+        Of the plate: its kind, a factor on its relief, and the seed of its random numbers.
+    ambient : float
+        Share of the light at the world's origin that comes uniformly from the sky. The lamps give the rest.
     """
 
     balls: tuple[BallFinish, ...]
@@ -79,5 +87,5 @@ class SurfaceFinish:
 
     @property
     def shows_rotation(self) -> bool:
-        """Whether it can be seen how a ball is turned."""
+        """True if a pattern shows the orientation of a ball."""
         return any(ball.pattern != "plain" for ball in self.balls)

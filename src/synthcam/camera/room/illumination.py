@@ -1,7 +1,7 @@
-"""How bright plate and balls are at given points: lamps with their shadows, the sky, and light thrown to and fro.
+"""Illumination of plate and balls: lamps with their shadows, the sky, and light reflected between surfaces.
 
-One is the light on the plate at the world's origin without balls. Between a ball and the plate light is thrown by
-`bounce`, between two balls by `exchange`.
+The unit is the light on the plate at the world's origin without balls. `radiosity` has the light that surfaces reflect
+to each other.
 """
 
 from dataclasses import dataclass
@@ -12,9 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.room.exchange import NEARS, TURNS, BallExchange, sample_directions, sample_facing_side
 from synthcam.camera.room.finish import SurfaceFinish
-from synthcam.camera.room.radiosity import UP, LightSource, PlateExchange, ReflectionTable, solve_plate_exchange
+from synthcam.camera.room.radiosity import (
+    EXCHANGE_CELLS,
+    UP,
+    BallExchange,
+    LightSource,
+    PlateExchange,
+    ReflectionTable,
+    sample_directions,
+    sample_facing_side,
+    solve_plate_exchange,
+)
 from synthcam.camera.room.view_factors import (
     dot,
     form_factor,
@@ -27,18 +36,14 @@ from synthcam.camera.surface import Surface
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-WIDE = 0.12  # rad: of a lamp's disc that is taken as one
-PARTS = 4  # of a wider one's, or a bar's, half-width
-REACH = 7.0  # radii from where it touches the plate, a ball's part in the plate's light
-FADE = 3.0  # radii over which that part is taken back to nothing
-LOOKS = 4.0  # radii, the plate that a ball's equator looks at: closest to traced light among 1.5 to 4
-TRADES = 3  # times that light goes between two balls
-MIRRORS, VARNISHED = 3, 1  # a ray meets, at most, of metal and of varnish
+# Up to this distance from its point of contact a ball changes the light on the plate. Over the second distance, this
+# change fades to nothing.
+REACH_RADII, FADE_RADII = 7.0, 3.0
 
 
 @dataclass(frozen=True)
 class LampCell:
-    """A piece of a lamp: its middle, m, its area, m^2, the way it faces, and its radiance over pi."""
+    """A cell of a lamp: its middle, m, its area, m^2, the direction it faces, and its radiance over pi."""
 
     position: Array
     area: float
@@ -47,14 +52,14 @@ class LampCell:
 
 
 class BallsAtMoment(NamedTuple):
-    """Balls (N, 3) at one moment, and what they trade."""
+    """Centres of the balls (N, 3), m, at one moment, and the light that they exchange."""
 
     centres: Array
     exchange: BallExchange | None
 
 
 class Illumination:
-    """lamp, look: as in a film. radii: (N,) m. mirror: the balls' varnish or bare metal, None: dull."""
+    """The light of a scene. radii: (N,), m. mirror: the balls' varnish or bare metal; None: dull."""
 
     def __init__(self, lamp: Lamp, finish: SurfaceFinish, radii: Array, mirror: Surface | None) -> None:
         self.finish, self.radii, self.mirror = finish, radii, mirror
@@ -71,29 +76,32 @@ class Illumination:
                 tables[colour.tobytes(), radius] = made
         self.bounces = [tables[c.tobytes(), r] for c, r in zip(self.colours, radii.tolist(), strict=True)]
         slant = max(np.hypot(*c.position[:2]) / c.position[2] for c in self.cells)
-        self.reach = max(REACH, 1.5 * slant + np.hypot(slant, 1) + 1)  # radii
+        self.reach = max(REACH_RADII, 1.5 * slant + np.hypot(slant, 1) + 1)  # radii
 
     def _sources(self, radius: float, spots: Array) -> list[LightSource]:
-        """The lamps at spots (n, 3) on the plate, in radii of a ball."""
+        """The lamps as seen from spots (n, 3) on the plate, in radii of a ball."""
         points, up = spots * radius, np.broadcast_to(UP, spots.shape)
         return [
             LightSource(*_direction_and_size(cell, points), _irradiance(cell, points, up)[:, 0]) for cell in self.cells
         ]
 
     def bare(self, points: Array) -> Array:
-        """Light (n,) on the plate at points (n, 3) where there is no ball."""
+        """Light (n,) on the plate without balls, at points (n, 3), m."""
         return np.asarray(self._lights(points).sum(axis=1))
 
     def _lights(self, points: Array) -> Array:
-        """Light (n, 1 + cells) of the sky and of the lamps on the bare plate."""
+        """Light (n, 1 + cells) of the sky and of the lamps on the plate without balls."""
         up = np.broadcast_to(UP, points.shape)
         sky = np.full((len(points), 1), self.finish.ambient)
         return np.concatenate([sky, *(_irradiance(cell, points, up) for cell in self.cells)], axis=1)
 
     def on_plate(self, points: Array, centres: Array, soft: float = 0.0) -> Array:
-        """Light (n, c) on the plate at points (n, 3) among balls (N, 3). soft: m, rms blur of a shadow's edge."""
+        """Light (n, c) on the plate at points (n, 3), m, among balls (N, 3).
+
+        soft: rms blur of a shadow's edge, m.
+        """
         bare = self._lights(points)
-        shares = np.ones((len(centres), *bare.shape))  # that each ball leaves
+        shares = np.ones((len(centres), *bare.shape))  # of the light, which each ball leaves
         for ball, centre in enumerate(centres):
             near, kept = self._unshadowed_shares(ball, points, centre, soft)
             shares[ball, near] = kept
@@ -102,22 +110,22 @@ class Illumination:
         for ball, centre in enumerate(centres):
             near, fade = self._near(ball, points, centre)
             others = np.delete(shares[:, near], ball, axis=0).prod(axis=0)
-            dim = (bare[near] * others).sum(axis=1) / bare[near].sum(axis=1)  # what it throws it has from about there
+            dim = (bare[near] * others).sum(axis=1) / bare[near].sum(axis=1)  # its light comes from about there
             thrown = self.bounces[ball].on_plate((points[near, :2] - centre[:2]) / self.radii[ball])
             total[near] += (local[ball] * fade * dim)[:, None] * thrown
         return total
 
     def _near(self, ball: int, points: Array, centre: Array) -> tuple[Index, Array]:
-        """Points of the plate near a ball, and how much its part in their light counts there: it ends softly."""
+        """Points of the plate near a ball, and the weight of its reflected light there, which falls to 0 smoothly."""
         r = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1]) / self.radii[ball]
-        near = np.flatnonzero(r < REACH)
-        return near, _smooth((REACH - r[near]) / FADE)
+        near = np.flatnonzero(r < REACH_RADII)
+        return near, _smooth((REACH_RADII - r[near]) / FADE_RADII)
 
     def _unshadowed_shares(self, ball: int, points: Array, centre: Array, soft: float = 0.0) -> tuple[Index, Array]:
-        """Points that a ball takes light from, and the shares (n, 1 + cells) of sky and lamps that it leaves them."""
+        """Points that a ball shadows, and the shares (n, 1 + cells) of the light of sky and lamps that it leaves."""
         r = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1]) / self.radii[ball]
         near = np.flatnonzero(r < self.reach)
-        fade, offset = _smooth((REACH - r[near]) / FADE), centre - points[near]
+        fade, offset = _smooth((REACH_RADII - r[near]) / FADE_RADII), centre - points[near]
         far = np.sqrt(dot(offset, offset))
         wide = np.arcsin(np.clip(self.radii[ball] / far, 0, 1))
         shares = [1 - fade * form_factor(np.broadcast_to(UP, offset.shape), offset, self.radii[ball])]
@@ -130,7 +138,7 @@ class Illumination:
     def on_ball(
         self, ball: int, points: Array, normals: Array, centres: Array, exchange: BallExchange | None = None
     ) -> Array:
-        """Light (n, c) on a ball at points (n, 3). exchange: what it trades with the others."""
+        """Light (n, c) on a ball at points (n, 3), m. exchange: the light between balls."""
         lamps = np.zeros(len(points))
         for cell in self.cells:
             light = _irradiance(cell, points, normals)[:, 0]
@@ -145,12 +153,13 @@ class Illumination:
         return np.asarray(np.maximum(total, 0))
 
     def _from_plate(self, ball: int, normals: Array, centres: Array) -> Array:
-        """Light (n, c) that a ball gets from the plate, dimmed as other balls dim it where the ball looks."""
+        """Light (n, c) from the plate on a ball, reduced by the shadows of other balls on that part of the plate."""
         foot = centres[ball] * [1, 1, 0]
         out = self.bounces[ball].on_ball(normals) * self.bare(foot[None])[0]
         if len(centres) == 1:
             return np.asarray(out)
-        looks = foot + LOOKS * self.radii[ball] * normals * [1, 1, 0]
+        # A ball's equator looks at the plate 4 radii away: of 1.5 to 4, this is closest to traced light.
+        looks = foot + 4 * self.radii[ball] * normals * [1, 1, 0]
         bare = self._lights(looks)
         left = bare.copy()
         for k in range(len(centres)):
@@ -160,12 +169,12 @@ class Illumination:
         return np.asarray(out * (left.sum(axis=1) / bare.sum(axis=1))[:, None])
 
     def exchange(self, centres: Array) -> BallExchange | None:
-        """What each two balls trade: light that one throws on the other less what it hides of plate and sky."""
+        """Exchange of each two balls: the light sent minus the light of plate and sky that the sender hides."""
         if len(centres) == 1:
             return None
         pairs = [(a, b) for a in range(len(centres)) for b in range(len(centres)) if a != b]
         found: BallExchange | None = None
-        for _ in range(TRADES):
+        for _ in range(3):  # reflections to and fro
             tables = {}
             for a, b in pairs:
                 axes, normals = sample_facing_side(centres[b] - centres[a])
@@ -183,12 +192,12 @@ class Illumination:
                 hidden = np.where(up, self.finish.ambient, plate[:, None])
                 net = (weights[..., None] * (given.reshape(hidden.shape) - hidden)).sum(axis=1)
                 share = form_factor(normals, centres[b] - points, self.radii[b])
-                tables[a, b] = axes, ReflectionTable((share[:, None] * net).reshape(NEARS, TURNS, -1))
+                tables[a, b] = axes, ReflectionTable((share[:, None] * net).reshape(*EXCHANGE_CELLS, -1))
             found = BallExchange(tables)
         return found
 
     def _visible_share(self, cell: LampCell, points: Array, centre: Array, radius: float) -> Array:
-        """Share (n,) of a lamp's cell that a ball leaves in view."""
+        """Share (n,) of a lamp's cell that a ball leaves visible."""
         offset = centre - points
         far = np.maximum(np.sqrt(dot(offset, offset)), radius)
         way, size = _direction_and_size(cell, points)
@@ -198,7 +207,7 @@ class Illumination:
     def radiance(
         self, ball: int, points: Array, ways: Array, among: BallsAtMoment, paint: Array, mirrors: int | None = None
     ) -> Array:
-        """What is seen (n, c) of a ball at points (n, 3) along ways (n, 3), without the lamps' images in it.
+        """Radiance (n, c) of a ball at points (n, 3) against directions (n, 3), without the lamps' images in it.
 
         paint: its reflectance there, (n, c).
         """
@@ -207,14 +216,15 @@ class Illumination:
         if paint.any():
             out += paint * self.on_ball(ball, points, normals, *among)
         if mirrors is None:
-            mirrors = MIRRORS if self.mirror is not None and self.mirror.head_on > 0.2 else VARNISHED
+            metal = self.mirror is not None and self.mirror.head_on > 0.2
+            mirrors = 3 if metal else 1  # reflections of a ray on metal and on varnish
         if self.mirror is not None and mirrors:
             away, cosine = mirror_direction(normals, ways)
             out += self.mirror.mirror(cosine)[:, None] * self._around(ball, points, away, among, mirrors - 1)
         return out
 
     def _around(self, ball: int, points: Array, ways: Array, among: BallsAtMoment, mirrors: int) -> Array:
-        """What a ball mirrors (n, c): sky, plate or another ball."""
+        """Radiance (n, c) that a ball mirrors: of sky, plate or another ball."""
         centres = among.centres
         out = np.full((len(points), self.finish.channels), self.finish.ambient)
         nearest = np.full(len(points), np.inf)
@@ -240,9 +250,10 @@ class Illumination:
 
 
 def _cells(lamp: Lamp) -> list[LampCell]:
+    """Cut a lamp into cells: one of a disc that looks narrow, 4 of half a wider lamp's width."""
     whole = max(lamp.radius, lamp.length / 2) if lamp.shape == "bar" else lamp.radius
-    one = lamp.shape == "disc" and lamp.radius < WIDE * float(np.linalg.norm(lamp.position))
-    cells = lamp.cells(np.inf if one else whole / PARTS)
+    one = lamp.shape == "disc" and lamp.radius < 0.12 * float(np.linalg.norm(lamp.position))
+    cells = lamp.cells(np.inf if one else whole / 4)
     facing = lamp.axes[:, 2]
     return [
         LampCell(position, float(area), facing, lamp.radiance)
@@ -251,7 +262,7 @@ def _cells(lamp: Lamp) -> list[LampCell]:
 
 
 def _direction_and_size(cell: LampCell, points: Array) -> tuple[Array, Array]:
-    """Unit ways (n, 3) to a lamp's cell, and the angular radius (n,) of a disc as large as it looks."""
+    """Unit vectors (n, 3) to a lamp's cell, and the angular radius (n,) of a disc of equal solid angle."""
     way = cell.position - points
     far = np.sqrt(dot(way, way))
     way = way / far[:, None]

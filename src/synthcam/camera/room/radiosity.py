@@ -1,7 +1,7 @@
-"""Light thrown to and fro between one ball and the plate it rests on, by radiosity, as tables.
+"""Radiosity: light that a ball and its plate, or two balls, reflect to each other, as tables.
 
-Lengths are in radii of the ball, from where it touches the plate. Light is irradiance over pi; one is that of the plate
-without balls. A neighbour's part is not in the tables.
+Of a ball on its plate, lengths are in radii of the ball, from the point of contact. Light is irradiance over pi, and 1
+is that of the plate without balls. These tables are of a single ball, without neighbours.
 """
 
 from collections.abc import Callable
@@ -14,15 +14,16 @@ from synthcam.camera.room.view_factors import dot, form_factor, mean_cosine_abov
 
 Array = NDArray[np.float64]
 
-RINGS, SECTORS, FAR = 48, 32, 200.0  # of the plate, and how far out
-BELTS = 24  # of the ball
-BOUNCES = 6
+RINGS_OF_PLATE, BELTS_OF_BALL, SECTORS = 48, 24, 32  # cells of the tables
+PLATE_RADIUS = 200.0  # of the rings, in radii of the ball
+EXCHANGE_CELLS = 14, 12  # of a ball: outwards from the line of centres, and around it
+EXCHANGE_ANGLE = 2.2  # from the line of centres, rad: a large ball is seen from behind the equator too
 UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class LightSource:
-    """A piece of a lamp seen from n places: unit ways (n, 3), angular radii (n,), rad, light (n,) on a plate."""
+    """A cell of a lamp seen from n points: unit directions (n, 3), angular radii (n,), rad, light (n,) on a plate."""
 
     way: Array
     wide: Array
@@ -31,7 +32,7 @@ class LightSource:
 
 @dataclass(frozen=True)
 class ReflectionTable:
-    """Values (n, SECTORS, c) at the middles of n cells of a coordinate from 0 to 1 and of an angle about z."""
+    """Values (n, m, c) at the middles of n cells of a coordinate from 0 to 1 and of m cells of an angle about z."""
 
     values: Array
 
@@ -48,8 +49,10 @@ class ReflectionTable:
 
 @dataclass(frozen=True)
 class PlateExchange:
-    """below: light that a ball gets from the plate, over (1 + n_z)/2. glow: light that the plate gets from it, over
-    r/(1 + r)."""
+    """Light that a ball and its plate exchange.
+
+    below: the ball's light from the plate, by (1 + n_z)/2. glow: the plate's light from the ball, by r/(1 + r).
+    """
 
     below: ReflectionTable
     glow: ReflectionTable
@@ -58,7 +61,7 @@ class PlateExchange:
         return self.below.at((1 + normals[..., 2]) / 2, np.arctan2(normals[..., 1], normals[..., 0]))
 
     def on_plate(self, offsets: Array) -> Array:
-        """offsets (..., 2) from the point of contact, radii."""
+        """Light (..., c) of the plate at offsets (..., 2) from the point of contact, radii."""
         r = np.hypot(offsets[..., 0], offsets[..., 1])
         return self.glow.at(r / (1 + r), np.arctan2(offsets[..., 1], offsets[..., 0]))
 
@@ -66,17 +69,18 @@ class PlateExchange:
 def solve_plate_exchange(
     sources: Callable[[Array], list[LightSource]], ambient: float, ball: Array, plate: Array
 ) -> PlateExchange:
-    """The tables of a ball and a plate of mean reflectances (c,) under lamps and an even sky.
+    """Solve the exchange of a ball and a plate of mean reflectances (c,) under lamps and a uniform sky.
 
-    sources: of points (n, 3) on the plate, the lamps there.
+    sources: points (n, 3) on the plate -> the lamps as they are seen there. Six reflections are followed.
     """
     turn = (np.arange(SECTORS) + 0.5) / SECTORS * 2 * np.pi
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    up = (np.arange(BELTS) + 0.5) / BELTS * 2 - 1
+    up = (np.arange(BELTS_OF_BALL) + 0.5) / BELTS_OF_BALL * 2 - 1
     normals = np.concatenate(
-        [np.sqrt(1 - up * up)[:, None, None] * ring, np.broadcast_to(up[:, None, None], (BELTS, SECTORS, 1))], axis=-1
+        [np.sqrt(1 - up * up)[:, None, None] * ring, np.broadcast_to(up[:, None, None], (BELTS_OF_BALL, SECTORS, 1))],
+        axis=-1,
     ).reshape(-1, 3)
-    edges = np.arange(RINGS + 1) / RINGS * FAR / (1 + FAR)
+    edges = np.arange(RINGS_OF_PLATE + 1) / RINGS_OF_PLATE * PLATE_RADIUS / (1 + PLATE_RADIUS)
     edges, middle = edges / (1 - edges), (edges[1:] + edges[:-1]) / 2
     middle = middle / (1 - middle)
     spots = np.pad((middle[:, None, None] * ring).reshape(-1, 2), ((0, 0), (0, 1)))
@@ -94,19 +98,19 @@ def solve_plate_exchange(
         seen = mean_cosine_above_horizon(normals @ source.way[0], np.sin(source.wide))
         on_ball[:, 0] += source.light * seen / source.way[0, 2]
     below, glow = np.zeros((len(normals), len(ball))), np.zeros((len(spots), len(ball)))
-    for _ in range(BOUNCES):
+    for _ in range(6):
         glow = to_ball @ (ball * (on_ball + below))
         below = to_plate @ (plate * (on_plate + glow))
     return PlateExchange(
-        ReflectionTable(below.reshape(BELTS, SECTORS, -1)),
-        ReflectionTable(_up_to_one(glow.reshape(RINGS, SECTORS, -1))),
+        ReflectionTable(below.reshape(BELTS_OF_BALL, SECTORS, -1)),
+        ReflectionTable(_up_to_one(glow.reshape(RINGS_OF_PLATE, SECTORS, -1))),
     )
 
 
 def _exchange(normals: Array, spots: Array, areas: Array) -> tuple[Array, Array]:
-    """Form factors (belts, spots) of the plate's pieces seen from the ball's, and (spots, belts) the other way.
+    """Form factors (belts, spots) from the ball's cells to the plate's, and (spots, belts) the reverse.
 
-    Between pieces by their middles, and scaled so that each sum is the closed form's.
+    They are taken between the middles of cells, and scaled so that each sum is that of the closed form.
     """
     way = spots[None] - (normals + UP)[:, None]
     square = dot(way, way)
@@ -123,5 +127,59 @@ def _exchange(normals: Array, spots: Array, areas: Array) -> tuple[Array, Array]
 
 
 def _up_to_one(values: Array) -> Array:
-    """Rows up to where r is FAR, continued with zeros to r/(1 + r) = 1, in cells of the same width."""
-    return np.concatenate([values, np.zeros((max(1, round(RINGS / FAR)), *values.shape[1:]))])
+    """Continue the rows from r = PLATE_RADIUS with zeros to r/(1 + r) = 1, in cells of the same width."""
+    return np.concatenate([values, np.zeros((max(1, round(RINGS_OF_PLATE / PLATE_RADIUS)), *values.shape[1:]))])
+
+
+@dataclass(frozen=True)
+class BallExchange:
+    """Light that balls exchange, by pair (receiver, sender): axes (3, 3), and a table over angle and azimuth."""
+
+    pairs: dict[tuple[int, int], tuple[Array, ReflectionTable]]
+
+    def on_ball(self, ball: int, normals: Array) -> Array:
+        """Net light (n, c) that a ball receives from all others, at unit vectors (n, 3) from its centre."""
+        total = np.zeros((len(normals), 1))
+        for (own, _), (axes, table) in self.pairs.items():
+            if own == ball:
+                x, y, z = (normals @ axes).T
+                angle = np.arccos(np.clip(z, -1, 1))
+                total = (
+                    total
+                    + table.at(np.sqrt(angle / EXCHANGE_ANGLE), np.arctan2(y, x)) * (angle < EXCHANGE_ANGLE)[:, None]
+                )
+        return total
+
+
+def sample_facing_side(offset: Array) -> tuple[Array, Array]:
+    """Axes (3, 3) whose third is along an offset, and unit vectors (cells, 3) around it, closest first."""
+    third = offset / np.linalg.norm(offset)
+    first = np.cross([0.0, 0.0, 1.0] if abs(third[2]) < 0.9 else [1.0, 0.0, 0.0], third)
+    first /= np.linalg.norm(first)
+    axes = np.stack([first, np.cross(third, first), third], axis=1)
+    rings, sectors = EXCHANGE_CELLS
+    angle = ((np.arange(rings) + 0.5) / rings) ** 2 * EXCHANGE_ANGLE
+    turn = (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
+    a, t = (x.ravel() for x in np.meshgrid(angle, turn, indexing="ij"))
+    local = np.stack([np.sin(a) * np.cos(t), np.sin(a) * np.sin(t), np.cos(a)], axis=1)
+    return axes, local @ axes.T
+
+
+def sample_directions(
+    points: Array, normals: Array, centre: Array, radius: float, rays: int = 14
+) -> tuple[Array, Array]:
+    """Directions (n, rays, 3) from points to a ball, uniform in solid angle, and weights by cosine, of sum 1."""
+    offset = centre - points
+    far = np.maximum(np.sqrt(dot(offset, offset)), radius * (1 + 1e-9))
+    lowest = np.sqrt(1 - (radius / far) ** 2)
+    k = np.arange(rays) + 0.5
+    cosine = 1 - k / rays * (1 - lowest[:, None])
+    sine, turn = np.sqrt(np.maximum(1 - cosine**2, 0)), k * np.pi * (3 - np.sqrt(5))
+    axis = offset / far[:, None]
+    first = np.cross(axis, np.where(np.abs(axis[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    first /= np.sqrt(dot(first, first))[:, None]
+    second = np.cross(axis, first)
+    local = (sine * np.cos(turn))[..., None] * first[:, None] + (sine * np.sin(turn))[..., None] * second[:, None]
+    ways = cosine[..., None] * axis[:, None] + local
+    weights = np.maximum(dot(ways, normals[:, None]), 0)
+    return ways, weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)

@@ -1,7 +1,7 @@
-"""A film of matte balls on a plate under lamps and room light, in one channel or three.
+"""Render films of matte balls on a plate under lamps and room light, in one channel or three.
 
-Balls are sampled on a grid finer than the pixels, outlines by the share of a sample that they cover; the optics' blur
-is a product with exact weights. The lamps' images in varnish are added from their exact positions, as in `render.film`.
+Balls are sampled on a grid finer than the pixels. Outlines are drawn by the share of a sample that they cover. The blur
+of the optics is a product with exact weights. The images of the lamps in varnish are added from their exact positions.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -38,18 +38,29 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Pictures = tuple[Picture, ...]
 
-FINENESS = 3  # samples of a ball a pixel, each way
-PLATE = 3  # of the plate
-TRAVEL = 1.5  # px, of a ball, while the light on the plate counts as one blurred by as much
-CELL = 0.4  # half-width of a lamp's cells as they are seen in a ball, over the blur's sigma
+FINENESS = 3  # samples of balls and plate per pixel, along rows and along columns
 
 
 class RoomRenderer:
     """The view of one camera.
 
-    camera, lamp: as in `pinhole`, `lamp`. radii: m, one a ball. look: what balls and plate are made of. mirror: the
-    balls' varnish or bare metal, None: dull. One is the white that a plate of reflectance one would show at the world's
-    origin. Raises ValueError where a lamp stands in view or a radius is not over 0.
+    The unit of a picture is the white of a plate of reflectance 1 at the world's origin.
+
+    Parameters
+    ----------
+    camera : PinholeCamera
+    lamp : Lamp
+    radii : sequence of float
+        One a ball, m.
+    finish : SurfaceFinish
+        Of balls and plate.
+    mirror : Surface or None
+        The balls' varnish or bare metal; None: they are dull.
+
+    Raises
+    ------
+    ValueError
+        If a lamp is in view or a radius is not above 0.
     """
 
     def __init__(
@@ -62,7 +73,7 @@ class RoomRenderer:
         for each in lamp.all:
             at = camera.project(each.position)
             if np.all((at > -0.5) & (at < np.array(camera.size) - 0.5)):
-                raise ValueError(f"lamp position {each.position.tolist()} stands between the camera and the plate")
+                raise ValueError(f"lamp position {each.position.tolist()} is between the camera and the plate")
         self.shade = Illumination(lamp, finish, self.radii, mirror)
         self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
         self._vignette = compute_vignette(camera)
@@ -72,7 +83,7 @@ class RoomRenderer:
         self._plates: dict[float, tuple[Float32, ...]] = {}
 
     def _rays(self, x: Array, y: Array) -> Array:
-        """Unit ways (len(y), len(x), 3) in which pixels at columns x and rows y look."""
+        """Unit directions (len(y), len(x), 3) of the rays of pixels at columns x and rows y."""
         pixels = np.stack(np.meshgrid(x, y), axis=-1)
         camera = self.camera
         if camera.dist.any():
@@ -85,29 +96,29 @@ class RoomRenderer:
         return np.asarray(way / np.sqrt(dot(way, way))[..., None])
 
     def _on_plate(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """The plate's points (len(y), len(x), 3), m, and the ways to them."""
+        """The plate's points (len(y), len(x), 3), m, and the directions to them."""
         way, eye = self._rays(x, y), self.camera.centre
         points = eye - way * (eye[2] / way[..., 2:])
         points[..., 2] = 0
         return points, way
 
     def _draw_plate(self) -> tuple[Float32, ...]:
-        """What is seen without balls, (h, w) of each channel: in strips of rows, for the samples are many."""
+        """Render the plate without balls: (h, w) of each channel. In strips of rows, to save memory."""
         w, h = self.camera.size
         sigma = np.hypot(self.camera.psf_sigma_px, self.camera.defocus_px / 2)
         shade = np.ones((h, w)) if self._vignette is None else self._vignette
         even = [np.asarray(self._bare * shade * c) for c in self.finish.plate]
         if self.finish.texture != "plain":
             margin = int(np.ceil(4 * sigma))
-            across = (np.arange((w + 2 * margin) * PLATE) + 0.5) / PLATE - 0.5 - margin
-            rows = blur_matrix(w + 4 * margin, margin, PLATE, sigma)[2 * margin : 2 * margin + w]
+            across = (np.arange((w + 2 * margin) * FINENESS) + 0.5) / FINENESS - 0.5 - margin
+            rows = blur_matrix(w + 4 * margin, margin, FINENESS, sigma)[2 * margin : 2 * margin + w]
             relief = np.zeros((h, w, self.finish.channels))
             for top in range(0, h, 64):
                 n = min(64, h - top)
-                down = (np.arange((n + 2 * margin) * PLATE) + 0.5) / PLATE - 0.5 - margin + top
+                down = (np.arange((n + 2 * margin) * FINENESS) + 0.5) / FINENESS - 0.5 - margin + top
                 points, _ = self._on_plate(across, down)
                 fine = texture.factors(self.finish, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:2], -1)
-                columns = blur_matrix(n + 4 * margin, margin, PLATE, sigma)[2 * margin : 2 * margin + n]
+                columns = blur_matrix(n + 4 * margin, margin, FINENESS, sigma)[2 * margin : 2 * margin + n]
                 for c in range(fine.shape[2]):
                     relief[top : top + n, :, c] = columns @ fine[..., c] @ rows.T
             even = [plate * relief[..., c] for c, plate in enumerate(even)]
@@ -123,10 +134,10 @@ class RoomRenderer:
         intervals: ArrayLike,
         breaks: ArrayLike = (),
     ) -> Iterator[Pictures]:
-        """Mean pictures over exposures, one a channel.
+        """Render the mean pictures over exposures, one per channel.
 
-        centres: times (T,), s -> ball centres (T, N, 3), m; turns: -> (T, N, 3, 3), from ball axes to the world's.
-        intervals: (F, 2) start and end of each exposure, s. breaks: times at which velocities jump.
+        centres: times (T,), s -> ball centres (T, N, 3), m. turns: -> rotations (T, N, 3, 3) from ball axes to the
+        world's. intervals: (F, 2) start and end of each exposure, s. breaks: times at which velocities jump.
         """
         cuts = np.sort(np.asarray(breaks, float))
         for span in np.asarray(intervals, float).reshape(-1, 2):
@@ -161,7 +172,7 @@ class RoomRenderer:
         )
 
     def _extent(self, positions: Array) -> Array:
-        """Half width (T, N) px of what a ball changes: itself, its shadow and its part in the plate's light."""
+        """Half width (T, N) px of the region that a ball changes: itself, its shadow and its light on the plate."""
         slope = self.camera.project_with_slope(positions)[1]
         return np.asarray(
             outline_half_width(self.camera, positions, self.radii, slope) * self.shade.reach + self.psf.margin
@@ -186,8 +197,8 @@ class RoomRenderer:
         light = float(self.lamp.flicker.mean(span[:1], span[1:])[0])
         plates = self._plates_in(light)
         parts = [[plate[box] * 0.0 for box in boxes] for plate in plates]
-        exchange = self.shade.exchange(positions[len(positions) // 2])  # it hardly changes meanwhile
-        for together in self._alike(positions):
+        exchange = self.shade.exchange(positions[len(positions) // 2])  # it hardly changes during an exposure
+        for together in self._group_moments(positions):
             weights = moments.weights[together]
             shown = [np.zeros((1 + len(plates), *plates[0][box].shape), np.float32) for box in boxes]
             for k, weight in zip(together.tolist(), weights, strict=True):
@@ -205,14 +216,14 @@ class RoomRenderer:
                     parts[c][number] += plate[box] * (lit[..., c] * open_) + light * shown[number][1 + c]
         return tuple(Picture(plate, boxes, tuple(part)) for plate, part in zip(plates, parts, strict=True))
 
-    def _alike(self, positions: Array) -> list[NDArray[np.intp]]:
-        """Moments in groups within which no ball moves by more than TRAVEL: they share the light on the plate."""
+    def _group_moments(self, positions: Array, travel_px: float = 1.5) -> list[NDArray[np.intp]]:
+        """Group moments so that no ball moves further than `travel_px`: they share the light on the plate."""
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(axis=1, initial=0) / self.camera.scale
-        count = max(1, min(len(positions), int(np.ceil(steps.sum() / TRAVEL))))
+        count = max(1, min(len(positions), int(np.ceil(steps.sum() / travel_px))))
         return np.array_split(np.arange(len(positions)), count)
 
     def _lit(self, box: Box, centres: Array, soft: float) -> Array:
-        """Light (h, w, c) on the plate over that of the bare plate."""
+        """Light (h, w, c) on the plate over that without balls."""
         bare = self._bare[box][..., None]
         lit = self.shade.on_plate(self._points[box].reshape(-1, 3), centres, soft)
         return np.asarray(lit.reshape(*bare.shape[:2], -1) / bare)
@@ -224,14 +235,14 @@ class RoomRenderer:
         return float(camera.scale * np.sqrt(camera.psf_sigma_px**2 + camera.defocus_px**2 / 4 + 1 / 12))
 
     def _plates_in(self, light: float) -> tuple[Float32, ...]:
-        """The plate in so much light; the same arrays for the same light, as the sensor's tables like it."""
+        """The plate in so much light. The same light returns the same arrays, for which the sensor keeps tables."""
         light = round(light, 5)
         if light not in self._plates:
             self._plates[light] = self.plate if light == 1 else tuple(p * np.float32(light) for p in self.plate)
         return self._plates[light]
 
     def _find_boxes(self, positions: Array) -> list[tuple[int, int, int, int]]:
-        """Top, bottom, left, right within the picture of what each ball changes during an exposure."""
+        """Find the boxes (top, bottom, left, right) of the picture that each ball changes during an exposure."""
         pixels, extent = self.camera.project(positions), self._extent(positions)[..., None]
         low = np.floor((pixels - extent).min(axis=0)).astype(int)
         high = np.ceil((pixels + extent).max(axis=0)).astype(int) + 1
@@ -258,7 +269,7 @@ class RoomRenderer:
         return low, int(2 * half) + 3
 
     def _ball(self, ball: int, among: BallsAtMoment, turned: Array) -> tuple[NDArray[np.intp], Float32]:
-        """First column and row, and (1 + c, width, width): the share that a ball covers, and what it shows there."""
+        """Render a ball: first column and row, and (1 + c, width, width), its share of each pixel and its radiance."""
         centres = among.centres
         low, width = self._place(centres, ball)
         side = width - 2 * self.psf.margin
@@ -283,7 +294,7 @@ class RoomRenderer:
         return low, images if self.psf.is_gaussian else self.psf.spread(images)
 
     def _shares(self, ball: int, centres: Array, way: Array) -> Array:
-        """Share of each sample in which this ball is in front: its outline is a ramp one sample wide."""
+        """Share of each sample in which this ball is in front. Outlines are ramps one sample wide."""
         own, near = _cover(self.camera.centre, way, centres[ball], self.radii[ball])
         for k in range(len(centres)):
             if k != ball:
@@ -292,7 +303,7 @@ class RoomRenderer:
         return own
 
     def _meet_ball(self, centre: Array, radius: float, ways: Array) -> Array:
-        """Points (n, 3) at which rays meet a ball, or pass it most closely, brought to its surface."""
+        """Points (n, 3) at which rays meet a ball; of a ray that misses it, the nearest point of its surface."""
         offset = self.camera.centre - centre
         b = ways @ offset
         far = -b - np.sqrt(np.maximum(b * b - offset @ offset + radius * radius, 0))
@@ -302,7 +313,7 @@ class RoomRenderer:
     def _glints(
         self, ball: int, centres: Array, low: NDArray[np.intp], width: int, mirror: Surface
     ) -> NDArray[np.float32]:
-        """The lamps' images (width steps, width steps) in a ball."""
+        """Images (width steps, width steps) of the lamps in a ball."""
         light = (np.arange(len(centres)) == ball)[None].astype(float)
         found = []
         for lamp in self.lamp.all:
@@ -310,7 +321,7 @@ class RoomRenderer:
             cell = np.inf
             if len(whole.flux):
                 spread = lamp.cells(np.inf).spread[0, :2].sum()
-                cell = CELL * self.camera.psf_sigma_px * float(np.sqrt(spread / max(whole.spread[0].sum(), 1e-30)))
+                cell = 0.4 * self.camera.psf_sigma_px * float(np.sqrt(spread / max(whole.spread[0].sum(), 1e-30)))
             found.append(find_glints(self.camera, lamp, centres[None], self.radii, light, mirror, cell))
         glints: GlintImages = join_glints(found)
         variances = glints.spread + self.camera.psf_sigma_px**2
@@ -319,7 +330,7 @@ class RoomRenderer:
         return (rows.T @ columns).astype(np.float32)
 
     def _lay_tiles(self, tiles: list[tuple[NDArray[np.intp], Float32]], box: Box) -> Float32:
-        """Share of a box that balls cover, and what they show there, by channel: (1 + c, h, w)."""
+        """Sum the tiles of balls in a box: the share that they cover, and their radiance by channel, (1 + c, h, w)."""
         rows, columns = box
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         total = np.zeros((1 + self.finish.channels, *shape), np.float32)
@@ -334,7 +345,7 @@ class RoomRenderer:
 
 
 def _cover(eye: Array, way: Array, centre: Array, radius: float) -> tuple[Array, Array]:
-    """Share of each sample that a ball covers, and how far away it is."""
+    """Share of each sample that a ball covers, and its distance, m."""
     offset = centre - eye
     along = way @ offset
     aside = offset - along[..., None] * way

@@ -1,6 +1,6 @@
-"""Light on surfaces among balls, in closed form: a lamp's disc cut by a horizon or a ball, a ball's form factor.
+"""View factors in closed form: a lamp's disc cut by a horizon or a ball, and the form factor of a ball.
 
-Light is irradiance over pi: what a white, matte surface shows. All arguments are arrays that broadcast.
+Light is irradiance over pi, the radiance of a white matte surface. All arguments are arrays that broadcast.
 """
 
 import numpy as np
@@ -10,15 +10,15 @@ Array = NDArray[np.float64]
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Of the last axis."""
+    """Scalar product over the last axis."""
     return np.asarray(np.einsum("...k,...k->...", a, b))
 
 
 def mean_cosine_above_horizon(cosine: Array, sine: Array) -> Array:
-    """Mean cosine of incidence over a lamp's disc, what is under the surface's horizon left out.
+    """Mean cosine of incidence over the part of a lamp's disc above the surface's horizon.
 
-    cosine: of the disc's middle; sine: of its angular radius. The disc's points project on the normal as u does,
-    c + s u with density (2/pi) sqrt(1 - u^2).
+    cosine: of the disc's middle. sine: of its angular radius. A point of the disc has the cosine c + s u, with u of
+    density (2/pi) sqrt(1 - u^2).
     """
     x = np.clip(cosine / sine, -1, 1)
     root = np.sqrt(1 - x * x)
@@ -27,7 +27,7 @@ def mean_cosine_above_horizon(cosine: Array, sine: Array) -> Array:
 
 
 def visible_fraction(a: Array, b: Array, apart: Array) -> Array:
-    """Share of a disc of angular radius a that a disc of radius b, `apart` rad away, leaves in view."""
+    """Share of a disc of angular radius a that a disc of radius b, at a distance of `apart` rad, leaves visible."""
     a, b, apart = np.broadcast_arrays(a, b, apart)
     out = (apart >= b).astype(float)
     edge = np.abs(apart - b) < a
@@ -42,10 +42,10 @@ def visible_fraction(a: Array, b: Array, apart: Array) -> Array:
 
 
 def form_factor(normal: Array, offset: Array, radius: Array | float) -> Array:
-    """Share of a surface's hemisphere, weighted by the cosine, that a ball takes, as far as it is over the horizon.
+    """Form factor of a ball: its share of the surface's hemisphere, weighted by the cosine.
 
-    normal (..., 3), offset (..., 3) from the surface to the ball's centre. Howell, A Catalog of Radiation Heat Transfer
-    Configuration Factors, section B: a differential element to a sphere that its plane passes by or cuts.
+    normal: (..., 3). offset: (..., 3) from the surface to the ball's centre. Source: Howell, A Catalog of Radiation
+    Heat Transfer Configuration Factors, section B, differential element to a sphere that its plane may cut.
     """
     far = np.maximum(np.sqrt(dot(offset, offset)), radius * (1 + 1e-9))
     h, cosine = far / radius, np.clip(dot(normal, offset) / far, -1, 1)
@@ -63,7 +63,7 @@ def form_factor(normal: Array, offset: Array, radius: Array | float) -> Array:
     return np.maximum(out, 0)
 
 
-def mirror_direction(normal: Array, way: Array) -> tuple[Array, Array]:
-    """Way (..., 3) after a mirror of that normal, and the cosine of incidence."""
-    cosine = -dot(normal, way)
-    return way + 2 * cosine[..., None] * normal, cosine
+def mirror_direction(normal: Array, direction: Array) -> tuple[Array, Array]:
+    """Direction (..., 3) after reflection at a mirror of that normal, and the cosine of incidence."""
+    cosine = -dot(normal, direction)
+    return direction + 2 * cosine[..., None] * normal, cosine
