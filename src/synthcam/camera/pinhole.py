@@ -77,7 +77,7 @@ class PinholeCamera:
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         *,
         ball_radius: float,
-        **fields: Any,
+        **fields: float,
     ) -> "PinholeCamera":
         """Make a camera at a distance of `height` m from the world's origin, at which it looks.
 
@@ -117,7 +117,7 @@ class PinholeCamera:
             t=np.array([0, 0, float(height)]),
             size=(int(size[0]), int(size[1])),
             scale=float(scale),
-            **{name: float(value) for name, value in fields.items()},
+            **{name: float(value) for name, value in fields.items()},  # type: ignore[arg-type]
         )
 
     @property
