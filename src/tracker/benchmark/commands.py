@@ -1,4 +1,4 @@
-"""tracker benchmark: make, run, submit."""
+"""The commands of `tracker benchmark`: make, run, submit."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 Size = Annotated[str, typer.Option(help="full (20 minutes on two cores with the peers) or small (a few minutes).")]
 Own = Annotated[Path | None, typer.Option("--definition", metavar="YAML", help="A suite of your own.")]
 Report = Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make, or to add to.")]
-Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")]
-Truth = Annotated[Path | None, typer.Option(metavar="TRUTH", help="Where a withheld truth lies.")]
+Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do the work.")]
+Truth = Annotated[Path | None, typer.Option(metavar="TRUTH", help="Folder of a withheld truth.")]
 
 
 @app.command()
@@ -33,13 +33,15 @@ def make(
     definition: Own = None,
     withhold_truth: Annotated[
         Path | None,
-        typer.Option(metavar="TRUTH", help="Another folder for the truth; the seed is drawn."),
+        typer.Option(metavar="TRUTH", help="Separate folder for the truth; the seed is then random."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of everything drawn, in place of the suite's own.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of all random draws; default: that of the suite.")
+    ] = None,
     scheduler: Scheduler = "",
     as_json: Json = False,
 ) -> None:
-    """Make the films of the suite, the truth apart from them, and the card.
+    """Make the films of the suite, the truth in a separate folder, and the card.
 
     Example: tracker benchmark make -o out/suite
     """
@@ -59,13 +61,15 @@ def make(
 def run(
     output: Report,
     suite: Annotated[Path | None, typer.Option(metavar="SUITE", help="Default: made in REPORT/suite.")] = None,
-    trackers: Annotated[str, typer.Option(help="Names with commas between; default: ours and the peers.")] = "",
+    trackers: Annotated[
+        str, typer.Option(help="Names, separated by commas; default: ours and those of other packages.")
+    ] = "",
     size: Size = "full",
     truth: Truth = None,
     scheduler: Scheduler = "",
     as_json: Json = False,
 ) -> None:
-    """Make the suite, run trackers on it, and set them beside one another on one page.
+    """Make the suite, run trackers on it, and compare them on one page.
 
     Example: tracker benchmark run -o out/benchmark
 
@@ -98,7 +102,7 @@ def submit(
 ) -> None:
     """Score the tables of a tracker in any language, and add it to a report.
 
-    The form of FOLDER is said in SUITE/README.md and docs/benchmark.md.
+    SUITE/README.md and docs/benchmark.md describe FOLDER.
 
     Example: tracker benchmark submit out/suite my_tables -o out/benchmark
     """
@@ -113,7 +117,7 @@ def submit(
 
 
 def _command_line() -> str:
-    """The command, as it was typed."""
+    """Return the command line that the user typed."""
     return shlex.join(["tracker", *sys.argv[1:]])
 
 

@@ -91,7 +91,7 @@ class RecordingPage:
     notes: Sequence[Note] = ()
 
     @property
-    def measured_rows(self) -> list[Mapping[str, Any]]:
+    def collisions(self) -> list[Mapping[str, Any]]:
         """The rows of collisions that were measured."""
         return [row for row in self.rows if row["status"] in MEASURED]
 
@@ -148,9 +148,9 @@ class RecordingPage:
     def _film(self, folder: Path, views: Sequence[CollisionView | None]) -> str:
         if self.frames is None:
             return "The tracks came without a film."
-        contacts = [row["t_c"] * self.camera.fps for row in self.measured_rows]
+        contacts = [row["t_c"] * self.camera.fps for row in self.collisions]
         first, last = choose_frames(len(self.frames), contacts)
-        overlay = Overlay(self.frames, self.tracks, self.camera, first, last, list_events(self.measured_rows))
+        overlay = Overlay(self.frames, self.tracks, self.camera, first, last, list_events(self.collisions))
         film = encode_mp4(overlay)
         write_atomically(folder / "overlay.mp4", film)
         steps = json.dumps(self._list_frames(first, last, views)).replace("<", "\\u003c")  # safe within a script
@@ -194,7 +194,7 @@ class RecordingPage:
             return []
         residuals = (
             "Residuals: measured position minus tied fit, with one standard error. Dotted: the contact, and the ends "
-            "of both slides. Where the model holds, the residuals scatter about zero by their errors."
+            "of both slides. If the model is right, the residuals scatter about zero by their errors."
         )
         return [
             PageFigure.of(tracks_figure(view), "Tracks of both balls", CAPTIONS["tracks"]),
@@ -206,7 +206,7 @@ class RecordingPage:
     def _overview(self) -> list[Block]:
         blocks: list[Block] = []
         if len(self.motion):
-            figure = speed_figure(self.motion, [float(row["t_c"]) for row in self.measured_rows])
+            figure = speed_figure(self.motion, [float(row["t_c"]) for row in self.collisions])
             caption = "Speed of each ball, from differences of neighbouring frames."
             blocks.append(PageFigure.of(figure, "Speed against time", caption))
         if len(self.tracks):
@@ -273,7 +273,7 @@ class ResultPages:
 
     @property
     def is_single(self) -> bool:
-        """Whether there is one recording, whose page is RESULTS/index.html."""
+        """True where there is one recording; its page is RESULTS/index.html."""
         return len(self.numbers) == 1
 
     def missing(self) -> list[int]:

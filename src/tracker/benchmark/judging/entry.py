@@ -41,9 +41,9 @@ def make_entry(suite: Suite, tracked: TrackerResults, about: Mapping[str, Any]) 
         "suite": {key: suite.about[key] for key in ("version", "size", "split", "definition_sha256", "truth_sha256")},
         "score": overall_score(parts, [name for name in chosen.headline if suite.has_bounds(suite.parts[name])]),
         "parts": parts,
-        "phase": {name: phase_curve(held[name].pairs) for name in chosen.named_parts("phase") if name in run},
-        "gap": [point for name in chosen.named_parts("near") if name in run for point in gap_curve(held[name].pairs)],
-        "quantities": {n: judge_quantities(suite, tracked, run[n]) for n in chosen.named_parts("measured") if n in run},
+        "phase": {name: phase_curve(held[name].pairs) for name in chosen.parts_of("phase") if name in run},
+        "gap": [point for name in chosen.parts_of("near") if name in run for point in gap_curve(held[name].pairs)],
+        "quantities": {n: judge_quantities(suite, tracked, run[n]) for n in chosen.parts_of("measured") if n in run},
         "defects": _defects(suite, tracked, held),
     }
     whole: dict[str, Any] = finite(out)
@@ -59,7 +59,7 @@ def overall_score(parts: Mapping[str, Mapping[str, float]], headline: list[str])
 def _defects(
     suite: Suite, tracked: TrackerResults, held: Mapping[str, PositionMatches], max_clips: int = 12
 ) -> dict[str, Any]:
-    for name in (name for name in suite.definition.named_parts("physics") if name in held):
+    for name in (name for name in suite.definition.parts_of("physics") if name in held):
         part = suite.parts[name]
         clips = tracked.sample.of(part)[:max_clips]
         base = {clip: simulate_at_bound(suite, part, clip) for clip in clips}

@@ -75,7 +75,7 @@ def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> P
     figures["found"] = n / whole if whole else np.nan
     figures["jaccard"] = n / (whole + figures["false"]) if whole else np.nan
     figures["phase_bias_px"] = fit_pixel_locking(pairs)[1]
-    figures["z"] = _claimed_z(pairs)
+    figures["z"] = _z_of_claims(pairs)
     figures["efficiency"] = efficiency(figures)
     tracking = score_tracks(dots)
     measures = ("alpha", "beta", "jsc", "jsc_theta", "mota", "idf1", "hota", "swaps")
@@ -92,7 +92,7 @@ def efficiency(figures: Mapping[str, float]) -> float:
     return float(figures["jaccard"] / max(figures["ratio"], 1.0)) if np.isfinite(figures["ratio"]) else np.nan
 
 
-def _claimed_z(pairs: pd.DataFrame) -> float:
+def _z_of_claims(pairs: pd.DataFrame) -> float:
     """Root mean square of errors over claimed standard errors: 1 where these are correct."""
     z = pairs[["off_x", "off_y"]].to_numpy() / pairs[["std_x", "std_y"]].to_numpy()
     z = z[np.isfinite(z)]

@@ -46,11 +46,11 @@ def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min
     names = ("r", "mu_k", "C", "tau1", "tau2", "energy_fraction")
     for name in (f"{name}{fit}" for name in names for fit in ("", "_free")):
         if name in scores:
-            out[name] = dict(scores[name]) | _weighted_error(table, name, min_collisions)
+            out[name] = dict(scores[name]) | _average_error(table, name, min_collisions)
     return out
 
 
-def _weighted_error(table: pd.DataFrame, name: str, min_collisions: int) -> dict[str, float]:
+def _average_error(table: pd.DataFrame, name: str, min_collisions: int) -> dict[str, float]:
     """Mean of the errors, weighted by the claimed error bars, and its error bar; NaN for few collisions."""
     value, std = (table[column].to_numpy(np.float64) for column in (name, f"{name}_std"))
     true = table[f"{name.removesuffix('_free')}_true"].to_numpy(np.float64)

@@ -94,7 +94,7 @@ def axes_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
     """Draw the error against each axis of the suite, the gap between balls, and the phase within the pixel."""
     axes = list(definition.axes())
     near = [e for e in entries if e["gap"]]
-    phases = [name for name in definition.named_parts("phase") if any(e["phase"].get(name) for e in entries)]
+    phases = [name for name in definition.parts_of("phase") if any(e["phase"].get(name) for e in entries)]
     count = len(axes) + bool(near) + len(phases)
     rows = -(-count // 3)
     figure = Figure(figsize=(FIGURE_WIDTH_IN, 2.75 * rows + 0.5), layout="constrained")

@@ -83,7 +83,7 @@ def write_report(
     sections = [
         Section("Error of the centre by setting", _headline(entries, definition)),
         Section("Error against one property of the film", [_axes(entries, definition)]),
-        Section("Errors of published values", _published(entries, definition)),
+        Section("Errors of published values", _publication_figures(entries, definition)),
         Section("Effect of each defect on the physics", _defects(entries)),
         Section("Leaderboard", [_leaderboard(entries)]),
         Section("All measures", make_tables(entries, definition)),
@@ -125,9 +125,9 @@ def _axes(entries: Entries, definition: SuiteDefinition) -> PageFigure:
     return PageFigure.of(axes_figure(entries, definition), title, caption)
 
 
-def _published(entries: Entries, definition: SuiteDefinition) -> list[Block]:
+def _publication_figures(entries: Entries, definition: SuiteDefinition) -> list[Block]:
     blocks: list[Block] = []
-    for part in definition.named_parts("measured"):
+    for part in definition.parts_of("measured"):
         caption = (
             f"Films “{part}”: published value minus truth ± the published error bar (tied fit, all collisions "
             "together). Green: correct within two error bars. Yellow: off by up to four. Red: off by more. Grey: "
@@ -234,7 +234,7 @@ def make_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable
             values = (entry["parts"].get(part, {}).get(key) for part in definition.parts)
             rows.append([name_of(entry), *(format_number(value, digits) for value in values)])
         tables.append(PageTable(["tracker", *definition.parts], rows, title))
-    for part in definition.named_parts("measured"):
+    for part in definition.parts_of("measured"):
         for suffix, method in (("", "tied fit"), ("_free", "free fit")):
             tables.append(
                 _quantity_table(entries, part, suffix, f"{part}, {method}: rmse (rmse / bound; z sd; collisions)")

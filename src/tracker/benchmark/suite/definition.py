@@ -80,7 +80,7 @@ class SuiteDefinition:
         """Parts of the first figure, with their labels."""
         return {part: str(word) for part, word in self.data["headline"].items() if part in self.parts}
 
-    def named_parts(self, key: str) -> list[str]:
+    def parts_of(self, key: str) -> list[str]:
         """Return the parts that a key names and that this size has."""
         named = self.data[key]
         return [part for part in ([named] if isinstance(named, str) else named) if part in self.parts]
