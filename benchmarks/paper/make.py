@@ -37,7 +37,7 @@ def film(results: Results, names: Iterable[str], workers: int, quick: bool) -> N
 
 def compare(results: Results, workers: int, quick: bool) -> None:
     """The scan over models, films of the leading ones, and the plan of what would decide."""
-    with progress_bar("effects held to the paper") as progress:
+    with progress_bar("comparison of effects with the paper") as progress:
         scan.scan(results.output, workers, quick, progress)
     for leader in contradictions.leaders(results.scan):
         with progress_bar(f"filming {leader.name}") as progress:
@@ -63,7 +63,7 @@ def main(arguments: list[str] | None = None) -> None:
             compare(results, given.workers, given.quick)
         made = page.write_figure(results, given.figure) if given.figure else page.write(results)
     except KeyboardInterrupt:
-        print("paper: interrupted; the same command goes on", file=sys.stderr)
+        print("paper: interrupted; the same command continues", file=sys.stderr)
         sys.exit(130)
     print(f"{made}, after {time.monotonic() - began:.0f} s")
 

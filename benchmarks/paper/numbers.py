@@ -56,7 +56,7 @@ def lines(results: Results) -> Iterator[Line]:
 
 
 def _within(value: float, name: str, ours: float = 0.0) -> str:
-    """Whether it comes out: by the printed error, or, where none is printed, by ours."""
+    """Say whether a value agrees with the printed one, by the printed error or else by ours."""
     number = NUMBERS[name]
     pull = (value - number.value) / (number.error or ours)
     whose = "its" if number.error else "our"
@@ -299,7 +299,7 @@ def rates(results: Results) -> tuple[float, float]:
 
 
 def added(results: Results) -> pd.DataFrame:
-    """What the analysis itself adds, where the truth is known by what was filmed: bias and scatter of each reading."""
+    """Bias and scatter that the analysis adds to each reading, from films whose truth is known."""
     speeds = results.read("speeds")
     estimates = results.filmed("speeds").estimates
     v0 = estimates["v0"].to_numpy(float)

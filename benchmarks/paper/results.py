@@ -61,7 +61,7 @@ class Results:
 
     @property
     def series(self) -> Path:
-        """Where the tables of the series lie."""
+        """Folder of the tables of all series."""
         return self.output / "series"
 
     def filmed(self, name: str) -> Filmed:
@@ -74,7 +74,7 @@ class Results:
 
     @cached_property
     def quick(self) -> bool:
-        """Whether these are the fifth of the clips that --quick films."""
+        """True where the series hold only the clips of a quick run."""
         kept = (name for name in experiment.SERIES if (self.series / f"{name}.parquet").exists())
         return any(self.count(name) < experiment.SERIES[name].clips for name in kept)
 
@@ -83,7 +83,7 @@ class Results:
         return _read(self.series, name)
 
     def readings(self, model: str) -> dict[str, pd.DataFrame]:
-        """Of the series that are filmed for a model."""
+        """Readings of the series that are filmed for a model."""
         return {name: self.read(name if model == "base" else f"{model}/{name}") for name in experiment.OF_MODELS}
 
     @cached_property

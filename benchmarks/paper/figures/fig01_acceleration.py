@@ -25,7 +25,7 @@ def caption(results: Results) -> str:
         " Solid: least-squares line, a = -C v - D"
         f" with C = {found.drag:.4f} +- {found.drag_error:.4f} /s and D = {found.decel * 100:.3f} +-"
         f" {found.decel_error * 100:.3f} cm/s^2. Dashed: the paper's line, C = 0.135 /s, D = 1.03 cm/s^2, which the"
-        " films were made with. The cross marks the paper's typical loss of 2.5 cm/s^2, of which it makes mu_r ="
+        " films were made with. The cross marks the typical loss of the paper, 2.5 cm/s^2, which gives mu_r ="
         " 2.5e-3."
     )
 

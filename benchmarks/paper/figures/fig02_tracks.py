@@ -1,4 +1,4 @@
-"""Tracks of the two balls, with the place of the collision enlarged."""
+"""Tracks of the two balls, with the collision enlarged."""
 
 from __future__ import annotations
 

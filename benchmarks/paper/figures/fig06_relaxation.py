@@ -26,7 +26,7 @@ def caption(results: Results) -> str:
         f" independent. The points scatter about the lines by {1e3 * np.nanstd(off):.1f} ms, less than a symbol's"
         " height; slides under 11 ms cannot be read at 250 frames a second, whence the level begin of the strikers."
         f" A fit of these data as the paper makes it gives mu_k = {fitted.laws.mu:.4f} +-"
-        f" {fitted.errors.mu:.4f}. Star: the 0.06 s at 10 cm/s of the paper's text and captions, which lies off its own"
+        f" {fitted.errors.mu:.4f}. Star: the 0.06 s at 10 cm/s of the paper's text. It is off the"
         " line by 44 ms for the struck ball, 52 ms for the striker. Grey: the range of 0.05 to 0.1 s that it calls"
         " typical, which the struck balls reach from 31 cm/s on."
     )

@@ -1,4 +1,4 @@
-"""The paper against itself: candidate effects held to its numbers, the leading ones filmed, and what would decide."""
+"""Comparison of candidate effects with the numbers of the paper, films of the leading ones, and a plan."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def film(leader: Leader, output: Path, workers: int, quick: bool, progress: Call
 
 
 def shown(results: Results, folder: str) -> dict[str, float]:
-    """What a filmed model's collisions show, in all ways of reading."""
+    """Numbers that the films of a model show, in all ways of reading."""
     read = results.readings(folder)
     out = observed(read, ("6 ms", "both"))
     for window, balls in WAYS:

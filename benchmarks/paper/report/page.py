@@ -40,7 +40,7 @@ def needs(name: str) -> tuple[str, ...]:
 
 
 def compares(name: str) -> bool:
-    """Whether a figure needs the comparison of models."""
+    """Tell whether a figure needs the comparison of models."""
     return bool(getattr(_module(name), "MODELS", False))
 
 
@@ -100,8 +100,7 @@ def write(results: Results) -> Path:
         Section("Tables", made),
     ]
     quick = (
-        "Quick run: a fifth of the clips and a few models, as a check that everything works. These numbers are no "
-        "results."
+        "Quick run: a fifth of the clips and a few models, as a check that everything works. Do not use these numbers."
     )
     path = write_page(
         results.output / "index.html", TITLE, sections, command, summary, [quick] if results.quick else []

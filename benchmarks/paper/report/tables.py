@@ -40,8 +40,8 @@ def _added(results: Results) -> PageTable:
         f"Readings of {results.count('speeds')} filmed collisions nearly head-on minus the truth of the films: mean"
         " bias of slow and of fast"
         " ones, and scatter. The times of the first three: mean time of the two frames that are differenced, after"
-        " the hit. 'Corner': a broken line through the velocity, as an eye with a ruler draws it; no slide under 11 ms"
-        " can be read so at 250 frames a second. 'Settled': the first frame in which the acceleration is below 0.3 of"
+        " the hit. 'Corner': a broken line fitted to the velocity; slides under 11 ms cannot be read so at 250 frames"
+        " per second. 'Settled': the first frame in which the acceleration is below 0.3 of"
         " its peak."
     )
     return PageTable(list(found.columns[[0, 2, 3, 4]]), rows, "Table 2. Errors that the analysis adds", note)
@@ -55,10 +55,10 @@ def _scan(results: Results) -> PageTable:
         for _, x in found.iterrows()
     ]
     note = (
-        "chi² of the numbers of table 5, r, C and mu fitted, at the best size of each effect that was tried, in six"
-        " ways of reading the paper: velocities read 4, 6 or 8 ms after the hit, C from the spins of both balls or of"
-        " struck balls alone. Last column: minus twice the logarithm of the likelihood averaged over the six, with 2"
-        " for each number that was chosen, less the least. Solved motions, noise of 1.4 µm."
+        "χ² of the numbers of table 5 for the best size of each effect, with r, C and mu fitted. The columns are six"
+        " ways of reading the paper: velocities 4, 6 or 8 ms after the hit, and C from the spins of both balls or of"
+        " struck balls (target) alone. Δ score: minus twice the logarithm of the likelihood averaged over the six, plus"
+        " 2 for each fitted number, minus the smallest of these. Solved motions with a noise of 1.4 µm."
     )
     heads = ["model", "best size tried", *(f"{window}, {balls}" for window, balls in WAYS), "Δ score"]
     return PageTable(heads, rows, "Table 3. χ² of every effect of motion", note)
