@@ -167,8 +167,8 @@ def _fit_steps(bare: FittedLaw, steps: Array, x: Array) -> tuple[Array, Array, A
 def _reduce_to_columns(fitted_law: FittedLaw, moves: Sequence[Array]) -> tuple[Array, Array, Array, Array, Array]:
     """Marginalise columns over the law's own parameters.
 
-    Returns five arrays: the columns' information and pull; the change and the covariance of the own parameters without
-    the columns; and by how much a unit of each column lowers the own parameters, (own, columns).
+    Returns the columns' information and pull. Then follow the change and the covariance of the own parameters without
+    the columns. Last comes by how much a unit of each column lowers the own parameters, (own, columns).
     """
     fit, names = fitted_law.fit, [name for name, _ in fitted_law.owners]
     own = [s[:, fit.columns_of(names)] for s in fit.slopes]

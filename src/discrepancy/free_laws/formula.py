@@ -88,7 +88,7 @@ class _ShapeFitter:
         """The terms of a shape; for a centred law without constants."""
         return [t for t in shape.terms(*extra) if not self.law.centred or np.ptp(t.column, axis=0).any()]
 
-    def fitted(self, shape: LawShape, extra: Array) -> tuple[float, Array]:
+    def fit_factors(self, shape: LawShape, extra: Array) -> tuple[float, Array]:
         """Fit the factors (terms,) of a shape with the numbers `extra`; return chi^2 and the factors."""
         columns = [t.column for t in self.terms(shape, *extra)]
         matrix = np.stack([self.project(c) for c in columns], axis=1)
@@ -101,18 +101,20 @@ class _ShapeFitter:
         """Fit a shape: its numbers by a grid and Nelder-Mead, its factors by linear least squares."""
         extra = np.zeros(0)
         if shape.tries:
-            extra = np.array(min(itertools.product(*shape.tries), key=lambda t: self.fitted(shape, np.array(t))[0]))
+            extra = np.array(
+                min(itertools.product(*shape.tries), key=lambda t: self.fit_factors(shape, np.array(t))[0])
+            )
             scale = np.array([np.ptp(t) / max(len(t) - 1, 1) for t in shape.tries])
             simplex = np.concatenate([np.zeros((1, len(extra))), 0.5 * np.eye(len(extra))])
             start, ends = extra, np.array([(min(t), max(t)) for t in shape.tries]).T
 
             def cost(z: Array) -> float:
-                return self.fitted(shape, np.clip(start + z * scale, *ends))[0]
+                return self.fit_factors(shape, np.clip(start + z * scale, *ends))[0]
 
             options: Any = {"maxiter": 200, "initial_simplex": simplex}
             refined = minimize(cost, np.zeros(len(extra)), method="Nelder-Mead", options=options)
             extra = np.clip(start + refined.x * scale, *ends)
-        chi2, factors = self.fitted(shape, extra)
+        chi2, factors = self.fit_factors(shape, extra)
         count = len(factors) + len(extra)
         dof = max(len(self.target) - count, 1)
         terms = self.terms(shape, *extra)
@@ -155,11 +157,11 @@ def _display_scale(axis: Axis) -> float:
 
 def _describe_units(law: FreeLaw) -> str:
     unit = "" if law.unit == "1" else f" {law.unit}"
-    paced = ", v in m/s" if law.paced else ""
+    speed_unit = ", v in m/s" if law.has_speed_term else ""
     if law.axes[0].kind == "circle":
-        turned = ", t along it, n a quarter turn on" if law.parts > 1 and not law.paced else ""
-        return f"{unit}, th the direction{turned}{paced}"
+        turned = ", t along it, n a quarter turn on" if law.parts > 1 and not law.has_speed_term else ""
+        return f"{unit}, th the direction{turned}{speed_unit}"
     if law.axes[0].unit == "1":
         return unit
     where = "mm" if law.axes[0].unit == "m" else law.axes[0].unit
-    return f"{unit}, {' and '.join(a.letter or a.name for a in law.axes)} in {where}{paced}"
+    return f"{unit}, {' and '.join(a.letter or a.name for a in law.axes)} in {where}{speed_unit}"

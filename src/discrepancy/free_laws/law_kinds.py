@@ -1,6 +1,6 @@
 """Define a free law: a law of the model that a search leaves free as a smooth curve or map, instead of a formula.
 
-`laws/table.py` lists most laws. Each is an instance of one of these kinds.
+`laws/table.py` lists most laws. Each is an instance of one of these kinds:
 
 - `MotionLaw` acts all along the motion, as friction does.
 - `ImpactLaw` acts once in each collision, as restitution does.
@@ -116,7 +116,7 @@ class FreeLaw(ABC):
         return len(self.part_names)
 
     @property
-    def paced(self) -> bool:
+    def has_speed_term(self) -> bool:
         """True for a rolling loss of a constant term and a term proportional to the speed."""
         return self.parts == 2 and self.bends is not None and self.bends[0] == "rolling"
 
@@ -214,7 +214,7 @@ class FreeLaw(ABC):
             ball at rest feels none, or the direction of motion. For a rolling loss of two terms (..., parts): 1 and
             the speed over REFERENCE_SPEED_M_S. None for any other law.
         """
-        if self.paced:
+        if self.has_speed_term:
             return np.stack([np.ones_like(speed), speed / REFERENCE_SPEED_M_S], axis=-1)
         if self.bends is None or self.bends[0] != "push":
             return None

@@ -70,7 +70,7 @@ def _over(k: float) -> str:
 
 def iterate_shapes(law: FreeLaw, x: list[Array]) -> Iterator[LawShape]:
     """Yield the shapes that are tried for a law, evaluated at x, an array for each axis."""
-    if law.paced:
+    if law.has_speed_term:
         return _iterate_with_speed(_iterate_angular(x[0]) if law.axes[0].kind == "circle" else _iterate_maps(*x))
     if law.axes[0].kind == "circle":
         return _iterate_angular(x[0]) if law.parts == 1 else _iterate_angular_vectors(x[0])
@@ -151,11 +151,11 @@ def _iterate_curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
     exponents = np.array([-2, -1, -0.5, -0.2, 0.2, 0.5, 1.5, 2, 3] if low else [0.3, 0.5, 1.5, 2, 3])
     safe: Array = np.maximum(x, 1e-9)
 
-    def raised(p: float) -> Term:
+    def power_term(p: float) -> Term:
         return Term(f"{v}^{p:.3g}", safe**p, "size", "np.maximum({x}, 1e-9) ** {power}", p)
 
-    yield LawShape(lambda p: [raised(p)], (exponents,), (("power", 0.0),), "power alone")
-    yield LawShape(lambda p: [*one, raised(p)], (exponents,), (("power", 0.0),), "power")
+    yield LawShape(lambda p: [power_term(p)], (exponents,), (("power", 0.0),), "power alone")
+    yield LawShape(lambda p: [*one, power_term(p)], (exponents,), (("power", 0.0),), "power")
     if low:
         yield LawShape(lambda: [*one, Term(f"/ {v}", 1 / x, "size", "1 / np.maximum({x}, 1e-9)", -1)], name="inverse")
     scales = span * np.geomspace(0.05, 1, 8)

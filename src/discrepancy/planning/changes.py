@@ -75,22 +75,10 @@ def _exchange_balls(experiment: Experiment, rng: np.random.Generator) -> Changed
     return "the balls exchanged in half of the collisions", dataclasses.replace(experiment, clips=clips)
 
 
-def _make_oblique(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
-    return "oblique collisions, |b| up to 0.6", _spread_evenly(experiment, rng, {B: np.array([-0.6, 0.6])})
-
-
 def _vary_speeds(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
     ends = np.median(experiment.launches[:, V0]) * np.array([0.3, 1.8])  # the paper's 0.1 to 0.6 m/s
     speeds = _spread_evenly(experiment, rng, {V0: ends}).launches[:, V0]
     return f"speeds from {ends[0]:.2g} to {ends[1]:.2g} m/s", _set_speeds(experiment, speeds)
-
-
-def _double_speeds(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
-    return "balls twice as fast", _set_speeds(experiment, 2 * experiment.launches[:, V0])
-
-
-def _halve_speeds(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
-    return "balls half as fast", _set_speeds(experiment, experiment.launches[:, V0] / 2)
 
 
 def _set_speeds(experiment: Experiment, speeds: Array) -> Experiment:
@@ -132,14 +120,6 @@ def _double_frame_rate(experiment: Experiment, rng: np.random.Generator) -> Chan
     return f"{fps:g} frames a second{shorter}", changed
 
 
-def _double_exposure(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
-    return _set_possible_exposure(experiment, 2 * experiment.camera.exposure)
-
-
-def _halve_exposure(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
-    return _set_possible_exposure(experiment, experiment.camera.exposure / 2)
-
-
 def _set_possible_exposure(experiment: Experiment, exposure: float) -> ChangedExperiment | None:
     camera = experiment.camera
     if not 0 < exposure <= 1 / camera.fps:
@@ -157,14 +137,6 @@ def _set_exposure(experiment: Experiment, exposure: float) -> Experiment | None:
     if errors is None:
         return None
     return dataclasses.replace(experiment, errors=errors).through_camera(dataclasses.replace(camera, exposure=exposure))
-
-
-def _widen_field(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
-    return "a field of view twice as wide", experiment.through_camera(_magnify(experiment.camera, 0.5))
-
-
-def _narrow_field(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
-    return "a field of view half as wide", experiment.through_camera(_magnify(experiment.camera, 2.0))
 
 
 def _magnify(camera: Camera, times: float) -> Camera:
@@ -199,18 +171,26 @@ def _tilt_plate(experiment: Experiment, rng: np.random.Generator) -> ChangedExpe
 
 CHANGES = (
     DesignChange("exchanged", _exchange_balls, launches=True),
-    DesignChange("oblique", _make_oblique, launches=True),
+    DesignChange(
+        "oblique",
+        lambda e, rng: ("oblique collisions, |b| up to 0.6", _spread_evenly(e, rng, {B: np.array([-0.6, 0.6])})),
+        launches=True,
+    ),
     DesignChange("speeds", _vary_speeds, launches=True),
     DesignChange("headings", _vary_headings, launches=True),
     DesignChange("longer", _double_length, launches=True),
     DesignChange("aside", _vary_positions, launches=True),
-    DesignChange("faster", _double_speeds),
-    DesignChange("slower", _halve_speeds),
+    DesignChange("faster", lambda e, _: ("balls twice as fast", _set_speeds(e, 2 * e.launches[:, V0]))),
+    DesignChange("slower", lambda e, _: ("balls half as fast", _set_speeds(e, e.launches[:, V0] / 2))),
     DesignChange("frame_rate", _double_frame_rate),
-    DesignChange("exposure_longer", _double_exposure),
-    DesignChange("exposure_shorter", _halve_exposure),
-    DesignChange("field_wider", _widen_field),
-    DesignChange("field_narrower", _narrow_field),
+    DesignChange("exposure_longer", lambda e, _: _set_possible_exposure(e, 2 * e.camera.exposure)),
+    DesignChange("exposure_shorter", lambda e, _: _set_possible_exposure(e, e.camera.exposure / 2)),
+    DesignChange(
+        "field_wider", lambda e, _: ("a field of view twice as wide", e.through_camera(_magnify(e.camera, 0.5)))
+    ),
+    DesignChange(
+        "field_narrower", lambda e, _: ("a field of view half as wide", e.through_camera(_magnify(e.camera, 2.0)))
+    ),
     DesignChange("more", _double_collisions),
     DesignChange("tilted", _tilt_plate),
 )

@@ -57,7 +57,7 @@ class ChangeGain:
 def limits_with_changes(
     experiment: Experiment, progress: Callable[[], None] = lambda: None
 ) -> tuple[Limits, tuple[ChangeLimits, ...]]:
-    """Compute the limits of all effects for the experiment as it is, and with every possible change.
+    """Compute the limits of all effects for the given experiment, and with every possible change.
 
     A large experiment is thinned out first, and the limits are those of the remaining collisions.
 

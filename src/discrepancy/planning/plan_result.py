@@ -67,12 +67,12 @@ class PlanResult:
     wanted: tuple[CollisionsNeeded, ...]
 
     @property
-    def shown(self) -> tuple[Limit, ...]:
+    def detectable(self) -> tuple[Limit, ...]:
         """The limits of the detectable strengths, the best first."""
         return tuple(sorted((x for x in self.limits if x.shows), key=lambda x: x.limit / x.typical))
 
     @property
-    def hidden(self) -> tuple[Limit, ...]:
+    def undetectable(self) -> tuple[Limit, ...]:
         """The limits of the undetectable strengths."""
         return tuple(x for x in self.limits if not x.shows)
 
@@ -93,7 +93,7 @@ class PlanResult:
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each strength, as of `discrepancy.Plan.table`."""
-        return [self._row(x) for x in (*self.shown, *self.hidden)]
+        return [self._row(x) for x in (*self.detectable, *self.undetectable)]
 
     def _row(self, x: Limit) -> dict[str, Any]:
         rival, best = x.rivals[0] if x.rivals else None, self.best_change(x)
@@ -125,7 +125,7 @@ class PlanResult:
         """The plan in a sentence or two: how many effects it detects, and the most useful change."""
         here = self.designed
         effects = {x.effect for x in self.limits}
-        shows = {x.effect for x in self.shown if x.limit <= x.typical}
+        shows = {x.effect for x in self.detectable if x.limit <= x.typical}
         text = (
             f"{here.drawn} collisions of {self.name}, positions to {here.experiment.error_px:.2g} px "
             f"({self.error_um:.2g} um): {len(shows)} of {len(effects)} effects would be detected at a realistic size"

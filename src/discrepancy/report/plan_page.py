@@ -27,7 +27,7 @@ def document(found: PlanResult) -> dict[str, Any]:
     """Return the contents of plan.json: plain values, None for what is not finite."""
     rows = [
         row | {"rivals": [dataclasses.asdict(r) for r in x.rivals[:3]]}
-        for row, x in zip(found.rows(), (*found.shown, *found.hidden), strict=True)
+        for row, x in zip(found.rows(), (*found.detectable, *found.undetectable), strict=True)
     ]
     whole: dict[str, Any] = to_json_values(
         found.experiment()
@@ -90,7 +90,7 @@ def _limit_blocks(found: PlanResult) -> list[Block]:
     heads = ["strength", "unit", "realistic", "detection limit", "draws / %", "naming limit", "most similar effect"]
     heads += ["cosine", "change that lowers the naming limit most", "naming limit with it"]
     rows = []
-    for x in found.shown:
+    for x in found.detectable:
         best = found.best_change(x)
         shapes = ", ".join(f"{name.rpartition('.')[2]} {value:.3g}" for name, value in x.shapes.items())
         spread = [f"{100 * (scatter / x.limit - 1):+.0f}" for scatter in x.scatter]
@@ -107,11 +107,11 @@ def _limit_blocks(found: PlanResult) -> list[Block]:
         "several draws of the scene."
     )
     blocks: list[Block] = [PageTable(heads, rows, note=note)]
-    if found.hidden:
+    if found.undetectable:
         hidden = ", ".join(
             f"{x.strength} ({f'limit {x.limit:.2g} {_unit(x)}'.rstrip() if np.isfinite(x.limit) else absorbed})"
             for absorbed in ["the fit or an unknown of the camera file absorbs it"]
-            for x in found.hidden
+            for x in found.undetectable
         )
         blocks.append(f"Not detectable at any realistic strength: {hidden}.")
     return blocks
@@ -156,12 +156,12 @@ def _shorten(words: str) -> str:
 def _draw_figures(found: PlanResult) -> list[PageFigure]:
     with mpl.rc_context(STYLE):
         figures = []
-        if found.shown:
+        if found.detectable:
             caption = (
                 "Limits over the realistic size of each strength. Left of the dashed line, a limit is below a "
                 "realistic size. Thin lines: range over the shape parameters that a search tries."
             )
-            figures.append(PageFigure.of(_limits_figure(found.shown), "Detection and naming limits", caption))
+            figures.append(PageFigure.of(_limits_figure(found.detectable), "Detection and naming limits", caption))
         if found.gains:
             caption = (
                 "Factor by which the limits fall: geometric mean over all strengths that are detectable with and "
