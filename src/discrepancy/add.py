@@ -21,10 +21,10 @@ from discrepancy.fitting.gauss_newton import minimise_chi2
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
-from discrepancy.select.effect_claim import EffectClaim
-from discrepancy.select.extend import fit_with_candidate
-from discrepancy.select.profile_errors import profile_std
+from discrepancy.select.effect_claim import EffectClaim, profile_std
+from discrepancy.select.library_search import fit_with_candidate
 from discrepancy.select.score_test import ScoreTests
+from discrepancy.wording import describe_claim
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.settings import did_you_mean
@@ -64,7 +64,7 @@ class AddedEffect:
             else ""
         )
         return (
-            f"{self.named.said(self.before.model)}; chi^2 per degree of freedom falls from {one:.4g} to "
+            f"{describe_claim(self.named, self.before.model)}; chi^2 per degree of freedom falls from {one:.4g} to "
             f"{other:.4g} on the fitted collisions{poor}"
         )
 

@@ -87,9 +87,9 @@ def find(
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
     from discrepancy.data.reading import read_collisions
-    from discrepancy.finding import searched
     from discrepancy.policy import SearchPolicy, applied_policy, read_policy
     from discrepancy.report import search_page
+    from discrepancy.search import search
     from synthcam_shared.report.folder import replace_folder
 
     started = time.monotonic()
@@ -100,12 +100,11 @@ def find(
         replace_folder(output, search_page.FILES, "a report of an earlier search") as folder,
     ):
         _print_camera_notes(measured, camera)
-        clips, notes = read_collisions(measured, camera)
-        left_out = [str(n) for n in notes]
+        clips, left_out = read_collisions(measured, camera)
         with show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report")) as progress:
-            found = searched(clips, given, left_out, progress, 60 * minutes)
+            found = search(clips, given, progress, 60 * minutes, left_out)
             progress("report")
-            search_page.write(found.outcome, folder, found.left_out)
+            search_page.write(found, folder)
         document = json.loads((folder / "discrepancy.json").read_text())
     seconds = time.monotonic() - started
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
@@ -113,7 +112,7 @@ def find(
         for line in document["processed"]:
             print(f"Tracks: {line}.")
         _print_left_out(document["clips"]["left_out"], len(left_out) > len(clips))
-        used = f"{len(found.outcome.data.clips) + len(found.outcome.data.kept_out)} of {len(clips) + len(left_out)}"
+        used = f"{len(found.data.clips) + len(found.data.held_out)} of {len(clips) + len(left_out)}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
 
 

@@ -1,20 +1,21 @@
-"""The whole workflow: measured tracks and a model -> where they disagree, what is missing, the gap before and after."""
+"""Find what a model lacks: the stages read, noise, fit, select, validate and report, composed by `find`."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from threadpoolctl import threadpool_limits
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.notes import Note, NoteKind
 from discrepancy.data.outlier_points import note_removed_points, remove_outliers
-from discrepancy.data.prior_processing import (
-    covers_contact,
-    detect_processing,
-    remove_filtered_rows,
-)
+from discrepancy.data.prior_processing import covers_contact, detect_processing, remove_filtered_rows
+from discrepancy.data.reading import read_collisions
 from discrepancy.data.study_design import find_uniform_conditions, split_held_out
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.fitting.base_fit import (
@@ -24,46 +25,55 @@ from discrepancy.fitting.base_fit import (
     fit_base_model,
     remove_outliers_beside_model,
 )
-from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.noise_refit import refit_noise
 from discrepancy.fitting.parameters import candidates_by_name
-from discrepancy.found import InterruptedSearch, SearchData, SearchResult, more_missing
-from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.free_laws.tabulate import tabulate_and_refit
 from discrepancy.planning.pair_advice import advise, compare_designs
-from discrepancy.policy import current_policy
+from discrepancy.policy import SearchPolicy, applied_policy, current_policy
+from discrepancy.results import SearchData, SearchResult, Verdict, more_is_missing
 from discrepancy.select.effect_claim import EffectClaim
-from discrepancy.select.fit_store import FitStore
 from discrepancy.select.free_law_contest import FreeLawContest
 from discrepancy.select.law_fit import fit_unseen_clips
-from discrepancy.select.library_search import Selection, State, Stepwise
-from discrepancy.validate.claim_tests import ValidatedSelection, Validation
+from discrepancy.select.library_search import InterruptedSearch, LibrarySearch, Selection
+from discrepancy.validate.claim_tests import ClaimTest, ValidatedSelection, validate
 from discrepancy.validate.gap import GapFits, measure_gap
-from discrepancy.validate.held_out import ClaimTest
-from discrepancy.validate.outlier_clips import outlier_clips
-from discrepancy.validate.residual_map import Disagreement, locate, unexplained
-from synthcam.model import Model
+from discrepancy.validate.outlier_clips import find_outlier_clips
+from discrepancy.validate.residual_map import Disagreement, find_disagreements, is_unexplained
+from synthcam.model import Model, as_model
 from synthcam_shared.errors import InputError
 
-ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
+if TYPE_CHECKING:
+    from tracker.recording import Result
 
 
 def find(
-    clips: Sequence[MeasuredCollision], model: Model, progress: Progress = lambda stage: None, seconds: float = math.inf
+    results: Sequence[Result] | str | Path,
+    model: Model | Mapping[str, Any] | str | Path,
+    camera: str | Path | None = None,
+    progress: Progress = lambda stage: None,
+    minutes: float = math.inf,
+    policy: SearchPolicy | None = None,
 ) -> SearchResult:
-    """Search for what `model` lacks. Its base parameters that are not zero and those in `model.free` are fitted.
-
-    Noise, fit and selection are repeated until the noise and the clips stay; then what was selected is validated.
+    """Search for what a model lacks, from measured collisions.
 
     Parameters
     ----------
-    clips : sequence of Measured
-    model : Model
+    results : sequence of tracker.Result, str or Path
+        What `tracker.track` or `tracker.measure` gave, of several clips of one camera; or a tracker's RESULTS; or, with
+        `camera`, a table of tracks.
+    model : Model, dict, str or Path
+        The model to compare with the measurement: a model, its settings, a model or scene file, or the name of a scene
+        that comes with synthcam. The search fits its base parameters that are not zero, and those in its ``free``.
+    camera : str or Path, optional
+        camera.json of a table.
     progress : callable
-        Told the stage, many times.
-    seconds : float
-        How long the search may go on; then what it has come to is looked at, and if it has not ended nothing is named.
+        Called with the name of the stage, many times.
+    minutes : float
+        After which the search is cut short; it then names nothing, and reports how far it came.
+    policy : SearchPolicy, optional
+        The thresholds that decide; default: ``SearchPolicy()``.
 
     Returns
     -------
@@ -72,257 +82,333 @@ def find(
     Raises
     ------
     InputError
-        As `check_clips` does.
+        One line: the model is none, or clips cannot be used, or there are too few.
+
+    Examples
+    --------
+    >>> import discrepancy
+    >>> found = discrepancy.find("out/results", "painter_behringer")  # doctest: +SKIP
+    >>> found.report("out/search")  # doctest: +SKIP
+    >>> discrepancy.find([], "painter_behringer")
+    Traceback (most recent call last):
+    ...
+    synthcam_shared.errors.InputError: results: no clip with a measured collision
     """
-    clips = check_clips(clips, model)
-    deadline = Deadline(progress, seconds)
-    data = read(clips, model, progress)
-    data, steps, chosen = unselected(data, model, deadline) if data.smoothed else converged(data, model, deadline)
-    progress("gap")
-    if data.smoothed or chosen.so_far is not None:
-        return _unnamed(clips, data, steps, chosen, progress)
-    data, shown = seen_apart(data, chosen, progress)
-    stands = validated(data, steps, chosen, shown, progress)
-    if stands.withdrawn:
-        chosen = dataclasses.replace(chosen, selected=stands.selected, free_law=stands.free_law)
-        shown = gap_of(data, chosen, progress)
-    held = tabulate_and_refit(chosen.free_law, lambda: progress("gap")) if chosen.free_law else None
-    if held:
-        shown = _gap(data, chosen.selected.base, held, progress)
-    progress("where")
-    where = locate(data.clips, chosen.selected.base, data.noise)
-    left = locate(chosen.cleaned(data), chosen.best, data.noise) if chosen.anything else where
-    named = stands.unsure() if more_missing(left, stands.withdrawn) else stands.named
-    verdict = _verdict(chosen.free_law, named, left, stands.withdrawn)
-    return SearchResult(
-        verdict,
-        data,
-        chosen.selected,
-        chosen.free_law,
-        LawSummary.of(chosen.free_law) if chosen.free_law else None,
-        named,
-        where,
-        left,
-        shown,
-        _experiment(chosen.selected, named, data) if verdict == "ambiguous" else "",
-        tuple(map(str, find_uniform_conditions(clips))),
-        steps.unidentifiable(chosen.selected.state),
-        stands.claims,
-        stands.withdrawn,
-        held,
-        tuple(map(str, detect_processing(clips))),
-    )
+    source = Path(results) if isinstance(results, str) else results
+    given = as_model(model)
+    with applied_policy(policy or SearchPolicy()):
+        clips, left_out = read_collisions(source, None if camera is None else Path(camera))
+        return search(clips, given, progress, 60 * minutes, left_out)
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """What one selection came to. nearly: a free law that explains nearly as much as the library's best model.
+def search(
+    clips: Sequence[MeasuredCollision],
+    model: Model,
+    progress: Progress = lambda stage: None,
+    seconds: float = math.inf,
+    left_out: Sequence[Note] = (),
+) -> SearchResult:
+    """Search collisions that `read_collisions` has read; left_out: its notes on what cannot be used.
 
-    so_far: what it had tried when the time was over; nothing is then selected.
+    See `find`. The policy is that of the context (`applied_policy`).
     """
-
-    selected: Selection
-    free_law: FittedLaw | None
-    nearly: FittedLaw | None
-    so_far: InterruptedSearch | None = None
-
-    @property
-    def anything(self) -> bool:
-        """Whether anything was found beside the base model."""
-        return bool(self.selected.state or self.free_law)
-
-    @property
-    def best(self) -> ModelFit:
-        """The fit with everything that was found."""
-        return self.free_law.joint_fit if self.free_law else self.selected.best
-
-    def cleaned(self, data: SearchData) -> tuple[MeasuredCollision, ...]:
-        """The clips with what a free law moves taken out of them, where no effect can hold it."""
-        return self.free_law.evidence.clips if self.free_law else data.clips
+    with threadpool_limits(1, "blas"):  # matrices here are small: threads wait for one another longer than they work
+        clips = check_clips(clips, model)
+        data = prepare(clips, model, progress)
+        data, library, selection = select_until_stable(data, model, Deadline(progress, seconds))
+        progress("gap")
+        data, gap = measure_held_out_gap(data, selection, progress)
+        if data.is_smoothed or selection.interrupted:
+            validated = ValidatedSelection(selection)
+        else:
+            validated = validate(selection, library, data.held_out, gap.before, data.noise, lambda: progress("gap"))
+        result = summarise(clips, data, validated, library, gap, progress)
+        return replace(result, left_out=(*left_out, *data.left_out))
 
 
-def read(clips: Sequence[MeasuredCollision], model: Model, progress: Progress) -> SearchData:
-    """The clips without outlier points, some kept out, and the noise of the others."""
+def prepare(clips: Sequence[MeasuredCollision], model: Model, progress: Progress) -> SearchData:
+    """Stage 1 and 2: remove outliers, hold some clips out, and estimate the noise of the others.
+
+    The noise is estimated from the smooth parts of the tracks, and again from the residuals of the base model, before
+    anything is claimed: a claim made with too little noise could explain the rest of the noise away. If the tracks were
+    smoothed, the parts that the filter has moved are removed instead.
+
+    Parameters
+    ----------
+    clips : sequence of MeasuredCollision
+    model : Model
+    progress : callable
+
+    Returns
+    -------
+    SearchData
+    """
     progress("noise")
-    usual = remove_outliers(clips)
-    some, kept_out = split_held_out(usual)
-    if estimate_noise(some).is_smoothed:
-        return _beyond_reach(usual, [str(n) for n in note_removed_points(clips, usual)])
-    some, kept_out = remove_outliers_beside_model(some, kept_out, model, progress)
-    noise = estimate_noise(some)
-    # read without any claim first: one made with too little noise could explain the rest of the noise away
-    noise = refit_noise(some, fit_base_model(some, model, noise, progress), noise, explained=False) or noise
-    return SearchData(
-        tuple(some), tuple(kept_out), noise, tuple(map(str, note_removed_points(clips, [*some, *kept_out])))
-    )
+    cleaned = remove_outliers(clips)
+    fitted, held_out = split_held_out(cleaned)
+    if estimate_noise(fitted).is_smoothed:
+        return _prepare_smoothed(cleaned, note_removed_points(clips, cleaned))
+    fitted, held_out = remove_outliers_beside_model(fitted, held_out, model, progress)
+    noise = estimate_noise(fitted)
+    base = fit_base_model(fitted, model, noise, progress)
+    noise = refit_noise(fitted, base, noise, explained=False) or noise
+    left_out = note_removed_points(clips, [*fitted, *held_out])
+    return SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out))
 
 
-def _beyond_reach(smoothed: Sequence[MeasuredCollision], outliers: Sequence[str]) -> SearchData:
-    """Of tracks that somebody has smoothed: what the filter has not moved, of clips of which enough is left."""
+def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[Note]) -> SearchData:
+    """Of smoothed tracks: the rows that the filter has not moved, of clips that keep enough of them."""
     clips = [remove_filtered_rows(clip) for clip in smoothed]
-    kept = [clip for clip in clips if covers_contact(clip)]
-    if len(kept) < current_policy().min_collisions:
+    kept, least = [clip for clip in clips if covers_contact(clip)], current_policy().min_collisions
+    if len(kept) < least:
         raise InputError(
-            f"{Note(NoteKind.SMOOTHED)}: {len(kept)} of {len(clips)} collisions keep enough positions that "
-            f"the filter does not move; expected {current_policy().min_collisions} or more"
+            f"{Note(NoteKind.SMOOTHED)}: {len(kept)} of {len(clips)} collisions keep enough positions that the "
+            f"filter does not move; expected {least} or more"
         )
-    lost = tuple(str(Note(NoteKind.LOST_TO_FILTER, clip.clip)) for clip in clips if not covers_contact(clip))
-    some, kept_out = split_held_out(kept)
-    return SearchData(tuple(some), tuple(kept_out), estimate_noise(some), (*outliers, *lost), smoothed=True)
+    lost = tuple(Note(NoteKind.LOST_TO_FILTER, clip.clip) for clip in clips if not covers_contact(clip))
+    fitted, held_out = split_held_out(kept)
+    noise = estimate_noise(fitted)
+    return SearchData(tuple(fitted), tuple(held_out), noise, (*left_out, *lost), is_smoothed=True)
 
 
-def unselected(data: SearchData, model: Model, deadline: Deadline) -> tuple[SearchData, Stepwise, Chosen]:
-    """The base model's fit alone: of such tracks nothing is named."""
-    base = fit_base_model(data.clips, model, data.noise, deadline)
-    steps = Stepwise.of(FitStore(WhitenedClips.of(data.clips, data.noise), base, lambda: deadline("search")))
-    return data, steps, Chosen(steps.selection(()), None, None)
+def select_until_stable(
+    data: SearchData, model: Model, deadline: Deadline, rounds: int = 4
+) -> tuple[SearchData, LibrarySearch, Selection]:
+    """Stage 3 and 4: fit the base model and select, again until neither clips nor noise change.
 
+    After each round the search leaves out clips that deviate from all others, or else estimates the noise again from
+    the residuals of the best model. Of smoothed tracks only the base model is fitted.
 
-def converged(data: SearchData, model: Model, deadline: Deadline) -> tuple[SearchData, Stepwise, Chosen]:
-    """The selection, made again without clips that are unlike all others, and again with the noise read anew.
+    Parameters
+    ----------
+    data : SearchData
+    model : Model
+    deadline : Deadline
+        What it raises within the selection ends the search; the best model so far is then reported.
+    rounds : int
+        At most.
 
-    With the way there, which validation goes further along.
+    Returns
+    -------
+    (SearchData, LibrarySearch, Selection)
+        The library search holds all models that were fitted, for the validation.
     """
-    gone = 0
-    for turn in range(ROUNDS):
-        steps, chosen = select(data, model, deadline)
-        if turn == ROUNDS - 1 or chosen.so_far is not None:
+    removed = 0
+    for turn in range(rounds):
+        library, selection = select(data, model, deadline)
+        if turn == rounds - 1 or data.is_smoothed or selection.interrupted:
             break
-        cleaned = chosen.cleaned(data)
-        outliers = outlier_clips(cleaned, chosen.selected.base, chosen.best, gone)
+        clips = selection.explained_clips(data.clips)
+        outliers = find_outlier_clips(clips, selection.base, selection.joint_fit, removed)
         if outliers:
-            gone += len(outliers)
+            removed += len(outliers)
             data = data.without(outliers)
             continue
-        noise = refit_noise(cleaned, chosen.best, data.noise)
-        if noise is None and chosen.nearly:  # the library's model may lack what the free law has, and call it noise
-            noise = refit_noise(chosen.nearly.evidence.clips, chosen.nearly.joint_fit, data.noise)
+        noise = refit_noise(clips, selection.joint_fit, data.noise)
+        if noise is None and selection.near_law:  # the library's model may take what the free law explains for noise
+            law = selection.near_law
+            noise = refit_noise(law.evidence.clips, law.joint_fit, data.noise)
         if noise is None:
             break
-        data = dataclasses.replace(data, noise=noise)
-    return data, steps, chosen
+        data = replace(data, noise=noise)
+    return data, library, selection
 
 
-def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[Stepwise, Chosen]:
-    """What the library names, and the free law that explains more, if one does."""
-    evidence, base = WhitenedClips.of(data.clips, data.noise), fit_base_model(data.clips, model, data.noise, deadline)
-    store = FitStore(evidence, base, lambda: deadline("search"))
-    steps = Stepwise.of(store)
+def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[LibrarySearch, Selection]:
+    """Select the effects of the library, and the free law that explains more, if one does.
+
+    Each larger model of the library competes with the free laws. The library's search ends when a free law beats two of
+    its models in a row.
+
+    Parameters
+    ----------
+    data : SearchData
+    model : Model
+    deadline : Deadline
+
+    Returns
+    -------
+    (LibrarySearch, Selection)
+    """
+    evidence = WhitenedClips.of(data.clips, data.noise)
+    base = fit_base_model(data.clips, model, data.noise, deadline)
+    library = LibrarySearch(evidence, base, lambda: deadline("search"))
+    if data.is_smoothed:
+        return library, library.select(())
     try:
         with deadline.limited():
-            return steps, _chosen(steps, FreeLawContest.of(evidence, base, lambda: deadline("free laws")))
+            return library, _select_effects_and_law(
+                library, FreeLawContest.of(evidence, base, lambda: deadline("free laws"))
+            )
     except OutOfTime:
-        best = min(store.fits, key=store.cost_of)
-        tried = InterruptedSearch(
-            tuple(sorted(c.name for c in best)), store.fits[best].chi2 / base.points, deadline.seconds
-        )
-        return steps, Chosen(steps.selection(()), None, None, tried)
+        best = min(library.fits, key=library.cost_of)
+        effects = tuple(sorted(c.name for c in best))
+        tried = InterruptedSearch(effects, library.fits[best].chi2 / base.points, deadline.seconds)
+        return library, replace(library.select(()), interrupted=tried)
 
 
-def _chosen(steps: Stepwise, contest: FreeLawContest) -> Chosen:
-    store, state = steps.store, State()
-    for state in steps.states():
-        contest = contest.against(store.settled(state), store.rivals(state))
+def _select_effects_and_law(library: LibrarySearch, contest: FreeLawContest) -> Selection:
+    state: tuple[Any, ...] = ()
+    for state in library.states():
+        contest = contest.against(library.fit(state), library.rivals(state))
         if contest.ended:
             break
-    selected = steps.selection(state)
-    free_law, contest = contest.outcome(selected.best)
-    beside = free_law.significances_of_effects(store.base) if free_law else {}
-    again = steps.from_there(selected, beside, free_law.model_without_law) if free_law and beside else None
-    if again:  # the free law led to effects that the library's search has not begun with
-        selected, contest = again, contest.against(again.best, store.rivals(again.state))
-        free_law, contest = contest.outcome(selected.best)
-    return Chosen(selected, free_law, None if free_law else contest.nearly(selected.best))
+    selection = library.select(state)
+    free_law, contest = contest.outcome(selection.best)
+    beside = free_law.significances_of_effects(library.base) if free_law else {}
+    again = library.search_from(selection, beside, free_law.model_without_law) if free_law and beside else None
+    if again:  # the free law led to effects that the library's search did not start with
+        selection, contest = again, contest.against(again.best, library.rivals(again.state))
+        free_law, contest = contest.outcome(selection.best)
+    return replace(selection, free_law=free_law, near_law=None if free_law else contest.nearly(selection.best))
 
 
-def _unnamed(
-    clips: Sequence[MeasuredCollision], data: SearchData, steps: Stepwise, chosen: Chosen, progress: Progress
-) -> SearchResult:
-    """Nothing is claimed by a search that was cut short: what it has tried was held to no other collisions.
+def measure_held_out_gap(data: SearchData, selection: Selection, progress: Progress) -> tuple[SearchData, GapFits]:
+    """Measure the gap on the held-out clips, without those of them that deviate from all others.
 
-    Nor of tracks that a filter has smoothed.
+    Returns
+    -------
+    (SearchData, GapFits)
+
+    Raises
+    ------
+    InputError
+        The base model has no motion for the held-out clips.
     """
-    data, shown = seen_apart(data, chosen, progress)
-    progress("where")
-    where = tuple(locate(data.clips, chosen.selected.base, data.noise))
-    alike = tuple(map(str, find_uniform_conditions(clips)))
-    missing = unexplained(where) or (chosen.so_far is not None and chosen.selected.promising)
-    processed = [*([Note(NoteKind.SMOOTHED)] if data.smoothed else []), *detect_processing(clips)]
-    return SearchResult(
-        "inadequate" if missing else "none", data, chosen.selected, None, None, (), where, where, shown, "",
-        alike, steps.unidentifiable(()), processed=tuple(map(str, processed)),
-        so_far=chosen.so_far,
-    )  # fmt: skip
-
-
-def seen_apart(data: SearchData, chosen: Chosen, progress: Progress) -> tuple[SearchData, GapFits]:
-    """The gap on the clips kept out, without those of them that are unlike all others."""
-    shown = gap_of(data, chosen, progress)
-    outliers = outlier_clips(data.kept_out, shown.before, shown.after)
+    gap = _measure_gap(data, selection, progress)
+    outliers = find_outlier_clips(data.held_out, gap.before, gap.after)
     if not outliers:
-        return data, shown
-    kept = tuple(c for k, c in enumerate(data.kept_out) if k not in outliers)
-    lines = tuple(f"{line} (kept out)" for line in outliers.values())
-    data = dataclasses.replace(data, kept_out=kept, left_out=(*data.left_out, *lines))
-    return data, gap_of(data, chosen, progress)
+        return data, gap
+    kept = tuple(c for k, c in enumerate(data.held_out) if k not in outliers)
+    notes = [replace(note, values=note.values | {"held_out": " (held out)"}) for note in outliers.values()]
+    data = replace(data, held_out=kept, left_out=(*data.left_out, *notes))
+    return data, _measure_gap(data, selection, progress)
 
 
-def gap_of(data: SearchData, chosen: Chosen, progress: Progress) -> GapFits:
-    """The gap on the clips kept out. Raises InputError where the base model has no motion for them."""
-    clips, law = data.kept_out, chosen.free_law
-    outside = None if law is None else lambda before: fit_unseen_clips(law, clips, before, data.noise)
-    return _gap(data, chosen.selected.base, chosen.selected.best, progress, outside)
-
-
-def _gap(
-    data: SearchData,
-    base: ModelFit,
-    best: ModelFit,
-    progress: Progress,
-    outside: Callable[[ModelFit], ModelFit] | None = None,
-) -> GapFits:
+def _measure_gap(data: SearchData, selection: Selection, progress: Progress) -> GapFits:
+    law, clips = selection.free_law, data.held_out
+    fit_law = None if law is None else lambda before: fit_unseen_clips(law, clips, before, data.noise)
+    show_gap = partial(progress, "gap")
     try:
-        return measure_gap(data.kept_out, base, best, data.noise, lambda: progress("gap"), outside)
+        return measure_gap(clips, selection.base, selection.best, data.noise, show_gap, fit_law)
     except ValueError as e:
-        raise InputError(f"the fitted base model has no motion for the collisions kept out: {e}") from None
+        raise InputError(f"the fitted base model has no motion for the held-out collisions: {e}") from None
 
 
-def validated(
-    data: SearchData, steps: Stepwise, chosen: Chosen, shown: GapFits, progress: Progress
-) -> ValidatedSelection:
-    """What stands of a selection before collisions that had no part in it."""
-    evidence = WhitenedClips.of(data.clips, data.noise)
-    held_to = Validation(steps, evidence, data.kept_out, shown.before, data.noise, lambda: progress("gap"))
-    return held_to.standing(chosen.selected, chosen.free_law)
+def summarise(
+    clips: Sequence[MeasuredCollision],
+    data: SearchData,
+    validated: ValidatedSelection,
+    library: LibrarySearch,
+    gap: GapFits,
+    progress: Progress,
+) -> SearchResult:
+    """Stage 6: put together what the report needs, as data.
+
+    Parameters
+    ----------
+    clips : sequence of MeasuredCollision
+        As they were read.
+    data : SearchData
+    validated : ValidatedSelection
+        The claims that passed.
+    library : LibrarySearch
+    gap : GapFits
+        With the selection before the validation.
+    progress : callable
+
+    Returns
+    -------
+    SearchResult
+    """
+    selection, law = validated.selection, validated.selection.free_law
+    base, best = selection.base, selection.best
+    if validated.rejected:
+        gap = _measure_gap(data, selection, progress)
+    with_table = tabulate_and_refit(law, lambda: progress("gap")) if law else None
+    if with_table:
+        gap = measure_gap(data.held_out, base, with_table, data.noise, lambda: progress("gap"))
+    progress("where")
+    before = find_disagreements(data.clips, base, data.noise)
+    left = before
+    nothing_tested = data.is_smoothed or selection.interrupted is not None
+    if not (selection.is_empty or nothing_tested):
+        left = find_disagreements(selection.explained_clips(data.clips), selection.joint_fit, data.noise)
+    more = more_is_missing(left, validated.rejected)
+    claims = validated.claims_without_errors() if more else validated.claims
+    verdict = decide_verdict(claims, law is not None, left, validated.rejected)
+    if nothing_tested:  # a search that was cut short, or of smoothed tracks, claims nothing
+        missing = is_unexplained(before) or (selection.interrupted is not None and selection.promising)
+        verdict = Verdict.INADEQUATE if missing else Verdict.NONE
+    if with_table:
+        found = with_table.model
+    elif law:
+        free = dict.fromkeys((*law.model_without_law.free, *filter(None, [law.law.frees])))
+        found = replace(law.model_without_law, free=tuple(free))
+    else:
+        found = best.model
+    return SearchResult(
+        verdict=verdict,
+        data=data,
+        base_fit=base,
+        best_fit=law.fit if law else best,
+        model=found,
+        claims=claims,
+        free_law=law,
+        law_summary=LawSummary.of(law) if law else None,
+        model_holds_law=with_table is not None or bool(law and law.law.frees),
+        gap_fits=gap,
+        base_disagreements=before,
+        disagreements=left,
+        accepted=validated.accepted,
+        rejected=validated.rejected,
+        scores=selection.ranking,
+        required_sigma=selection.required_sigma,
+        undetectable=library.undetectable(selection.state),
+        experiment=_advise_experiment(selection, claims, data) if verdict is Verdict.AMBIGUOUS else "",
+        uniform=tuple(find_uniform_conditions(clips)),
+        processed=(*([Note(NoteKind.SMOOTHED)] if data.is_smoothed else []), *detect_processing(clips)),
+        interrupted=selection.interrupted,
+        policy=current_policy(),
+    )
 
 
-def _verdict(
-    free_law: FittedLaw | None,
-    named: Sequence[EffectClaim],
-    left: Sequence[Disagreement],
-    withdrawn: Sequence[ClaimTest],
-) -> str:
-    if free_law or (named and more_missing(left, withdrawn)):
-        return "outside_library"
-    if not named:
-        # what chance or a bad clip may do is no claim, and no sign that something is missing
-        return (
-            "inadequate"
-            if unexplained(left) or any(c.own > current_policy().unexplained_sigma for c in withdrawn)
-            else "none"
-        )
-    return "ambiguous" if any(len(n.aliases) > 1 for n in named) else "named"
+def decide_verdict(
+    claims: Sequence[EffectClaim], has_law: bool, left: Sequence[Disagreement], rejected: Sequence[ClaimTest]
+) -> Verdict:
+    """Decide the verdict from the claims that passed, a free law, what is left, and the claims that failed.
+
+    Parameters
+    ----------
+    claims : sequence of EffectClaim
+    has_law : bool
+        Whether a free law passed.
+    left : sequence of Disagreement
+        With everything that was found.
+    rejected : sequence of ClaimTest
+        One below `unexplained_sigma` may be chance or a bad clip, and is no sign that something is missing.
+
+    Returns
+    -------
+    Verdict
+    """
+    if has_law or (claims and more_is_missing(left, rejected)):
+        return Verdict.OUTSIDE_LIBRARY
+    if not claims:
+        missing = is_unexplained(left) or any(t.sigma > current_policy().unexplained_sigma for t in rejected)
+        return Verdict.INADEQUATE if missing else Verdict.NONE
+    return Verdict.AMBIGUOUS if any(len(c.aliases) > 1 for c in claims) else Verdict.NAMED
 
 
-def _experiment(selected: Selection, named: Sequence[EffectClaim], data: SearchData) -> str:
-    """What would part each class's effect from its nearest alias."""
-    base, best = selected.base, selected.best
+def _advise_experiment(selection: Selection, claims: Sequence[EffectClaim], data: SearchData) -> str:
+    """What would separate each claimed effect from its nearest alias."""
+    base, best = selection.base, selection.best
     known = candidates_by_name(best.model, base.model, base.names)
-    shapes = {c.effect: c.shapes for c in selected.ranking}
-    said = []
-    for n in named:
-        for rival in n.aliases[1:2]:
-            one, other = known[n.effect], known[rival]
-            pair = (one, n.shapes), (other, shapes.get(rival, {}))
-            said.append(advise(one, other, compare_designs(data.clips, data.noise, best, *pair)))
-    return " ".join(said)
+    shapes = {c.effect: c.shapes for c in selection.ranking}
+    sentences = []
+    for claim in claims:
+        for rival in claim.aliases[1:2]:
+            one, other = known[claim.effect], known[rival]
+            pair = (one, claim.shapes), (other, shapes.get(rival, {}))
+            sentences.append(advise(one, other, compare_designs(data.clips, data.noise, best, *pair)))
+    return " ".join(sentences)

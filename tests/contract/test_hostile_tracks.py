@@ -13,7 +13,7 @@ from discrepancy.fitting.gauss_newton import _interpolate, fit_model, linearise,
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, parameter_limits, replace_within_limits
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
@@ -45,9 +45,9 @@ def test_a_search_of_anything_ends_well(monkeypatch, motion):
     clips = [dataclasses.replace(c, xy=motion(c, rng)) for c in exact(Model(), 6, 1, 30)]
     blind = [dataclasses.replace(c, camera=dataclasses.replace(c.camera, lamp=None)) for c in clips]
     with suppress(InputError):  # one line
-        found = find(blind, Model())
+        found = search(blind, Model())
         assert found.verdict in {"none", "named", "ambiguous", "outside_library", "inadequate"}
-        assert found.sound or all(np.isnan(s) for n in found.document()["named"] for s in n["std"].values())
+        assert found.is_complete or all(np.isnan(s) for n in found.document()["named"] for s in n["std"].values())
 
 
 @settings(max_examples=200)

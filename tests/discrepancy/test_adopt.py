@@ -136,8 +136,8 @@ def test_the_model_with_the_effect_foretells_collisions_kept_out_as_the_true_law
     model, found = read_model(new.model), outsider(law)
     assert [e.name() for e in model.effects] == ["slick_patch"]
     assert bool(new.formula) == (law != "friction_place")
-    there = fit_model(found.data.kept_out, model, (), found.data.noise, found.shown.before.launches)
-    gap = found.shown.gap
+    there = fit_model(found.data.held_out, model, (), found.data.noise, found.gap_fits.before.launches)
+    gap = found.gap
     assert gap.before - there.chi2 / there.points > 0.97 * (gap.before - gap.after)
     assert read_scene(new.model).draw().model.laws.has_effect_on(TABLE_KINDS[law].law)
 

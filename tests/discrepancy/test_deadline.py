@@ -6,7 +6,7 @@ from discrepancy_clips import HIDDEN, collisions, only
 
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.model import Model
 
 
@@ -36,24 +36,26 @@ def test_each_forecast_asks_for_the_time():
 def test_a_search_cut_short_names_nothing(monkeypatch):
     only(monkeypatch)
     clips = collisions(Model().replace(HIDDEN["velocity_restitution"]), 8, 3)
-    found = find(clips, Model(), seconds=0.0)
+    found = search(clips, Model(), seconds=0.0)
     assert found.verdict == "inadequate"
-    assert (found.named, found.free_law, found.selected.state) == ((), None, ())
-    assert found.sentence().startswith("Cut short after 0 minutes, so nothing is named: the model as given leaves ")
-    assert found.document()["cut_short"]["effects"] == list(found.so_far.effects)
+    assert (found.claims, found.free_law, found.is_empty) == ((), None, True)
+    assert found.sentence().startswith(
+        "The search was cut short after 0 minutes and names nothing. The base model has chi^2 per point "
+    )
+    assert found.document()["cut_short"]["effects"] == list(found.interrupted.effects)
     assert found.document()["gap"]["before"] > found.document()["gap"]["floor"]
-    assert find(clips, Model()).document()["cut_short"] is None
+    assert search(clips, Model()).document()["cut_short"] is None
 
 
 def test_nothing_hidden_is_nothing_found_however_short_the_time(monkeypatch):
     only(monkeypatch)
-    assert find(collisions(Model(), 8, 3), Model(), seconds=0.0).verdict == "none"
+    assert search(collisions(Model(), 8, 3), Model(), seconds=0.0).verdict == "none"
 
 
 def test_what_score_tests_show_is_not_nothing_however_short_the_time(monkeypatch):
     """Where no residual is beyond chance by itself, but an effect's signature is."""
     only(monkeypatch)
-    monkeypatch.setattr("discrepancy.search.unexplained", lambda where: False)
+    monkeypatch.setattr("discrepancy.search.is_unexplained", lambda where: False)
     clips = collisions(Model().replace(HIDDEN["velocity_restitution"]), 8, 3)
-    assert find(clips, Model(), seconds=0.0).verdict == "inadequate"
-    assert find(collisions(Model(), 8, 3), Model(), seconds=0.0).verdict == "none"
+    assert search(clips, Model(), seconds=0.0).verdict == "inadequate"
+    assert search(collisions(Model(), 8, 3), Model(), seconds=0.0).verdict == "none"

@@ -92,7 +92,7 @@ def test_tables_and_repr(found):
 def test_the_plot_holds_the_gap(found):
     ax = Figure().subplots()
     assert found.plot_gap(ax) is ax
-    assert ax.get_ylabel() == "rms residual, each axis (um)"
+    assert ax.get_ylabel() == "rms residual in x and y (µm)"
     whole = {bars.get_label(): bars.patches[-1].get_height() for bars in ax.containers}
     assert whole == {
         "base model": found.gap.before_um,
@@ -153,7 +153,7 @@ def test_what_are_no_results_is_one_line(recorded, results):
 def test_a_dict_is_a_model_too(results, monkeypatch):
     """No search is made: what it is asked is enough."""
     asked = []
-    monkeypatch.setattr("discrepancy.finding.searched", lambda clips, model, *rest: asked.append((len(clips), model)))
+    monkeypatch.setattr("discrepancy.search.search", lambda clips, model, *rest: asked.append((len(clips), model)))
     discrepancy.find(results, {"model": {"restitution": 0.8}, "effects": {"plate_tilt": {"x": 1e-3}}})
     discrepancy.find(results, read_model(ROOT / SCENE))
     assert [count for count, _ in asked] == [6, 6]

@@ -25,24 +25,35 @@ from discrepancy.free_laws.marginal_likelihood import CurveEvidence
 from discrepancy.noise import model as noise
 from discrepancy.noise.model import Noise, NoiseComponent, estimate
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy, read_policy
-from discrepancy.search import _verdict
+from discrepancy.search import decide_verdict
 from discrepancy.select import free_law_contest, law_fit
+from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.select.free_law_contest import FreeLawContest
 from discrepancy.select.law_fit import LawScore
-from discrepancy.select.library_search import Stepwise
-from discrepancy.select.score_test import ScoreTests
-from discrepancy.select.scored import CandidateScore
-from discrepancy.validate import claim_tests as stand
-from discrepancy.validate import trial
-from discrepancy.validate.gap import GapPhase, _closure
-from discrepancy.validate.held_out import HeldOutTest, reason_to_reject
-from discrepancy.validate.outlier_clips import outlier_clips
+from discrepancy.select.library_search import LibrarySearch, Selection
+from discrepancy.select.score_test import CandidateScore, ScoreTests
+from discrepancy.validate import claim_tests
+from discrepancy.validate.claim_tests import HeldOutTest, Rejection, Validation, judge_predictions
+from discrepancy.validate.gap import GapPhase, closed_share
+from discrepancy.validate.outlier_clips import find_outlier_clips
+from discrepancy.validate.residual_map import ClipAmplitudes, combine_clips
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.settings import InputError
 
 NOISE = Noise(NoiseComponent(1.0))
+
+
+def bare_search(**attributes):
+    """A search of the library that has fitted nothing, with these attributes."""
+    steps = object.__new__(LibrarySearch)
+    for name, value in ({"required_sigma": 4.0} | attributes).items():
+        setattr(steps, name, value)
+    return steps
+
+
 E = "velocity_restitution.e"
+HOP = EffectClaim("hop", {"hop.share": 0.1}, {"hop.share": 0.01}, 10.0, ("hop",))
 
 
 @pytest.fixture(scope="module")
@@ -109,9 +120,9 @@ def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_be
 def test_four_effects_are_named_at_most(monkeypatch):
     """Each in its turn better by far."""
     store = Made(score_tests=len, cost_of=lambda state: -50.0 * len(state))
-    monkeypatch.setattr(Stepwise, "_winner", lambda self, state, tests, claim: f"effect {tests}")
-    monkeypatch.setattr(Stepwise, "_bettered", lambda self, state, claim: state)
-    assert Stepwise(store, (), 4.0, {}, frozenset()).end(()) == tuple(f"effect {k}" for k in range(4))
+    monkeypatch.setattr(LibrarySearch, "_choose_addition", lambda self, state, tests, claim: f"effect {tests}")
+    monkeypatch.setattr(LibrarySearch, "_improve", lambda self, state, claim: state)
+    assert bare_search(**vars(store)).finish(()) == tuple(f"effect {k}" for k in range(4))
 
 
 @pytest.mark.parametrize(("cosine", "rival"), [(0.85, False), (0.94, True), (-0.94, True)])
@@ -124,8 +135,8 @@ def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
         return CandidateScore(Candidate(name, (f"{name}.e",), (), kind), {}, gain**0.5, gain, 1.0, True, signature, ())
 
     ranking = [of("leader", 400.0, one), of("rival", 200.0, cosine * one + (1 - cosine**2) ** 0.5 * other)]
-    steps = Stepwise(Made(evidence=None), (), 4.0, {}, frozenset())
-    found = steps._contenders(Made(sharper=lambda evidence, c: c), ranking, 4.0)
+    steps = bare_search(evidence=None)
+    found = steps._choose_contenders(Made(sharper=lambda evidence, c: c), ranking, 4.0)
     assert [c.effect for c in found] == ["leader", "rival"][: 1 + rival]
 
 
@@ -215,7 +226,7 @@ def test_the_simpler_of_two_may_be_worse_by_nine_and_a_half(worse, chosen):
         if s.name in ("rolling_quadratic", "stribeck")
     }
     cost_of = {known["rolling_quadratic"]: 100 + worse, known["stribeck"]: 100.0}
-    steps = Stepwise(Made(cost_of=cost_of.__getitem__), (), 4.0, {}, frozenset())
+    steps = bare_search(cost_of=cost_of.__getitem__)
     assert steps._simplest(list(cost_of)) == known[chosen]
 
 
@@ -242,7 +253,7 @@ def test_eight_spreads_make_a_clip_odd(spreads, gone):
     logs = 0.3 * np.tile([-1.0, 0.0, 1.0], 4)
     logs[3] = spreads * 1.4826 * 0.3
     fit = flat(np.exp(logs))
-    assert list(outlier_clips(numbered(12), fit, fit)) == gone
+    assert list(find_outlier_clips(numbered(12), fit, fit)) == gone
 
 
 @pytest.mark.parametrize(("sigma", "gone"), [(4.0, []), (6.0, [5])])
@@ -250,54 +261,65 @@ def test_five_sigma_from_all_others_make_a_clip_odd(sigma, gone):
     pulls = np.zeros(12)
     pulls[5] = sigma / np.sqrt(11 / 12)  # of what it says itself, less its own part in all
     fit = flat(np.ones(12), pulls)
-    assert list(outlier_clips(numbered(12), fit, fit)) == gone
+    assert list(find_outlier_clips(numbered(12), fit, fit)) == gone
 
 
 @pytest.mark.parametrize(("bad", "gone"), [(2, 2), (3, 0)])
 def test_one_clip_in_ten_may_be_odd(bad, gone):
     fit = flat(np.where(np.arange(20) < bad, 50.0, 1.0))
-    assert len(outlier_clips(numbered(20), fit, fit)) == gone
+    assert len(find_outlier_clips(numbered(20), fit, fit)) == gone
 
 
 @pytest.mark.parametrize(("sigma", "verdict"), [(4.0, "named"), (6.0, "outside_library")])
 def test_five_sigma_left_are_something_more(sigma, verdict):
     left, one = [Made(sigma=sigma)], [Made(aliases=("hop",))]
-    assert _verdict(None, one, left, ()) == verdict
-    assert _verdict(None, (), left, ()) == ("none" if verdict == "named" else "inadequate")
+    assert decide_verdict(one, False, left, ()) == verdict
+    assert decide_verdict((), False, left, ()) == ("none" if verdict == "named" else "inadequate")
 
 
 @pytest.mark.parametrize(("own", "verdict"), [(4.0, "none"), (6.0, "inadequate")])
 def test_a_claim_withdrawn_that_chance_may_have_made_is_no_sign_of_more(own, verdict):
-    assert _verdict(None, (), [], [Made(own=own, free=False)]) == verdict
+    assert decide_verdict((), False, [], [Made(sigma=own, is_free_law=False)]) == verdict
 
 
 @pytest.mark.parametrize(("own", "verdict"), [(4.0, "named"), (6.0, "outside_library")])
 def test_a_free_law_withdrawn_says_that_the_library_does_not_suffice(own, verdict):
-    assert _verdict(None, [Made(aliases=("hop",))], [], [Made(own=own, free=True)]) == verdict
+    assert decide_verdict([Made(aliases=("hop",))], False, [], [Made(sigma=own, is_free_law=True)]) == verdict
 
 
-BORNE = HeldOutTest((1.0, 0.9), 9.0, 9.0)
+PASSING = HeldOutTest((1.0, 0.9), 9.0, 9.0)
 
 
-@pytest.mark.parametrize(("sigma", "stands"), [(1.4, True), (0.6, False)])
-def test_clips_kept_out_may_fall_short_by_two_sigma_of_what_is_promised(sigma, stands):
-    assert (reason_to_reject(HeldOutTest((1.0, 1.01), sigma, 3.0), BORNE) == "") is stands
-    assert reason_to_reject(HeldOutTest((1.0, 0.99), sigma, 3.0), BORNE) == ""  # foretold better, it is borne
+@pytest.mark.parametrize(("sigma", "passes"), [(1.4, True), (0.6, False)])
+def test_held_out_clips_may_fall_short_by_two_sigma_of_what_is_promised(sigma, passes):
+    expected = None if passes else Rejection.HELD_OUT_WORSE
+    assert judge_predictions(HeldOutTest((1.0, 1.01), sigma, 3.0), PASSING) is expected
+    assert judge_predictions(HeldOutTest((1.0, 0.99), sigma, 3.0), PASSING) is None  # predicted better, it passes
 
 
-@pytest.mark.parametrize(("sigma", "stands"), [(2.4, False), (4.0, True)])
-def test_all_clips_must_ask_for_a_claim_by_three_sigma(sigma, stands):
-    assert (reason_to_reject(BORNE, HeldOutTest((1.0, 0.99), sigma, 9.0)) == "") is stands
-    assert reason_to_reject(BORNE, HeldOutTest((1.0, 1.01), 9.0, 9.0)) != ""
+@pytest.mark.parametrize(("sigma", "passes"), [(2.4, False), (4.0, True)])
+def test_all_clips_must_ask_for_a_claim_by_three_sigma(sigma, passes):
+    expected = None if passes else Rejection.LEFT_OUT_NOT_SIGNIFICANT
+    assert judge_predictions(PASSING, HeldOutTest((1.0, 0.99), sigma, 9.0)) is expected
+    assert judge_predictions(PASSING, HeldOutTest((1.0, 1.01), 9.0, 9.0)) is Rejection.LEFT_OUT_WORSE
+
+
+def selection(**changes):
+    made = {"state": (), "base": None, "best": None, "ranking": (), "required_sigma": 4.2, "trials_factors": {}}
+    return Selection(**made | changes)
 
 
 def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
-    """The claim of an effect beside a free law of score 100, 500 without the effect, and the effects named."""
+    """The test of an effect beside a free law of score 100, 500 without the effect, and the effects claimed."""
     for name in ("refit_without_effect", "leave_one_out_with_law"):
-        monkeypatch.setattr(stand, name, lambda *_: Made(score=less))
-    monkeypatch.setattr(stand, "find_replacements", lambda *_: others)
-    for name, said in (("_unseen", None), ("_held", (BORNE, BORNE)), ("_free_law", None)):
-        monkeypatch.setattr(stand.Validation, name, lambda *_, said=said: said)
+        monkeypatch.setattr(claim_tests, name, lambda *_: Made(score=less))
+    monkeypatch.setattr(claim_tests, "find_replacements", lambda *_: others)
+    for name, result in (
+        ("_fit_held_out_with_law", None),
+        ("_predict", (PASSING, PASSING)),
+        ("_test_law", None),
+    ):
+        monkeypatch.setattr(Validation, name, lambda *_, result=result: result)
     base, whole = Made(model=Model(), names=BASE_PARAMETERS), Made(model=Model(), std={})
     law = Made(
         score=100.0,
@@ -306,46 +328,52 @@ def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
         law=Made(name="law"),
         significances_of_effects=lambda base: {"rolling_quadratic": sigma},
     )
-    looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
-    validation = stand.Validation(Made(absorbed=()), None, (), None, NOISE, lambda: None)
-    (claim, _), left, named = validation._claims(looked, law, SearchPolicy().beside_free_law_sigma)
-    return claim, left["rolling_quadratic"][1], named[0].aliases
+    selected = selection(base=base, required_sigma=4.0, free_law=law)
+    validation = Validation(Made(absorbed=()), None, (), None, NOISE, lambda: None)
+    (test, _), without, claims = validation._test_claims(selected, SearchPolicy().beside_free_law_sigma)
+    return test, without["rolling_quadratic"].free_law, claims[0].aliases
 
 
-@pytest.mark.parametrize(("sigma", "stands"), [(18.0, False), (24.0, True)])
-def test_beside_an_unknown_law_a_name_needs_twenty_sigma(monkeypatch, sigma, stands):
-    assert (beside_law(monkeypatch, sigma)[0].why == "") is stands
+@pytest.mark.parametrize(("sigma", "passes"), [(18.0, False), (24.0, True)])
+def test_beside_an_unknown_law_a_name_needs_twenty_sigma(monkeypatch, sigma, passes):
+    assert (beside_law(monkeypatch, sigma)[0].rejection is None) is passes
 
 
 @pytest.mark.parametrize(
-    ("score", "aliases", "why"),
-    [(88.0, 2, stand.EXCHANGED), (92.0, 2, ""), (108.0, 2, ""), (112.0, 1, "")],
+    ("score", "aliases", "rejection"),
+    [(88.0, 2, Rejection.REPLACED), (92.0, 2, None), (108.0, 2, None), (112.0, 1, None)],
 )
-def test_beside_an_unknown_law_what_fits_as_well_is_told_and_what_fits_better_by_nine_is_taken(
-    monkeypatch, score, aliases, why
+def test_beside_an_unknown_law_what_fits_as_well_is_an_alias_and_what_fits_better_by_nine_is_taken(
+    monkeypatch, score, aliases, rejection
 ):
     other = Made(score=score)
-    claim, without, names = beside_law(monkeypatch, others=[("stribeck", other)])
-    assert (claim.why, len(names)) == (why, aliases)
-    assert (without is other) is (why == stand.EXCHANGED)
+    test, without, names = beside_law(monkeypatch, others=[("stribeck", other)])
+    assert (test.rejection, len(names)) == (rejection, aliases)
+    assert (without is other) is (rejection is Rejection.REPLACED)
 
 
 def test_an_effect_without_which_all_else_explains_as_much_leaves_nothing_missing(monkeypatch):
-    claim, _, _ = beside_law(monkeypatch, less=90.0)
-    assert claim.why == stand.ABSORBED
-    assert claim.why in stand.NO_LOSS
+    test, _, _ = beside_law(monkeypatch, less=90.0)
+    assert test.rejection is Rejection.ABSORBED
+    assert test.rejection.leaves_nothing_missing
 
 
-@pytest.mark.parametrize(("end", "stands"), [("", True), ("its bounce stands at 0.9, the end of its range", False)])
-def test_an_effect_whose_shape_is_at_an_end_of_its_range_is_not_claimed(monkeypatch, end, stands):
-    named = Made(sigma=30.0, aliases=("hop",), at_end_of_range=lambda: end)
-    steps = Made(named=lambda state: (named,), less=lambda *_: Made(best=None))
-    monkeypatch.setattr(stand.Validation, "_between", lambda *_: (BORNE, BORNE))
-    monkeypatch.setattr(stand, "find_variation", lambda *_: Made(refuses=lambda sigma: ""))
-    looked = Made(state=(Made(name="hop", strengths=()),), best=None, claim=4.2)
-    claims, *_ = stand.Validation(steps, None, (), None, NOISE, lambda: None)._claims(looked, None, 4.2)
-    assert claims[0].why == end
-    assert (claims[0].why == "") is stands
+@pytest.mark.parametrize(("end", "passes"), [(None, True), (("hop.bounce", 0.9), False)])
+def test_an_effect_whose_shape_is_at_an_end_of_its_range_is_not_claimed(monkeypatch, end, passes):
+    claim = Made(sigma=30.0, aliases=("hop",), shape_at_limit=lambda: end)
+    steps = Made(claims=lambda state: (claim,), drop=lambda *_: Made(best=None))
+    monkeypatch.setattr(Validation, "_compare_models", lambda *_: (PASSING, PASSING))
+    monkeypatch.setattr(claim_tests, "find_variation", lambda *_: Made(rejects=lambda sigma: False))
+    selected = selection(state=(Made(name="hop", strengths=()),))
+    tests, *_ = Validation(steps, None, (), None, NOISE, lambda: None)._test_claims(selected, 4.2)
+    assert (tests[0].rejection, tests[0].shape_at_limit) == (None if passes else Rejection.SHAPE_AT_LIMIT, end)
+
+
+WORSE = Rejection.HELD_OUT_WORSE
+
+
+def made_test(name, rejection=None, is_free_law=False, leave_one_out=PASSING):
+    return Made(name=name, is_free_law=is_free_law, leave_one_out=leave_one_out, rejection=rejection)
 
 
 @pytest.mark.parametrize(
@@ -357,88 +385,92 @@ def test_an_effect_whose_shape_is_at_an_end_of_its_range_is_not_claimed(monkeypa
         ("law", True, 0.0, [20.0, 20.0]),
     ],
 )
-def test_twenty_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_withdrawn(
+def test_twenty_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_rejected(
     monkeypatch, law, free, left, levels
 ):
     asked = []
-    monkeypatch.setattr(stand, "locate", lambda *_: (Made(sigma=left),))
+    monkeypatch.setattr(claim_tests, "find_disagreements", lambda *_: (Made(sigma=left),))
 
-    def claims(self, search, law, level):
+    def tests(self, selected, level):
         asked.append(level)
-        return (
-            [Made(name="x" if not asked[1:] else "y", free=free, turns=BORNE, why="" if asked[1:] else "not borne")],
-            {"x": (search, None)},
-            (),
-        )
+        again = len(asked) > 1
+        test = made_test("y" if again else "x", None if again else WORSE, free)
+        return [test], {"x": dataclasses.replace(selected, free_law=None)}, ()
 
-    monkeypatch.setattr(stand.Validation, "_claims", claims)
-    validation = stand.Validation(None, Made(clips=()), (), None, NOISE, lambda: None)
-    stands = validation.standing(Made(claim=4.2, state=("effect",), best=None), law)
+    monkeypatch.setattr(Validation, "_test_claims", tests)
+    validation = Validation(None, Made(clips=()), (), None, NOISE, lambda: None)
+    validated = validation.run(selection(state=("effect",), free_law=law))
     assert asked == levels
-    assert len(stands.withdrawn) == 1
+    assert len(validated.rejected) == 1
 
 
-@pytest.mark.parametrize(("why", "withdrawn"), [("not borne", ["a"]), (stand.ABSORBED, []), (stand.EXCHANGED, [])])
-def test_what_is_exchanged_or_explained_by_all_else_is_not_withdrawn(monkeypatch, why, withdrawn):
-    turns = iter([[Made(name="a", free=False, turns=BORNE, why=why)], []])
-    stands = standing_of(monkeypatch, turns)
-    assert [c.name for c in stands.withdrawn] == withdrawn
+@pytest.mark.parametrize(
+    ("rejection", "rejected"), [(WORSE, ["a"]), (Rejection.ABSORBED, []), (Rejection.REPLACED, [])]
+)
+def test_what_is_exchanged_or_explained_by_all_else_is_not_rejected(monkeypatch, rejection, rejected):
+    validated = validated_of(monkeypatch, iter([[made_test("a", rejection)], []]))
+    assert [t.name for t in validated.rejected] == rejected
 
 
-def test_what_fell_beside_another_and_stands_in_its_place_is_not_withdrawn(monkeypatch):
+def test_what_failed_beside_another_and_passes_in_its_place_is_not_rejected(monkeypatch):
     """The one that all else explains as well goes first, though it has more sigma."""
-    weak, strong = HeldOutTest((1.0, 0.9), 3.0, 3.0), BORNE
+    weak = HeldOutTest((1.0, 0.9), 3.0, 3.0)
     turns = iter(
         [
-            [
-                Made(name="a", free=False, turns=weak, why="not borne"),
-                Made(name="b", free=False, turns=strong, why=stand.ABSORBED),
-            ],
-            [Made(name="a", free=False, turns=weak, why="not borne")],
-            [Made(name="a", free=False, turns=weak, why="")],
+            [made_test("a", WORSE, leave_one_out=weak), made_test("b", Rejection.ABSORBED)],
+            [made_test("a", WORSE, leave_one_out=weak)],
+            [made_test("a", leave_one_out=weak)],
         ]
     )
     gone = []
-    stands = standing_of(monkeypatch, turns, gone)
+    validated = validated_of(monkeypatch, turns, gone)
     assert gone == ["b", "a"]
-    assert stands.withdrawn == ()
+    assert validated.rejected == ()
 
 
-def standing_of(monkeypatch, turns, gone=None):
-    """What stands of claims that are looked at in these turns; what falls is told in `gone`."""
+def validated_of(monkeypatch, turns, gone=None):
+    """What remains of claims that are tested in these turns; the names of those that fail are added to `gone`."""
 
-    class Left(dict):
+    class Without(dict):
         def __getitem__(self, name):
             if gone is not None:
                 gone.append(name)
-            return Made(claim=4.2, state=(), best=None), "law"
+            return selection(free_law="law")
 
-    monkeypatch.setattr(stand.Validation, "_claims", lambda *_: (next(turns), Left(), ()))
-    validation = stand.Validation(None, Made(clips=()), (), None, NOISE, lambda: None)
-    return validation.standing(Made(claim=4.2, state=(), best=None), "law")
+    monkeypatch.setattr(Validation, "_test_claims", lambda *_: (next(turns), Without(), ()))
+    validation = Validation(None, Made(clips=()), (), None, NOISE, lambda: None)
+    return validation.run(selection(free_law="law"))
 
 
 @pytest.mark.parametrize(("sigma", "told"), [(2.0, False), (4.5, True)])
 def test_a_share_is_told_of_a_gap_of_three_sigma(sigma, told):
     whole = GapPhase(1 + sigma * np.sqrt(2 / 5000), 1.0, 1.0, 1.0, 1.0, 1.0)
-    assert np.isfinite(_closure(whole, 5000)) == told
+    assert np.isfinite(closed_share(whole, 5000)) == told
 
 
 @pytest.mark.parametrize(("times", "told"), [(2.0, True), (4.5, False)])
 def test_a_disagreement_far_larger_than_the_residuals_has_no_size(times, told):
     """A push of 5 mm in one frame of one clip, beside terms that take nearly all of it."""
     one, nothing = np.eye(1), np.zeros((1, 0))
-    part = trial.ClipAmplitudes(
-        np.array([1e3]), one * 2e5, nothing, np.zeros((0, 0)), np.zeros(0), one, 1, (5e-3 / times) ** 2, {}
+    part = ClipAmplitudes(
+        pulls=np.array([1e3]),
+        per_metre=one * 2e5,
+        shared=nothing,
+        information=np.zeros((0, 0)),
+        pull=np.zeros(0),
+        products=one,
+        rows=1,
+        residual_squares=(5e-3 / times) ** 2,
+        features={},
     )
-    ((_, _, _, size),) = trial.results([part])
+    ((_, _, _, size),) = combine_clips([part])
     assert (size == pytest.approx(5000, rel=1e-3)) if told else np.isnan(size)
 
 
 @pytest.mark.parametrize(("chi2", "more"), [(1.5, False), (3.0, True)])
 def test_twice_the_noise_left_beside_an_effect_that_was_added_is_something_more(chi2, more):
-    fits = (Made(chi2=c * 900, points=1000, parameters=100, model=None) for c in (9.0, chi2))
-    assert ("still lacks something" in AddedEffect(*fits, Made(said=lambda model: "hop")).sentence()) is more
+    fits = (Made(chi2=c * 900, points=1000, parameters=100, model=Model()) for c in (9.0, chi2))
+    assert ("still lacks something" in AddedEffect(*fits, HOP).sentence()) is more
 
 
 def test_the_fields_made_here_are_those_of_the_real_ones():
@@ -519,9 +551,9 @@ def _body(function):
 
 def test_a_policy_holds_within_its_block():
     left, one = [Made(sigma=6.0)], [Made(aliases=("hop",))]
-    assert _verdict(None, one, left, ()) == "outside_library"
+    assert decide_verdict(one, False, left, ()) == "outside_library"
     with applied_policy(SearchPolicy(unexplained_sigma=7.0)):
-        assert _verdict(None, one, left, ()) == "named"
+        assert decide_verdict(one, False, left, ()) == "named"
         with suppress(KeyError), applied_policy(SearchPolicy()):
             raise KeyError
         assert current_policy().changed() == {"unexplained_sigma": 7.0}

@@ -27,8 +27,8 @@ from discrepancy.add import add
 from discrepancy.data.launch import HEADING, X, Y
 from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.search import find
-from discrepancy.select.library_search import Stepwise
+from discrepancy.search import search
+from discrepancy.select.library_search import LibrarySearch
 from synthcam.library import library
 from synthcam.model import Ball, Model
 from synthcam_shared.errors import InputError
@@ -80,10 +80,10 @@ def test_strikers_that_slide_or_spin_hide_nothing_and_are_nothing(monkeypatch, s
     """Each has a spin of its own, that is fitted; without it the hits of the same balls fit nothing."""
     only(monkeypatch)
     clips = noisy(exact(Model().replace({"velocity_restitution.e": strength}), 8, 3, spins=SPUN), 3)
-    found = find(clips, Model())
+    found = search(clips, Model())
     assert found.verdict == ("named" if strength else "none")
     assert [n.effect for n in found.named] == ["velocity_restitution"] * bool(strength)
-    for clip, launch in zip(found.data.clips, found.selected.best.launches, strict=True):
+    for clip, launch in zip(found.data.clips, found.best_fit.launches, strict=True):
         assert launch[6:] == pytest.approx(SPUN[clip.clip % 4], abs=3e-4)
     if strength:
         within(found, {"velocity_restitution.e": strength})
@@ -99,11 +99,11 @@ def test_a_tilt_hidden_by_another_integrator_is_named(monkeypatch):
         "air_drag",
     )
     only(monkeypatch, **{name: library()[name] for name in known})
-    found = find(integrated(Model(), np.array([8e-4, -5e-4]), 6, 21), Model())
+    found = search(integrated(Model(), np.array([8e-4, -5e-4]), 6, 21), Model())
     assert found.verdict == "named"
     assert names(found) == ["plate_tilt"]
     within(found, {"plate_tilt.x": 8e-4, "plate_tilt.y": -5e-4})
-    best = found.selected.best
+    best = found.best_fit
     assert abs(best.chi2 / (best.points - best.parameters) - 1) < 0.15
 
 
@@ -128,7 +128,7 @@ def test_the_document_has_every_key(hidden):
 def test_two_hidden_effects_are_both_named_with_the_strengths_of_the_last_fit(monkeypatch):
     only(monkeypatch)
     truth = HIDDEN["velocity_restitution"] | {"rolling_quadratic.K": 0.3}
-    found = find(collisions(Model().replace(truth), 8, 3), Model())
+    found = search(collisions(Model().replace(truth), 8, 3), Model())
     assert found.verdict == "named"
     assert sorted(names(found)) == ["rolling_quadratic", "velocity_restitution"]
     within(found, truth)
@@ -140,23 +140,23 @@ def test_the_library_is_asked_again_for_what_stands_in_place_of_a_free_law(monke
     only(monkeypatch)
     truth = {"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.3}
 
-    every = Stepwise.states
+    every = LibrarySearch.states
     monkeypatch.setattr(
-        Stepwise, "states", lambda steps, begun=(): islice(every(steps, begun), 1 if not begun else None)
+        LibrarySearch, "states", lambda steps, begun=(): islice(every(steps, begun), 1 if not begun else None)
     )
-    found = find(collisions(Model().replace(truth), 8, 3), Model())
+    found = search(collisions(Model().replace(truth), 8, 3), Model())
     assert found.verdict == "named"
     assert sorted(names(found)) == ["rolling_quadratic", "velocity_restitution"]
     within(found, truth)
-    monkeypatch.setattr(Stepwise, "from_there", lambda *_: None)
-    assert find(collisions(Model().replace(truth), 8, 3), Model()).free_law is not None
+    monkeypatch.setattr(LibrarySearch, "search_from", lambda *_: None)
+    assert search(collisions(Model().replace(truth), 8, 3), Model()).free_law is not None
 
 
 def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(monkeypatch):
     known = ("stribeck", "viscous_friction", "rolling_quadratic")
     only(monkeypatch, ("friction_speed", "rolling_speed"), **{n: library()[n] for n in known})
     clips = collisions(Model().replace({"stribeck.rise": 0.004, "stribeck.slip": 0.3}), 10, 4)
-    found = find(clips, Model(sliding_friction=0.0))
+    found = search(clips, Model(sliding_friction=0.0))
     assert "sliding_friction" in names(found)
     assert found.verdict == "ambiguous"
     assert "stribeck" in found.experiment
@@ -166,7 +166,7 @@ def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(m
 def test_what_the_library_holds_is_not_called_outside_it(monkeypatch, hidden):
     """Friction with a shape of its own, or one strength of two, which a free law could bend to."""
     only(monkeypatch, **{name: library()[name] for name in {*FEW, "plate_tilt"}})
-    found = find(collisions(Model().replace(hidden), 10, 4), Model())
+    found = search(collisions(Model().replace(hidden), 10, 4), Model())
     assert found.free_law is None
     assert found.verdict == "named"
     assert set(names(found)) == {k.partition(".")[0] for k in hidden}
@@ -178,8 +178,8 @@ def test_an_effect_outside_the_library_gets_its_free_law_and_no_name(law):
     assert found.verdict == "outside_library"
     assert names(found) == []
     assert [e.name() for e in found.model.effects] == [found.free_law.law.name] == [law]
-    assert found.selected.ranking[0].sigma > found.selected.claim  # the nearest of the library would have been claimed
-    gap, points = found.shown.gap, found.shown.after.points
+    assert found.scores[0].sigma > found.required_sigma  # the nearest of the library would have been claimed
+    gap, points = found.gap, found.gap_fits.after.points
     chance = 4 * np.sqrt(2 / points) / (gap.before - gap.floor)  # in chi^2 a point of so few clips kept out
     assert gap.closure > (0.7 if law == "friction_place" else 0.95) - chance  # other clips see other places of a map
     assert chance < 0.2
@@ -215,7 +215,7 @@ def test_exact_aliases_are_reported_as_a_class(monkeypatch):
     effect = library()["velocity_restitution"]
     Twin.laws = effect.laws
     only(monkeypatch, velocity_restitution=effect, twin=Twin)
-    found = find(collisions(Model().replace({"velocity_restitution.e": 0.02}), 6, 4), Model())
+    found = search(collisions(Model().replace({"velocity_restitution.e": 0.02}), 6, 4), Model())
     assert found.verdict == "ambiguous"
     assert len(found.named) == 1
     assert [set(a) for a in found.document()["aliases"]] == [{"twin", "velocity_restitution"}]
@@ -225,7 +225,7 @@ def test_exact_aliases_are_reported_as_a_class(monkeypatch):
 def test_the_order_of_the_clips_does_not_matter(monkeypatch):
     only(monkeypatch)
     clips = collisions(Model().replace(HIDDEN["velocity_restitution"]), 6, 3)
-    one, other = (find(c, Model()).document() for c in (clips, clips[::-1]))
+    one, other = (search(c, Model()).document() for c in (clips, clips[::-1]))
     assert one["verdict"] == other["verdict"] == "named"
     assert one["named"][0]["parameters"] == pytest.approx(other["named"][0]["parameters"], rel=1e-4)
     for gap in (one["gap"], other["gap"]):
@@ -238,7 +238,7 @@ def test_the_order_of_the_clips_does_not_matter(monkeypatch):
 def test_an_effect_in_the_model_with_a_wrong_strength_is_named_again(monkeypatch, truth):
     only(monkeypatch)
     wrong = Model().replace({"velocity_restitution.e": 0.03})
-    found = find(collisions(Model().replace({"velocity_restitution.e": truth}), 8, 3), wrong)
+    found = search(collisions(Model().replace({"velocity_restitution.e": truth}), 8, 3), wrong)
     assert found.verdict == "named"
     (named,) = found.named
     assert named.effect == "velocity_restitution"
@@ -250,12 +250,12 @@ def test_an_effect_in_the_model_with_a_wrong_strength_is_named_again(monkeypatch
 
 def test_a_model_without_rolling_loss_is_searched_too():
     slippery = Model().replace({"rolling_decel": 0.0})
-    assert find(collisions(slippery, 6, 5), slippery).verdict == "none"
+    assert search(collisions(slippery, 6, 5), slippery).verdict == "none"
 
 
 def test_too_few_collisions():
     with pytest.raises(InputError, match="5 measured collisions: expected 6"):
-        find(collisions(Model(), 5, 6), Model())
+        search(collisions(Model(), 5, 6), Model())
 
 
 def test_clips_too_short_to_read_noise_from():
@@ -266,7 +266,7 @@ def test_clips_too_short_to_read_noise_from():
         for c, e in zip(clips, every, strict=True)
     ]
     with pytest.raises(InputError, match="too few unbroken frames"):
-        find(cut, Model())
+        search(cut, Model())
 
 
 def one_way(clip):
@@ -280,7 +280,7 @@ def one_way(clip):
 
 def test_clips_all_alike_are_said(monkeypatch):
     only(monkeypatch)
-    found = find([one_way(c) for c in collisions(Model(), 6, 5)], Model())
+    found = search([one_way(c) for c in collisions(Model(), 6, 5)], Model())
     assert found.verdict == "none"
     assert [line.partition(":")[0] for line in found.document()["alike"]] == ["all clips go one way"]
 
@@ -292,16 +292,16 @@ def test_a_bad_recording_does_not_spoil_the_gap(monkeypatch):
     bad = split_held_out(clips)[1][1].clip
     rough = STD * 10 * np.random.default_rng(1).standard_normal(clips[bad].xy.shape)
     clips[bad] = dataclasses.replace(clips[bad], xy=clips[bad].xy + rough)
-    found = find(clips, Model())
-    assert bad not in [c.clip for c in found.data.kept_out]
+    found = search(clips, Model())
+    assert bad not in [c.clip for c in found.data.held_out]
     assert [line.partition(":")[0] for line in found.data.left_out] == [f"clip {bad}"]
-    assert found.shown.gap.before == pytest.approx(found.shown.gap.floor, rel=0.15)
+    assert found.gap.before == pytest.approx(found.gap.floor, rel=0.15)
 
 
 def test_a_model_without_a_motion_is_refused():
     steep = Model().replace({"plate_tilt.x": 5e-3})
     with pytest.raises(InputError, match="no motion for these collisions"):
-        find(collisions(Model(), 6, 5), steep)
+        search(collisions(Model(), 6, 5), steep)
 
 
 def test_an_added_effect_gets_its_shape(monkeypatch):
@@ -360,7 +360,7 @@ def test_a_camera_and_a_model_of_different_balls_are_refused(wide):
         clips[-1], sizes = dataclasses.replace(clips[-1], camera=camera), sizes[::-1]
     else:
         model = dataclasses.replace(model, ball=Ball(diameter=2.5e-3))
-    for asked in (lambda: find(clips, model), lambda: add(clips, model, "hop")):
+    for asked in (lambda: search(clips, model), lambda: add(clips, model, "hop")):
         with pytest.raises(InputError, match=r"camera.json is {} mm wide .*, that of the model {} mm".format(*sizes)):
             asked()
 
@@ -373,7 +373,7 @@ WIDER = dataclasses.replace(CAMERA, K=CAMERA.K * [[1.01, 1, 1], [1, 1.01, 1], [1
 def test_clips_of_two_cameras_are_refused(key, camera):
     clips = collisions(Model(), 6, 5)
     clips[4] = dataclasses.replace(clips[4], camera=camera)
-    for asked in (lambda: find(clips, Model()), lambda: add(clips, Model(), "hop")):
+    for asked in (lambda: search(clips, Model()), lambda: add(clips, Model(), "hop")):
         with pytest.raises(InputError, match=f"camera.json: {key} of clip 4 is not that of clip 0; expected clips of"):
             asked()
 
@@ -383,22 +383,22 @@ def test_what_is_measured_anew_of_each_clip_makes_no_other_camera(monkeypatch):
     clips = collisions(Model(), 6, 5)
     anew = {"psf_sigma": 1.3, "sensor": dataclasses.replace(CAMERA.sensor, gain=3.0), "exposure_from_blur": 6e-4}
     clips[4] = dataclasses.replace(clips[4], camera=dataclasses.replace(CAMERA, **anew))
-    assert find(clips, Model()).verdict == "none"
+    assert search(clips, Model()).verdict == "none"
 
 
 def test_what_is_kept_out_has_no_part_in_the_noise(monkeypatch):
     only(monkeypatch)
     clips = collisions(Model(), 8, 3)
-    found, kept_out = find(clips, Model()), {c.clip for c in split_held_out(clips)[1]}
+    found, kept_out = search(clips, Model()), {c.clip for c in split_held_out(clips)[1]}
     rng = np.random.default_rng(1)
     rough = [
         dataclasses.replace(c, xy=c.xy + 3 * STD * rng.standard_normal(c.xy.shape) * (c.clip in kept_out))
         for c in clips
     ]
-    again = find(rough, Model())
-    assert again.shown.before.chi2 > 5 * found.shown.before.chi2
+    again = search(rough, Model())
+    assert again.gap_fits.before.chi2 > 5 * found.gap_fits.before.chi2
     assert again.data.noise == found.data.noise
-    assert again.base.chi2 == found.base.chi2
+    assert again.base.chi2 == found.base_fit.chi2
 
 
 def test_it_is_counted_how_many_clips_are_gone(monkeypatch):
@@ -409,8 +409,8 @@ def test_it_is_counted_how_many_clips_are_gone(monkeypatch):
         asked.append((len(clips), gone))
         return {0: "one"} if (len(clips), gone) == (6, 0) else {}
 
-    monkeypatch.setattr("discrepancy.search.outlier_clips", first)
-    assert find(collisions(Model(), 8, 3), Model()).data.left_out == ("one",)
+    monkeypatch.setattr("discrepancy.search.find_outlier_clips", first)
+    assert search(collisions(Model(), 8, 3), Model()).data.left_out == ("one",)
     assert asked[:2] == [(6, 0), (5, 1)]
 
 
@@ -420,7 +420,7 @@ def test_it_is_counted_how_many_clips_are_gone(monkeypatch):
 )
 def test_how_the_gap_goes_is_said_as_it_is(after, said):
     found = searched("velocity_restitution")
-    gap = dataclasses.replace(found.shown.gap, before=1.0, after=after)
+    gap = dataclasses.replace(found.gap, before=1.0, after=after)
     moved = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
     assert f"On collisions kept out, the gap {said} in chi^2 a point" in moved.sentence()
 
@@ -434,11 +434,11 @@ def test_clips_of_two_frame_rates_are_searched_together(monkeypatch):
         frame = np.tile(np.arange(FRAMES // 2), 2)
         half = dataclasses.replace(clips[k].of(np.flatnonzero(clips[k].frame % 2 == 0)), camera=slow, frame=frame)
         clips[k] = dataclasses.replace(half, xy=predict_tracks(true, half.launch[None], [half])[0])
-    found = find(noisy(clips, 4), Model())
+    found = search(noisy(clips, 4), Model())
     assert (found.verdict, found.named[0].effect) == ("named", "rolling_quadratic")
     value, std = (d["rolling_quadratic.K"] for d in (found.named[0].values, found.named[0].std))
     assert abs(value - 0.2) < 3 * std
-    assert found.shown.gap.after < 1.2
+    assert found.gap.after < 1.2
 
 
 def test_noise_that_motion_fills_is_read_from_short_pieces_and_it_is_said(monkeypatch):
@@ -448,7 +448,7 @@ def test_noise_that_motion_fills_is_read_from_short_pieces_and_it_is_said(monkey
     for clip in collisions(Model(), 8, 3):
         sway = 300 * STD * np.sin(clip.frame / 20 + rng.uniform(0, 2 * np.pi))[:, None] * rng.standard_normal(2)
         clips.append(dataclasses.replace(clip, xy=clip.xy + sway, slide_ends=clip.slide_ends + 0.1))
-    found = find(clips, Model())
+    found = search(clips, Model())
     assert found.verdict == "inadequate"
     noise = found.document()["noise"]
     assert noise["scale"] == pytest.approx(1, rel=0.2)

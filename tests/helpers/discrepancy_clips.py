@@ -15,7 +15,7 @@ from discrepancy.fitting.parameters import BASE_PARAMETERS, strength_names
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise, NoiseComponent, estimate
 from discrepancy.noise.whitening import ClipWhitener
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.dynamics import batch
 from synthcam.library import library
 from synthcam.model import Model
@@ -128,7 +128,7 @@ def searched(hidden, rho=0.0):
 
 @cache
 def _searched(hidden, rho):
-    return find(collisions(Model().replace(HIDDEN[hidden]), 8, 3, rho), Model())
+    return search(collisions(Model().replace(HIDDEN[hidden]), 8, 3, rho), Model())
 
 
 class Design:

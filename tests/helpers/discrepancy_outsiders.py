@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions, only
 
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.effect import Effect, parameter
 from synthcam.library import library
 from synthcam.model import Model
@@ -86,4 +86,4 @@ def outsider(law, seed=3):
     hidden = dataclasses.replace(Model(), effects=(OUTSIDERS[law],))
     with pytest.MonkeyPatch.context() as patch:
         only(patch, **{name: library()[name] for name in FEW})
-        return find(collisions(hidden, clips, seed), Model())
+        return search(collisions(hidden, clips, seed), Model())

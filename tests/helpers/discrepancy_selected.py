@@ -1,22 +1,21 @@
-"""The stepwise selection by itself, for tests."""
+"""The search of the library by itself, for tests."""
 
 from discrepancy.fitting.model_fit import WhitenedClips
-from discrepancy.select.fit_store import FitStore
-from discrepancy.select.library_search import Stepwise
+from discrepancy.select.library_search import LibrarySearch
 
 
-def stored(clips, base, noise):
-    """A store that holds no fit but the base's."""
-    return FitStore(WhitenedClips.of(clips, noise), base, lambda: None)
+def library_search(clips, base, noise):
+    """A search that has fitted nothing but the base."""
+    return LibrarySearch(WhitenedClips.of(clips, noise), base, lambda: None)
 
 
 def selected(clips, base, noise):
-    """The steps, and the selection that they lead to."""
-    steps = Stepwise.of(stored(clips, base, noise))
-    return steps, steps.selection(steps.end(()))
+    """The search, and the selection that it leads to."""
+    steps = library_search(clips, base, noise)
+    return steps, steps.select(steps.finish(()))
 
 
-def named(clips, base, noise):
-    """The effects that are named."""
+def claimed(clips, base, noise):
+    """The effects that are claimed."""
     steps, found = selected(clips, base, noise)
-    return steps.named(found.state)
+    return steps.claims(found.state)

@@ -17,8 +17,8 @@ import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.reading import read_collisions
-from discrepancy.found import SearchResult
-from discrepancy.search import find
+from discrepancy.results import SearchResult
+from discrepancy.search import search
 from synthcam.model import read_model, settings_of
 from synthcam_shared.errors import InputError
 
@@ -41,7 +41,7 @@ def plain(value: Any) -> Any:
 
 def answer(found: SearchResult) -> dict[str, Any]:
     """What is put on record: the report's document and both models."""
-    models = {"base": settings_of(found.shown.before.model), "model": settings_of(found.model)}
+    models = {"base": settings_of(found.gap_fits.before.model), "model": settings_of(found.model)}
     return found.document() | models
 
 
@@ -59,9 +59,9 @@ def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> 
         clips, left_out = read_collisions(measured, camera)
         given = read_model(model)
         began, spent = time.monotonic(), time.process_time()
-        found = find(clips, given, seconds=LONGEST)
+        found = search(clips, given, seconds=LONGEST)
         said = answer(found) | {"seconds": time.monotonic() - began, "cpu": time.process_time() - spent}
-        keep(found.data.kept_out, folder / "kept_out.npz")
+        keep(found.data.held_out, folder / "kept_out.npz")
         return dict(plain(said | {"clips_used": len(clips), "left_out": left_out}))
     except InputError as e:
         return {"verdict": "refused", "why": str(e)}

@@ -19,8 +19,7 @@ from discrepancy.fitting.parameters import Candidate, find_parameter, list_candi
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.planning.experiment import Experiment
 from discrepancy.policy import current_policy
-from discrepancy.select.score_test import ScoreTests, detectable_axes
-from discrepancy.select.scored import CandidateTrial, RealisticSizes
+from discrepancy.select.score_test import CandidateTrial, RealisticSizes, ScoreTests, detectable_axes
 from synthcam.model import Model
 
 

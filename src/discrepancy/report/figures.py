@@ -15,8 +15,8 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.found import SearchResult
 from discrepancy.free_laws.law_summary import LawSummary
+from discrepancy.results import SearchResult
 from discrepancy.validate.gap import Gap
 from synthcam_shared.report.page import PageFigure
 
@@ -27,7 +27,7 @@ STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": Fal
 
 def name_of_best(found: SearchResult) -> str:
     """Name the best model after what it has beside the base model: "with plate_tilt"."""
-    effects = sorted({claim.effect for claim in found.named})
+    effects = sorted({claim.effect for claim in found.claims})
     return f"with {' and '.join([*(['a free law'] if found.free_law else []), *effects])}"
 
 
@@ -39,8 +39,8 @@ def draw_figures(found: SearchResult) -> list[PageFigure]:
 
 def _draw_all(found: SearchResult) -> list[tuple[str, Figure, str]]:
     """Titles, figures and captions."""
-    compared = f", base model and model {name_of_best(found)}" if found.anything else " of the base model"
-    only = "" if found.anything else " The search names no effect, so the base model is shown alone."
+    compared = f", base model and model {name_of_best(found)}" if not found.is_empty else " of the base model"
+    only = "" if not found.is_empty else " The search names no effect, so the base model is shown alone."
     figures = [
         (
             f"Mean residuals{compared}",
@@ -56,13 +56,13 @@ def _draw_all(found: SearchResult) -> list[tuple[str, Figure, str]]:
             "collisions.",
         ),
     ]
-    if found.answer:
+    if found.law_summary:
         caption = "Law without an assumed form: fitted curve with bands of 68 and 95 %."
-        if len(found.answer.x) == 2:
+        if len(found.law_summary.x) == 2:
             caption = "Law without an assumed form, and half the width of its 68 % band, which is wide where no ball "
             "passed."
-        figures.append((f"Free law: {found.answer.formula}", _law_figure(found.answer), caption))
-    if found.selected.ranking:
+        figures.append((f"Free law: {found.law_summary.formula}", _law_figure(found.law_summary), caption))
+    if found.scores:
         caption = "Significance of every effect of the library when it is added alone to the base model (score test)."
         figures.append(("Significance of each candidate effect", _ranking_figure(found), caption))
     caption = f"Collisions that entered no fit of the shared parameters; only their launches are fitted.{only}"
@@ -79,10 +79,10 @@ def _subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], 
 
 def _fits_to_draw(found: SearchResult) -> list[tuple[Sequence[MeasuredCollision], ModelFit, str, str]]:
     """Clips, fit, colour and label of the base model and, where anything was found, of the best one."""
-    fits = [(found.data.clips, found.base, BASE, "base model")]
-    if found.anything:
+    fits = [(found.data.clips, found.base_fit, BASE, "base model")]
+    if not found.is_empty:
         clips = found.free_law.evidence.clips if found.free_law else found.data.clips
-        fits.append((tuple(clips), found.best, BEST, name_of_best(found)))
+        fits.append((tuple(clips), found.best_fit, BEST, name_of_best(found)))
     return list(fits)
 
 
@@ -114,7 +114,7 @@ def _rms_residuals_figure(found: SearchResult) -> Figure:
             errors = sizes / np.sqrt([4 * len(v) for v in values])
             ax.errorbar(centres + 0.02 * k, sizes, errors, fmt="o", ms=3, lw=1, color=colour, label=label)
     for b, ax in enumerate(axes):
-        ax.axhline(found.shown.gap.floor_um, color=NOISE, lw=1, ls="--", label="noise alone")
+        ax.axhline(found.gap.floor_um, color=NOISE, lw=1, ls="--", label="noise alone")
         _mark_stages(ax, f"ball {b + 1}")
     axes[0].set(ylabel="rms residual in x and y (µm)", ylim=(0, None))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
@@ -208,13 +208,13 @@ def _law_map_figure(answer: LawSummary) -> Figure:
 
 
 def _ranking_figure(found: SearchResult) -> Figure:
-    ranking = found.selected.ranking[:20][::-1]
+    ranking = found.scores[:20][::-1]
     figure, ax = _subplots(figsize=(6, 0.6 + 0.25 * len(ranking)))
-    claimed = {n.effect for n in found.named}
-    rivals = {a for n in found.named for a in n.aliases} - claimed
+    claimed = {n.effect for n in found.claims}
+    rivals = {a for n in found.claims for a in n.aliases} - claimed
     colours = [BEST if c.effect in claimed else "#92c5de" if c.effect in rivals else OTHER for c in ranking]
     ax.barh([c.effect for c in ranking], [c.sigma for c in ranking], color=colours)
-    claim = found.selected.claim
+    claim = found.required_sigma
     ax.axvline(claim, color=BASE, lw=1, ls="--", label=f"required for a claim: {claim:.1f}")
     ax.set(xlabel="significance (sigma)")
     if max(c.sigma for c in ranking) > 50:
@@ -224,10 +224,10 @@ def _ranking_figure(found: SearchResult) -> Figure:
 
 
 def _gap_by_phase_figure(found: SearchResult) -> Figure:
-    gap = found.shown.gap
+    gap = found.gap
     figure, axes = _subplots(1, 2, figsize=(8, 3))
     for ax, ending in zip(axes, ("", "_um"), strict=True):
-        draw_gap_bars(ax, gap, ending, name_of_best(found) if found.anything else "")
+        draw_gap_bars(ax, gap, ending, name_of_best(found) if not found.is_empty else "")
     _scale_log_if_wide(axes[0], gap)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
@@ -253,18 +253,18 @@ def draw_gap_bars(ax: Axes, gap: Gap, ending: str, best: str) -> None:
 
 def _gap_by_clip_figure(found: SearchResult) -> Figure:
     figure, ax = _subplots(figsize=(6, 3))
-    speeds = np.array([float(c.launch[V0]) for c in found.data.kept_out])
-    fits = [(found.shown.before, BASE, "o", "base model")]
-    if found.anything:
-        fits.append((found.shown.after, BEST, "s", name_of_best(found)))
+    speeds = np.array([float(c.launch[V0]) for c in found.data.held_out])
+    fits = [(found.gap_fits.before, BASE, "o", "base model")]
+    if not found.is_empty:
+        fits.append((found.gap_fits.after, BEST, "s", name_of_best(found)))
     for k, (fit, colour, marker, label) in enumerate(fits):
         points = np.array([len(r) for r in fit.residuals])
         chi2 = np.array([r @ r for r in fit.residuals]) / points
         at = speeds + 0.006 * np.ptp(speeds) * (2 * k - len(fits) + 1)  # side by side, so that neither hides the other
         errors = chi2 * np.sqrt(2 / points)
         ax.errorbar(at, chi2, errors, fmt=marker, ms=4, lw=1, color=colour, mfc="white", label=label)
-    ax.axhline(found.shown.gap.floor, color=NOISE, lw=1, ls="--", label="noise alone")
-    _scale_log_if_wide(ax, found.shown.gap)
+    ax.axhline(found.gap.floor, color=NOISE, lw=1, ls="--", label="noise alone")
+    _scale_log_if_wide(ax, found.gap)
     ax.set(xlabel="speed before the contact (m/s)", ylabel="χ² per point, held-out collisions")
     ax.legend()
     return figure
@@ -274,3 +274,15 @@ def _scale_log_if_wide(ax: Axes, gap: Gap, wide: float = 5.0) -> None:
     """Use a logarithmic axis where the base model leaves over `wide` times what noise leaves."""
     if gap.before / max(gap.floor, 1e-9) > wide:
         ax.set_yscale("log")
+
+
+def plot_gap(gap: Gap, ax: Axes | None = None) -> Axes:
+    """Plot the gap on held-out collisions by phase; see `SearchResult.plot_gap`."""
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots(layout="constrained")[1]
+    draw_gap_bars(ax, gap, "_um", "with what was found")
+    ax.set(xlabel="phase of the collision")
+    ax.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    return ax

@@ -9,7 +9,8 @@ import numpy as np
 from discrepancy.data.launch import V0, WITH_SPIN, B
 from discrepancy.fitting.gauss_newton import solve_step
 from discrepancy.fitting.model_fit import ModelFit
-from discrepancy.found import SearchResult
+from discrepancy.results import SearchResult
+from discrepancy.wording import describe_disagreement
 from synthcam_shared.report.numbers import format_number
 
 
@@ -27,7 +28,7 @@ def gain_of_next_step(fit: ModelFit) -> float:
 
 def _describe_fit(found: SearchResult, converged: float = 0.1) -> str:
     """converged: decrease of chi^2 by a further step below which the fit counts as converged."""
-    base, data, noise = found.base, found.data, found.data.noise
+    base, data, noise = found.base_fit, found.data, found.data.noise
     speeds = [float(c.launch[V0]) for c in data.clips]
     widest = max(abs(float(c.launch[B])) for c in data.clips)
     shared = ", ".join(base.names) or "nothing"
@@ -38,27 +39,29 @@ def _describe_fit(found: SearchResult, converged: float = 0.1) -> str:
     return (
         f"The search fitted {len(data.clips)} collisions together, at {min(speeds):.2f} to {max(speeds):.2f} m/s with "
         f"|b| up to {widest:.2f}. They share {shared}; each has {numbers} launch parameters; the fit {state}. "
-        f"{len(data.kept_out)} more collisions were held out. The noise is {noise.scale:.2f} times the standard errors "
+        f"{len(data.held_out)} more collisions were held out. The noise is {noise.scale:.2f} times the standard errors "
         f"of the positions, with a correlation of {noise.correlation:+.2f} between frames{common}."
     )
 
 
 def _describe_disagreement(found: SearchResult) -> str:
-    base = found.base
+    base = found.base_fit
     chi2 = f"The base model has chi^2 per degree of freedom {base.chi2 / (base.points - base.parameters):.3f}"
-    worst = found.where[0] if found.where else None
+    worst = found.base_disagreements[0] if found.base_disagreements else None
     if worst is None or worst.sigma == 0:
         return f"{chi2} and no significant disagreement."
     size = f", {format_number(worst.size, 2)} um rms" if np.isfinite(worst.size) else ""
+    where = describe_disagreement(worst)
     return (
-        f"{chi2}. Its largest disagreement is {worst}: {worst.sigma:.1f} sigma after {len(found.where)} trials{size}."
+        f"{chi2}. Its largest disagreement is {where}: {worst.sigma:.1f} sigma "
+        f"after {len(found.base_disagreements)} trials{size}."
     )
 
 
 def _describe_gap(found: SearchResult) -> str:
-    gap = found.shown.gap
+    gap = found.gap
     noise = f"noise alone would leave {gap.floor_um:.2f} um"
-    if not found.anything:
+    if found.is_empty:
         return f"On held-out collisions the base model leaves residuals of {gap.before_um:.2f} um rms; {noise}."
     closed = "the gap is too small to say what share of it is closed"
     if np.isfinite(gap.closure):
@@ -71,19 +74,21 @@ def _describe_gap(found: SearchResult) -> str:
 
 def _describe_open_questions(found: SearchResult) -> str:
     lines = []
-    classes = [_join_words(claim.aliases, "and") for claim in found.named if len(claim.aliases) > 1]
+    classes = [_join_words(claim.aliases, "and") for claim in found.claims if len(claim.aliases) > 1]
     if classes:
         lines.append(f"These collisions cannot distinguish {'; nor '.join(classes)} (see the experiment below).")
-    if found.answer and found.answer.formula_rejected:
+    if found.law_summary and found.law_summary.formula_rejected:
         lines.append("None of the short formulas that were tried describes the free curve.")
-    undetermined = [name for claim in found.named for name, std in claim.shape_std.items() if not np.isfinite(std)]
+    undetermined = [name for claim in found.claims for name, std in claim.shape_std.items() if not np.isfinite(std)]
     if undetermined:
         lines.append(f"They do not determine {_join_words(undetermined, 'and')}.")
-    if found.unidentifiable:
-        lines.append(f"They could not show {_join_words(found.unidentifiable, 'or')} at a realistic size.")
+    if found.undetectable:
+        lines.append(f"They could not show {_join_words(found.undetectable, 'or')} at a realistic size.")
     if not lines:
         lines.append("Every effect of the library would have been detected at a realistic size.")
-    return " ".join([*lines, *(f"{note[:1].upper()}{note[1:]}." for note in (*found.alike, *found.processed))])
+    return " ".join(
+        [*lines, *(f"{note[:1].upper()}{note[1:]}." for note in map(str, (*found.uniform, *found.processed)))]
+    )
 
 
 def _join_words(words: Sequence[str], last: str) -> str:

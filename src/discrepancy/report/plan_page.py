@@ -17,7 +17,7 @@ from discrepancy.planning.limits import Limit
 from discrepancy.planning.plan_result import PlanResult
 from discrepancy.policy import current_policy
 from discrepancy.report.figures import BASE, BEST, NOISE, OTHER, STYLE
-from discrepancy.report.search_page import to_json_values
+from discrepancy.results import to_json_values
 from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, write_page
 
 FILES = ("plan.json", "index.html")

@@ -5,25 +5,26 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from discrepancy.fitting.parameters import find_parameter
-from discrepancy.found import SearchResult
 from discrepancy.report.figures import draw_figures, name_of_best
 from discrepancy.report.narrative import write_story
-from discrepancy.select.effect_claim import EffectClaim, format_with_error
-from discrepancy.validate.held_out import ClaimTest
+from discrepancy.results import SearchResult
+from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement
+from discrepancy.wording import describe_disagreement, describe_rejection, format_with_error
 from synthcam.model import Model, write_model
+from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number
 from synthcam_shared.report.page import Block, PageList, PageTable, Section, write_page
 
 FILES = ("discrepancy.json", "index.html", "model.yaml")
 
 
-def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
+def write(found: SearchResult, folder: Path) -> None:
     """Write the three files of the report.
 
     Parameters
@@ -31,15 +32,13 @@ def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
     found : SearchResult
     folder : Path
         Made where it is missing.
-    left_out : sequence of str
-        A line for each clip, or part of one, that the search did not use.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    content = document(found, left_out)
-    (folder / "discrepancy.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    (folder / "discrepancy.json").write_text(json.dumps(found.document(), indent=1, allow_nan=False) + "\n")
+    left_out = list(map(str, found.left_out))
     write_model(found.model, folder / "model.yaml")
     figures = draw_figures(found)
-    named = _named_table(found)
+    named, base = _named_table(found), found.base_disagreements
     sections = [
         Section("Effects that the model lacks", [named, *_describe_similar(found)] if named else []),
         Section("Course of the search", [PageList(write_story(found), ordered=True)]),
@@ -47,10 +46,13 @@ def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
         *(Section(figure.title, [figure]) for figure in figures),
         Section("Residuals of held-out collisions, in numbers", [_gap_table(found)]),
         Section("Tests of each claim on collisions that did not enter it", _test_table(found)),
-        Section("Disagreements of the base model", [_disagreement_table(found.where[:10], len(found.where))]),
+        Section(
+            "Disagreements of the base model",
+            [_disagreement_table(base[:10], len(base))],
+        ),
         Section(
             f"Disagreements that remain {name_of_best(found)}",
-            [_disagreement_table(found.left[:5], len(found.left))] if found.anything else [],
+            [_disagreement_table(found.disagreements[:5], len(found.disagreements))] if not found.is_empty else [],
         ),
         Section("Fitted parameters of the model", [_parameter_table(found)]),
         Section("Collisions and positions that were not used", [PageList(left_out)] if left_out else []),
@@ -58,28 +60,17 @@ def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
     write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", [found.sentence()])
 
 
-def document(found: SearchResult, left_out: Sequence[str]) -> dict[str, Any]:
-    """Return the contents of discrepancy.json: plain values, None for what is not finite."""
-    whole: dict[str, Any] = to_json_values(found.document())
-    whole["clips"]["left_out"] = list(left_out)
-    return whole
-
-
-def to_json_values(value: Any) -> Any:
-    """Convert numpy numbers to plain ones, and NaN and infinity to None, in dictionaries and lists too."""
-    if isinstance(value, dict):
-        return {k: to_json_values(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [to_json_values(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value
+def write_report(found: SearchResult, folder: Path) -> Path:
+    """Write a report and return the path of its page; see `SearchResult.report`."""
+    with replace_folder(folder, FILES, "a report of an earlier search") as place:
+        write(found, place)
+    return folder / "index.html"
 
 
 def _named_table(found: SearchResult) -> PageTable | None:
     """Table of the claims: each parameter with its error and its own significance, and the joint one of the effect."""
     rows = []
-    for claim in found.named:
+    for claim in found.claims:
         once = claim.effect, f"{claim.sigma:.1f}", ", ".join(claim.aliases[1:])  # on the first line of an effect
         for name, value in (claim.values | claim.shapes).items():
             text, own = _format_parameter(found, claim, name, value)
@@ -105,14 +96,14 @@ def _format_parameter(found: SearchResult, claim: EffectClaim, name: str, value:
     number = format_with_error(value, std, 2)
     if claim.at_limit(name):
         return f"{number}, at the limit of its range", ""
-    if not (np.isfinite(std) and std > 0) or not found.sound:
+    if not (np.isfinite(std) and std > 0) or not found.is_complete:
         return f"{number}, without an error: more is missing", ""
     return f"{number} ± {std:.2g}", f"{abs(value) / std:.1f}" if name in claim.values else ""
 
 
 def _describe_similar(found: SearchResult) -> list[Block]:
     out: list[Block] = []
-    for claim in found.named:
+    for claim in found.claims:
         if claim.alike:
             pairs = ", ".join(f"{' with '.join(names)} (cosine {cosine:.3f})" for names, cosine in claim.alike)
             out.append(f"Effects whose signatures are nearly that of {claim.effect}: {pairs}.")
@@ -120,10 +111,10 @@ def _describe_similar(found: SearchResult) -> list[Block]:
 
 
 def _gap_table(found: SearchResult) -> PageTable:
-    gap, best = found.shown.gap, name_of_best(found)
-    models = ["base model", *([best] if found.anything else []), "noise alone"]
+    gap, best = found.gap, name_of_best(found)
+    models = ["base model", *([best] if not found.is_empty else []), "noise alone"]
     heads = ["phase", *(f"χ² per point: {model}" for model in models), *(f"rms / µm: {model}" for model in models)]
-    keys = ["before", *(["after"] if found.anything else []), "floor"]
+    keys = ["before", *(["after"] if not found.is_empty else []), "floor"]
     rows = []
     for name, part in {**gap.by_phase, "all phases": gap}.items():
         chi2 = [f"{getattr(part, key):.4g}" for key in keys]
@@ -134,7 +125,7 @@ def _gap_table(found: SearchResult) -> PageTable:
 
 
 def _test_table(found: SearchResult) -> list[Block]:
-    tests: list[ClaimTest] = [*found.claims, *found.withdrawn]
+    tests: list[ClaimTest] = [*found.accepted, *found.rejected]
     if not tests:
         return []
     heads = [
@@ -147,7 +138,7 @@ def _test_table(found: SearchResult) -> list[Block]:
     ]
     rows = []
     for test in tests:
-        held_out, each = test.kept_out, test.turns
+        held_out, each = test.held_out, test.leave_one_out
         rows.append(
             (
                 test.name,
@@ -155,7 +146,7 @@ def _test_table(found: SearchResult) -> list[Block]:
                 f"{held_out.sigma:.1f} ({held_out.promised:.1f})",
                 *(f"{chi2:.4f}" for chi2 in each.gap),
                 f"{each.sigma:.1f}",
-                f"rejected: {test.why}" if test.why else "passed",
+                f"rejected: {describe_rejection(test)}" if test.rejection else "passed",
             )
         )
     note = (
@@ -170,19 +161,19 @@ def _disagreement_table(disagreements: Sequence[Disagreement], trials: int) -> P
     rows = []
     for one in disagreements:
         size = format_number(one.size, 2) if np.isfinite(one.size) and one.size else ""
-        rows.append((str(one), f"{one.sigma:.1f}", size))
+        rows.append((describe_disagreement(one), f"{one.sigma:.1f}", size))
     note = f"The significance is corrected for {trials} trials."
     return PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)
 
 
 def _parameter_table(found: SearchResult) -> PageTable:
-    base, best = found.base, found.best
+    base, best = found.base_fit, found.best_fit
     rows = []
     for name in best.names:
         values = [f"{base.model.value(name):.6g}" if name in base.names else ""]
-        values += [f"{best.model.value(name):.6g}"] if found.anything else []
+        values += [f"{best.model.value(name):.6g}"] if not found.is_empty else []
         rows.append([name, _unit(name), *values])
-    return PageTable(["parameter", "unit", "base model", *([name_of_best(found)] if found.anything else [])], rows)
+    return PageTable(["parameter", "unit", "base model", *([name_of_best(found)] if not found.is_empty else [])], rows)
 
 
 def _unit(name: str) -> str:

@@ -1,26 +1,26 @@
-"""An effect as it is named: its numbers, and what it may be confused with."""
+"""A claim of an effect: its values and errors, and what it may be confused with."""
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.jacobian import decouple
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
+from discrepancy.fitting.shape_scan import MANY, can_scan
 from discrepancy.policy import current_policy
-from discrepancy.select.score_test import largest_cosine
-from discrepancy.select.scored import CandidateScore
+from discrepancy.select.score_test import CandidateScore, ScoreTests, derive_trial, largest_cosine
 from synthcam.model import Model
 
 
 @dataclass(frozen=True)
 class EffectClaim:
-    """An effect added to the model.
+    """An effect that the search claims.
 
     Attributes
     ----------
@@ -28,17 +28,17 @@ class EffectClaim:
     values, std : dict of str to float
         Its strengths by dotted name, and their standard deviations.
     sigma : float
-        Significance of what it explains.
+        Joint significance of its strengths.
     aliases : tuple of str
         The effects that fit as well, itself first.
     shapes, shape_std : dict of str to float
-        Its shape parameters likewise; infinite where the data leave one undetermined.
+        The same of its shape parameters; infinite where the data leave one undetermined.
     alike : tuple of (tuple of str, float)
-        What has nearly its signature, one effect or the sum of two, with the cosine.
+        Effects, or sums of two, with a similar signature, and the cosine.
     limit : dict of str to float
         The detection limits of its strengths.
     naming : dict of str to float
-        The strengths from which it is told from the likest effect that it can be told from.
+        The strengths from which on it is distinguished from the most similar effect that is no alias.
     """
 
     effect: str
@@ -75,60 +75,28 @@ class EffectClaim:
         own, bent = {k: std.get(k, np.inf) for k in values}, {k: shape_error(fit, k, std.get(k, 0.0)) for k in shapes}
         return cls(candidate.name, values, own, sigma, (candidate.name,), shapes, bent)
 
-    def unsure(self, sigma: float) -> EffectClaim:
+    def without_errors(self, sigma: float) -> EffectClaim:
         """The same without standard deviations, which would hold only if nothing else were missing.
 
-        sigma: by how the strength scatters from collision to collision; the lesser sigma is given.
+        sigma: by the scatter of the strength from collision to collision; the lesser sigma is given.
         """
         none = dict.fromkeys(self.std, np.nan), dict.fromkeys(self.shape_std, np.nan)
         return replace(self, std=none[0], shape_std=none[1], sigma=min(self.sigma, sigma))
 
     def at_limit(self, name: str) -> bool:
-        """Whether a strength stands at the end of what its effect allows: it might lie beyond, so it has no error."""
+        """Whether a strength is at the end of its allowed range: the best value may lie beyond, so it has no error."""
         return name in self.values and is_at_limit(name, self.values[name])
 
-    def at_end_of_range(self) -> str:
-        """Why it cannot be this effect: a shape parameter at an end of its range; empty if none is.
+    def shape_at_limit(self) -> tuple[str, float] | None:
+        """A shape parameter at an end of its range, and its value; None if there is none. Zero is no such end.
 
-        The collisions would have it beyond: what moves the balls has another law. Zero is no such end.
+        The collisions ask for a value beyond the range: what moves the balls follows another law.
         """
-        for name, value in self.shapes.items():
-            if value != 0 and is_at_limit(name, value):
-                return f"its {name.rpartition('.')[2]} stands at {value:.3g}, the end of its range"
-        return ""
+        return next(((n, v) for n, v in self.shapes.items() if v != 0 and is_at_limit(n, v)), None)
 
-    def held(self, base: Model) -> bool:
+    def is_in(self, base: Model) -> bool:
         """Whether the base model has this effect, with another strength."""
         return any(base.value(k) != 0 for k in self.values)
-
-    def said(self, base: Model) -> str:
-        """The effect with its numbers; where the base model holds a strength, that it is another."""
-        rivals = f" or {' or '.join(self.aliases[1:])}" if len(self.aliases) > 1 else ""
-        shown = {k: format_with_error(v, 0.0 if self.at_limit(k) else self.std[k], 1) for k, v in self.values.items()}
-        errors = {k: f"+- {self.std[k]:.1g}" if np.isfinite(self.std[k]) else "without an error" for k in self.values}
-        errors |= {k: "at its limit" for k in self.values if self.at_limit(k)}
-        shapes = [
-            f"{k.rpartition('.')[2]} = {format_with_error(v, self.shape_std[k], 1)} +- {self.shape_std[k]:.1g}"
-            if np.isfinite(self.shape_std[k])
-            else f"{k.rpartition('.')[2]} undetermined"
-            for k, v in self.shapes.items()
-        ]
-        if self.held(base):
-            strengths = [f"{k} is not {base.value(k):.3g} but {v} {errors[k]}" for k, v in shown.items()]
-            return f"{', '.join([*strengths, *shapes])} ({self.sigma:.0f} sigma){rivals}"
-        strengths = [f"{k.rpartition('.')[2]} = {v} {errors[k]}" for k, v in shown.items()]
-        return f"{self.effect}{rivals} ({', '.join([*strengths, *shapes])}; {self.sigma:.0f} sigma)"
-
-
-def format_with_error(value: float, std: float, digits: int) -> str:
-    """A value as text, to the decimal place of the last of `digits` digits of its error; without one, three digits."""
-    if not (np.isfinite(std) and std > 0 and value):
-        return f"{value:.3g}"
-    places = digits - 1 - math.floor(math.log10(float(f"{std:.{digits - 1}e}")))
-    figures = max(places + math.floor(math.log10(abs(value))) + 1, 1)
-    if abs(value) < 1e-4:
-        return f"{value:.{figures - 1}e}"
-    return f"{value:.{places}f}" if places > 0 else f"{value:.{figures}g}"
 
 
 def is_at_limit(name: str, value: float) -> bool:
@@ -157,7 +125,7 @@ def find_similar_pairs(own: Array, ranking: Sequence[CandidateScore]) -> tuple[t
     Returns
     -------
     tuple of ((str, str), float)
-        Names and cosine of the three likest pairs, the likest first.
+        Names and cosine of the three most similar pairs, the most similar first.
     """
     alone = [
         c
@@ -170,3 +138,54 @@ def find_similar_pairs(own: Array, ranking: Sequence[CandidateScore]) -> tuple[t
         if cosine > current_policy().pair_alias_cosine:
             found.append(((one.effect, other.effect), cosine))
     return tuple(sorted(found, key=lambda f: -f[1])[:3])
+
+
+def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candidate: Candidate) -> dict[str, float]:
+    """Standard deviations of a candidate's strengths and shape parameters, by profile likelihood.
+
+    Those of `fit`, or more if likely values lie further: a parabola as wide as chi^2 to first order wherever values are
+    tried, where few are. An effect so strong that first order is far off says nothing of them.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    reduced, fit : Fit
+        Without the candidate and with it.
+    candidate : Candidate
+
+    Returns
+    -------
+    dict of str to float
+        By dotted name.
+    """
+    max_gain = 2.0  # chi^2 by which other shapes may be better before this fit says nothing of them
+    likely_sigma = 3.0  # less likely values say nothing of an interval of one or two sigma
+    std = {n: s for n, s in fit.std.items() if n in candidate.strengths + candidate.shapes}
+    tries = list(candidate.grid(reduced.model))
+    if len(tries) < 2 or (len(tries) >= MANY and can_scan(candidate, tries)):
+        return std
+    found = {s: fit.model.value(s) for s in candidate.shapes}
+    plain, here = decouple(reduced.model, reduced.launches, evidence.clips)
+    if len(found) > 1:  # along a valley that runs between the places of a coarse grid
+        near = [found | {s: shapes[s]} for s in found for shapes in tries]
+        tries += [shapes for k, shapes in enumerate(near) if shapes not in near[:k]]
+    trials = [derive_trial(evidence, plain, reduced.launches, candidate, shapes, here) for shapes in (*tries, found)]
+    tests = ScoreTests(reduced, tuple(trials))
+    *others, (_, most, strengths) = tests.estimates()
+    middle = dict(zip(candidate.strengths, strengths, strict=True)) | found
+    if any(gain - most > max_gain for _, gain, _ in others) or abs(tests.chi2() - most - fit.chi2) > likely_sigma**2:
+        return std
+    for shapes, gain, strengths in others:
+        values = dict(zip(candidate.strengths, strengths, strict=True)) | shapes
+        if most - gain > likely_sigma**2 or any(not _inside(fit.model, n, values[n]) for n in candidate.strengths):
+            continue
+        for name in std:
+            away = abs(values[name] - middle[name])
+            std[name] = max(std[name], float(away / np.sqrt(max(most - gain, 1.0))))
+    return std
+
+
+def _inside(model: Model, name: str, value: float) -> bool:
+    """Whether a parameter may have a value."""
+    low, high = parameter_limits(model, name)
+    return low <= value <= high

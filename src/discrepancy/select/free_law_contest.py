@@ -7,23 +7,21 @@ order; the leaders are fitted in full. A second library effect is believed only 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from discrepancy.fitting.gauss_newton import linearise, minimise_chi2
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import Candidate
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.policy import current_policy
 from discrepancy.select.law_fit import fit_law, fit_law_with_effect, score_law, whiten_law_columns
+from discrepancy.select.library_search import MAX_EXCHANGES, SCORE_ERROR_CHI2, SCORE_ERROR_SHARE
 from discrepancy.select.model_cost import cost_of
-from discrepancy.select.score_test import ScoreTests
-from discrepancy.select.scored import CandidateScore
-
-LEADERS = 3  # fitted in full
-NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a free law explains: what the first order may be wrong by
+from discrepancy.select.score_test import CandidateScore, ScoreTests
 
 
 def fit_each_alone(
@@ -186,8 +184,8 @@ class FreeLawContest:
             self.progress()
         leaders = [(test, k) for test, k in seen if test.sigma > current_policy().free_law_sigma]
         leaders.sort(key=lambda pair: pair[0].score(self.base))
-        for test, _ in leaders[:LEADERS]:
-            slack = NEAR + LOOSE * (cost_of(test.fit, self.base) - test.score(self.base))
+        for test, _ in leaders[:3]:  # are fitted in full
+            slack = SCORE_ERROR_CHI2 + 0.01 * (cost_of(test.fit, self.base) - test.score(self.base))
             if all(test.score(self.base) < f.score + slack for f in fitted):
                 with suppress(ValueError):  # a curve on whose way there is no motion
                     fitted.append(fit_law(self.evidence, test, self.base, self.progress))
@@ -205,3 +203,48 @@ class FreeLawContest:
 
     def _lacks(self, place: int) -> CandidateScore | None:
         return self.asked[1] if self.asked is not None and self.asked[0] == place else None
+
+
+def find_replacements(
+    evidence: WhitenedClips,
+    less: FittedLaw,
+    named: Candidate,
+    absorbed: Collection[str],
+    base: ModelFit,
+    progress: Callable[[], None],
+) -> list[tuple[str, FittedLaw]]:
+    """Fit other effects beside a free law in the place of one of those beside it.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    less : FittedLaw
+        The free law without that effect.
+    named : Candidate
+        The effect.
+    absorbed : collection of str
+        Effects that are no rivals.
+    base : Fit
+        What the cost of effects is counted from.
+    progress : callable
+        Told of progress.
+
+    Returns
+    -------
+    list of (str, FittedLaw)
+        The effects that to first order explain nearly as much, fitted in full, the best first.
+    """
+    tests = ScoreTests.of(less.evidence, less.joint_fit, progress, about=less.model_without_law)
+    ranking = {c.effect: c for c in tests.ranking()}
+    if named.name not in ranking:
+        return []
+    least = (1 - SCORE_ERROR_SHARE) * tests.sharper(less.evidence, ranking.pop(named.name)).gain - SCORE_ERROR_CHI2
+    told = [c for c in ranking.values() if c.identifiable and c.effect not in absorbed and c.gain > least / 2]
+    rivals = [c for c in (tests.sharper(less.evidence, c) for c in told) if c.gain > least]
+    fitted = []
+    for rival in sorted(rivals, key=lambda c: -c.gain)[:MAX_EXCHANGES]:
+        try:
+            fitted.append((rival.effect, fit_law_with_effect(evidence, less, rival, base, progress)[1]))
+        except ValueError:  # no motion
+            continue
+    return sorted(fitted, key=lambda pair: pair[1].score)

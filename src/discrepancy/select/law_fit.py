@@ -22,13 +22,10 @@ from discrepancy.free_laws.marginal_likelihood import CurveEvidence, compute_sig
 from discrepancy.free_laws.ranges import over_clips
 from discrepancy.noise.model import Noise
 from discrepancy.select.model_cost import cost_of, law_choice_cost
-from discrepancy.select.scored import CandidateScore
+from discrepancy.select.score_test import CandidateScore
 from synthcam.model import Model
 
-ROUNDS = 30
-TURNS = 10  # of a law and the shape parameters of an effect beside it
-SETTLED = 0.05  # of chi^2: what a further step would gain
-SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # shares of a step that are tried
+CONVERGED_CHI2 = 0.05  # a fit has converged if a further step would gain less
 
 
 @dataclass(frozen=True)
@@ -96,15 +93,15 @@ def fit_law(
     else:
         plain, fit, here, coefs = begun.model_without_law, begun.fit, begun.evidence, begun.coefs
     moves = whiten_law_columns(here, law, fit.model, fit.launches)
-    for _ in range(ROUNDS):
+    for _ in range(30):
         progress()
         information, pull = fit.information(moves)
         weight = maximise_evidence(law, information, pull + information @ coefs)
         precision, step = weight.prior.precision, weight.coefs - coefs
         moved = None
-        if step @ (information + precision) @ step > SETTLED:
+        if step @ (information + precision) @ step > CONVERGED_CHI2:
             before = fit.chi2 + coefs @ precision @ coefs
-            for share in SHORTER:
+            for share in (1.0, 0.5, 0.25, 0.1, 0.02):  # of a step, the longest first
                 moved = _moved(evidence, law, plain, fit, moves, coefs, share * step)
                 if moved and moved[1].chi2 + (coefs + share * step) @ precision @ (coefs + share * step) < before:
                     coefs = coefs + share * step
@@ -173,7 +170,7 @@ def fit_law_with_effect(
     test = score_law(known.law, start, whiten_law_columns(evidence, known.law, start.model, start.launches))
     fitted = fit_law(evidence, test, base, progress)
     names = (*start.names, *effect.shapes)
-    for _ in range(TURNS if effect.shapes else 0):  # without the law they may run off
+    for _ in range(10 if effect.shapes else 0):  # law and shapes in turn: without the law shapes may diverge
         here, one = fitted.evidence, fitted.fit
         whole = minimise_chi2(here, linearise(here, one.model, names, one.launches), progress)
         plain = replace_within_limits(
@@ -183,7 +180,7 @@ def fit_law_with_effect(
         fitted = fit_law(
             evidence, test, base, progress, dataclasses.replace(fitted, fit=whole, model_without_law=plain)
         )
-        if fitted.score > before - SETTLED:
+        if fitted.score > before - CONVERGED_CHI2:
             break
     information, pull = fitted.fit.information(fitted.slopes)
     return compute_significance(fitted.law, information, pull + information @ fitted.coefs), fitted

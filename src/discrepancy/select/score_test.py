@@ -16,13 +16,114 @@ from discrepancy.fitting.parameters import Candidate, find_parameter, list_candi
 from discrepancy.fitting.shape_scan import can_scan, scan_shapes
 from discrepancy.fitting.significance import chance_threshold, chi2_to_sigma, count_trials
 from discrepancy.policy import current_policy
-from discrepancy.select.scored import CandidateScore, CandidateTrial, RealisticSizes, TrialScore
 from synthcam.model import Model
 
-SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
-ZOOMS = 2  # times that the grid of a shape parameter is made finer about the best
-ROWS = 1500  # of the signatures, to count independent trials by
-MOST = 20_000_000  # numbers in the derivatives by one candidate's strengths
+
+@dataclass(frozen=True)
+class RealisticSizes:
+    """Realistic sizes (k,) of a candidate's strengths, and how many of them its limits allow.
+
+    side: 1 where a single strength stands at its lower limit and can only grow, -1 at its upper, else 0.
+    """
+
+    sizes: Array
+    allowed: float
+    side: int
+
+    @classmethod
+    def of(cls, candidate: Candidate, model: Model) -> RealisticSizes:
+        """Of a candidate beside this model."""
+        ways = [find_parameter(model, s) for s in candidate.strengths]
+        sizes = np.array([p.typical or 1.0 for p in ways])
+        allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(ways, sizes, strict=True))
+        value, p = model.value(candidate.strengths[0]), ways[0]
+        side = int(value <= p.low) - int(value >= p.high) if len(ways) == 1 else 0
+        return cls(sizes, allowed, side)
+
+
+@dataclass(frozen=True)
+class CandidateScore:
+    """A candidate with its score test.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    shapes : dict of str to float
+        The best values tried of its shape parameters, for whose number sigma is corrected.
+    sigma : float
+    gain : float
+        The chi^2 that adding it would take, to first order.
+    limit : float
+        The detection limit, in realistic sizes of the strength that shows best; infinite where the fit absorbs all.
+    identifiable : bool
+        False where that limit is absurd, or more than the effect allows.
+    signature : (points, m) array
+        The derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions are seen.
+    columns : tuple of (2n, k) arrays
+        The derivative of each clip's whitened forecast, before anything is taken out.
+    """
+
+    candidate: Candidate
+    shapes: dict[str, float]
+    sigma: float
+    gain: float
+    limit: float
+    identifiable: bool
+    signature: Array
+    columns: tuple[Array, ...]
+
+    @property
+    def absorbed(self) -> bool:
+        """Whether it moves the tracks, but only as the fit's own parameters and launches can."""
+        return self.signature.shape[1] == 0 and any(c.any() for c in self.columns)
+
+    @property
+    def effect(self) -> str:
+        return self.candidate.name
+
+    @property
+    def strengths(self) -> tuple[str, ...]:
+        return self.candidate.strengths
+
+
+@dataclass(frozen=True)
+class CandidateTrial:
+    """A candidate with values of its shape parameters, and the derivatives by its strengths, (2n, k) of each clip."""
+
+    candidate: Candidate
+    shapes: dict[str, float]
+    columns: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class TrialScore:
+    """The score of a trial, as in `CandidateScore`. axes (k, m): its signature times these is an orthonormal basis."""
+
+    trial: CandidateTrial
+    sigma: float
+    gain: float
+    limit: float
+    identifiable: bool
+    axes: Array
+
+    @property
+    def order(self) -> tuple[bool, float, float]:
+        """The key to sort scores by, the best first."""
+        return not self.identifiable, -self.sigma, self.limit
+
+    def scored(self, signature: Array) -> CandidateScore:
+        """The candidate as scored. signature (points, k): the trial's columns less all that the fit absorbs."""
+        columns = tuple(np.array(c) for c in self.trial.columns)  # no views, which would keep all trials alive
+        return CandidateScore(
+            self.trial.candidate,
+            self.trial.shapes,
+            self.sigma,
+            self.gain,
+            self.limit,
+            self.identifiable,
+            signature @ self.axes,
+            columns,
+        )
 
 
 @dataclass(frozen=True)
@@ -120,7 +221,8 @@ class ScoreTests:
 
     @property
     def _step(self) -> int:
-        return 1 + self.fit.points // ROWS
+        """Every so many rows count independent trials: some 1500 suffice."""
+        return 1 + self.fit.points // 1500
 
     def _against(self, absorbed: Array, left: Array) -> tuple[Array, Array, Array]:
         """Products of all trials' signatures with themselves (K, K), with `left` (K,), and of columns with `absorbed`.
@@ -203,7 +305,7 @@ class ScoreTests:
         left, absorbed = self._left(without)
         launches = self.fit.launches
         plain, here = decouple(model, launches, evidence.clips)
-        for closer in range(ZOOMS):
+        for closer in range(2):  # the grid of a shape parameter is made finer twice
             for name in candidate.shapes:
                 for value in refine_tried_values(find_parameter(model, name), scored.shapes[name], closer):
                     trial = derive_trial(evidence, plain, launches, candidate, scored.shapes | {name: value}, here)
@@ -345,14 +447,15 @@ def _scanned(
     candidate: Candidate,
     grid: Sequence[dict[str, float]],
     here: Sequence[Array],
+    max_numbers: int = 20_000_000,
 ) -> list[CandidateTrial]:
     """`tried` at many values of the shape parameters at once, by integrals over the motion (`shape_scan`).
 
-    Only values at which the strengths move any track are kept, or else the first. So that no more than MOST numbers are
-    held in memory, of very many clips only some of the values are tried.
+    Only values at which the strengths move any track are kept, or else the first. With very many clips only some of the
+    values are tried, so that no more than `max_numbers` are held in memory.
     """
     numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(candidate.strengths)
-    grid = grid[:: 1 + numbers * len(grid) // MOST]
+    grid = grid[:: 1 + numbers * len(grid) // max_numbers]
     every = scan_shapes(model, launches, evidence.clips, candidate, grid, here)
     shown = np.flatnonzero(np.any([e.any(axis=(0, 1, 3)) for e in every], axis=0))
     kept = shown.tolist() or [0]
@@ -369,11 +472,11 @@ def _lengths(columns: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(sum((c**2).sum(axis=0) for c in columns)))
 
 
-def detectable_axes(gram: Array, length: Array) -> Array:
+def detectable_axes(gram: Array, length: Array, min_share: float = 1e-4) -> Array:
     """(k, m) that makes an orthonormal basis of the m directions of a signature that are seen; gram: its products."""
     scale = np.where(length > 0, length, 1)
     values, axes = np.linalg.eigh(gram / np.outer(scale, scale))
-    seen = values > SEEN**2
+    seen = values > min_share**2
     return np.asarray(axes[:, seen] / np.sqrt(values[seen]) / scale[:, None])
 
 

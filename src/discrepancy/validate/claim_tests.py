@@ -1,214 +1,568 @@
-"""Which claims stand: each significant beside all others, and borne by collisions that it had no part in."""
+"""Test each claim of a selection, on held-out collisions above all, and reject those that fail."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 
 import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.gauss_newton import fit_model, linearise
-from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
-from discrepancy.fitting.parameters import Candidate, candidates_by_name
+from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, project_out
+from discrepancy.fitting.parameters import Candidate, candidates_by_name, parameter_limits
+from discrepancy.fitting.significance import chi2_to_sigma, closes_too_little
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.policy import current_policy
-from discrepancy.select.beside_free_law import find_replacements
 from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.free_law_contest import find_replacements
 from discrepancy.select.law_fit import compare_scatter, fit_unseen_clips, fit_without_law, refit_without_effect
-from discrepancy.select.library_search import Selection, Stepwise
+from discrepancy.select.library_search import LibrarySearch, Selection
 from discrepancy.select.model_cost import cost_of
-from discrepancy.validate.constancy import find_variation
-from discrepancy.validate.held_out import (
-    ClaimTest,
-    HeldOutTest,
-    leave_one_out_residuals,
-    leave_one_out_with_law,
-    reason_to_reject,
-)
-from discrepancy.validate.residual_map import locate, unexplained
+from discrepancy.validate.residual_map import find_disagreements, is_unexplained
 
-Parts = Sequence[Array]
-Pair = tuple[Parts, Parts]
-Left = dict[str, tuple[Selection, FittedLaw | None]]
-Weighed = tuple[list[ClaimTest], Left, tuple[EffectClaim, ...]]
+Residuals = Sequence[Array]  # whitened, of each clip
 
-UNSURE = "not significant beside all else"
-EXCHANGED = "another that fits as well is borne"  # a class is claimed, and collisions kept out may tell which of it
-ABSORBED = "all else explains as much without it"
-NO_LOSS = {EXCHANGED, ABSORBED}  # with what takes their place nothing is missing
+
+class Rejection(Enum):
+    """Why a claim is rejected. `discrepancy.wording` puts it into words."""
+
+    NOT_SIGNIFICANT = auto()  # beside everything else in the final model
+    REPLACED = auto()  # another effect that fits as well passes, or one that fits better takes its place
+    ABSORBED = auto()  # everything else explains as much without it
+    HELD_OUT_WORSE = auto()  # held-out collisions are predicted worse with it, and ask for less than it promised
+    LEFT_OUT_WORSE = auto()  # collisions, each left out once, are predicted worse with it
+    LEFT_OUT_NOT_SIGNIFICANT = auto()  # collisions, each left out once, do not ask for it beyond chance
+    SCATTERS = auto()  # much more is missing, and the strength scatters from collision to collision
+    EXPLAINS_LITTLE = auto()  # much more is missing than it explains
+    SHAPE_AT_LIMIT = auto()  # a shape parameter is at the end of its range
+    VARIES = auto()  # its strength changes between collisions
+
+    @property
+    def leaves_nothing_missing(self) -> bool:
+        """Whether something else takes the place of the claim."""
+        return self in (Rejection.REPLACED, Rejection.ABSORBED)
+
+
+# --- The test on collisions that had no part in a claim ---
+
+
+@dataclass(frozen=True)
+class HeldOutTest:
+    """How collisions that had no part in a claim support it.
+
+    Attributes
+    ----------
+    gap : (float, float)
+        chi^2 per point, without the claim and with it.
+    sigma : float
+        How many sigma of the claim they ask for.
+    promised : float
+        How many the claim promised.
+    """
+
+    gap: tuple[float, float]
+    sigma: float
+    promised: float
+
+    @classmethod
+    def of(
+        cls,
+        without: Residuals,
+        with_: Residuals,
+        known: float,
+        there: ModelFit | None = None,
+        covariance: Array | None = None,
+    ) -> HeldOutTest:
+        """Compare the residuals of clips without a claim and with it.
+
+        Let y be what is measured, p and q the predictions without the claim and with it, all whitened, and d = q - p.
+        Then y asks for y d / |d| sigma of the claim, which promised |d|. Noise changes that number by about one; the
+        uncertainty of the claim changes it by |d| over its sigma. Where the clips scatter about the claim by more than
+        noise makes them, sigma is smaller by as much.
+
+        Parameters
+        ----------
+        without, with_ : sequence of (2n,) arrays
+            Whitened residuals of each clip, by the model without the claim and with it.
+        known : float
+            Sigma of the claim in the clips that were fitted; inf where these are among them.
+        there : ModelFit, optional
+            The fit with the claim in these clips, for its derivatives.
+        covariance : array, optional
+            Of its shared parameters from the clips that were fitted. Held-out clips may reach beyond what those
+            determine.
+
+        Returns
+        -------
+        HeldOutTest
+        """
+        apart = [p - q for p, q in zip(without, with_, strict=True)]
+        size = sum(float(d @ d) for d in apart)
+        gap = tuple(sum(float(r @ r) for r in every) / sum(map(len, every)) for every in (without, with_))
+        if not size > 0:
+            return cls((gap[0], gap[1]), 0.0, 0.0)
+        asked = sum(float(p @ d) for p, d in zip(without, apart, strict=True)) / size**0.5
+        scatter = sum(float(q @ d) ** 2 for q, d in zip(with_, apart, strict=True)) / size
+        uncertain = size / max(known, 1.0) ** 2
+        if there is not None and covariance is not None:
+            own = zip(there.launch_slopes, there.slopes, apart, strict=True)
+            pull = np.asarray(sum(project_out(a, s).T @ d for a, s, d in own))
+            uncertain = max(uncertain, float(pull @ covariance @ pull) / size)
+        noise = max(1 + uncertain, scatter if np.isinf(known) else 0.0) ** 0.5
+        return cls((gap[0], gap[1]), asked / noise, size**0.5 / noise)
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the claim does not improve the prediction."""
+        return self.gap[1] >= self.gap[0]
+
+    def closes_less_than(self, share: float) -> bool:
+        """Whether the model with the claim describes the clips poorly and closes less than this share of the excess."""
+        return closes_too_little(*self.gap, share)
+
+
+def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Rejection | None:
+    """Why predictions reject a claim; None if they support it.
+
+    The held-out clips are a quarter of all. They see a claim at the detection limit at some 2.5 sigma, and one in ten
+    true claims makes their gap a little larger. So they reject a claim only if they fall short of what it promised by
+    more than their noise. Besides, all clips, each left out once, must ask for it beyond chance.
+
+    Parameters
+    ----------
+    held_out, leave_one_out : HeldOutTest
+        The test on the held-out clips, and on all clips with each left out in turn.
+
+    Returns
+    -------
+    Rejection or None
+    """
+    policy = current_policy()
+    if held_out.is_worse and held_out.sigma < held_out.promised - policy.max_shortfall_sigma:
+        return Rejection.HELD_OUT_WORSE
+    if leave_one_out.is_worse:
+        return Rejection.LEFT_OUT_WORSE
+    if leave_one_out.sigma < policy.leave_one_out_sigma:
+        return Rejection.LEFT_OUT_NOT_SIGNIFICANT
+
+    def both_close_less_than(share: float) -> bool:
+        return held_out.closes_less_than(share) and leave_one_out.closes_less_than(share)
+
+    weak = leave_one_out.sigma < policy.beside_free_law_sigma
+    if weak and both_close_less_than(policy.min_closed_share_of_weak_claim):
+        return Rejection.SCATTERS
+    return Rejection.EXPLAINS_LITTLE if both_close_less_than(policy.min_closed_share) else None
+
+
+def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> list[Array]:
+    """Whitened residuals of each clip, by the shared parameters of all other clips, to first order.
+
+    The clip's own launch is fitted to it. Parameters at a limit stay there. The update is that of leave-one-out
+    regression (Cook & Weisberg, Residuals and Influence in Regression, 1982).
+
+    Parameters
+    ----------
+    fit : ModelFit
+        Of all clips.
+    precision : (J, J) array, optional
+        The prior's, of the last J parameters: a free law's coefficients.
+
+    Returns
+    -------
+    list of (2n,) array
+    """
+    free = np.array([not _is_at_limit(fit, name) for name in fit.names], dtype=bool)
+    own = fit.linearisation.launch_bases
+    slopes = [s[:, free] - q @ (q.T @ s[:, free]) for q, s in zip(own, fit.slopes, strict=True)]
+    left = [r - q @ (q.T @ r) for q, r in zip(own, fit.residuals, strict=True)]
+    if not free.any():
+        return left
+    prior = np.zeros((len(free), len(free)))
+    if precision is not None:
+        prior[-len(precision) :, -len(precision) :] = precision
+    information = np.array([s.T @ s for s in slopes])
+    whole = information.sum(axis=0) + prior[np.ix_(free, free)]
+    scale = np.sqrt(np.where(np.diag(whole) > 0, np.diag(whole), 1.0))
+    out = []
+    for s, r, own_information in zip(slopes, left, information, strict=True):
+        inverse = np.linalg.pinv((whole - own_information) / np.outer(scale, scale), rcond=1e-10, hermitian=True)
+        out.append(r + s @ (inverse @ (s.T @ r / scale) / scale))
+    return out
+
+
+def _is_at_limit(fit: ModelFit, name: str) -> bool:
+    if " " in name:  # a coefficient of a free law has no limits
+        return False
+    return fit.model.value(name) in parameter_limits(fit.model, name)
+
+
+def leave_one_out_with_law(fitted_law: FittedLaw) -> list[Array]:
+    """`leave_one_out_residuals` of a fit that holds a free law, with the law's prior."""
+    return leave_one_out_residuals(fitted_law.joint_fit, fitted_law.prior.precision)
+
+
+# --- The test that a strength is the same in all collisions ---
+
+
+@dataclass(frozen=True)
+class StrengthVariation:
+    """What the strengths of an effect change with most, and by how many sigma, corrected for all that was tried."""
+
+    against: str
+    sigma: float
+
+    def rejects(self, own: float) -> bool:
+        """Whether the variation is too large for a claim of `own` sigma."""
+        return self.sigma > max(current_policy().unexplained_sigma, current_policy().max_strength_variation * own)
+
+
+def find_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[str]) -> StrengthVariation:
+    """Find what the strengths of an effect change with most: an effect that changes resembles another law.
+
+    If the strength were another at some positions, clips or times, the residuals would hold its signature times that
+    change, to first order. This is a score test of each such change.
+
+    Parameters
+    ----------
+    evidence : WhitenedClips
+    fit : ModelFit
+        The whole model, in these clips.
+    strengths : sequence of str
+        Of the effect, dotted names.
+
+    Returns
+    -------
+    StrengthVariation
+    """
+    min_information = 1e-8  # of the columns' own size: what the fit absorbs more of shows nothing
+    features = [_features(*each) for each in zip(evidence.clips, range(len(fit.launches)), fit.launches, strict=True)]
+    own = [differentiate(fit.model, fit.launches, evidence.clips, name) for name in strengths]
+    moves = [np.stack(each, axis=-1)[..., None] for each in zip(*own, strict=True)]  # (n, 2, strengths, 1)
+    best = StrengthVariation("", 0.0)
+    for against in features[0]:
+        columns = [
+            (m * f[against][:, None, None]).reshape(*m.shape[:2], -1) for m, f in zip(moves, features, strict=True)
+        ]
+        white = evidence.whiten(columns)
+        information, pull = fit.information(white)
+        values, axes = np.linalg.eigh(information)
+        seen = values > min_information * sum(float((c**2).sum()) for c in white)
+        if not seen.any():
+            continue  # it is the same in all clips, or the fit absorbs it
+        chi2 = float(((axes[:, seen].T @ pull) ** 2 / values[seen]).sum())
+        found = StrengthVariation(against, chi2_to_sigma(chi2, int(seen.sum()), len(features[0])))
+        best = max(best, found, key=lambda c: c.sigma)
+    return best
+
+
+def _features(clip: MeasuredCollision, number: int, launch: Array) -> dict[str, Array]:
+    """What a strength may change with: numbers (n, f) of each position of a clip, of order one."""
+    since = np.maximum(clip.frame / clip.fps - launch[T_C], 0) / 0.1  # in units of 0.1 s
+    b, is_a = float(launch[B]), (clip.ball == int(clip.striker == "a")).astype(float)
+
+    def constant(*values: float) -> Array:
+        return np.broadcast_to(np.array(values), (len(clip.frame), len(values)))
+
+    return {
+        "order of the clips": constant(float(number)),
+        "heading": constant(float(np.cos(launch[HEADING])), float(np.sin(launch[HEADING]))),
+        "speed": constant(float(launch[V0])),
+        "obliqueness of the hit": constant(abs(b)),
+        "side of the hit": constant(b),
+        "ball that strikes": constant(float(clip.striker == "a")),
+        "ball": is_a[:, None],
+        "position": np.asarray(clip.xy),
+        "time since the hit": np.stack([since, since**2], axis=1),
+    }
+
+
+# --- Validation: which claims pass ---
+
+
+@dataclass(frozen=True)
+class ClaimTest:
+    """A claim with its tests.
+
+    Attributes
+    ----------
+    name : str
+    sigma : float
+        Significance beside everything else, in the clips that were fitted.
+    held_out, leave_one_out : HeldOutTest
+        In the held-out clips, and in all clips with each left out in turn.
+    rejection : Rejection or None
+    is_free_law : bool
+        False for an effect of the library.
+    shape_at_limit : (str, float) or None
+        A shape parameter at the end of its range, and its value.
+    variation : StrengthVariation or None
+        What the strength changes with, if that rejects the claim.
+    """
+
+    name: str
+    sigma: float
+    held_out: HeldOutTest
+    leave_one_out: HeldOutTest
+    rejection: Rejection | None = None
+    is_free_law: bool = False
+    shape_at_limit: tuple[str, float] | None = None
+    variation: StrengthVariation | None = None
+
+    def document(self) -> dict[str, float]:
+        """The numbers of the tests, for discrepancy.json."""
+        return {
+            "without": self.held_out.gap[0],
+            "with": self.held_out.gap[1],
+            "sigma": self.held_out.sigma,
+            "promised": self.held_out.promised,
+            "turns_without": self.leave_one_out.gap[0],
+            "turns_with": self.leave_one_out.gap[1],
+            "turns_sigma": self.leave_one_out.sigma,
+        }
 
 
 @dataclass(frozen=True)
 class ValidatedSelection:
-    """What stands of a search. claims, withdrawn: those that stand and those that do not."""
+    """A selection without the claims that were rejected.
 
-    selected: Selection
-    free_law: FittedLaw | None
-    named: tuple[EffectClaim, ...]
-    claims: tuple[ClaimTest, ...]
-    withdrawn: tuple[ClaimTest, ...] = ()
+    Attributes
+    ----------
+    selection : Selection
+        What remains.
+    claims : tuple of EffectClaim
+        Its effects, with their numbers.
+    accepted, rejected : tuple of ClaimTest
+    """
 
-    def unsure(self) -> tuple[EffectClaim, ...]:
-        """What is named, where more is missing."""
-        sigma = {claim.name: claim.turns.sigma for claim in self.claims}
-        return tuple(n.unsure(sigma.get(n.effect, n.sigma)) for n in self.named)
+    selection: Selection
+    claims: tuple[EffectClaim, ...] = ()
+    accepted: tuple[ClaimTest, ...] = ()
+    rejected: tuple[ClaimTest, ...] = ()
+
+    def claims_without_errors(self) -> tuple[EffectClaim, ...]:
+        """The claims where more is missing: an error would hold only if nothing else were."""
+        sigma = {test.name: test.leave_one_out.sigma for test in self.accepted}
+        return tuple(claim.without_errors(sigma.get(claim.effect, claim.sigma)) for claim in self.claims)
+
+
+Tested = tuple[list[ClaimTest], dict[str, Selection], tuple[EffectClaim, ...]]
+
+
+def validate(
+    selection: Selection,
+    library: LibrarySearch,
+    held_out: Sequence[MeasuredCollision],
+    before: ModelFit,
+    noise: Noise,
+    progress: Callable[[], None],
+) -> ValidatedSelection:
+    """Reject claims, the weakest first, until all that remain pass every test.
+
+    After each rejection everything else is fitted and tested again. An effect needs more sigma beside a free law, where
+    a free law was rejected, and where the model leaves something unexplained: it may be a part of an unknown law.
+
+    Parameters
+    ----------
+    selection : Selection
+        Effects and free law that the search selected.
+    library : LibrarySearch
+        The models that were fitted on the way.
+    held_out : sequence of MeasuredCollision
+        Clips that had no part in the selection.
+    before : ModelFit
+        Of the held-out clips, by the base model.
+    noise : Noise
+    progress : callable
+        Called now and then.
+
+    Returns
+    -------
+    ValidatedSelection
+    """
+    return Validation(library, library.evidence, held_out, before, noise, progress).run(selection)
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Clips fitted and kept out, and how claims are held to them."""
+    """What all tests of claims need: the clips that were fitted, those held out, and the fits of both."""
 
-    steps: Stepwise
+    library: LibrarySearch
     evidence: WhitenedClips
-    kept_out: Sequence[MeasuredCollision]
-    before: ModelFit  # of the clips kept out, by the base model
+    held_out: Sequence[MeasuredCollision]
+    before: ModelFit
     noise: Noise
     progress: Callable[[], None]
 
-    def standing(self, selected: Selection, free_law: FittedLaw | None) -> ValidatedSelection:
-        """Withdraw claims, the weakest first, until the clips bear all that are left.
-
-        Parameters
-        ----------
-        selected : Selection
-            The effects named.
-        free_law : FittedLaw or None
-            The free law declared.
-
-        Returns
-        -------
-        ValidatedSelection
-        """
-        withdrawn: list[ClaimTest] = []
+    def run(self, selection: Selection) -> ValidatedSelection:
+        """See `validate`."""
+        rejected: list[ClaimTest] = []
         while True:
-            beside = free_law is not None or any(c.free for c in withdrawn) or self._lacks(selected)
-            level = current_policy().beside_free_law_sigma if beside else selected.claim
-            claims, without, named = self._claims(selected, free_law, level)
-            falls = [c for c in claims if c.why]
-            if not falls:
-                stand = {claim.name for claim in claims}  # in the place of another, where it had fallen beside it
-                return ValidatedSelection(
-                    selected, free_law, named, tuple(claims), tuple(c for c in withdrawn if c.name not in stand)
-                )
-            worst = min(falls, key=lambda c: (c.why != ABSORBED, c.turns.sigma))
-            if worst.why not in NO_LOSS:
-                withdrawn.append(worst)
-            selected, free_law = without[worst.name]
+            beside = (
+                selection.free_law is not None
+                or any(test.is_free_law for test in rejected)
+                or self._leaves_something(selection)
+            )
+            level = current_policy().beside_free_law_sigma if beside else selection.required_sigma
+            tests, without, claims = self._test_claims(selection, level)
+            failed = [test for test in tests if test.rejection]
+            if not failed:
+                passed = {test.name for test in tests}  # one that failed beside another may pass in its place
+                still = tuple(test for test in rejected if test.name not in passed)
+                return ValidatedSelection(selection, claims, tuple(tests), still)
+            worst = min(failed, key=lambda t: (t.rejection is not Rejection.ABSORBED, t.leave_one_out.sigma))
+            if worst.rejection and not worst.rejection.leaves_nothing_missing:
+                rejected.append(worst)
+            selection = without[worst.name]
 
-    def _lacks(self, selected: Selection) -> bool:
-        """Whether effects were named and yet something is left unexplained."""
-        return bool(selected.state) and unexplained(locate(self.evidence.clips, selected.best, self.noise))
+    def _leaves_something(self, selection: Selection) -> bool:
+        """Whether effects were selected and yet something is left unexplained."""
+        return bool(selection.state) and is_unexplained(
+            find_disagreements(self.evidence.clips, selection.best, self.noise)
+        )
 
-    def _claims(self, selected: Selection, free_law: FittedLaw | None, level: float) -> Weighed:
-        """Each claim, what is left without it, and the effects named. level: the sigma that an effect needs."""
-        if free_law is None:
-            return self._named(selected, level)
-        claims, left, named = [], Left(), []
-        whole, base = free_law.joint_fit, selected.base
-        with_, turned = self._unseen(free_law), leave_one_out_with_law(free_law)
+    def _test_claims(self, selection: Selection, level: float) -> Tested:
+        """Test each claim; with the selection without it, and the effects. level: the sigma that an effect needs."""
+        if selection.free_law is not None:
+            return self._test_beside_law(selection, selection.free_law, level)
+        tests, without, every = [], dict[str, Selection](), self.library.claims(selection.state)
+        for candidate, claim in zip(selection.state, every, strict=True):
+            less = self.library.drop(selection, candidate)
+            without[candidate.name] = less
+            predictions = self._compare_models(claim.sigma, less.best, selection.best)
+            at_limit = claim.shape_at_limit()
+            if not claim.sigma > max(level, selection.required_sigma):
+                rejection: Rejection | None = Rejection.NOT_SIGNIFICANT
+            else:
+                rejection = judge_predictions(*predictions) or (Rejection.SHAPE_AT_LIMIT if at_limit else None)
+                for alias in claim.aliases[1:] if rejection else ():
+                    other = self.library.exchange(selection, candidate, alias)
+                    if other and not judge_predictions(*self._compare_models(claim.sigma, less.best, other.best)):
+                        without[candidate.name], rejection = other, Rejection.REPLACED
+                        break
+            variation = None
+            if rejection is None:
+                variation = find_variation(self.evidence, selection.best, candidate.strengths)
+                rejection = Rejection.VARIES if variation.rejects(claim.sigma) else None
+            test = ClaimTest(candidate.name, claim.sigma, *predictions, rejection)
+            tests.append(replace(test, shape_at_limit=at_limit, variation=variation if rejection else None))
+        return tests, without, every
+
+    def _test_beside_law(self, selection: Selection, free_law: FittedLaw, level: float) -> Tested:
+        """As `_test_claims`, where a free law is claimed too."""
+        tests, without, claims = [], dict[str, Selection](), []
+        whole, base = free_law.joint_fit, selection.base
+        with_, residuals = self._fit_held_out_with_law(free_law), leave_one_out_with_law(free_law)
         known = candidates_by_name(free_law.model_without_law, base.model, base.names)
         for effect, sigma in free_law.significances_of_effects(base).items():
-            own = selected.paid(effect, sigma)
-            one = EffectClaim.of(known[effect], whole, whole.std, own)
-            named.append(one)
+            own = selection.correct_for_trials(effect, sigma)
+            claim = EffectClaim.of(known[effect], whole, whole.std, own)
+            claims.append(claim)
             try:
                 less = refit_without_effect(self.evidence, free_law, known[effect], base, self.progress)
             except ValueError:  # the clips have no motion without it
                 continue
-            left[effect] = selected, less
-            held = self._held(own, (self._unseen(less), with_), (leave_one_out_with_law(less), turned))
-            sure, absorbed = own > max(level, selected.claim), less.score <= free_law.score
-            why = (ABSORBED if absorbed else reason_to_reject(*held) or one.at_end_of_range()) if sure else UNSURE
-            others = [] if why else self._in_its_place(less, known[effect], free_law.score, base)
-            named[-1] = replace(one, aliases=(effect, *(name for name, _ in others)))
+            without[effect] = replace(selection, free_law=less)
+            fits = self._fit_held_out_with_law(less), with_
+            predictions = self._predict(own, fits, (leave_one_out_with_law(less), residuals))
+            at_limit = claim.shape_at_limit()
+            if not own > max(level, selection.required_sigma):
+                rejection: Rejection | None = Rejection.NOT_SIGNIFICANT
+            elif less.score <= free_law.score:
+                rejection = Rejection.ABSORBED
+            else:
+                rejection = judge_predictions(*predictions) or (Rejection.SHAPE_AT_LIMIT if at_limit else None)
+            others = [] if rejection else self._find_rivals(less, known[effect], free_law.score, base)
+            claims[-1] = replace(claim, aliases=(effect, *(name for name, _ in others)))
             if others and others[0][1].score < free_law.score - current_policy().rival_excluded_chi2:
-                left[effect], why = (selected, others[0][1]), EXCHANGED
-            claims.append(ClaimTest(effect, own, *held, why))
-        left[free_law.law.name] = selected, None
-        return [*claims, self._free_law(selected, free_law, with_, turned)], left, tuple(named)
+                without[effect], rejection = replace(selection, free_law=others[0][1]), Rejection.REPLACED
+            tests.append(ClaimTest(effect, own, *predictions, rejection, shape_at_limit=at_limit))
+        without[free_law.law.name] = replace(selection, free_law=None)
+        return [*tests, self._test_law(selection, free_law, with_, residuals)], without, tuple(claims)
 
-    def _in_its_place(
+    def _find_rivals(
         self, less: FittedLaw, named: Candidate, score: float, base: ModelFit
     ) -> list[tuple[str, FittedLaw]]:
-        """What fits as well beside a free law as an effect, better ones first. score: of the fit with the effect."""
-        absorbed = self.steps.absorbed
-        others = find_replacements(self.evidence, less, named, absorbed, base, self.progress)
+        """Effects that fit as well in the place of one beside a free law, better ones first. score: with that one."""
+        others = find_replacements(self.evidence, less, named, self.library.absorbed, base, self.progress)
         return [(name, other) for name, other in others if other.score < score + current_policy().rival_excluded_chi2]
 
-    def _named(self, selected: Selection, level: float) -> Weighed:
-        claims, left, every = [], Left(), self.steps.named(selected.state)
-        for candidate, named in zip(selected.state, every, strict=True):
-            less = self.steps.less(selected, candidate)
-            left[candidate.name] = less, None
-            held = self._between(named.sigma, less.best, selected.best)
-            sure = named.sigma > max(level, selected.claim)
-            why = reason_to_reject(*held) or named.at_end_of_range() if sure else UNSURE
-            for alias in named.aliases[1:] if why and why != UNSURE else ():
-                other = self.steps.instead(selected, candidate, alias)
-                if other and not reason_to_reject(*self._between(named.sigma, less.best, other.best)):
-                    left[candidate.name], why = (other, None), EXCHANGED
-                    break
-            why = why or find_variation(self.evidence, selected.best, candidate.strengths).refuses(named.sigma)
-            claims.append(ClaimTest(candidate.name, named.sigma, *held, why))
-        return claims, left, every
+    def _compare_models(self, own: float, without: ModelFit, with_: ModelFit) -> tuple[HeldOutTest, HeldOutTest]:
+        """The predictions of two models of the library."""
+        fits = self._fit_held_out(without), self._fit_held_out(with_)
+        return self._predict(own, fits, (leave_one_out_residuals(without), leave_one_out_residuals(with_)), with_)
 
-    def _between(self, own: float, without: ModelFit, with_: ModelFit) -> tuple[HeldOutTest, HeldOutTest]:
-        """Two models of the library."""
-        fits = self._launched(without), self._launched(with_)
-        return self._held(own, fits, (leave_one_out_residuals(without), leave_one_out_residuals(with_)), with_)
-
-    def _free_law(self, selected: Selection, free_law: FittedLaw, with_: ModelFit | None, turned: Parts) -> ClaimTest:
+    def _test_law(
+        self, selection: Selection, free_law: FittedLaw, with_: ModelFit | None, residuals: Residuals
+    ) -> ClaimTest:
+        """Test the free law itself. A law of one number for each clip promises only how much these numbers scatter."""
         name, own = free_law.law.name, free_law.sigma
         try:
             empty = fit_without_law(self.evidence, free_law, self.progress)
         except ValueError:  # no motion without the free law
-            held = self._held(own, (None, with_), (turned, turned))
-            return ClaimTest(name, own, *held, reason_to_reject(*held), free=True)
-        without = self._launched(empty)
+            predictions = self._predict(own, (None, with_), (residuals, residuals))
+            return ClaimTest(name, own, *predictions, judge_predictions(*predictions), is_free_law=True)
+        without = self._fit_held_out(empty)
         if without is None or not free_law.law.is_per_clip:
-            held = self._held(own, (without, with_), (leave_one_out_residuals(empty), turned))
-            return ClaimTest(name, own, *held, reason_to_reject(*held), free=True)
-        gain, promised, std = compare_scatter(free_law, self.kept_out, without, self.noise)
+            predictions = self._predict(own, (without, with_), (leave_one_out_residuals(empty), residuals))
+            return ClaimTest(name, own, *predictions, judge_predictions(*predictions), is_free_law=True)
+        gain, promised, std = compare_scatter(free_law, self.held_out, without, self.noise)
         before, std = without.chi2 / without.points, max(std, 1e-9)
-        one = HeldOutTest((before, before - gain / without.points), gain / std, promised / std)
-        gain += cost_of(empty, selected.base) - free_law.score  # in the clips fitted
+        held_out = HeldOutTest((before, before - gain / without.points), gain / std, promised / std)
+        gain += cost_of(empty, selection.base) - free_law.score  # in the clips fitted
         every = HeldOutTest((before, before - gain / without.points), own, own)
-        return ClaimTest(name, own, one, every, reason_to_reject(one, every), free=True)
+        return ClaimTest(name, own, held_out, every, judge_predictions(held_out, every), is_free_law=True)
 
-    def _held(
-        self, own: float, fits: tuple[ModelFit | None, ModelFit | None], turned: Pair, fit: ModelFit | None = None
+    def _predict(
+        self,
+        own: float,
+        fits: tuple[ModelFit | None, ModelFit | None],
+        residuals: tuple[Residuals, Residuals],
+        fit: ModelFit | None = None,
     ) -> tuple[HeldOutTest, HeldOutTest]:
-        """In the clips kept out, and in all. A model that has no motion for those kept out is refused by them."""
+        """The tests on held-out clips and on all. A model without motion for the held-out clips fails both.
+
+        Parameters
+        ----------
+        own : float
+            Sigma of the claim.
+        fits : (ModelFit or None, ModelFit or None)
+            Of the held-out clips, without and with the claim.
+        residuals : (sequence, sequence)
+            Leave-one-out residuals of the fitted clips, without and with the claim.
+        fit : ModelFit, optional
+            With the claim, of the fitted clips, for its covariance.
+        """
         without, with_ = fits
         if with_ is None:
-            nothing = HeldOutTest((self.before.chi2 / self.before.points, np.inf), -np.inf, own)
+            nothing = HeldOutTest((self.before.chi2 / self.before.points, math.inf), -math.inf, own)
             return nothing, nothing
         if without is None:
-            nothing = HeldOutTest((np.inf, with_.chi2 / with_.points), own, own)
+            nothing = HeldOutTest((math.inf, with_.chi2 / with_.points), own, own)
             return nothing, nothing
         parts = without.residuals, with_.residuals
-        every = [[*seen, *left] for seen, left in zip(turned, parts, strict=True)]
-        there = (
-            linearise(WhitenedClips.of(self.kept_out, self.noise), fit.model, fit.names, with_.launches)
-            if fit
-            else None
-        )
-        return HeldOutTest.of(*parts, own, there, fit.covariance if fit else None), HeldOutTest.of(
-            every[0], every[1], np.inf
-        )
+        every = [[*fitted, *unseen] for fitted, unseen in zip(residuals, parts, strict=True)]
+        there = covariance = None
+        if fit:
+            held_out = WhitenedClips.of(self.held_out, self.noise)
+            there, covariance = linearise(held_out, fit.model, fit.names, with_.launches), fit.covariance
+        return HeldOutTest.of(*parts, own, there, covariance), HeldOutTest.of(every[0], every[1], np.inf)
 
-    def _launched(self, fit: ModelFit) -> ModelFit | None:
-        """The clips kept out, by a model of the library; None where it has no motion for them."""
+    def _fit_held_out(self, fit: ModelFit) -> ModelFit | None:
+        """Fit the launches of the held-out clips by a model of the library; None where it has no motion for them."""
         try:
-            return fit_model(self.kept_out, fit.model, (), self.noise, self.before.launches, self.progress)
+            return fit_model(self.held_out, fit.model, (), self.noise, self.before.launches, self.progress)
         except ValueError:
             return None
 
-    def _unseen(self, free_law: FittedLaw) -> ModelFit | None:
+    def _fit_held_out_with_law(self, free_law: FittedLaw) -> ModelFit | None:
         try:
-            return fit_unseen_clips(free_law, self.kept_out, self.before, self.noise)
+            return fit_unseen_clips(free_law, self.held_out, self.before, self.noise)
         except ValueError:
             return None

@@ -1,11 +1,9 @@
-"""How far simulation and measurement stand apart on collisions that no fit has seen, before and after."""
+"""The gap: how far model and measurement differ on held-out collisions, with the base model and with what was found."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -17,12 +15,20 @@ from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 
-PHASES = ("before", "sliding", "rolling")
-
 
 @dataclass(frozen=True)
 class GapPhase:
-    """The gap in a phase of the clips kept out: chi^2 a point, and rms in um. The floor is what noise alone leaves."""
+    """The gap in a phase of the held-out clips: chi^2 per point, and rms in um.
+
+    Attributes
+    ----------
+    before, after : float
+        With the base model, and with everything that was found.
+    floor : float
+        What noise alone leaves.
+    before_um, after_um, floor_um : float
+        The same as rms of the residuals of each axis, um.
+    """
 
     before: float
     after: float
@@ -39,9 +45,8 @@ class Gap(GapPhase):
     Attributes
     ----------
     closure : float
-        The share of the gap between before and floor that is closed; NaN where that gap is no larger than chance makes
-        it.
-    by_phase : dict of str to Part
+        The share of the gap between before and floor that is closed; NaN where that gap is within chance.
+    by_phase : dict of str to GapPhase
         Of the phases before, sliding and rolling.
     """
 
@@ -51,7 +56,7 @@ class Gap(GapPhase):
 
 @dataclass(frozen=True)
 class GapFits:
-    """The gap with the two fits of the clips kept out, for the figures."""
+    """The gap with the two fits of the held-out clips that it compares."""
 
     gap: Gap
     before: ModelFit
@@ -64,64 +69,60 @@ def measure_gap(
     best: ModelFit,
     noise: Noise,
     progress: Callable[[], None] = lambda: None,
-    outside: Callable[[ModelFit], ModelFit] | None = None,
+    fit_law: Callable[[ModelFit], ModelFit] | None = None,
 ) -> GapFits:
-    """The gap on clips that were kept out of both fits; only their launches are fitted.
+    """Measure the gap on clips that were held out of both fits; only their launches are fitted.
+
+    chi^2 per point is the mean squared whitened residual (posterior predictive checks use the same: Gelman, Meng &
+    Stern, Statistica Sinica 6 (1996) 733). Noise alone leaves less than one, because each launch absorbs some of it.
 
     Parameters
     ----------
-    clips : sequence of Measured
-        Kept out.
-    base, best : Fit
-        Of the other clips, before and after the search; their shared parameters stay as they are.
+    clips : sequence of MeasuredCollision
+        Held out.
+    base, best : ModelFit
+        Of the other clips, without and with what was found. Their shared parameters stay as they are.
     noise : Noise
     progress : callable
-        Told of progress.
-    outside : callable, optional
-        Makes the fit of these clips after the search from that before, where no model can hold what was found.
+        Called now and then.
+    fit_law : callable, optional
+        Makes the second fit of these clips from the first, where no model can hold what was found.
 
     Returns
     -------
     GapFits
-        A best model that has no motion for one of the clips closes nothing.
+        If the best model has no motion for one of the clips, it closes nothing.
     """
     before = fit_model(clips, base.model, (), noise, progress=progress)
     try:
-        if outside:
-            after = outside(before)
+        if fit_law:
+            after = fit_law(before)
+        elif best.model == base.model:
+            after = before
         else:
-            after = (
-                before
-                if best.model == base.model
-                else fit_model(clips, best.model, (), noise, before.launches, progress)
-            )
+            after = fit_model(clips, best.model, (), noise, before.launches, progress)
     except ValueError:  # no motion
         after = before
-    rows = [_squares(c, one, two, a, noise) for c, one, two, a in _by_clip(clips, before, after)]
-    squares = np.concatenate(rows)
+    every = zip(clips, before.residuals, after.residuals, before.launch_slopes, strict=True)
+    squares = np.concatenate([_mean_squares(*each, noise) for each in every])
     phase = np.concatenate([c.phases() for c in clips])
-    whole = _part(squares)
-    by_phase = {name: _part(squares[phase == k]) for k, name in enumerate(PHASES) if np.any(phase == k)}
-    return GapFits(Gap(**vars(whole), closure=_closure(whole, before.points), by_phase=by_phase), before, after)
+    whole = _average(squares)
+    names = ("before", "sliding", "rolling")
+    by_phase = {name: _average(squares[phase == k]) for k, name in enumerate(names) if np.any(phase == k)}
+    return GapFits(Gap(**vars(whole), closure=closed_share(whole, before.points), by_phase=by_phase), before, after)
 
 
-def _closure(whole: GapPhase, points: int) -> float:
-    """The share of the gap that is closed; NaN of one that chance may make."""
+def closed_share(whole: GapPhase, points: int) -> float:
+    """The share of the gap that is closed; NaN where chance alone makes such a gap."""
     room = whole.before - whole.floor
     least = current_policy().min_gap_sigma * float(np.sqrt(2 / points))
     return (whole.before - whole.after) / room if room > least else float("nan")
 
 
-def _by_clip(
-    clips: Sequence[MeasuredCollision], before: ModelFit, after: ModelFit
-) -> Sequence[tuple[MeasuredCollision, Array, Array, Array]]:
-    return list(zip(clips, before.residuals, after.residuals, before.launch_slopes, strict=True))
+def _mean_squares(clip: MeasuredCollision, before: Array, after: Array, launch: Array, noise: Noise) -> Array:
+    """Squared whitened residuals of each row before, after and of noise alone, then the same in m^2: (n, 6).
 
-
-def _squares(clip: MeasuredCollision, before: Array, after: Array, launch: Array, noise: Noise) -> Array:
-    """Of each row: white residual^2 before, after and as noise alone leaves it; the same in m^2: (n, 6), axes' means.
-
-    What noise leaves: its covariance less the part that the six numbers of the launch take.
+    Noise leaves its covariance less the part that the numbers of the launch absorb. Each is a mean over the axes.
     """
     white, q = ClipWhitener.of(clip, noise), orthonormal_basis(launch)
     left = np.eye(len(q)) - q @ q.T
@@ -130,10 +131,6 @@ def _squares(clip: MeasuredCollision, before: Array, after: Array, launch: Array
     return np.stack([np.mean(np.reshape(x, (-1, 2)), axis=1) for x in (*chi2, *metres)], axis=1)
 
 
-def _part(squares: Array) -> GapPhase:
+def _average(squares: Array) -> GapPhase:
     means = squares.mean(axis=0)
     return GapPhase(*means[:3].tolist(), *(1e6 * np.sqrt(means[3:])).tolist())
-
-
-def as_dict(gap: Gap) -> dict[str, Any]:
-    return dataclasses.asdict(gap)

@@ -1,73 +1,36 @@
-"""Where simulation and measurement disagree, before any effect is named: phase, ball, observable, and against what.
-
-Each phase starts anew from the measured state. In every clip, along and across each ball's motion, the residual is a
-free polynomial of time in each stage: what lies at the contact is its offset and drift just after it, against the
-launch as the frames before tell it; in sliding and in rolling only the bend counts, and what bends more. Each trial has
-all others free beside it, and the shared parameters, which a wrong model bends: so a wrong contact is not blamed on
-the rolling that follows.
-"""
+"""Where model and measurement disagree: in which phase, for which ball and direction, and what it changes with."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri
 
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.launch import HEADING, V0, B
+from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
-from discrepancy.validate.ripple import SAID as OF_RIPPLES
-from discrepancy.validate.ripple import ripples
-from discrepancy.validate.stages import BEFORE, ROLLING, SLIDING, directions, stages
-from discrepancy.validate.trial import ClipAmplitudes, ClipSolution, results
 
 Term = tuple[str, int, int]  # name, ball, axis
 Where = tuple[str, int, int]  # phase, ball, axis
+PhaseResult = tuple[str, float, int, float]  # what it changes with, chi^2, degrees of freedom, rms size in um
 
-PHASES = ("before", "contact", "sliding", "rolling")
-BALLS = ("ball 1", "ball 2")
-AXES = ("along", "across")
-SAID = {
-    "before": "before the contact",
-    "contact": "at the contact",
-    "sliding": "sliding",
-    "rolling": "rolling",
-    **OF_RIPPLES,
-}
-ROLLS_ON = 5 / 7  # of a velocity given to a ball that slides, when it rolls: whatever the friction in between
-TERMS: dict[str, dict[int, tuple[float, int]]] = {  # displacement: factor and power of time since each stage began
-    **{f"before {power}": {BEFORE: (1.0, power)} for power in (1, 2, 3)},
-    "offset": {SLIDING: (1.0, 0)},
-    "drift": {SLIDING: (1.0, 1), ROLLING: (ROLLS_ON, 1)},
-    "slide's bend": {SLIDING: (1.0, 2)},
-    "slide's twist": {SLIDING: (1.0, 3)},
-    "roll's offset": {ROLLING: (1.0, 0)},
-    "roll's drift": {ROLLING: (1.0, 1)},
-    "roll's bend": {ROLLING: (1.0, 2)},
-    "roll's twist": {ROLLING: (1.0, 3)},
-}
-TRIALS = {  # what is tried, and what is free beside it
-    "before": (("before 1", "before 2", "before 3"), tuple(TERMS)[3:]),
-    "contact": (("offset", "drift"), ("slide's bend", "roll's offset", "roll's bend")),
-    "sliding": (("slide's bend", "slide's twist"), ("offset", "drift", "roll's offset", "roll's drift", "roll's bend")),
-    "rolling": (("roll's bend", "roll's twist"), ("offset", "drift", "slide's bend", "roll's offset", "roll's drift")),
-}
-FREE_LINE = {
-    "before": 2,
-    "contact": 0,
-    "sliding": 2,
-    "rolling": 2,
-}  # powers that a size does not count; at rest one less
-ROLLER = (1, "before 1")  # the launch takes a roller's drift
-PLATE = 0.02  # m, of places
+
+class Stage(IntEnum):
+    """A stage of motion of one ball."""
+
+    BEFORE = 0
+    SLIDING = 1
+    ROLLING = 2
 
 
 @dataclass(frozen=True)
@@ -78,12 +41,12 @@ class Disagreement:
     ----------
     phase, ball, observable : str
     sigma : float
-        Corrected for all tests.
+        Corrected for the number of tests.
     against : str
-        What the disagreement changes with from clip to clip, or "" for any.
+        What the disagreement changes with from clip to clip; "" for any.
     size : float
-        rms of the disagreement in that phase, noise subtracted, um; nan where the residuals are too small to bear it,
-        as of a model that is wrong throughout.
+        rms of the disagreement in that phase, noise subtracted, um. NaN where the terms of the test nearly cancel, as
+        with a model that is wrong throughout.
     """
 
     phase: str
@@ -93,18 +56,51 @@ class Disagreement:
     against: str = ""
     size: float = 0.0
 
-    def __str__(self) -> str:
-        changing = f", changing with the {self.against}" if self.against else ""
-        return f"{self.ball} {SAID[self.phase]}, {self.observable} its motion{changing}"
+
+# Displacement of a term in each stage: factor and power of the time since the stage began (before: until the contact).
+# A velocity that a sliding ball is given is 5/7 of it once the ball rolls, whatever the friction in between.
+TERMS: dict[str, dict[Stage, tuple[float, int]]] = {
+    **{f"before {power}": {Stage.BEFORE: (1.0, power)} for power in (1, 2, 3)},
+    "offset": {Stage.SLIDING: (1.0, 0)},
+    "drift": {Stage.SLIDING: (1.0, 1), Stage.ROLLING: (5 / 7, 1)},
+    "slide's bend": {Stage.SLIDING: (1.0, 2)},
+    "slide's twist": {Stage.SLIDING: (1.0, 3)},
+    "roll's offset": {Stage.ROLLING: (1.0, 0)},
+    "roll's drift": {Stage.ROLLING: (1.0, 1)},
+    "roll's bend": {Stage.ROLLING: (1.0, 2)},
+    "roll's twist": {Stage.ROLLING: (1.0, 3)},
+}
+# Of each phase the terms that are tested, the terms that are free beside them, and how many powers of time the reported
+# size leaves out. A ball at rest has one power less.
+PHASE_TESTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
+    "before": (("before 1", "before 2", "before 3"), tuple(TERMS)[3:], 2),
+    "contact": (("offset", "drift"), ("slide's bend", "roll's offset", "roll's bend"), 0),
+    "sliding": (
+        ("slide's bend", "slide's twist"),
+        ("offset", "drift", "roll's offset", "roll's drift", "roll's bend"),
+        2,
+    ),
+    "rolling": (
+        ("roll's bend", "roll's twist"),
+        ("offset", "drift", "slide's bend", "roll's offset", "roll's drift"),
+        2,
+    ),
+}
 
 
-def locate(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> tuple[Disagreement, ...]:
-    """Test where the residuals of a fit disagree with noise: by phase, ball and direction, and against what.
+def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> tuple[Disagreement, ...]:
+    """Test where the residuals of a fit disagree with noise.
+
+    In each clip, along and across each ball's motion, the residual is a polynomial of time in each stage. An offset
+    and a drift right after the contact belong to the contact; in sliding and rolling only the bend and what bends more
+    count. Each test leaves the terms of all other phases free, and the shared parameters too. So a wrong contact is
+    not blamed on the rolling that follows. Each test gives a chi^2, over all clips and as a trend with speed, impact
+    parameter, heading or position. Sigma is corrected for the number of tests (Bonferroni).
 
     Parameters
     ----------
-    clips : sequence of Measured
-    fit : Fit
+    clips : sequence of MeasuredCollision
+    fit : ModelFit
         Of these clips.
     noise : Noise
 
@@ -113,41 +109,54 @@ def locate(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> t
     tuple of Disagreement
         Every test, most significant first.
     """
-    found = [*trials(clips, fit, noise), *ripples(clips, fit, noise)]
-    places = [
-        Disagreement(p, BALLS[b], AXES[a], _corrected(chi2, dof, len(found)), against, size)
-        for (p, b, a), against, chi2, dof, size in found
+    found = [*examine_phases(clips, fit, noise), *examine_ripples(clips, fit, noise)]
+    every = [
+        Disagreement(
+            phase,
+            ("ball 1", "ball 2")[ball],
+            ("along", "across")[axis],
+            _corrected_sigma(chi2, dof, len(found)),
+            against,
+            size,
+        )
+        for (phase, ball, axis), (against, chi2, dof, size) in found
     ]
-    return tuple(sorted(places, key=lambda x: -x.sigma))
+    return tuple(sorted(every, key=lambda x: -x.sigma))
 
 
-def trials(
+def is_unexplained(disagreements: Sequence[Disagreement]) -> bool:
+    """Whether the largest disagreement exceeds what chance makes."""
+    return bool(disagreements) and disagreements[0].sigma > current_policy().unexplained_sigma
+
+
+def examine_phases(
     clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise
-) -> Iterator[tuple[Where, str, float, int, float]]:
-    """(phase, ball, axis), what it is held against, chi^2, degrees of freedom and size, um, of each trial."""
-    all_: dict[Where, list[ClipAmplitudes]] = {}
+) -> Iterator[tuple[Where, PhaseResult]]:
+    """Test each phase, ball and axis: see `find_disagreements`."""
+    amplitudes: dict[Where, list[ClipAmplitudes]] = {}
     expected = predict_tracks(fit.model, fit.launches, clips)
     for k, clip in enumerate(clips):
-        for where, part in _parts(clip, expected[k], fit, k, noise):
-            all_.setdefault(where, []).append(part)
-    for where, parts in all_.items():
-        for result in results(parts):
-            yield where, *result
+        for where, part in _phase_amplitudes(clip, expected[k], fit, k, noise):
+            amplitudes.setdefault(where, []).append(part)
+    for where, parts in amplitudes.items():
+        for result in combine_clips(parts):
+            yield where, result
 
 
-def _parts(
+def _phase_amplitudes(
     clip: MeasuredCollision, path: Array, fit: ModelFit, k: int, noise: Noise
 ) -> Iterator[tuple[Where, ClipAmplitudes]]:
-    """One clip's part in every trial."""
+    """The amplitudes of one clip in every test."""
     stage, time = stages(clip)
     motion = directions(clip, stage, path)
     white, size = ClipWhitener.of(clip, noise), np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
     unit = 1 / np.where(size > 0, size, 1)
-    for phase, (names, beside) in TRIALS.items():
-        tried = [(name, b, a) for b in range(2) for a in range(2) for name in names if (b, name) != ROLLER]
+    roller = (1, "before 1")  # the launch absorbs a roller's drift
+    for phase, (names, beside, powers) in PHASE_TESTS.items():
+        tested = [(name, b, a) for b in range(2) for a in range(2) for name in names if (b, name) != roller]
         terms = [(name, b, a) for b in range(2) for a in range(2) for name in beside]
         first = len(terms)
-        terms += tried
+        terms += tested
         raw = np.stack([_column(t, stage, clip.ball, time, motion) for t in terms], axis=-1)
         if phase == "contact":  # an impact's natural measure
             raw[..., first:] *= fit.launches[k, V0]
@@ -156,33 +165,40 @@ def _parts(
             rows = np.isin(stage, [s for name in names for s in TERMS[name]]) & (clip.ball == b)
             for a in range(2):
                 wanted = [j for j in range(first, len(terms)) if terms[j][1:] == (b, a)]
-                shown = [i for i, j in enumerate(wanted) if solved.kept[j]]
-                if not shown:
+                kept = [i for i, j in enumerate(wanted) if solved.kept[j]]
+                if not kept:
                     continue
-                mine = [wanted[i] for i in shown]
+                mine = [wanted[i] for i in kept]
                 pulls, per_metre, shared = solved.group(mine)
                 full, squares = np.zeros((len(pulls), len(wanted))), np.zeros((len(wanted), len(wanted)))
-                full[:, shown] = per_metre
+                full[:, kept] = per_metre
                 columns = np.einsum("na,nai->ni", motion[rows, a], raw[rows][..., mine])
-                columns = _beyond(columns, time[rows], FREE_LINE[phase] - (phase == "before" and b == 0))
-                squares[np.ix_(shown, shown)] = columns.T @ columns
-                features = _features(fit.launches[k], path[rows].mean(axis=0), motion[rows, a].mean(axis=0))
-                rest = (solved.information, solved.pull)
-                left = float(((clip.xy - path)[rows] ** 2).sum())
+                columns = _remove_powers(columns, time[rows], powers - (phase == "before" and b == 0))
+                squares[np.ix_(kept, kept)] = columns.T @ columns
                 yield (
                     (phase, b, a),
-                    ClipAmplitudes(pulls, full, shared, *rest, squares, int(rows.sum()), left, features),
+                    ClipAmplitudes(
+                        pulls=pulls,
+                        per_metre=full,
+                        shared=shared,
+                        information=solved.information,
+                        pull=solved.pull,
+                        products=squares,
+                        rows=int(rows.sum()),
+                        residual_squares=float(((clip.xy - path)[rows] ** 2).sum()),
+                        features=_features(fit.launches[k], path[rows].mean(axis=0), motion[rows, a].mean(axis=0)),
+                    ),
                 )
 
 
-def _beyond(columns: Array, time: Array, powers: int) -> Array:
-    """What columns (n, k) show beyond a polynomial of so many powers of time."""
+def _remove_powers(columns: Array, time: Array, powers: int) -> Array:
+    """Columns (n, k) less a polynomial of so many powers of time."""
     q, _ = np.linalg.qr(np.vander(time, powers))
     return np.asarray(columns - q @ (q.T @ columns))
 
 
 def _column(term: Term, stage: Ints, ball: Ints, time: Array, motion: Array) -> Array:
-    """Displacement (n, 2) by a metre of a term."""
+    """Displacement (n, 2) for a metre of a term."""
     name, b, a = term
     size = np.zeros(len(stage))
     for s, (factor, power) in TERMS[name].items():
@@ -190,26 +206,306 @@ def _column(term: Term, stage: Ints, ball: Ints, time: Array, motion: Array) -> 
     return np.asarray(size[:, None] * motion[:, a])
 
 
-def _features(launch: Array, place: Array, direction: Array) -> dict[str, Array]:
-    """What a clip's amplitude may change with. A force of the place counts by its part along the trial's direction."""
+def _features(launch: Array, position: Array, direction: Array, scale_m: float = 0.02) -> dict[str, Array]:
+    """What a clip's amplitude may change with. A force of the position counts by its part along the direction."""
     speed, heading, b = launch[[V0, HEADING, B]]
-    x, y = place / PLATE
+    x, y = position / scale_m
     field = np.array([1, x, y, x * x, x * y, y * y])
     return {
         "speed": np.array([speed, speed**2]),
         "impact parameter": np.array([b, abs(b), b * b]),
         "heading": np.array([np.cos(heading), np.sin(heading), np.cos(2 * heading), np.sin(2 * heading)]),
-        "place": np.outer(direction, field).ravel(),
+        "position": np.outer(direction, field).ravel(),
     }
 
 
-def _corrected(chi2: float, dof: int, trials: int) -> float:
-    p = trials * float(chdtrc(dof, chi2))
+def _corrected_sigma(chi2: float, dof: int, tests: int) -> float:
+    p = tests * float(chdtrc(dof, chi2))
     if p >= 1:
         return 0.0
     return float(-ndtri(p / 2)) if p > 1e-250 else chi2_to_sigma(chi2, dof)
 
 
-def unexplained(left: Sequence[Disagreement]) -> bool:
-    """Whether what `locate` found is more than chance does."""
-    return bool(left) and left[0].sigma > current_policy().unexplained_sigma
+# --- Ripples with a ball's turns ---
+
+
+def examine_ripples(
+    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise
+) -> Iterator[tuple[Where, PhaseResult]]:
+    """Test whether residuals ripple once or twice a turn of a ball.
+
+    Such a ball is out of round or loaded, or the tracker follows a mark on it. A ball that rolls turns once over pi
+    times its diameter. Its orientation at the start is unknown, so each stretch of rolling, before the contact and
+    after the slide, has a phase of its own. Cubics of time are free beside the ripple.
+
+    Parameters
+    ----------
+    clips : sequence of MeasuredCollision
+    fit : ModelFit
+        Of these clips.
+    noise : Noise
+
+    Yields
+    ------
+    tuple
+        (ripple, ball, axis) and the result, as `examine_phases` yields them.
+    """
+    found: dict[Where, list[ClipAmplitudes]] = {}
+    expected = predict_tracks(fit.model, fit.launches, clips)
+    size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
+    unit = 1 / np.where(size > 0, size, 1)
+    for k, clip in enumerate(clips):
+        white = ClipWhitener.of(clip, noise)
+        for name, times in (("once a turn", 1), ("twice a turn", 2)):
+            terms, raw = _ripple_terms(clip, expected[k], times)
+            if not terms:
+                continue
+            solved = ClipSolution.of(fit.launch_slopes[k], white(raw), fit.residuals[k], fit.slopes[k] * unit)
+            for which in sorted({term for term in terms if term}):
+                mine = [i for i, term in enumerate(terms) if term == which and solved.kept[i]]
+                if not mine:
+                    continue
+                columns = raw[..., mine]
+                pulls, per_metre, shared = solved.group(mine)
+                rows = (columns != 0).any(axis=(1, 2))
+                found.setdefault((name, *which), []).append(
+                    ClipAmplitudes(
+                        pulls=pulls,
+                        per_metre=per_metre,
+                        shared=shared,
+                        information=solved.information,
+                        pull=solved.pull,
+                        products=np.einsum("nai,naj->ij", columns, columns),
+                        rows=int(rows.sum()),
+                        residual_squares=float(((clip.xy - expected[k])[rows] ** 2).sum()),
+                        features={},
+                    )
+                )
+    for where, parts in found.items():
+        for result in combine_clips(parts):  # none where the shared parameters can make them all
+            yield where, result
+
+
+def _ripple_terms(
+    clip: MeasuredCollision, path: Array, times: int, min_periods: float = 1.0, order: int = 3
+) -> tuple[list[tuple[int, int] | None], Array]:
+    """Ball and axis of each term, None of a stretch's polynomials; displacements (n, 2, terms) for a metre of each.
+
+    A stretch of fewer periods cannot be told from a bend. Polynomials of this order are free beside the ripple.
+    """
+    stage, _ = stages(clip)
+    motion = directions(clip, stage, path)
+    smooth: list[Array] = []
+    waves: dict[tuple[int, int], list[Array]] = {}
+    for ball in range(2):
+        for s in (Stage.BEFORE, Stage.ROLLING):
+            rows = np.flatnonzero((stage == s) & (clip.ball == ball))
+            angle = times * _turned_angle(clip, rows, path)
+            if len(rows) == 0 or angle[-1] < min_periods * 2 * np.pi:
+                continue
+            columns = np.column_stack(
+                [np.vander(np.linspace(-1, 1, len(rows)), order + 1), np.cos(angle), np.sin(angle)]
+            )
+            for axis in range(2):
+                along = np.zeros((len(stage), 2, columns.shape[1]))
+                along[rows] = motion[rows, axis, :, None] * columns[:, None]
+                smooth += list(np.moveaxis(along[..., :-2], -1, 0))
+                waves.setdefault((ball, axis), []).extend(np.moveaxis(along[..., -2:], -1, 0))
+    terms = [None] * len(smooth) + [which for which, each in waves.items() for _ in each]
+    every = [*smooth, *(column for each in waves.values() for column in each)]
+    return terms, np.stack(every, axis=-1) if every else np.zeros((len(stage), 2, 0))
+
+
+def _turned_angle(clip: MeasuredCollision, rows: Ints, path: Array) -> Array:
+    """Angle by which a ball has turned since the first of these rows, rad."""
+    steps = np.hypot(*np.diff(path[rows], axis=0).T)
+    return np.concatenate([[0.0], np.cumsum(steps)]) / (clip.camera.ball_diameter / 2)
+
+
+# --- Stages of motion ---
+
+
+def stages(clip: MeasuredCollision, unit_s: float = 0.05) -> tuple[Ints, Array]:
+    """Stage (n,) and time (n,) of each row, in units from where the stage begins (before: until the contact).
+
+    Exposures that hold an event count as sliding.
+    """
+    opens = clip.frame / clip.fps
+    closes, end, t_c = opens + clip.exposure, clip.slide_ends[clip.ball], clip.launch[T_C]
+    stage = np.where(closes <= t_c, Stage.BEFORE, np.where(opens >= end, Stage.ROLLING, Stage.SLIDING))
+    middle = (opens + closes) / 2
+    time = np.where(stage == Stage.BEFORE, t_c - middle, np.where(stage == Stage.SLIDING, middle - t_c, middle - end))
+    return stage, np.maximum(time, 0) / unit_s
+
+
+def directions(clip: MeasuredCollision, stage: Ints, path: Array, min_move_m: float = 1e-5) -> Array:
+    """Unit vectors along and across each ball's motion in each stage, (n, 2, 2); at rest along the heading."""
+    heading = clip.launch[HEADING]
+    along = np.tile([np.cos(heading), np.sin(heading)], (len(path), 1))
+    for s in Stage:
+        for b in range(2):
+            rows = np.flatnonzero((stage == s) & (clip.ball == b))
+            if len(rows) < 2:
+                continue
+            move = path[rows[-1]] - path[rows[0]]
+            if np.hypot(*move) > min_move_m:
+                along[rows] = move / np.hypot(*move)
+    return np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
+
+
+# --- Amplitudes of terms, over all clips ---
+
+
+@dataclass(frozen=True)
+class ClipAmplitudes:
+    """One clip's part in a test of P terms, of which the clip determines m combinations.
+
+    Attributes
+    ----------
+    pulls : (m,) array
+        Amplitudes, of unit variance.
+    per_metre : (m, P) array
+        Pulls that a metre of each term makes.
+    shared : (m, S) array
+        Pulls that a unit of each shared parameter makes.
+    information, pull : (S, S) and (S,) array
+        Of the shared parameters in what the terms leave of the clip.
+    products : (P, P) array
+        Products of the terms, m^2, summed over the rows.
+    rows : int
+    residual_squares : float
+        Sum of squares of the residuals in these rows, m^2.
+    features : dict of str to (f,) array
+        What the amplitude may change with, and this clip's values of it.
+    """
+
+    pulls: Array
+    per_metre: Array
+    shared: Array
+    information: Array
+    pull: Array
+    products: Array
+    rows: int
+    residual_squares: float
+    features: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class ClipSolution:
+    """Least squares of one clip: amplitudes of unit-length terms, their covariance, and slopes of shared parameters.
+
+    information (S, S) and pull (S,): of the shared parameters in what the terms leave.
+    """
+
+    kept: NDArray[np.bool_]
+    length: Array
+    amplitude: Array
+    covariance: Array
+    shared: Array
+    information: Array
+    pull: Array
+
+    @classmethod
+    def of(cls, launch: Array, columns: Array, residual: Array, shared: Array, min_share: float = 1e-5) -> ClipSolution:
+        """Fit the columns (2n, T) of the terms, the launch being free beside them. All are whitened.
+
+        A term counts if the terms before it leave this share of its length.
+        """
+        both = np.column_stack([launch, columns])
+        length = np.linalg.norm(both, axis=0)
+        unit = both / np.where(length > 0, length, 1)
+        kept = np.abs(np.diag(np.linalg.qr(unit, mode="r"))) > min_share
+        q, r = np.linalg.qr(unit[:, kept])
+        inverse = np.linalg.inv(r)
+        at, first = np.flatnonzero(kept), launch.shape[1]
+        amplitude, covariance = np.zeros(len(kept)), np.zeros((len(kept),) * 2)
+        amplitude[at] = inverse @ (q.T @ residual)
+        covariance[np.ix_(at, at)] = inverse @ inverse.T
+        slopes = np.zeros((len(kept), shared.shape[1]))
+        slopes[at] = inverse @ (q.T @ shared)
+        terms, rest = slice(first, None), shared - q @ (q.T @ shared)
+        return cls(
+            kept=kept[terms],
+            length=length[terms],
+            amplitude=amplitude[terms],
+            covariance=covariance[terms, terms],
+            shared=slopes[terms],
+            information=rest.T @ rest,
+            pull=rest.T @ residual,
+        )
+
+    def group(self, rows: list[int]) -> tuple[Array, Array, Array]:
+        """Pulls of unit variance of some terms, all others free; the same for a metre and for shared parameters."""
+        root = np.linalg.inv(np.linalg.cholesky(self.covariance[np.ix_(rows, rows)]))
+        return root @ self.amplitude[rows], root * self.length[rows], root @ self.shared[rows]
+
+
+def combine_clips(parts: Sequence[ClipAmplitudes], min_shared: float = 1e-6) -> Iterator[PhaseResult]:
+    """Test the amplitudes of all clips together, the shared parameters being free.
+
+    The clips constrain the shared parameters outside the test too; that enters as a few rows more. Directions of the
+    shared parameters with less than `min_shared` of the largest information do not count.
+
+    Parameters
+    ----------
+    parts : sequence of ClipAmplitudes
+    min_shared : float
+
+    Yields
+    ------
+    tuple
+        What the amplitude changes with ("" for any amplitude), chi^2, degrees of freedom, rms size in um.
+    """
+    values, axes = np.linalg.eigh(sum(g.information for g in parts))
+    seen = values > min_shared * values.max(initial=0)
+    roots = np.sqrt(values[seen])
+    rest = axes[:, seen].T @ sum(g.pull for g in parts) / roots
+    pulls = np.concatenate([*(g.pulls for g in parts), rest])
+    absorbed = _span(np.concatenate([*(g.shared for g in parts), roots[:, None] * axes[:, seen].T]))
+    left = pulls - absorbed @ (absorbed.T @ pulls)
+    freedom = len(pulls) - absorbed.shape[1]
+    if freedom:
+        yield "", float(left @ left), freedom, _rms_size(parts, left, freedom / len(pulls))
+    if not parts[0].features or len(parts) < current_policy().min_clips_for_trend:
+        return
+    always = _span(np.column_stack([_stack_clips([g.per_metre for g in parts], len(rest)), absorbed]))
+    for against in parts[0].features:
+        changing = [np.asarray(np.kron(g.features[against], g.per_metre)) for g in parts]
+        trend = _span(_stack_clips(changing, len(rest)), always)
+        found = trend.T @ pulls
+        if len(found):
+            yield against, float(found @ found), len(found), _rms_size(parts, trend @ found, len(found) / len(pulls))
+
+
+def _stack_clips(columns: Sequence[Array], rest: int) -> Array:
+    """Columns of all clips, with zeros in the `rest` rows that belong to the shared parameters only."""
+    return np.concatenate([*columns, np.zeros((rest, columns[0].shape[1]))])
+
+
+def _span(columns: Array, besides: Array | None = None, min_share: float = 1e-3) -> Array:
+    """An orthonormal basis of the span of columns, less the span of `besides`, which is orthonormal.
+
+    A column counts if the others leave this share of its length.
+    """
+    length = np.linalg.norm(columns, axis=0)
+    unit = columns / np.where(length > 0, length, 1)
+    if besides is not None:
+        unit = unit - besides @ (besides.T @ unit)
+    axes, sizes, _ = np.linalg.svd(unit, full_matrices=False)
+    return np.asarray(axes[:, sizes > min_share])
+
+
+def _rms_size(parts: Sequence[ClipAmplitudes], pulls: Array, noisy: float) -> float:
+    """rms displacement, um, that makes these pulls, less the noise in the share `noisy` of their directions.
+
+    NaN where it is so much larger than the residuals that the terms of this test and those beside it nearly cancel.
+    """
+    total, rows, first = 0.0, 0, 0
+    for g in parts:
+        metres = np.linalg.pinv(g.per_metre)
+        terms = metres @ pulls[first : first + len(g.pulls)]
+        total += float(terms @ g.products @ terms - noisy * np.trace(metres.T @ g.products @ metres))
+        rows, first = rows + g.rows, first + len(g.pulls)
+    if total > current_policy().max_disagreement_to_residual ** 2 * sum(g.residual_squares for g in parts):
+        return float("nan")
+    return 1e6 * float(np.sqrt(max(total, 0.0) / rows))

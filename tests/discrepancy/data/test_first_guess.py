@@ -12,7 +12,7 @@ from repository import ROOT
 from discrepancy.data.first_guess import guess_hit_from_outgoing
 from discrepancy.data.reading import read_collisions
 from discrepancy.policy import current_policy
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.model import Model
 from synthcam.scene.scene import read_scene
@@ -67,7 +67,7 @@ def test_a_search_names_what_tracks_from_the_hit_on_hide(filmed):
     clips, left_out = read_collisions(*cut(filmed, 0.0))
     assert (len(clips), left_out) == (CLIPS, [])
     assert all((clip.phases() != 0).all() for clip in clips)
-    (named,) = find(clips, Model()).named
+    (named,) = search(clips, Model()).named
     off = (named.values["plate_tilt.x"] - HIDDEN["plate_tilt.x"]) / named.std["plate_tilt.x"]
     assert named.effect == "plate_tilt"
     assert abs(off) < 4

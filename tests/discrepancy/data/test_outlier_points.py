@@ -11,7 +11,7 @@ from discrepancy.data.outlier_points import _Offset, find_outliers, note_removed
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -136,7 +136,9 @@ def test_what_is_left_is_the_clip_without_them_and_it_is_said():
 def test_a_lost_frame_is_none_however_near_the_end(monkeypatch, frame):
     known = ("dropped_frame", "rolling_quadratic", "stribeck")
     only(monkeypatch, ("friction_speed", "lag_speed"), **{n: library()[n] for n in known})
-    found = find(collisions(Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame}), 8, 3), Model())
+    found = search(
+        collisions(Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame}), 8, 3), Model()
+    )
     assert [n.effect for n in found.named] == ["dropped_frame"]
     assert found.model.value("dropped_frame.lost") == pytest.approx(1, abs=0.01)
     assert found.data.left_out == ()
@@ -145,7 +147,7 @@ def test_a_lost_frame_is_none_however_near_the_end(monkeypatch, frame):
 def test_three_wrong_places_make_no_discovery(monkeypatch):
     only(monkeypatch)
     wrong = [moved(c, [x], 300 * STD) for c, x in zip(CLIPS, (40, row_of(CLIPS[1], 1, 0), 62), strict=False)]
-    found = find([*wrong, *CLIPS[3:]], Model())
+    found = search([*wrong, *CLIPS[3:]], Model())
     assert found.verdict == "none"
     assert found.data.noise.scale == pytest.approx(1, abs=0.1)
     lines = sorted(line.partition(",")[0] for line in found.data.left_out)

@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 
 from discrepancy.data.launch import T_C
 from discrepancy.data.prior_processing import detect_processing, remove_filtered_rows
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
 
@@ -90,11 +90,11 @@ def near(clip, frames):
 
 def test_of_smoothed_tracks_nothing_is_named_and_it_is_said():
     """A filter washes out the hit: effects of the library would be named for it."""
-    found = find(smoothed(), Model())
+    found = search(smoothed(), Model())
     assert found.data.smoothed
     assert found.verdict in ("none", "inadequate")
     assert not found.named
-    assert found.answer is None
+    assert found.law_summary is None
     assert "smoothed by a filter" in found.sentence()
     assert any("smoothed" in line for line in found.document()["processed"])
 
@@ -102,12 +102,12 @@ def test_of_smoothed_tracks_nothing_is_named_and_it_is_said():
 def test_a_smoothed_collision_of_which_too_little_is_left_has_no_part():
     """12 frames on either side, less 5 at either end: 2 are left."""
     clips = smoothed()
-    found = find([*clips[:3], near(clips[3], 12), *clips[4:]], Model())
+    found = search([*clips[:3], near(clips[3], 12), *clips[4:]], Model())
     assert [line for line in found.data.left_out if line.startswith(f"clip {clips[3].clip}: too few positions")]
-    assert clips[3].clip not in {clip.clip for clip in (*found.data.clips, *found.data.kept_out)}
+    assert clips[3].clip not in {clip.clip for clip in (*found.data.clips, *found.data.held_out)}
 
 
 def test_smoothed_collisions_all_too_short_are_refused():
     clips = smoothed()
     with pytest.raises(InputError, match=r"smoothed by a filter.*: 5 of 8 collisions keep enough.*expected 6"):
-        find([*(near(c, 12) for c in clips[:3]), *clips[3:]], Model())
+        search([*(near(c, 12) for c in clips[:3]), *clips[3:]], Model())

@@ -17,7 +17,7 @@ from discrepancy.free_laws import laws
 from discrepancy.free_laws.law_summary import LawSummary, describe_law
 from discrepancy.free_laws.library import free_laws_over, law_count, library
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.search import find
+from discrepancy.search import search
 from discrepancy.select.free_law_contest import FreeLawContest
 from synthcam.effect import Effect, parameter
 from synthcam.effects.rolling_mismatch import RollingMismatch
@@ -181,7 +181,7 @@ def test_a_friction_of_one_ball_is_found_and_said_to_be_of_that_ball():
 def test_a_ball_that_rolls_worse_is_named_and_no_free_law_is_declared(monkeypatch):
     few = ("rolling_mismatch", "drag_mismatch", "mass_mismatch", "rolling_quadratic")
     only(monkeypatch, **{name: effects()[name] for name in few})
-    found = find(hiding(RollingMismatch(drag=0.02, decel=1e-3)), Model())
+    found = search(hiding(RollingMismatch(drag=0.02, decel=1e-3)), Model())
     assert [n.effect for n in found.named] == ["rolling_mismatch"]
     assert found.free_law is None
     named = found.named[0]
@@ -226,7 +226,7 @@ def test_a_file_dropped_into_the_folder_is_found_fitted_and_named(one_more, monk
     clips = exact(Model(), 18, 6)
     sides = [Model().replace({"restitution": 0.9 + 0.01 * np.tanh(c.launch[B] / 0.1)}) for c in clips]
     seen = noisy([dataclasses.replace(c, xy=moved(m, [c])[0]) for c, m in zip(clips, sides, strict=True)], 6)
-    found = find(seen, Model())
+    found = search(seen, Model())
     assert law_count() == one_more + 1
     assert (found.verdict, found.free_law.law.name) == ("outside_library", "restitution_side")
     said = found.document()["outside"][0]

@@ -9,7 +9,7 @@ from discrepancy_clips import exact, noisy, only
 from discrepancy.data.launch import SIDE
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.model import LAUNCH_SPIN, Model
 
 COUNT, SIZE = 16, 2e-3  # m/s: a four-hundredth of the speed
@@ -24,18 +24,18 @@ def clips(spins, seed=5):
 def test_it_is_found_and_its_model_leaves_nothing(monkeypatch):
     only(monkeypatch, free_laws=("side_spin_clip", "spin_transfer_clip", "restitution_clip"))
     hidden = clips(SPINS)
-    found = find(hidden, Model())
+    found = search(hidden, Model())
     assert (found.verdict, found.free_law.law.name) == ("outside_library", "side_spin_clip")
-    assert found.in_model
+    assert found.model_holds_law
     assert found.model.free == (LAUNCH_SPIN,)
     assert "In model.yaml launch.spin is free" in found.sentence()
     fitted = [c.clip for c in found.data.clips]
-    off = np.ravel(found.answer.curve) - SPINS[fitted]
+    off = np.ravel(found.law_summary.curve) - SPINS[fitted]
     within = np.asarray(found.document()["outside"][0]["band"]).reshape(len(fitted), 2)
     assert np.std(off) < 0.1 * SIZE
     assert np.mean((SPINS[fitted] > within[:, 0]) & (SPINS[fitted] < within[:, 1])) > 0.7
-    assert found.shown.gap.after < 1.2 < 1.5 < found.shown.gap.before
-    again = find(hidden, found.model)
+    assert found.gap.after < 1.2 < 1.5 < found.gap.before
+    again = search(hidden, found.model)
     assert again.verdict == "none"
     spun = np.array(again.base.launches)[:, SIDE]
     assert np.std(spun - SPINS[[c.clip for c in again.data.clips]]) < 0.1 * SIZE
@@ -43,10 +43,10 @@ def test_it_is_found_and_its_model_leaves_nothing(monkeypatch):
 
 def test_rolling_strikers_with_free_spins_leave_nothing(monkeypatch):
     only(monkeypatch, free_laws=("side_spin_clip", "spin_transfer_clip"))
-    assert find(clips(0 * SPINS), Model()).verdict == "none"
-    found = find(clips(0 * SPINS), dataclasses.replace(Model(), free=(LAUNCH_SPIN,)))
+    assert search(clips(0 * SPINS), Model()).verdict == "none"
+    found = search(clips(0 * SPINS), dataclasses.replace(Model(), free=(LAUNCH_SPIN,)))
     assert found.verdict == "none"
-    assert np.abs(np.array(found.base.launches)[:, SIDE]).max() < SIZE
+    assert np.abs(np.array(found.base_fit.launches)[:, SIDE]).max() < SIZE
 
 
 def test_derivatives_are_those_of_a_launch_that_spins():

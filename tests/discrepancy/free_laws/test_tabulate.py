@@ -10,7 +10,7 @@ from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.free_laws.tabulate import tabulate_and_refit
 from discrepancy.report.search_page import document
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.library import library
 from synthcam.model import Model, read_model, write_model
 from synthcam.tabulated_law import TabulatedLaw
@@ -46,10 +46,10 @@ def test_the_curve_is_in_the_model_and_is_the_law_that_was_hidden(law):
 def test_on_collisions_kept_out_the_model_is_as_good_as_the_true_law(law):
     found = outsider(law)
     truth = dataclasses.replace(Model(), effects=(OUTSIDERS[law],))
-    best = fit_model(found.data.kept_out, truth, (), found.data.noise, found.shown.before.launches)
-    gap, least = found.shown.gap, best.chi2 / best.points
-    assert gap.after == pytest.approx(found.shown.after.chi2 / found.shown.after.points)
-    assert found.shown.after.model == found.model
+    best = fit_model(found.data.held_out, truth, (), found.data.noise, found.gap_fits.before.launches)
+    gap, least = found.gap, best.chi2 / best.points
+    assert gap.after == pytest.approx(found.gap_fits.after.chi2 / found.gap_fits.after.points)
+    assert found.gap_fits.after.model == found.model
     share = 0.85 if law == "friction_place" else 0.98  # ten collisions leave much of the plate unseen
     assert (gap.before - gap.after) > share * (gap.before - least)
 
@@ -62,12 +62,12 @@ def test_a_search_that_begins_with_it_finds_nothing(law, seeds, tmp_path, monkey
     write_model(found.model, tmp_path / "model.yaml")
     model = read_model(tmp_path / "model.yaml")
     hidden = dataclasses.replace(Model(), effects=(OUTSIDERS[law],))
-    assert found.shown.gap.before > 2 * found.shown.gap.floor
+    assert found.gap.before > 2 * found.gap.floor
     for seed in seeds:
-        again = find(collisions(hidden, len(found.data.clips) + len(found.data.kept_out), seed), model)
+        again = search(collisions(hidden, len(found.data.clips) + len(found.data.held_out), seed), model)
         assert again.verdict == "none"
-        known = found.shown.gap.after if seed == 3 else again.shown.gap.floor
-        assert again.shown.gap.before == pytest.approx(known, rel=0.03 if seed == 3 else 0.15)
+        known = found.gap.after if seed == 3 else again.gap.floor
+        assert again.gap.before == pytest.approx(known, rel=0.03 if seed == 3 else 0.15)
 
 
 def test_a_law_found_once_more_is_the_whole_law_and_takes_the_place_of_its_table(monkeypatch):
@@ -78,7 +78,7 @@ def test_a_law_found_once_more_is_the_whole_law_and_takes_the_place_of_its_table
     third = base.restitution + (step._law(x) - base.restitution) / 3
     table = TabulatedLaw.of("restitution_speed", x, third, {"restitution": base.restitution})
     hidden = dataclasses.replace(base, effects=(step,))
-    found = find(collisions(hidden, 18, 3), dataclasses.replace(base, effects=(table,)))
+    found = search(collisions(hidden, 18, 3), dataclasses.replace(base, effects=(table,)))
     assert [e.name() for e in found.model.effects] == ["restitution_speed"]
     said = found.document()["outside"][0]
     places, curve, band = (np.array(said[k]) for k in ("x", "curve", "band"))

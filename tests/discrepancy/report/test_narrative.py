@@ -22,20 +22,21 @@ def found(request):
 def test_sentences_with_the_numbers(found):
     fitted, where, closed, still = write_story(found)
     assert fitted.startswith(f"The search fitted {len(found.data.clips)} collisions together")
-    assert f"{len(found.data.kept_out)} more collisions were held out" in fitted
+    assert f"{len(found.data.held_out)} more collisions were held out" in fitted
     assert "converged" in fitted
     assert "The base model has chi^2" in where
-    assert f"{found.shown.gap.floor_um:.2f} um" in closed
+    assert f"{found.gap.floor_um:.2f} um" in closed
     assert still.startswith(("These collisions cannot distinguish", "They could not show", "Every effect", "None of"))
 
 
 def test_what_is_missing_is_said_with_its_numbers():
     what = searched("velocity_restitution").sentence()
-    assert "velocity_restitution (e = 0.05" in what
+    assert what.startswith("Missing effect: velocity_restitution (")
+    assert ", e +0.05" in what
     outside = outsider("restitution_speed").sentence()
     assert "r that depends on the normal speed, which no effect of the library makes" in outside
     assert "model.yaml holds its curve" in outside
-    unheld = dataclasses.replace(outsider("restitution_speed"), held=None)
+    unheld = dataclasses.replace(outsider("restitution_speed"), model_holds_law=False)
     assert "model.yaml cannot hold it" in unheld.sentence()
     assert "Nothing is missing" in searched("nothing").sentence()
 
@@ -43,14 +44,14 @@ def test_what_is_missing_is_said_with_its_numbers():
 def test_a_share_of_chance_is_not_told():
     found = searched("velocity_restitution")
     assert "% of the gap in chi^2 is closed." in write_story(found)[2]
-    gap = dataclasses.replace(found.shown.gap, closure=float("nan"))
-    none = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
+    gap = dataclasses.replace(found.gap, closure=float("nan"))
+    none = dataclasses.replace(found, gap_fits=dataclasses.replace(found.gap_fits, gap=gap))
     assert write_story(none)[2].endswith("the gap is too small to say what share of it is closed.")
 
 
 def test_a_fit_that_did_not_converge_is_said():
     """The base fit of one noise, put where chi^2 still falls."""
-    base = searched("nothing").base
+    base = searched("nothing").base_fit
     slope = base.slopes[0][:, 0]
     off = dataclasses.replace(
         base, residuals=(base.residuals[0] + 20 * slope / (slope @ slope) ** 0.5, *base.residuals[1:])
@@ -58,7 +59,7 @@ def test_a_fit_that_did_not_converge_is_said():
     assert gain_of_next_step(base) < 0.1
     assert gain_of_next_step(off) > 1
     found = searched("nothing")
-    moved = dataclasses.replace(found, selected=dataclasses.replace(found.selected, base=off))
+    moved = dataclasses.replace(found, base_fit=off)
     assert "the fit converged" in write_story(found)[0]
     assert "the fit did not converge: a further step would lower chi^2 by" in write_story(moved)[0]
 
@@ -74,10 +75,10 @@ def test_a_parameter_that_stands_at_its_limit_has_converged():
 
 
 def test_a_place_without_a_size_is_told_without_one(found):
-    unsized = tuple(dataclasses.replace(p, size=float("nan")) for p in found.where)
-    assert "um rms" not in write_story(dataclasses.replace(found, where=unsized))[1]
+    unsized = tuple(dataclasses.replace(p, size=float("nan")) for p in found.base_disagreements)
+    assert "um rms" not in write_story(dataclasses.replace(found, base_disagreements=unsized))[1]
 
 
 def test_what_clips_all_alike_cannot_tell_is_said():
-    found = dataclasses.replace(searched("nothing"), alike=("all clips go one way: no tilt can be told",))
+    found = dataclasses.replace(searched("nothing"), uniform=("all clips go one way: no tilt can be told",))
     assert write_story(found)[3].endswith(" All clips go one way: no tilt can be told.")

@@ -13,7 +13,7 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 from discrepancy.report import search_page as report
 from discrepancy.report.figures import draw_figures
 from discrepancy.report.narrative import write_story
-from discrepancy.select.effect_claim import format_with_error
+from discrepancy.wording import format_with_error
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
 
@@ -22,7 +22,8 @@ from synthcam.scene.scene import read_scene
 def written(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     found = outsider(request.param) if request.param in OUTSIDERS else searched(request.param)
-    report.write(found, folder, ["clip 9: <b>no</b> collision"])
+    found = dataclasses.replace(found, left_out=("clip 9: <b>no</b> collision",))
+    report.write(found, folder)
     return found, folder
 
 
@@ -65,7 +66,7 @@ def test_the_model_reads_back_and_is_a_scene(written):
 
 
 def test_the_same_search_gives_the_same_files(written, tmp_path):
-    report.write(written[0], tmp_path, ["clip 9: <b>no</b> collision"])
+    report.write(written[0], tmp_path)
     for path in written[1].iterdir():
         one, other = (re.sub("<footer>.*</footer>", "", p.read_text()) for p in (path, tmp_path / path.name))
         assert one == other  # but for when the page was made
@@ -73,8 +74,8 @@ def test_the_same_search_gives_the_same_files(written, tmp_path):
 
 def test_a_place_without_a_size_has_an_empty_cell(tmp_path):
     found = searched("velocity_restitution")
-    first, second = (dataclasses.replace(found.where[0], size=size) for size in (float("nan"), 12345.6))
-    report.write(dataclasses.replace(found, where=(first, second)), tmp_path, [])
+    first, second = (dataclasses.replace(found.base_disagreements[0], size=size) for size in (float("nan"), 12345.6))
+    report.write(dataclasses.replace(found, base_disagreements=(first, second)), tmp_path)
     (table,) = re.findall(
         r"<h2>Disagreements of the base model</h2>(.*?)</table>", (tmp_path / "index.html").read_text(), re.DOTALL
     )
@@ -85,7 +86,7 @@ def test_a_place_without_a_size_has_an_empty_cell(tmp_path):
 def test_the_formula_and_its_curve_are_on_the_page():
     found = outsider("restitution_speed")
     figures = {figure.title: figure.address for figure in draw_figures(found)}
-    assert f"Free law: {found.answer.formula}" in figures
+    assert f"Free law: {found.law_summary.formula}" in figures
     assert len(figures) == 6
 
 
@@ -109,7 +110,7 @@ def test_strengths_and_fitted_parameters_have_their_units(written):
     found, folder = written
     page = (folder / "index.html").read_text()
     rows = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in re.findall(r"<tr>(.*?)</tr>", page)]
-    units = {row[0]: row[1] for row in rows if len(row) == 3 + found.anything}
+    units = {row[0]: row[1] for row in rows if len(row) == 3 + (not found.is_empty)}
     assert (units["rolling_drag"], units["rolling_decel"], units["restitution"]) == ("1/s", "m/s^2", "")
     shown = [row[3] for row in rows if row[:2] == ["velocity_restitution", "e"]]
     assert shown == [""] * len(found.named)

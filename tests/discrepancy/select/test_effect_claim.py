@@ -5,7 +5,7 @@ import pytest
 
 from discrepancy.fitting.parameters import Candidate
 from discrepancy.select.effect_claim import EffectClaim, find_similar_pairs
-from discrepancy.select.scored import CandidateScore
+from discrepancy.select.score_test import CandidateScore
 from synthcam.library import library
 
 KIND = library()["velocity_restitution"]
@@ -38,6 +38,6 @@ def hop(bounce, std):
 
 def test_a_shape_at_an_end_of_its_range_speaks_against_the_effect():
     for std in (0.1, np.inf):
-        assert hop(0.9, std).at_end_of_range() == "its bounce stands at 0.9, the end of its range"
-        assert not hop(0.0, std).at_end_of_range()  # a plate that gives nothing back
-        assert not hop(0.4, std).at_end_of_range()
+        assert hop(0.9, std).shape_at_limit() == ("hop.bounce", 0.9)
+        assert hop(0.0, std).shape_at_limit() is None  # a plate that gives nothing back
+        assert hop(0.4, std).shape_at_limit() is None

@@ -19,12 +19,12 @@ EFFECTS = ("velocity_restitution", "rolling_quadratic")
 
 def test_clips_kept_out_are_in_no_fit():
     found = searched("velocity_restitution")
-    fitted, kept = ({c.clip for c in clips} for clips in (found.data.clips, found.data.kept_out))
+    fitted, kept = ({c.clip for c in clips} for clips in (found.data.clips, found.data.held_out))
     assert not fitted & kept
     assert (len(fitted), len(kept)) == (6, 2)
-    for fit, clips in ((found.selected.best, found.data.clips), (found.shown.after, found.data.kept_out)):
+    for fit, clips in ((found.best_fit, found.data.clips), (found.gap_fits.after, found.data.held_out)):
         assert [len(r) for r in fit.residuals] == [2 * len(c.frame) for c in clips]
-    for shown, model in ((found.shown.before, found.base.model), (found.shown.after, found.model)):
+    for shown, model in ((found.gap_fits.before, found.base_fit.model), (found.gap_fits.after, found.model)):
         assert shown.names == ()
         assert shown.model == model
 
@@ -46,7 +46,7 @@ def test_kept_out_clips_cover_the_speeds_and_the_extremes(count, out):
 
 @pytest.mark.parametrize("hidden", EFFECTS)
 def test_the_gap_closes(hidden):
-    shown = searched(hidden).shown
+    shown = searched(hidden).gap_fits
     gap, points = shown.gap, shown.after.points
     scatter = np.sqrt(2 / points) + np.sqrt(2 / 2000)  # of chi^2 a point, and of the noise that was read off
     assert gap.before > gap.floor + 20 * scatter
@@ -58,7 +58,7 @@ def test_the_gap_closes(hidden):
 
 @pytest.mark.parametrize("rho", [0.0, 0.5])
 def test_with_nothing_hidden_there_is_no_gap(rho):
-    gap = searched("nothing", rho).shown.gap
+    gap = searched("nothing", rho).gap
     assert gap.before == gap.after
     assert gap.after == pytest.approx(gap.floor, rel=0.12)
     assert gap.floor_um == pytest.approx(1.6, rel=0.1)
@@ -67,20 +67,20 @@ def test_with_nothing_hidden_there_is_no_gap(rho):
 
 def test_the_floor_is_what_six_numbers_a_clip_leave_of_noise():
     found = searched("nothing")
-    assert found.shown.gap.floor == pytest.approx(1 - 6 / np.mean([2 * len(c.frame) for c in found.data.kept_out]))
+    assert found.gap.floor == pytest.approx(1 - 6 / np.mean([2 * len(c.frame) for c in found.data.held_out]))
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5])
 def test_the_floor_of_each_phase_is_what_drawn_noise_leaves(rho):
     found, rng = searched("nothing", rho), np.random.default_rng(8)
-    before, gap = found.shown.before, found.shown.gap
+    before, gap = found.gap_fits.before, found.gap
     left, metres = [], []
-    for clip, launch in zip(found.data.kept_out, before.launch_slopes, strict=True):
+    for clip, launch in zip(found.data.held_out, before.launch_slopes, strict=True):
         drawn = rng.standard_normal((len(launch), 2000))
         rest = drawn - launch @ np.linalg.lstsq(launch, drawn, rcond=None)[0]
         left.append((rest.reshape(-1, 2, 2000) ** 2).mean(axis=(1, 2)))
         metres.append((ClipWhitener.of(clip, found.data.noise).undo(rest) ** 2).mean(axis=(1, 2)))
-    phase = np.concatenate([c.phases() for c in found.data.kept_out])
+    phase = np.concatenate([c.phases() for c in found.data.held_out])
     assert set(gap.by_phase) == {"before", "sliding", "rolling"}
     for k, part in enumerate(gap.by_phase.values()):
         assert part.floor == pytest.approx(np.concatenate(left)[phase == k].mean(), rel=0.01)
@@ -88,7 +88,7 @@ def test_the_floor_of_each_phase_is_what_drawn_noise_leaves(rho):
 
 
 def test_the_gap_lies_in_the_phases_of_what_is_hidden():
-    parts = searched("velocity_restitution").shown.gap.by_phase
+    parts = searched("velocity_restitution").gap.by_phase
     for name in ("sliding", "rolling"):
         assert parts[name].before > 3 * parts[name].floor
         assert parts[name].before_um > parts[name].after_um

@@ -10,7 +10,7 @@ from discrepancy.data.launch import HEADING, V0
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.validate.outlier_clips import outlier_clips
+from discrepancy.validate.outlier_clips import find_outlier_clips
 from synthcam.model import Model
 
 CLAIMED = Noise(NoiseComponent(1.0))
@@ -40,9 +40,10 @@ def test_a_bad_clip_that_makes_a_discovery_is_found(rank, size):
     clips[bad] = pushed(clips[bad], size * (1 + rank))
     base, best = fits(clips, "rolling_quadratic.K")
     assert significance(base, best) > 4
-    found = outlier_clips(clips, base, best)
+    found = find_outlier_clips(clips, base, best)
     assert list(found) == [bad]
-    assert found[bad].startswith(f"clip {clips[bad].clip}: ")
+    assert str(found[bad]).startswith(f"clip {clips[bad].clip}: ")
+    assert found[bad].clip == clips[bad].clip
     rest = [c for k, c in enumerate(clips) if k != bad]
     assert significance(*fits(rest, "rolling_quadratic.K")) < 4
 
@@ -52,20 +53,20 @@ def test_an_effect_makes_no_clip_bad(effect, value):
     clips = collisions(Model().replace({effect: value}), 12, 7)
     base, best = fits(clips, effect)
     assert significance(base, best) > 5
-    assert outlier_clips(clips, base, best) == {}
-    assert outlier_clips(clips, base, base) == {}  # nor one that is not found
+    assert find_outlier_clips(clips, base, best) == {}
+    assert find_outlier_clips(clips, base, base) == {}  # nor one that is not found
 
 
 def test_a_bad_clip_is_found_beside_an_effect():
     clips = collisions(Model().replace({"velocity_restitution.e": 0.05}), 12, 7)
     clips[3] = pushed(clips[3], 4e-3)
-    assert list(outlier_clips(clips, *fits(clips, "velocity_restitution.e"))) == [3]
+    assert list(find_outlier_clips(clips, *fits(clips, "velocity_restitution.e"))) == [3]
 
 
 def test_noise_makes_no_clip_bad():
     for seed in range(4):
         clips = collisions(Model(), 10, 20 + seed)
-        assert outlier_clips(clips, *fits(clips, "rolling_quadratic.K")) == {}
+        assert find_outlier_clips(clips, *fits(clips, "rolling_quadratic.K")) == {}
 
 
 def test_one_clip_in_ten_may_be_odd_in_all():
@@ -73,4 +74,4 @@ def test_one_clip_in_ten_may_be_odd_in_all():
     clips = collisions(Model(), 12, 6)
     clips[3] = pushed(clips[3], 8e-3)
     both = fits(clips, "rolling_quadratic.K")
-    assert [list(outlier_clips(clips, *both, gone)) for gone in (0, 1)] == [[3], []]
+    assert [list(find_outlier_clips(clips, *both, gone)) for gone in (0, 1)] == [[3], []]

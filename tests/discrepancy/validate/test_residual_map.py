@@ -13,7 +13,8 @@ from discrepancy.data.launch import HEADING
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.validate.residual_map import AXES, BALLS, SAID, TRIALS, locate, trials
+from discrepancy.validate.residual_map import PHASE_TESTS, examine_phases, find_disagreements
+from discrepancy.wording import describe_disagreement
 from synthcam.model import Model
 
 CLAIMED = Noise(NoiseComponent(1.0))
@@ -24,7 +25,7 @@ def seen(name, value, held="", count=16):
     """Tests of a base fit when `name` has a value that the model does not know; `held`: a parameter not fitted."""
     clips = collisions(Model().replace({"plate_waviness.wavelength": 0.04} | {name: value}), count, 4)
     names = tuple(n for n in BASE_PARAMETERS if n != held)
-    return locate(clips, fit_model(clips, Model(), names, CLAIMED), CLAIMED)
+    return find_disagreements(clips, fit_model(clips, Model(), names, CLAIMED), CLAIMED)
 
 
 def most(places, **wanted):
@@ -39,9 +40,11 @@ def test_noise_alone_draws_uniform_chances():
     for _ in range(25):
         drawn = tuple(rng.standard_normal(len(r)) for r in fit.residuals)
         left = np.split(unabsorbed(fit, np.concatenate(drawn)), np.cumsum([len(r) for r in drawn])[:-1])
-        for look, against, chi2, dof, _ in trials(clips, dataclasses.replace(fit, residuals=tuple(left)), CLAIMED):
+        for look, (against, chi2, dof, _) in examine_phases(
+            clips, dataclasses.replace(fit, residuals=tuple(left)), CLAIMED
+        ):
             chances.setdefault((look, against), []).append(chi2_law.sf(chi2, dof))
-    assert {look for look, _ in chances} == {(p, b, a) for p in TRIALS for b in range(2) for a in range(2)}
+    assert {look for look, _ in chances} == {(p, b, a) for p in PHASE_TESTS for b in range(2) for a in range(2)}
     worst = min(kstest(each, "uniform").pvalue for each in chances.values())
     assert worst > 1e-3 / len(chances)
 
@@ -72,7 +75,7 @@ def test_a_loss_with_the_square_of_the_speed_shows_in_rolling():
     [
         ("velocity_restitution.e", 0.02, "contact", "speed"),
         ("friction_anisotropy.c", 0.01, "sliding", "heading"),
-        ("plate_waviness.a", 2e-6, "rolling", "place"),
+        ("plate_waviness.a", 2e-6, "rolling", "position"),
     ],
 )
 def test_what_a_disagreement_changes_with_is_told(effect, value, phase, against):
@@ -91,7 +94,11 @@ def test_a_bent_roll_has_the_size_of_its_bend():
         line = np.polyval(np.polyfit(late[rows], bend[rows], 1), late[rows])
         sizes.append((bend[rows] - line) ** 2)
         clips.append(dataclasses.replace(c, xy=c.xy + bend[:, None] * way))
-    places = [p for p in locate(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED) if not p.against]
+    places = [
+        p
+        for p in find_disagreements(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)
+        if not p.against
+    ]
     assert (places[0].phase, places[0].ball, places[0].observable) == ("rolling", "ball 1", "across")
     assert places[0].size == pytest.approx(1e6 * np.sqrt(np.mean(np.concatenate(sizes))), rel=0.15)
 
@@ -105,10 +112,13 @@ def test_looks_are_corrected_and_in_order():
     places = seen("velocity_restitution.e", 0.05, count=30)
     assert [p.sigma for p in places] == sorted((p.sigma for p in places), reverse=True)
     for p in places:
-        assert (p.phase in SAID, p.ball in BALLS, p.observable in AXES) == (True, True, True)
-        assert p.against in ("", "speed", "impact parameter", "heading", "place")
+        assert p.phase in (*PHASE_TESTS, "once a turn", "twice a turn")
+        assert (p.ball in ("ball 1", "ball 2"), p.observable in ("along", "across")) == (True, True)
+        assert p.against in ("", "speed", "impact parameter", "heading", "position")
         assert p.size >= 0
-    assert "ball 1 at the contact, along its motion, changing with the speed" in {str(p) for p in places}
+    assert "ball 1 at the contact, along its motion, changing with the speed" in {
+        describe_disagreement(p) for p in places
+    }
 
 
 def test_too_few_clips_are_held_against_nothing():
@@ -118,5 +128,5 @@ def test_too_few_clips_are_held_against_nothing():
 @pytest.mark.parametrize(("count", "trends"), [(5, False), (6, True)])
 def test_six_clips_are_held_against_speed_and_place(count, trends):
     clips = collisions(Model(), count, 5)
-    found = trials(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)
-    assert any(against for _, against, *_ in found) is trends
+    found = examine_phases(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)
+    assert any(against for _, (against, *_) in found) is trends

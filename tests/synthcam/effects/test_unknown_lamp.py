@@ -6,7 +6,7 @@ import numpy as np
 from discrepancy_clips import CAMERA, EFFECTS, exact, noisy, only
 
 from discrepancy.add import add
-from discrepancy.search import find
+from discrepancy.search import search
 from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import LampSettings
@@ -29,7 +29,7 @@ def without_a_lamp(clips, lamp=None):
 
 def test_the_lamp_is_named_and_found(monkeypatch):
     only(monkeypatch, RIVALS, **{name: library()[name] for name in KNOWN})
-    found = find(noisy(without_a_lamp(exact(Model(), 12, 3), LampSettings(POSITION)), 3), Model())
+    found = search(noisy(without_a_lamp(exact(Model(), 12, 3), LampSettings(POSITION)), 3), Model())
     assert [n.effect for n in found.named] == ["unknown_lamp"]
     assert found.free_law is None
     assert found.verdict == "named"
@@ -43,18 +43,18 @@ def test_the_lamp_is_named_and_found(monkeypatch):
 
 def test_no_lamp_given_and_none_there(monkeypatch):
     only(monkeypatch, RIVALS, **{name: library()[name] for name in KNOWN})
-    found = find(noisy(without_a_lamp(exact(Model(), 12, 4)), 4), Model())
+    found = search(noisy(without_a_lamp(exact(Model(), 12, 4)), 4), Model())
     assert found.named == ()
     assert found.free_law is None
-    assert "glint_parallax" in found.unidentifiable
-    assert "unknown_lamp" not in found.unidentifiable
+    assert "glint_parallax" in found.undetectable
+    assert "unknown_lamp" not in found.undetectable
 
 
 def test_a_lamp_that_is_given_is_not_unknown(monkeypatch):
     only(monkeypatch, RIVALS, **{name: library()[name] for name in KNOWN})
-    found = find(noisy(exact(Model(), 8, 4), 4), Model())
+    found = search(noisy(exact(Model(), 8, 4), 4), Model())
     assert found.named == ()
-    assert "unknown_lamp" in found.unidentifiable
+    assert "unknown_lamp" in found.undetectable
 
 
 def test_errors_reach_along_the_valley_of_share_and_height(monkeypatch):

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from discrepancy_clips import collisions, only
-from discrepancy_selected import selected, stored
+from discrepancy_selected import library_search, selected
 
 from discrepancy.fitting.gauss_newton import fit_model, linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
@@ -20,7 +20,7 @@ def test_a_shape_that_went_astray_is_found_again():
     noise = estimate(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     seen, hop = (
-        stored(clips, base, noise),
+        library_search(clips, base, noise),
         next(s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "hop"),
     )
     lost = linearise(
@@ -30,7 +30,7 @@ def test_a_shape_that_went_astray_is_found_again():
     lost = dataclasses.replace(
         lost, linearisation=dataclasses.replace(lost.linearisation, slopes=tuple(x * blind for x in lost.slopes))
     )
-    found = seen._astray((hop,), lost)
+    found = seen._escape_local_minimum((hop,), lost)
     assert found.model.value("hop.bounce") == pytest.approx(0.4, abs=3.5 * found.std["hop.bounce"])
     assert found.std["hop.bounce"] < 0.1
     assert found.chi2 < lost.chi2 - 100
@@ -42,13 +42,13 @@ def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkey
     clips = collisions(Model(), 8, 1)
     noise = estimate(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
-    seen, names = stored(clips, base, noise), (*BASE_PARAMETERS, "plate_tilt.x", "plate_waviness.b")
+    seen, names = library_search(clips, base, noise), (*BASE_PARAMETERS, "plate_tilt.x", "plate_waviness.b")
     values = {"plate_tilt.x": 2e-3, "plate_waviness.b": 3.2e-5, "plate_waviness.wavelength": 0.1}
     both = linearise(seen.evidence, base.model.replace(values), names, base.launches)
     (wave,) = (s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "plate_waviness")
     with pytest.raises(ValueError, match="rest"):
         seen.evidence.whitened_residuals(wave.remove_from(both.model), both.launches)
-    left = seen.without(both, wave)
+    left = seen.remove(both, wave)
     assert left.names == (*BASE_PARAMETERS, "plate_tilt.x")
     assert left.chi2 == pytest.approx(base.chi2)
 
@@ -59,7 +59,7 @@ def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkey
     clips = collisions(Model().replace({"magnetic_attraction.pull": 0.4}), 4, 3)
     noise = estimate(clips)
     steps, found = selected(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
-    (named,) = steps.named(found.state)
+    (named,) = steps.claims(found.state)
     step, best = 0.5 * named.std["magnetic_attraction.pull"], found.best
     chi2 = []
     for value in (best.model.value("magnetic_attraction.pull") + k * step for k in (-1, 0, 1)):
@@ -76,8 +76,8 @@ def test_a_fit_that_is_offered_is_held_against_the_one_known():
         frozenset(s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "air_drag"),
     )
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
-    store = stored(clips, base, noise)
-    store.settled(())
+    store = library_search(clips, base, noise)
+    store.fit(())
     store.fits[key] = known = fit_model(clips, Model(), [*BASE_PARAMETERS, "air_drag.share"], noise)
     store.done.add(key)
     poor = linearise(
@@ -97,10 +97,10 @@ def test_score_tests_are_those_of_the_fit_that_is_kept(monkeypatch):
     clips = collisions(Model(), 4, 3)
     noise = estimate(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
-    store = stored(clips, base, noise)
+    store = library_search(clips, base, noise)
     before = store.score_tests(())
     assert store.score_tests(()) is before
     store.offer(frozenset(), dataclasses.replace(base, residuals=tuple(0.5 * r for r in base.residuals)))
     after = store.score_tests(())
-    assert after.fit.chi2 == store.settled(()).chi2 < 0.3 * before.fit.chi2
+    assert after.fit.chi2 == store.fit(()).chi2 < 0.3 * before.fit.chi2
     assert after.ranking()[0].sigma < before.ranking()[0].sigma

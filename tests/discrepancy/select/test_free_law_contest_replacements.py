@@ -12,7 +12,7 @@ from discrepancy.fitting.parameters import BASE_PARAMETERS, candidates_by_name
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
-from discrepancy.select.beside_free_law import find_replacements
+from discrepancy.select.free_law_contest import find_replacements
 from discrepancy.select.law_fit import (
     fit_law,
     fit_law_with_effect,

@@ -11,9 +11,12 @@ from scipy.stats import kstest
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.validate.residual_map import locate
-from discrepancy.validate.ripple import ripples
-from discrepancy.validate.trial import ClipAmplitudes, results
+from discrepancy.validate.residual_map import (
+    ClipAmplitudes,
+    combine_clips,
+    examine_ripples,
+    find_disagreements,
+)
 from synthcam.model import Model
 
 CLAIMED = Noise(NoiseComponent(1.0))
@@ -39,7 +42,7 @@ def marked(times, ball=0, axis=0, count=16):
 @pytest.mark.parametrize(("times", "ball", "axis"), [(1, 1, 0), (2, 0, 1)])
 def test_a_mark_that_turns_with_a_ball_is_told(times, ball, axis):
     clips = marked(times, ball, axis)
-    worst = locate(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)[0]
+    worst = find_disagreements(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)[0]
     said = ("once a turn", "twice a turn")[times - 1]
     assert (worst.phase, worst.ball, worst.observable) == (said, f"ball {ball + 1}", ("along", "across")[axis])
     assert worst.sigma > 10
@@ -53,7 +56,9 @@ def test_noise_alone_draws_uniform_chances():
     for _ in range(25):
         drawn = tuple(rng.standard_normal(len(r)) for r in fit.residuals)
         left = np.split(unabsorbed(fit, np.concatenate(drawn)), np.cumsum([len(r) for r in drawn])[:-1])
-        for where, _, chi2, dof, _ in ripples(clips, dataclasses.replace(fit, residuals=tuple(left)), CLAIMED):
+        for where, (_, chi2, dof, _) in examine_ripples(
+            clips, dataclasses.replace(fit, residuals=tuple(left)), CLAIMED
+        ):
             chances.setdefault(where, []).append(chi2_law.sf(chi2, dof))
     assert len(chances) == 8
     assert min(kstest(each, "uniform").pvalue for each in chances.values()) > 1e-3 / len(chances)
@@ -62,7 +67,7 @@ def test_noise_alone_draws_uniform_chances():
 def test_a_ripple_that_shared_parameters_can_make_tells_nothing(monkeypatch):
     """Real pucks, of which few turn once in view, ended a search with a traceback."""
     absorbed = ClipAmplitudes(np.ones(2), np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros(2), np.eye(2), 4, 1.0, {})
-    assert list(results([absorbed])) == []
+    assert list(combine_clips([absorbed])) == []
     clips = marked(1, count=6)
-    monkeypatch.setattr("discrepancy.validate.ripple.results", lambda parts: results([absorbed]))
-    assert list(ripples(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)) == []
+    monkeypatch.setattr("discrepancy.validate.residual_map.combine_clips", lambda parts: combine_clips([absorbed]))
+    assert list(examine_ripples(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)) == []

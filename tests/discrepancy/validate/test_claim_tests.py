@@ -10,8 +10,8 @@ from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.search import find
-from discrepancy.validate.held_out import HeldOutTest, leave_one_out_residuals, reason_to_reject
+from discrepancy.search import search
+from discrepancy.validate.claim_tests import HeldOutTest, Rejection, judge_predictions, leave_one_out_residuals
 from synthcam.model import Model
 
 NOISE = Noise(NoiseComponent(1.0))
@@ -70,7 +70,7 @@ def disagreeing(truth, count=8):
 
 def test_what_the_clips_kept_out_do_not_bear_is_withdrawn(monkeypatch):
     only(monkeypatch)
-    found = find(disagreeing(HIDDEN["velocity_restitution"]), Model())
+    found = search(disagreeing(HIDDEN["velocity_restitution"]), Model())
     said = found.document()
     assert found.verdict == "inadequate"
     assert said["named"] == []
@@ -79,7 +79,7 @@ def test_what_the_clips_kept_out_do_not_bear_is_withdrawn(monkeypatch):
     gone = said["withdrawn"][0]
     assert gone["with"] > gone["without"]
     assert gone["own_sigma"] > 20
-    assert gone["why"] == "collisions kept out are foretold worse with it"
+    assert gone["why"] == "it predicts held-out collisions worse"
     assert said["gap"]["after"] <= said["gap"]["before"]
     assert "Something is missing" in found.sentence()
     assert gone["claim"] in found.sentence()
@@ -87,26 +87,26 @@ def test_what_the_clips_kept_out_do_not_bear_is_withdrawn(monkeypatch):
 
 def test_no_error_is_given_of_a_strength_where_more_is_missing():
     (named,) = searched("velocity_restitution").named
-    found = dataclasses.replace(searched("velocity_restitution"), named=(named.unsure(7.0),))
+    found = dataclasses.replace(searched("velocity_restitution"), claims=(named.without_errors(7.0),))
     assert np.isnan(found.document()["named"][0]["std"][E])
-    assert "e = 0.05 without an error; 7 sigma" in found.sentence()
+    assert "e +0.05 without an error (7 sigma)" in found.sentence()
     assert "+-" not in found.sentence()
 
 
 def test_a_claim_that_closes_little_of_what_is_missing_does_not_stand():
     """A hundred sigma of a claim mean nothing where the model with it leaves thrice the noise."""
     little, much = HeldOutTest((56.0, 55.8), 53.0, 50.0), HeldOutTest((56.0, 40.0), 53.0, 50.0)
-    assert "far more is missing" in reason_to_reject(little, HeldOutTest((2.7, 2.65), 53.0, 50.0))
-    assert reason_to_reject(much, HeldOutTest((2.7, 2.65), 53.0, 50.0)) == ""
-    assert reason_to_reject(HeldOutTest((1.3, 1.25), 53.0, 50.0), HeldOutTest((1.3, 1.25), 53.0, 50.0)) == ""
+    assert judge_predictions(little, HeldOutTest((2.7, 2.65), 53.0, 50.0)) is Rejection.EXPLAINS_LITTLE
+    assert judge_predictions(much, HeldOutTest((2.7, 2.65), 53.0, 50.0)) is None
+    assert judge_predictions(HeldOutTest((1.3, 1.25), 53.0, 50.0), HeldOutTest((1.3, 1.25), 53.0, 50.0)) is None
 
 
 def test_a_claim_that_scatters_from_collision_to_collision_does_not_stand_where_far_more_is_missing():
     """Of real billiard hits one of 1201 sigma by their noise had 6.6; a true one of real pucks has 29."""
-    kept_out = HeldOutTest((648.0, 482.0), 383.0, 362.0)
-    assert "it scatters: 6.6 sigma" in reason_to_reject(kept_out, HeldOutTest((496.0, 316.0), 6.6, 8.0))
-    assert reason_to_reject(kept_out, HeldOutTest((496.0, 316.0), 29.0, 31.0)) == ""
-    assert reason_to_reject(HeldOutTest((1.5, 1.1), 6.0, 6.0), HeldOutTest((1.5, 1.1), 6.6, 8.0)) == ""
+    held_out = HeldOutTest((648.0, 482.0), 383.0, 362.0)
+    assert judge_predictions(held_out, HeldOutTest((496.0, 316.0), 6.6, 8.0)) is Rejection.SCATTERS
+    assert judge_predictions(held_out, HeldOutTest((496.0, 316.0), 29.0, 31.0)) is None
+    assert judge_predictions(HeldOutTest((1.5, 1.1), 6.0, 6.0), HeldOutTest((1.5, 1.1), 6.6, 8.0)) is None
     # what closes more than it leaves, and a curve held out at its end, which is foretold badly though it is right
-    assert reason_to_reject(HeldOutTest((648.0, 300.0), 383.0, 362.0), HeldOutTest((496.0, 216.0), 6.6, 8.0)) == ""
-    assert reason_to_reject(HeldOutTest((93.0, 1.04), 212.0, 214.0), HeldOutTest((57.0, 11.6), 7.9, 6.7)) == ""
+    assert judge_predictions(HeldOutTest((648.0, 300.0), 383.0, 362.0), HeldOutTest((496.0, 216.0), 6.6, 8.0)) is None
+    assert judge_predictions(HeldOutTest((93.0, 1.04), 212.0, 214.0), HeldOutTest((57.0, 11.6), 7.9, 6.7)) is None
