@@ -1,4 +1,4 @@
-"""make demo: the paper's collision filmed, tracked, scored; then a hidden tilt, found. All by the public commands."""
+"""Demo of the public commands: film, track and score the collision of the paper; then search for a hidden tilt."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the benchmarks share: running the project's commands, and writing figures."""
+"""Functions that benchmarks share: run commands of the project, and save figures."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from benchmarks.paper.kondic import GRAVITY, PUBLISHED
 from benchmarks.paper.published import NUMBERS, R_SCATTER
 from benchmarks.paper.readings import WINDOWS
 from benchmarks.paper.results import WINDOW, Floats, Results
-from benchmarks.paper.shaken import shaken_to, trend_seen
+from benchmarks.paper.shaken import add_error_for_scatter, share_with_trend
 from synthcam import Ball
 
 DRAG, DECEL = 0.135, 0.0103  # what the films were made with: the defaults of a scene, which are the paper's
@@ -106,7 +106,7 @@ def _impact(results: Results) -> Iterator[Line]:
             "",
             _within(float(r.mean()), "r, differences"),
         )
-    error, shaken = shaken_to(results, R_SCATTER)
+    error, shaken = add_error_for_scatter(results, R_SCATTER)
     yield Line(
         f"the same at {WINDOW}, positions worse by {error * 1e6:.0f} µm",
         "0.85 ± 0.11",
@@ -119,7 +119,7 @@ def _impact(results: Results) -> Iterator[Line]:
         f"share of such sets of {len(table)} in which r rises with v0 by 2 errors or more",
         "no obvious dependence",
         "",
-        f"{100 * trend_seen(results, error):.0f} %",
+        f"{100 * share_with_trend(results, error):.0f} %",
         "",
         "the larger, the less the statement fits",
     )

@@ -20,7 +20,7 @@ def scatter_of(results: Results, error: float) -> float:
 _known: dict[tuple[str, float], tuple[float, Floats]] = {}
 
 
-def shaken_to(results: Results, scatter: float) -> tuple[float, Floats]:
+def add_error_for_scatter(results: Results, scatter: float) -> tuple[float, Floats]:
     """The error, m, with which r scatters so, and one such histogram."""
     key = f"{results.output}", scatter
     if key not in _known:
@@ -32,7 +32,7 @@ def shaken_to(results: Results, scatter: float) -> tuple[float, Floats]:
     return _known[key]
 
 
-def trend_seen(results: Results, error: float, level: float = 2.0) -> float:
+def share_with_trend(results: Results, error: float, level: float = 2.0) -> float:
     """Share of draws in which r against v0 slopes by more than so many of its own errors."""
     films, v0 = results.filmed("histogram").films, results.read("histogram")["v0"].to_numpy()
     seen = 0

@@ -1,11 +1,11 @@
-"""The figures of `tracker score` beside TrackEval's and motmetrics' own, each of which reads the same two files itself.
+"""Agreement of `tracker score` with TrackEval and motmetrics, which read the same two files themselves.
 
 agreement.py TRUTH.txt FOUND.txt [TRUTH FOUND ...]    default: the example sets that come with motmetrics
 
-Needs TrackEval, without the second OpenCV that it asks for: pip install --no-deps trackeval==1.3.0
+TrackEval is needed, without the second OpenCV that it requires: pip install --no-deps trackeval==1.3.0
 
-Where the two do not agree with each other (motmetrics gives a ball back to the last track that it had, however long
-ago, TrackEval to that of the frame before), `tracker score` is held to TrackEval.
+The two programs differ in one rule. motmetrics gives a ball back to the last track that it had, however long ago;
+TrackEval gives it back to the track of the frame before. `tracker score` must agree with TrackEval.
 """
 
 from __future__ import annotations

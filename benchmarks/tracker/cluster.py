@@ -1,9 +1,9 @@
-"""Many clips filmed, tracked and scored by Dask workers on this machine, one of which is killed in each step.
+"""Films of many clips by Dask workers on this machine, tracked and scored; one worker is killed in each step.
 
 cluster.py [--clips 10000] [--alone 500] [--workers 2] [--folder DIR] [-o out/cluster.json]
 
-The same commands by one process make the first `--alone` clips again, undisturbed (0: all, in twice the time); each
-file is compared byte by byte. What a million clips take follows from the processor time and the bytes of each step.
+One process makes the first `--alone` clips again with the same commands (0: all, in twice the time), and every file is
+compared byte by byte. The cost of a million clips is extrapolated from the processor time and the bytes of each step.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def cluster(workers: int, kill_after: int) -> Iterator[tuple[str, list[int]]]:
         yield made.scheduler_address, killed
 
 
-def disturbed(words: list[str], clips: int, workers: int) -> dict[str, Any]:
+def run_disturbed(words: list[str], clips: int, workers: int) -> dict[str, Any]:
     """Run a command on a cluster of its own, kill one of its workers on the way; what it took."""
     before = spent()
     with cluster(workers, max(1, int(KILL_AT * clips))) as (address, killed):
@@ -109,7 +109,7 @@ def files(place: Path, clips: int | None) -> dict[str, bytes]:
     return found
 
 
-def compared(many: Path, one: Path, steps: list[str], clips: int | None) -> dict[str, dict[str, Any]]:
+def compare_files(many: Path, one: Path, steps: list[str], clips: int | None) -> dict[str, dict[str, Any]]:
     """How many files of each step the undisturbed run made, and which are not the same."""
     out = {}
     for step in steps:
@@ -128,19 +128,19 @@ def study(folder: Path, clips: int, alone: int, workers: int) -> dict[str, Any]:
     one.mkdir()
     result: dict[str, Any] = {"clips": clips, "workers": workers, "alone": alone, "steps": {}}
     for step, words in commands(many, scene, clips).items():
-        result["steps"][step] = disturbed(words, clips, workers)
+        result["steps"][step] = run_disturbed(words, clips, workers)
         print(step, result["steps"][step], file=sys.stderr, flush=True)
     result["largest_process_mb"] = round(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3)
     for step, words in commands(one, scene, alone).items():
         call([*words, "--workers", "1"] if step != "score" else words)
     if alone == clips:
-        result["same"] = compared(many, one, list(MADE), None)
+        result["same"] = compare_files(many, one, list(MADE), None)
     else:  # a score covers all clips: that of these clips is made by a cluster too
-        result["same"] = compared(many, one, ["generate", "track"], alone)
+        result["same"] = compare_files(many, one, ["generate", "track"], alone)
         again = folder / "again"
         words = commands(one, scene, alone)["score"][:-1]
-        result["score_again"] = disturbed([*words, str(again / "score")], alone, workers)
-        result["same"] |= compared(again, one, ["score"], None)
+        result["score_again"] = run_disturbed([*words, str(again / "score")], alone, workers)
+        result["same"] |= compare_files(again, one, ["score"], None)
     for step, name in MADE.items():
         size = sum(len(data) for data in files(many / name, None).values()) if step == "score" else weight(many / name)
         result["steps"][step]["bytes"] = size

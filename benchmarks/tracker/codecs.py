@@ -1,13 +1,19 @@
-"""What lossy video costs, and whether the error bars know: own films encoded anew, tracked by diameter and fps alone.
+"""Effect of lossy video on errors and error bars: encoded films, tracked with the diameter and the frame rate alone.
 
     python -m benchmarks.tracker.codecs [--clips 100] [--scene scenes/benchmark.yaml] [--codecs h264_23,mjpeg_3]
 
-Each codec's clips are calibrated all together (`tracker calibrate`), and tracked by the camera file that this writes:
-with the errors of its scale, without lamp, exposure and lens. Printed per codec: share of the balls found, false finds,
-rmse of glints against the truth's; share of their steps from frame to frame that are quarters of a pixel (H.264 moves
-what it shows by such; by chance .24); the scale's error over its standard error; z = error / standard error of each
-quantity, root mean square +- its sampling error (an error that all clips share counts once), by the tied and by the
-free fit; clips by status. The last row is of all codecs together, as of a user who does not know what encoded his film.
+`tracker calibrate` calibrates all clips of a codec together. The clips are tracked with the camera file that it writes:
+it has the error of its scale, and no lamp, exposure or lens. A row for each codec gives
+
+- the share of the balls found, and the number of false detections;
+- the rmse of glints;
+- the share of their steps between frames that are quarters of a pixel: by chance 0.24, more where H.264 moves blocks;
+- the error of the scale over its standard error;
+- z = error / standard error of each quantity by the tied and by the free fit, root mean square with its sampling error
+  (an error that all clips share counts once);
+- the number of clips by status.
+
+The last row pools all codecs, for a user who does not know how the film was encoded.
 """
 
 from __future__ import annotations
@@ -66,7 +72,7 @@ def encode(frames: Iterable[NDArray[Any]], path: Path, codec: str, rate: float) 
         container.mux(stream.encode(None))
 
 
-def encoded(film: Path, folder: Path, codec: str) -> Path:
+def encode_dataset(film: Path, folder: Path, codec: str) -> Path:
     """The clips of a dataset, encoded; no camera files, no truth."""
     out = folder / codec
     rate = json.loads((film / "clips/000000/camera.json").read_text())["fps"]
@@ -126,7 +132,7 @@ def common(cov: str, name: str, fit: str) -> float:
     return float(shared[fit][table["names"].index(name)] or 0.0) if shared else 0.0
 
 
-def judged(film: Path, folder: Path, codec: str) -> dict[str, Any]:
+def judge(film: Path, folder: Path, codec: str) -> dict[str, Any]:
     """All figures of one codec."""
     known = json.loads((film / "clips/000000/camera.json").read_text())
     clips, camera, results = folder / codec, folder / f"{codec}.json", folder / f"{codec}_results"
@@ -154,7 +160,7 @@ def judged(film: Path, folder: Path, codec: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def shown(figures: dict[str, dict[str, Any]]) -> Table:
+def make_table(figures: dict[str, dict[str, Any]]) -> Table:
     heads = "codec,found,false,rmse px,¼ px,scale off %,std %,z,ok,misfit,other,chi2/dof,fit"
     table = Table(*heads.split(","), *(f"z {name}" for name in QUANTITIES))
     for codec, row in figures.items():
@@ -186,10 +192,10 @@ def main() -> None:
     run("synthcam", "generate", options.scene, "-o", str(film), *size)
     figures = {}
     for codec in options.codecs.split(","):
-        encoded(film, options.output, codec)
-        figures[codec] = judged(film, options.output, codec)
-        Console(width=220).print(shown({codec: figures[codec]}))
-    Console(width=220).print(shown(figures))
+        encode_dataset(film, options.output, codec)
+        figures[codec] = judge(film, options.output, codec)
+        Console(width=220).print(make_table({codec: figures[codec]}))
+    Console(width=220).print(make_table(figures))
     save(options.output / "codecs.json", figures)
 
 

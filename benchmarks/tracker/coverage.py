@@ -1,16 +1,19 @@
-"""Are the tracker's error bars true, and does it reach the limit? 500 collisions, both fits, every quantity.
+"""Test of the error bars and of the accuracy: 500 collisions, both fits, every quantity.
 
     python -m benchmarks.tracker.coverage [--clips 500] [--seed 0] [--scene scenes/benchmark.yaml] [-o out/coverage]
     python -m benchmarks.tracker.coverage --from-tracks      no video: true centres with noise at the localisation bound
-    python -m benchmarks.tracker.coverage --scene scenes/dim.yaml      its dim kin; with saturated.yaml the clipped one
+    python -m benchmarks.tracker.coverage --scene scenes/dim.yaml      a dim scene; saturated.yaml is a clipped one
     python -m benchmarks.tracker.coverage --scene scenes/other_camera.yaml      another camera, lamp and sensor
 
-The film is kept in the output and used again; tracking and measuring are done anew each time. Exit status 1 when a
-figure misses. For each quantity and fit: RMSE over the Fisher bound of that fit on those positions, each clip against
-its own bound (the ratio of the two root mean squares stands beside it: the few slowest clips decide that one, and its
-own sampling error says how few); mean and standard deviation of z = error / claimed standard error; how often the 68
-and 95 % intervals hold the truth; how many clips claim a value, and which share of those that can tell: a clip can tell
-where its bound is under 0.8 of what the fit may claim.
+The film is kept in the output and used again; it is tracked and measured in each run. The exit status is 1 where a
+value misses its goal. For each quantity and fit the table gives
+
+- the rmse over the Cramér-Rao bound of that fit on those positions, each clip relative to its own bound;
+- the ratio of the two root mean squares, which the few slowest clips dominate, with its sampling error;
+- mean and standard deviation of z = error / claimed standard error;
+- the share of clips whose 68 and 95 % intervals contain the truth;
+- the number of clips that claim a value, and their share of those whose bound is under 0.8 of the largest error that
+  the fit may claim.
 """
 
 from __future__ import annotations
@@ -36,14 +39,14 @@ from tracker.measurement.noise.whitening import position_covariance
 from tracker.scoring.score import score
 
 JUDGED = "r s tau1 tau2 mu_k C v1f v2f energy_fraction momentum_fraction".split()
-OTHERS = "v0 b t_c final_angle drag decel w1n w1t w2n w2t".split()  # shown, and held to honesty alone
+OTHERS = "v0 b t_c final_angle drag decel w1n w1t w2n w2t".split()  # shown, and tested for correct error bars alone
 RATIO, ERRORS, SPREAD = 1.15, 3.5, 0.07  # of the bound; sampling errors; of the standard deviation of z
 SHARE, EXEMPT = 0.6, ("s_free",)  # of the clips, at least, that claim a value
 TOLD = 0.95  # at least, of the clips that can tell
 
 
-def filmed(folder: Path, options: argparse.Namespace) -> tuple[Path, pd.DataFrame]:
-    """Dataset and tracks by way of pictures."""
+def film_and_track(folder: Path, options: argparse.Namespace) -> tuple[Path, pd.DataFrame]:
+    """Film a dataset and track it."""
     film, tracked = folder / "film", folder / "tracked"
     size = ("--clips", str(options.clips), "--seed", str(options.seed))
     run("synthcam", "generate", options.scene, "-o", str(film), *size)
@@ -53,18 +56,18 @@ def filmed(folder: Path, options: argparse.Namespace) -> tuple[Path, pd.DataFram
     return film, pd.concat(pd.read_parquet(p).assign(clip=int(p.parent.name)) for p in paths)
 
 
-def drawn(folder: Path, options: argparse.Namespace) -> tuple[Path, pd.DataFrame]:
+def simulate_tracks(folder: Path, options: argparse.Namespace) -> tuple[Path, pd.DataFrame]:
     """Dataset without pictures, and true centres with the errors that the best detector would make."""
     data = folder / "motion"
     size = ("--clips", str(options.clips), "--seed", str(options.seed), "--no-video")
     run("synthcam", "generate", options.scene, "-o", str(data), *size)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(options.seed, spawn_key=(2,))))
-    parts = [noisy(p, rng).assign(clip=int(p.name)) for p in sorted((data / "clips").iterdir())]
+    parts = [add_noise(p, rng).assign(clip=int(p.name)) for p in sorted((data / "clips").iterdir())]
     return data, pd.concat(parts)
 
 
-def noisy(clip: Path, rng: np.random.Generator) -> pd.DataFrame:
-    """One clip's tracks: noise of the bound's covariance, the fixed pattern's share common to places alike."""
+def add_noise(clip: Path, rng: np.random.Generator) -> pd.DataFrame:
+    """Tracks of one clip with noise of the bound; equal positions share the part that is due to the fixed pattern."""
     camera = Camera.read(clip / "camera.json")
     sigma = camera.sigma or 1.0
     peak = json.loads((clip / "truth" / "scene.json").read_text())["drawn"]["sensor"]["glint_peak"]
@@ -110,7 +113,7 @@ def verdict(name: str, row: dict[str, float], clips: int, claims: float) -> list
     return missed
 
 
-def told_share(table: pd.DataFrame, name: str, kind: str) -> float:
+def share_of_claims(table: pd.DataFrame, name: str, kind: str) -> float:
     """Of the clips whose bound is well under the limit of a claim, the share that claims."""
     limit = largest_error(name, table[f"{name}_true"].to_numpy(float), bool(kind))
     able = table[f"{name}{kind}_bound"] < 0.8 * limit
@@ -138,13 +141,13 @@ def judge(table: pd.DataFrame, quantities: dict[str, dict[str, float]]) -> dict[
             row = quantities[f"{name}{kind}"]
             if not np.isfinite(row["z_std"]):
                 continue  # w1n of the tied fit: zero by the model
-            claims = told_share(table, name, kind)
+            claims = share_of_claims(table, name, kind)
             row = row | over_bound(table, name, kind)
             out[f"{name}{kind}"] = row | {"told": claims, "missed": verdict(f"{name}{kind}", row, len(table), claims)}
     return out
 
 
-def shown(rows: dict[str, dict[str, Any]]) -> Table:
+def make_table(rows: dict[str, dict[str, Any]]) -> Table:
     heads = "quantity,n,told,bias,rmse,bound,ratio,by clip,z mean,z sd,68 %,95 %,misses"
     table = Table(*heads.split(","))
     for name, row in rows.items():
@@ -172,7 +175,7 @@ def main() -> None:
     kin = Path(options.scene).stem.replace("benchmark", "")
     options.output = options.output or ROOT / "out" / "_".join(filter(None, ["coverage", kin]))
     options.output.mkdir(parents=True, exist_ok=True)
-    way = drawn if options.from_tracks else filmed
+    way = simulate_tracks if options.from_tracks else film_and_track
     data, tracks = way(options.output, options)
     mode = "drawn" if options.from_tracks else "filmed"
     path, measured = options.output / f"tracks_{mode}.parquet", options.output / f"measured_{mode}"
@@ -186,7 +189,7 @@ def main() -> None:
     table = found.table.assign(last_s=last_seen(tracks, found.table, fps))
     table.to_parquet(options.output / f"table_{mode}.parquet")
     rows = judge(table, found.quantities)
-    Console(width=150).print(shown(rows))
+    Console(width=150).print(make_table(rows))
     position = found.localisation
     print(f"{len(table)} clips, status {found.statuses}; rmse of a place over its bound {position['ratio']:.3f}")
     missed = [name for name, row in rows.items() if row["missed"]]

@@ -1,10 +1,10 @@
-"""Discs, drawn by supersampling: found, false, error over the Cramer-Rao bound, rms z of moving and resting balls.
-
-Beside it, centroids as a script of an hour finds them: the difference from the background at half the balls' contrast,
-opened by 3 x 3, and of each contour of about a ball's area the centre of its moments; true background and contrast
-are given to it.
+"""Errors of ball discs that were drawn by supersampling: found, false, error over bound, z of moving and resting balls.
 
 python -m benchmarks.tracker.discs [--films 2] [-o out/discs.json]
+
+The table compares them with centroids of a simple script. It takes the difference from the background at half the
+contrast of the balls, opens it by 3 x 3, and takes the centre of moments of each contour with about the area of a ball.
+The script is given the true background and contrast.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ SUITES: dict[str, dict[str, Any]] = {
 }
 
 
-def drawn(rng: np.random.Generator, suite: dict[str, Any]) -> tuple[Any, Any, dict[str, Any]]:
+def draw_discs(rng: np.random.Generator, suite: dict[str, Any]) -> tuple[Any, Any, dict[str, Any]]:
     """Frames, places (2, frames, 2), and the suite with its defaults."""
     s = {"texture": 40.0, "ball": 210.0, "level": 70.0, "radius": 9.3, "size": (160, 200), "rest": (90.3, 80.6)}
     s |= {"speed": 1.7, "noise": 2.0, "shutter": 0.0, "frames": 60, "contact": 25} | suite
@@ -72,7 +72,7 @@ def bound(s: dict[str, Any], way: Any) -> float:
     return float(np.sqrt(np.mean(inverse)))
 
 
-def located(pictures: Any, s: dict[str, Any]) -> tuple[Any, Any, Any]:
+def locate(pictures: Any, s: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Frame, place and covariance."""
     size = [s["size"][1], s["size"][0]]
     clip = drawing.recorded(
@@ -98,7 +98,7 @@ def centroids(pictures: Any, s: dict[str, Any]) -> tuple[Any, Any, Any]:
     return np.array(frames, dtype=int), np.array(places).reshape(-1, 2), np.tile(np.eye(2), (len(frames), 1, 1))
 
 
-def judged(found: tuple[Any, Any, Any], ways: Any, radius: float) -> dict[str, Any]:
+def judge(found: tuple[Any, Any, Any], ways: Any, radius: float) -> dict[str, Any]:
     """Misses by ball and frame; what lies further than half a radius from each ball is false."""
     frame, xy, cov = found
     apart = np.hypot(*np.moveaxis(ways[:, frame] - xy, -1, 0)) if len(frame) else np.empty((2, 0))
@@ -124,12 +124,12 @@ def main() -> None:
     asked = parser.parse_args()
     table: dict[str, Any] = {}
     for name, suite in SUITES.items():
-        films = [drawn(np.random.default_rng(seed), suite) for seed in range(asked.films)]
+        films = [draw_discs(np.random.default_rng(seed), suite) for seed in range(asked.films)]
         balls = sum(ways.shape[0] * ways.shape[1] for _, ways, _ in films)
         s, swept = films[0][2], films[0][2]["shutter"] * np.gradient(films[0][1], axis=1)
         least = np.sqrt(np.mean([bound(s, swept[b, k]) ** 2 for b in (0, 1) for k in range(2, s["frames"], 9)]))
         begun = time.monotonic()
-        all_found = [judged(located(pictures, own), ways, own["radius"]) for pictures, ways, own in films]
+        all_found = [judge(locate(pictures, own), ways, own["radius"]) for pictures, ways, own in films]
         spent = 1e3 * (time.monotonic() - begun) / sum(len(p) for p, _, _ in films)
         miss, z, rests = (np.concatenate([f[key] for f in all_found]) for key in ("miss", "z", "rests"))
         table[name] = {
@@ -141,7 +141,7 @@ def main() -> None:
             "z_resting": float(np.sqrt((z[rests] ** 2).mean())) if rests.any() else None,
             "ms_per_frame": round(spent, 2),
         }
-        others = [judged(centroids(pictures, own), ways, own["radius"]) for pictures, ways, own in films]
+        others = [judge(centroids(pictures, own), ways, own["radius"]) for pictures, ways, own in films]
         errors = np.concatenate([f["miss"] for f in others])
         table[name] |= {
             "centroids_found": sum(f["seen"] for f in others) / balls,

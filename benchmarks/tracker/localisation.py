@@ -1,10 +1,11 @@
-"""How near do detectors come to the Cramer-Rao bound of the glint alone, from clipped to dim, and how fast are they?
-
-The bound: place, flux and background free, PSF and noise with its fixed pattern known, clipping included, the ball's
-body left out (its light is noise to the glint, and its shape tells a little). Flux: each ball's median over the clip.
-Peers see every fifth frame, for they are slow; all detections count as they come, before any linking.
+"""Errors of detectors over the Cramér-Rao bound of the glint, from clipped to dim, and their speed.
 
 python -m benchmarks.tracker.localisation [--clips 20] [--peaks 700,200,100,50,25,12] [-o out/localisation]
+
+In the bound, position, flux and background are free; the PSF and the noise with its fixed pattern are known; clipping
+is included. The body of the ball is left out: its light is noise to the glint, and its shape adds little information.
+The flux is the median of each ball over the clip. The slow detectors of other packages see every fifth frame. All
+detections count before any linking.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def generate(folder: Path, peak: int, clips: int, seed: int) -> Path:
     return dataset
 
 
-def found_by(name: str, clip: Any, every: int) -> tuple[pd.DataFrame, Camera, float]:
+def detect_with(name: str, clip: Any, every: int) -> tuple[pd.DataFrame, Camera, float]:
     """Detections as ball centres, the camera, and seconds spent on reading and detecting."""
     started = time.process_time()
     view = make_view(clip)
@@ -105,7 +106,7 @@ def towards(matched: MatchedDetections) -> np.ndarray:
     )
 
 
-def judged(folder: Path, peak: int) -> dict[str, dict[str, float]]:
+def judge(folder: Path, peak: int) -> dict[str, dict[str, float]]:
     """Figures of each detector at one peak."""
     source = open_source(folder)
     parts: dict[str, list[Any]] = {name: [] for name in (DEFAULT, *PEERS)}
@@ -116,7 +117,7 @@ def judged(folder: Path, peak: int) -> dict[str, dict[str, float]]:
         path = folder / "clips" / f"{clip.number:06d}" / "truth" / "tracks.parquet"
         truth = pd.read_parquet(path)
         for name in parts:
-            found, camera, seconds = found_by(name, clip, 1 if name == DEFAULT else EVERY)
+            found, camera, seconds = detect_with(name, clip, 1 if name == DEFAULT else EVERY)
             if name == DEFAULT:
                 truth["flux"] = fluxes(truth, found, camera)
             part = truth if name == DEFAULT else truth[truth["frame"] % EVERY == 0]
@@ -177,7 +178,7 @@ def main() -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     peaks = [int(p) for p in options.peaks.split(",")]
     films = {peak: generate(options.output, peak, options.clips, options.seed) for peak in peaks}
-    found = {str(peak): judged(film, peak) for peak, film in films.items()}
+    found = {str(peak): judge(film, peak) for peak, film in films.items()}
     speed = pace(films.get(200, films[peaks[0]]), options.output)
     console = Console(width=120)
     console.print(_table(found))

@@ -1,12 +1,12 @@
-"""What a wrong camera file does to each quantity: the same films, tracked with one thing in camera.json off at a time.
+"""Effect of a wrong camera file on each quantity: the same films, tracked with one wrong value at a time.
 
     wrong_camera.py [--clips 100] [-o out/wrong_camera]
     wrong_camera.py --scene scenes/other_camera.yaml --faults "diameter +1 %,bare"    only those faults
 
-For each quantity of the tied fit: by how much the wrong file moves it, in percent of the right file's result, the mean
-over the clips, and in brackets the root mean square of z, one where the error bars still hold. b, t_c and the angle,
-which may be zero, move in their own units. chi^2 over its degrees of freedom and the share of clips measured show
-whether the clip itself gives the fault away. Prints a table in Markdown and writes it as JSON.
+The table gives for each quantity of the tied fit its mean shift in percent of the result with the right file, and in
+brackets the root mean square of z, which is 1 where the error bars remain correct. b, t_c and the angle may be zero, so
+their shifts are in their own units. chi^2 per degree of freedom and the share of measured clips tell whether a clip
+reveals the fault. The program prints a table in Markdown and writes it as JSON.
 """
 
 from __future__ import annotations

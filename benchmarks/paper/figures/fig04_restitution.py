@@ -9,7 +9,7 @@ from benchmarks.paper import style
 from benchmarks.paper.published import R_SCATTER
 from benchmarks.paper.readings import WINDOWS
 from benchmarks.paper.results import WINDOW, Results
-from benchmarks.paper.shaken import shaken_to
+from benchmarks.paper.shaken import add_error_for_scatter
 
 NUMBER, TITLE = "4", "Restitution by differences"
 SHOWS = (
@@ -23,7 +23,7 @@ PAPER = "Histogram for the coefficient of restitution, as determined immediately
 def caption(results: Results) -> str:
     table = results.read("histogram")
     said = ", ".join(f"{table[f'r {w}'].mean():.3f} +- {table[f'r {w}'].std():.3f} at {w}" for w in WINDOWS)
-    error, shaken = shaken_to(results, R_SCATTER)
+    error, shaken = add_error_for_scatter(results, R_SCATTER)
     return (
         f"Restitution of {len(table)} collisions by differences of positions within 0.01 s of the hit, the truth being"
         " r = 0.903"
@@ -40,7 +40,7 @@ def draw(results: Results) -> Figure:
     for name, colour in zip(WINDOWS, ("0.75", style.STRIKER, style.TARGET), strict=True):
         axes[0].hist(table[f"r {name}"], bins, histtype="step", color=colour, lw=1.5, label=f"read at {name}")
     axes[1].hist(
-        shaken_to(results, R_SCATTER)[1],
+        add_error_for_scatter(results, R_SCATTER)[1],
         bins,
         color=style.STRIKER,
         alpha=0.6,

@@ -87,7 +87,7 @@ def film(leader: Leader, output: Path, workers: int, quick: bool, progress: Call
         experiment.film(series.of(leader.folder, leader.numbers), output, workers, progress)
 
 
-def shown(results: Results, folder: str) -> dict[str, float]:
+def read_model(results: Results, folder: str) -> dict[str, float]:
     """Numbers that the films of a model show, in all ways of reading."""
     read = results.readings(folder)
     out = observed(read, ("6 ms", "both"))

@@ -68,7 +68,7 @@ def launches(quick: bool) -> Launches:
     return Launches(np.array(table, dtype=np.float64), rows)
 
 
-def solved(values: dict[str, float], of: Launches) -> dict[str, pd.DataFrame]:
+def solve_launches(values: dict[str, float], of: Launches) -> dict[str, pd.DataFrame]:
     """Readings of each series under a model. Raises ValueError where it has no motion."""
     starts = np.arange(experiment.FRAMES - 1) / experiment.FPS
     end = experiment.FRAMES / experiment.FPS
@@ -79,7 +79,7 @@ def solved(values: dict[str, float], of: Launches) -> dict[str, pd.DataFrame]:
 
 
 @dataclass(frozen=True)
-class Held:
+class PaperFit:
     """A candidate held to the paper in one way of reading: chi^2, the base numbers that suit it best, what it shows."""
 
     candidate: Candidate
@@ -89,11 +89,11 @@ class Held:
     values: dict[str, float]
 
 
-def held(candidate: Candidate, of: Launches, ways: Sequence[tuple[str, str]] = WAYS) -> list[Held]:
+def fit_candidate(candidate: Candidate, of: Launches, ways: Sequence[tuple[str, str]] = WAYS) -> list[PaperFit]:
     """The candidate with the r, C and mu that suit the paper best, in each way of reading; [] where it cannot be."""
 
     def shown(numbers: Floats) -> list[dict[str, float]]:
-        tables = solved(dict(zip(BASE_NUMBERS, map(float, numbers), strict=True)) | dict(candidate.values), of)
+        tables = solve_launches(dict(zip(BASE_NUMBERS, map(float, numbers), strict=True)) | dict(candidate.values), of)
         return [observed(tables, way) for way in ways]
 
     try:
@@ -106,7 +106,7 @@ def held(candidate: Candidate, of: Launches, ways: Sequence[tuple[str, str]] = W
         return []
 
 
-def _fitted(candidate: Candidate, shown: Shown, index: int, start: tuple[Values, list[Values]]) -> Held:
+def _fitted(candidate: Candidate, shown: Shown, index: int, start: tuple[Values, list[Values]]) -> PaperFit:
     """The best r, C and mu: a few steps with the slopes at the start, which are all but constant."""
     here = start[0]
     slope = np.column_stack([(pulls(m) - pulls(here)) / step for m, step in zip(start[1], STEPS, strict=True)])
@@ -122,7 +122,7 @@ def _fitted(candidate: Candidate, shown: Shown, index: int, start: tuple[Values,
         if np.all(np.abs(step) < CLOSE):
             break
     r, c, mu = map(float, best[1])
-    return Held(candidate, WAYS[index], best[0], (r, c, mu), best[2])
+    return PaperFit(candidate, WAYS[index], best[0], (r, c, mu), best[2])
 
 
 def scan(output: Path, workers: int, quick: bool, progress: Callable[[int, int], None]) -> pd.DataFrame:
@@ -157,7 +157,7 @@ def _scan_one(names: list[str], folder: Path, quick: bool, index: int) -> int:
         tried = [HOP + c for c in candidates.sizes_of(name.removeprefix("hop + "))]
     else:
         tried = list(candidates.sizes_of(name))
-    found = [h for candidate in tried for h in held(candidate, of)]
+    found = [h for candidate in tried for h in fit_candidate(candidate, of)]
     rows = [
         {
             "name": h.candidate.name,

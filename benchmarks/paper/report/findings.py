@@ -13,7 +13,7 @@ from benchmarks.paper.models.observed import FINAL
 from benchmarks.paper.published import R_SCATTER
 from benchmarks.paper.readings import WINDOWS
 from benchmarks.paper.results import Results
-from benchmarks.paper.shaken import shaken_to, trend_seen
+from benchmarks.paper.shaken import add_error_for_scatter, share_with_trend
 
 FREE_STICKING_C = 5 / 14  # C of balls that stick to each other and are not held down by the plate
 FAST_M_S = 0.35
@@ -36,7 +36,7 @@ def contradictions(results: Results) -> dict[str, str]:
     spins, histogram = results.read("spins"), results.read("histogram")
     slow = results.course("slow").read
     expected = 1e3 * kondic.head_on(np.array([0.1, 0.37]))
-    error, _ = shaken_to(results, R_SCATTER)
+    error, _ = add_error_for_scatter(results, R_SCATTER)
     ranked = _rank(results)
     both, target = "4 ms, both", "4 ms, target"
     better = results.scan[results.scan["chi2"] < ranked["base"][both]]["values"].map(lambda v: v["tau at 10 cm/s"])
@@ -59,7 +59,7 @@ def contradictions(results: Results) -> dict[str, str]:
             f"With a truth of 0.903, films give {', '.join(f'{value:.3f}' for value in r)} at 4, 6 and 8 ms after the "
             f"hit. The scatter of 0.11 is that of positions with an error of {error * 1e6:.0f} µm "
             f"({error / 1.6e-4:.2f} px). With that error, {results.count('histogram')} collisions show a significant "
-            f"rise of r with speed (2 sigma) in {100 * trend_seen(results, error):.0f} % of such experiments."
+            f"rise of r with speed (2 sigma) in {100 * share_with_trend(results, error):.0f} % of such experiments."
         ),
         "The spin transfer": (
             "The paper finds C = 0.25 from the spins and 0.347 from the fit. The final speeds, the energy and the "
@@ -143,7 +143,7 @@ def _describe_fast(results: Results, model: str) -> str:
 def conjecture(results: Results) -> list[str]:
     """List what the numbers allow but do not prove."""
     ranked = _rank(results)
-    filmed = models.shown(results, "hop")
+    filmed = models.read_model(results, "hop")
     both = "4 ms, both"
     singles = sorted((n for n in ranked if " + " not in n and n != "base"), key=lambda n: ranked[n][both])
     best = ", ".join(f"{n} ({ranked[n][both]:.1f})" for n in singles[:3])
@@ -179,8 +179,8 @@ def conjecture(results: Results) -> list[str]:
 
 def decisive_measurements(results: Results) -> list[str]:
     """List measurements that would decide between the base model and a hop."""
-    base, hop = models.shown(results, "base"), models.shown(results, "hop")
-    error, _ = shaken_to(results, R_SCATTER)
+    base, hop = models.read_model(results, "base"), models.read_model(results, "hop")
+    error, _ = add_error_for_scatter(results, R_SCATTER)
     once = error * np.sqrt(2) * 250 * np.sqrt(2) / results.read("histogram")["v0"]
     limit = next(x["limit"] for x in models.plan(results.output)["effects"] if x["effect"] == "hop")
     mean = float(1 / np.sqrt((1 / once**2).sum()))

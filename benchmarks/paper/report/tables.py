@@ -85,8 +85,8 @@ SHOWN = (
 
 def _filmed(results: Results) -> PageTable:
     leaders = contradictions.leaders(results.scan)
-    columns = {"base": contradictions.shown(results, "base")} | {
-        x.name: contradictions.shown(results, x.folder) for x in leaders
+    columns = {"base": contradictions.read_model(results, "base")} | {
+        x.name: contradictions.read_model(results, x.folder) for x in leaders
     }
     rows = []
     for key, word, digits, name in SHOWN:
