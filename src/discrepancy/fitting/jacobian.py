@@ -11,7 +11,7 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import find_free_columns
-from discrepancy.fitting.parameters import FINE, difference_step, parameter_limits
+from discrepancy.fitting.parameters import difference_step, parameter_limits
 from discrepancy.fitting.predict import predict_tracks
 from synthcam.dynamics.solve import without_mutual_push
 from synthcam.model import Model
@@ -44,11 +44,12 @@ def differentiate(
         Of each clip, m over the parameter's unit.
     """
     value, step, (low, high) = model.value(name), difference_step(model, name), parameter_limits(model, name)
+    short = 0.1 * step
     ends = []
-    if here is not None and value + FINE * step <= high:
+    if here is not None and value + short <= high:
         try:
-            ahead = predict_tracks(model.replace({name: value + FINE * step}), launches, clips)
-            return [(a - b) / (FINE * step) for a, b in zip(ahead, here, strict=True)]
+            ahead = predict_tracks(model.replace({name: value + short}), launches, clips)
+            return [(a - b) / short for a, b in zip(ahead, here, strict=True)]
         except ValueError:
             pass
     for end in (min(value + step, high), max(value - step, low)):

@@ -1,4 +1,4 @@
-"""A fitted model: the clips that it was fitted to, its residuals, and the derivatives that it was found with."""
+"""A fitted model: the whitened clips, the residuals, and the derivatives with which it was found."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from synthcam.model import Model
 
 @dataclass(frozen=True)
 class WhitenedClips:
-    """Measured clips, and what makes the noise of each white."""
+    """Measured clips, with a whitener for the noise of each."""
 
     clips: tuple[MeasuredCollision, ...]
     whiteners: tuple[ClipWhitener, ...]
@@ -30,25 +30,29 @@ class WhitenedClips:
         return cls(tuple(clips), tuple(ClipWhitener.of(c, noise) for c in clips))
 
     def whiten(self, columns: Sequence[Array]) -> tuple[Array, ...]:
-        """Displacements of each clip, (n, 2, ...) m, in units of the noise and without correlation: (2n, ...)."""
+        """Displacements of each clip, (n, 2, ...), m, as uncorrelated numbers in units of the noise, (2n, ...)."""
         return tuple(white(c) for white, c in zip(self.whiteners, columns, strict=True))
 
     def whitened_residuals(self, model: Model, launches: Array) -> tuple[Array, ...]:
-        """Whitened residuals (2n,) of each clip. Raises ValueError when the model has no motion for such a launch."""
+        """Whitened residuals (2n,) of each clip. Raises ValueError if the model has no motion for a launch."""
         expected = predict_tracks(model, launches, self.clips)
         return self.whiten([c.xy - e for c, e in zip(self.clips, expected, strict=True)])
 
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Whitened derivatives of each clip's forecast, and at which model, by which names and launches they were taken.
+    """Whitened derivatives of each clip's predicted track.
 
     Attributes
     ----------
+    model : Model
+    names : tuple of str
+    launches : (clips, p) array
+        The model, the shared parameters and the launches at which the derivatives were taken.
     slopes : tuple of (2n, S) arrays
-        By the shared parameters.
+        Derivatives by the shared parameters.
     launch_slopes : tuple of (2n, p) arrays
-        By the clip's own launch.
+        Derivatives by the clip's own launch.
     """
 
     model: Model
@@ -59,17 +63,17 @@ class Linearisation:
 
     @cached_property
     def launch_bases(self) -> tuple[Array, ...]:
-        """Orthonormal bases of what each clip's launch absorbs, (2n, p)."""
+        """Orthonormal bases of each clip's derivatives by its launch, (2n, p)."""
         return tuple(orthonormal_basis(a) for a in self.launch_slopes)
 
     @cached_property
     def profiled_slopes(self) -> tuple[Array, ...]:
-        """The derivatives by the shared parameters less what the launches absorb, (2n, S) of each clip."""
+        """Derivatives by the shared parameters, projected off those by the launch, (2n, S) for each clip."""
         return tuple(s - q @ (q.T @ s) for q, s in zip(self.launch_bases, self.slopes, strict=True))
 
     @cached_property
     def parameter_bases(self) -> list[Array]:
-        """An orthonormal basis of those, as far as it lies in each clip, (2n, s)."""
+        """The rows of each clip, (2n, s), of an orthonormal basis of `profiled_slopes`."""
         return np.split(
             orthonormal_basis(np.concatenate(self.profiled_slopes)), np.cumsum([len(s) for s in self.slopes])[:-1]
         )
@@ -100,36 +104,36 @@ class ModelFit:
 
     @property
     def slopes(self) -> tuple[Array, ...]:
-        """Whitened derivatives by the shared parameters, (2n, S) of each clip."""
+        """Whitened derivatives by the shared parameters, (2n, S) for each clip."""
         return self.linearisation.slopes
 
     @property
     def launch_slopes(self) -> tuple[Array, ...]:
-        """Whitened derivatives by the clip's own launch, (2n, p) of each clip."""
+        """Whitened derivatives by the clip's own launch, (2n, p) for each clip."""
         return self.linearisation.launch_slopes
 
     @property
     def is_linearised_here(self) -> bool:
-        """Whether the derivatives were taken where the fit stands, by all that it fits."""
+        """Whether the derivatives were taken at this fit's values, by all its parameters."""
         there = self.linearisation
         same = there.names == self.names and there.model == self.model
         return same and np.array_equal(there.launches, self.launches)
 
     def values(self, names: Sequence[str] | None = None) -> Array:
-        """Values of these shared parameters, or of all that are fitted."""
+        """Values of these shared parameters, or of all fitted ones."""
         return np.array([self.model.value(n) for n in (self.names if names is None else names)])
 
     def columns_of(self, names: Sequence[str]) -> list[int]:
-        """Where these shared parameters stand among those fitted."""
+        """Indices of these shared parameters among the fitted ones."""
         return [self.names.index(n) for n in names]
 
     def step_bounds(self) -> tuple[Array, Array]:
-        """How far each shared parameter may move down and up to its limits, (S,) and (S,)."""
+        """Bounds (S,) and (S,) of a step: the distances of the shared parameters from their limits."""
         low, high = np.array([parameter_limits(self.model, n) for n in self.names]).reshape(-1, 2).T
         return low - self.values(), high - self.values()
 
     def subtract(self, moves: Sequence[Array], coefs: Array) -> ModelFit:
-        """The fit with residuals less columns times coefficients: moves (2n, k) of each clip, coefs (k,)."""
+        """The fit with columns (2n, k) of each clip, times coefficients (k,), subtracted from its residuals."""
         left = tuple(r - m @ coefs for r, m in zip(self.residuals, moves, strict=True))
         return dataclasses.replace(self, residuals=left)
 
@@ -139,7 +143,7 @@ class ModelFit:
 
     @property
     def points(self) -> int:
-        """Measured coordinates."""
+        """The number of measured coordinates."""
         return sum(len(r) for r in self.residuals)
 
     @property
@@ -148,11 +152,11 @@ class ModelFit:
 
     @property
     def profiled_slopes(self) -> tuple[Array, ...]:
-        """The derivatives by the shared parameters less what the launches absorb, (2n, S) of each clip."""
+        """Derivatives by the shared parameters, projected off those by the launch, (2n, S) for each clip."""
         return self.linearisation.profiled_slopes
 
     def added_names(self, base: ModelFit) -> dict[str, list[str]]:
-        """The parameters that are fitted here and not in the base, by effect; a base parameter by its own name."""
+        """The parameters fitted here but not in the base, by effect; a base parameter has its own name as key."""
         found: dict[str, list[str]] = {}
         for name in self.names:
             if name not in base.names:
@@ -161,7 +165,7 @@ class ModelFit:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the shared parameters, (S, S); zero for one that changes nothing."""
+        """Covariance of the shared parameters, (S, S), with the launches profiled out; zero for one without effect."""
         if not self.names:
             return np.zeros((0, 0))
         cleaned = self.profiled_slopes
@@ -175,22 +179,22 @@ class ModelFit:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def information(self, columns: Sequence[Array]) -> tuple[Array, Array]:
-        """What a first-order fit of further parameters needs to know.
+        """Fisher information of further parameters, and their gradient, for a first-order fit.
 
-        All that the fit's own parameters and launches can absorb is taken out first. Clip by clip: many columns in one
-        piece take much memory.
+        The columns are first projected off the fit's own parameters and launches. That is done clip by clip, to save
+        memory.
 
         Parameters
         ----------
         columns : sequence of (2n, k) array
-            Whitened derivatives of each clip's track by the further parameters.
+            Whitened derivatives of each clip's predicted track by the further parameters.
 
         Returns
         -------
         gram : (k, k) array
-            Products of what is left of the columns with themselves: the further parameters' information.
+            The information: products of the projected columns with themselves.
         pull : (k,) array
-            Its products with the residuals.
+            Products of the projected columns with the residuals.
         """
         shared, launches = self.linearisation.parameter_bases, self.linearisation.launch_bases
         taken = np.asarray(sum(q.T @ c for q, c in zip(shared, columns, strict=True)))  # q is off the launches already
@@ -202,23 +206,23 @@ class ModelFit:
         return gram, pull
 
     def extend(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> ModelFit:
-        """The fit with further shared parameters, before it is fitted again; its derivatives are then not `local`.
+        """The fit with further shared parameters, before it is fitted again; `is_linearised_here` is then False.
 
         Parameters
         ----------
         model : Model
-            That has the further parameters, at zero or where they are to begin.
+            With the further parameters at their start values.
         names : sequence of str
-            Of them.
+            Names of these parameters.
         columns : sequence of (2n, k) array
-            Whitened derivatives of each clip by them, as of a score test.
+            Whitened derivatives of each clip by these parameters.
         """
         slopes = tuple(np.concatenate(both, axis=1) for both in zip(self.slopes, columns, strict=True))
         linearisation = dataclasses.replace(self.linearisation, slopes=slopes)
         return dataclasses.replace(self, model=model, names=(*self.names, *names), linearisation=linearisation)
 
     def drop(self, model: Model, names: Sequence[str]) -> ModelFit:
-        """The fit with `model`, which lacks the shared parameters `names`, before it is fitted again."""
+        """The fit with a model that lacks the shared parameters `names`, before it is fitted again."""
         kept = tuple(n for n in self.names if n not in names)
         slopes = tuple(s[:, self.columns_of(kept)] for s in self.slopes)
         linearisation = dataclasses.replace(self.linearisation, names=kept, slopes=slopes)

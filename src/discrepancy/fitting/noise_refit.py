@@ -1,9 +1,12 @@
-"""The noise read again from what a fitted model leaves over whole clips: slower noise shows there than within a phase.
+"""Estimates the noise again from a fitted model's residuals over whole clips, which also show slow noise.
 
-To be used when the model explains the data, after a search. The launches and the shared parameters take part of the
-noise; restricted maximum likelihood counts that. What is still unexplained cannot hide behind it. Noise that the phases
-by themselves exclude is refused; and what they allow is spread over some ten slow modes a clip, so that a disagreement
-of z sigma becomes one of z / sqrt(1 + z^2 / modes): still far beyond a claim.
+It is used when the model explains the data. The launches and the shared parameters absorb part of the noise; restricted
+maximum likelihood (Patterson & Thompson 1971; Harville 1974) allows for that. A missing effect cannot hide in this
+noise:
+
+- noise that the phases of motion exclude is rejected;
+- the slow noise that they allow is spread over about ten modes per clip, so a disagreement of z sigma becomes one of
+  z / sqrt(1 + z^2 / modes), still far above the threshold of a claim.
 """
 
 from __future__ import annotations
@@ -32,39 +35,39 @@ from discrepancy.noise.model import (
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 
-CLIPS = 12  # read, at most: enough to know the noise by
-SEEN = 1e-8  # of a shared parameter's information: where the others leave less it counts for nothing
-TINY = 1e-300  # of a number of the launch that no track shows
-SLOW = (0.95,)  # the correlation from frame to frame of slow noise, to start from
-
 
 def refit_noise(
-    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, explained: bool = True
+    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, explained: bool = True, max_clips: int = 12
 ) -> Noise | None:
-    """A better reading of the noise from the residuals of a fit, which was made with `noise`.
+    """Estimate the noise from the residuals of a fit that was made with `noise`.
 
     Parameters
     ----------
-    clips : sequence of Measured
-    fit : Fit
+    clips : sequence of MeasuredCollision
+    fit : ModelFit
     noise : Noise
     explained : bool
-        Whether the fit lacks nothing that is known. Where it may, what it lacks moves both balls, as a shaking camera
-        does: then only each ball's own noise is read.
+        Whether the fit contains every known effect. If not, a missing effect may move both balls as a shaking camera
+        does; then only each ball's own noise is estimated.
+    max_clips : int
+        Clips that are used, evenly spread; 12 determine the noise well enough.
 
     Returns
     -------
     Noise or None
-        None when that gains little, or is what the phases exclude, or where already whole phases hold motion: what
-        moves both balls alike over whole clips, and much more than what they share from frame to frame, may be a table
-        that leans.
+        None if one of these holds:
+
+        - the gain in likelihood is below `SearchPolicy`'s;
+        - the phases of motion exclude it;
+        - already the noise of whole phases contained motion;
+        - the shared noise grows much over whole clips, since a tilted table moves both balls in the same way.
     """
     if (noise.shared and not explained) or noise.whole_phase_scale:
         return None
-    places = np.unique(np.linspace(0, len(clips) - 1, min(CLIPS, len(clips))).astype(int)).tolist()
+    indices = np.unique(np.linspace(0, len(clips) - 1, min(max_clips, len(clips))).astype(int)).tolist()
     left, within = (
-        _Residuals.of(clips, fit, noise, places),
-        BallPairs(pair for k in places for pair in clips[k].paired_stretches()),
+        _Residuals.of(clips, fit, noise, indices),
+        BallPairs(pair for k in indices for pair in clips[k].paired_stretches()),
     )
     sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.common_mode_score(noise)
     if noise.shared:
@@ -76,7 +79,7 @@ def refit_noise(
         slow = NoiseComponent(0.2 * own.variance * size, (rho,))
         new = left.best(Noise(own, (slow, slow)))[1]
     else:
-        slow = NoiseComponent(noise.own.variance, SLOW, 0.5)
+        slow = NoiseComponent(noise.own.variance, (0.95,), 0.5)
         new = min((left.best(n) for n in (noise, Noise(slow))), key=lambda pair: pair[0])[1]
     if left.cost(noise) - left.cost(new) < (current_policy().min_noise_gain if explained else 0.0):
         return None
@@ -85,7 +88,10 @@ def refit_noise(
 
 @dataclass(frozen=True)
 class _Residuals:
-    """columns (n, 2, 6 + S + 1) of each clip, m: derivatives by the launch and the shared parameters, and residuals."""
+    """Residuals of clips, with the derivatives that absorb part of them.
+
+    columns: (n, 2, p + S + 1) of each clip, m: derivatives by the launch and the shared parameters, and residuals.
+    """
 
     clips: Sequence[MeasuredCollision]
     columns: tuple[Array, ...]
@@ -93,14 +99,14 @@ class _Residuals:
     penalty: float  # of a number more, Schwarz
 
     @classmethod
-    def of(cls, clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, places: Sequence[int]) -> _Residuals:
-        """Of the clips at these places."""
+    def of(cls, clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, indices: Sequence[int]) -> _Residuals:
+        """The residuals of the clips with these indices."""
         size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
         unit, columns = 1 / np.where(size > 0, size, 1), []
-        for k in places:
+        for k in indices:
             both = np.column_stack([fit.launch_slopes[k], fit.slopes[k] * unit, fit.residuals[k]])
             columns.append(ClipWhitener.of(clips[k], noise).undo(both))
-        some = tuple(clips[k] for k in places)
+        some = tuple(clips[k] for k in indices)
         own = fit.launches.shape[1]
         return cls(some, tuple(columns), own, float(np.log(sum(2 * len(c.frame) - own for c in some))))
 
@@ -115,15 +121,15 @@ class _Residuals:
             q, r = np.linalg.qr(own[:, own.any(axis=0)])
             rest = seen[:, self.own :] - q @ (q.T @ seen[:, self.own :])
             gram += rest.T @ rest
-            logs += white.log_determinant + 2 * float(np.log(np.maximum(np.abs(np.diag(r)), TINY)).sum())
+            logs += white.log_determinant + 2 * float(np.log(np.maximum(np.abs(np.diag(r)), 1e-300)).sum())
         values, axes = np.linalg.eigh(gram[:-1, :-1])
-        values = np.maximum(values, SEEN)
+        values = np.maximum(values, 1e-8)  # less information than that counts as none
         pulls = axes.T @ gram[:-1, -1]
-        with np.errstate(over="ignore"):  # of columns that hardly show: infinite, and never the best
+        with np.errstate(over="ignore"):  # columns without information give infinity, never the best
             return float(logs + np.log(values).sum() + gram[-1, -1] - (pulls**2 / values).sum())
 
     def best(self, start: Noise) -> tuple[float, Noise]:
-        """The likeliest noise of the same shape, found from `start`; first its cost with the penalty of its numbers."""
+        """(cost with the penalty of its numbers, noise): the most likely noise of the same order, from `start`."""
         shape, common = order_of(start.own), order_of(start.shared[0]) if start.shared else None
         numbers = [np.log([start.own.variance]), numbers_from_component(start.own)]
         if start.shared:
@@ -139,8 +145,9 @@ class _Residuals:
     def common_mode_score(self, noise: Noise) -> tuple[float, float]:
         """The most significant score of shared noise over correlations and axes, in sigma, and its correlation.
 
-        As within phases (`Pairs.shaken`), the launches' part taken out: with z the white residuals, P what the launches
-        leave and B the kernel between the balls, score z'Bz / 2 less its mean tr(PB) / 2, of variance tr(PBPB) / 2.
+        As within phases (`BallPairs.common_mode_score`), but without the part that the launches absorb. With white
+        residuals z, the projection P off the launches and the kernel B between the balls, the score z'Bz / 2 has mean
+        tr(PB) / 2 and variance tr(PBPB) / 2.
         """
         scores, means, variances = (np.zeros((len(SHARED_NOISE_CORRELATIONS), 2)) for _ in range(3))
         for clip, columns in zip(self.clips, self.columns, strict=True):
@@ -169,7 +176,7 @@ class _Residuals:
 
 
 def _whiten_displacements(white: ClipWhitener, rows: NDArray[np.intp], axis: int) -> Array:
-    """White residuals (2n, k) of a unit displacement of each of these k rows along an axis."""
+    """White residuals (2n, k) for a unit displacement of each of these k rows along an axis."""
     units = np.zeros((len(white.roots), 2, len(rows)))
     units[rows, axis, np.arange(len(rows))] = 1
     return white(units)

@@ -1,4 +1,4 @@
-"""The numbers that a fit may change, by dotted name, and the candidates: what a model may lack."""
+"""The parameters that a fit may change, by dotted name, and the candidates for what a model lacks."""
 
 from __future__ import annotations
 
@@ -18,24 +18,21 @@ from synthcam.model import LAUNCH_SPIN, Model
 _UNLIMITED = {"gravity": 1e-4, "sliding_friction": 1e-5, "rolling_drag": 1e-4, "rolling_decel": 1e-5}  # their steps
 _LIMITED = {"restitution": (1e-5, 1.0), "spin_transfer": (1e-5, 5 / 7)}
 BASE_PARAMETERS = ("restitution", "sliding_friction", "spin_transfer", "rolling_drag", "rolling_decel")
-FINE = 0.1  # of a step: for a derivative by a forward difference
-SPREAD = 5.0  # shape parameters are tried from so many times under their realistic size to so many times over it
-FRACTIONS = (0.25, 0.5, 1.0, 1.5, 2.0)  # the same where zero is allowed
-MULTIPLIES = {"friction", "normal_load", "drilling"}  # laws that bend sliding friction: of none they make none
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect that a model may lack, or a base parameter that it holds at zero.
+    """An effect that a model may lack, or a base parameter that is zero in it.
 
     Attributes
     ----------
     name : str
     strengths, shapes : tuple of str
-        Dotted names of its strengths and of its shape parameters.
+        Dotted names of its strength parameters and of its shape parameters.
     kind : type of Effect, or None
+        None for a base parameter.
     held : tuple of float
-        Their values where the given model has the effect.
+        Values of the strengths and shapes where the given model has the effect.
     """
 
     name: str
@@ -45,7 +42,7 @@ class Candidate:
     held: tuple[float, ...] = ()
 
     def remove_from(self, model: Model) -> Model:
-        """The model with this candidate's numbers where the model that was given has them."""
+        """The model without the candidate: its parameters at the values of the given model, or zero."""
         if any(self.held):
             return model.replace(dict(zip((*self.strengths, *self.shapes), self.held, strict=True)))
         if self.kind is None:
@@ -56,49 +53,52 @@ class Candidate:
         return dataclasses.replace(model, effects=kept)
 
     def grid(self, model: Model) -> Iterator[dict[str, float]]:
-        """Values of the shape parameters to try; those it has where the effect is in the model already."""
+        """Values of the shape parameters to try; none other than the model's where it has the effect already."""
         if not self.shapes or any(model.value(s) != 0 for s in self.strengths):
             return iter([{}])
-        tries = [_tries(find_parameter(model, s), 3 if len(self.shapes) > 1 else len(FRACTIONS)) for s in self.shapes]
+        tries = [_tries(find_parameter(model, s), 3 if len(self.shapes) > 1 else 5) for s in self.shapes]
         return (dict(zip(self.shapes, values, strict=True)) for values in itertools.product(*tries))
 
 
 def _tries(p: Parameter, count: int) -> list[float]:
-    """Values of a shape parameter to try."""
+    """Values of a shape parameter to try: 3 or 5, from a fifth of the realistic size to five times it.
+
+    Where zero is allowed, they are fractions of the realistic size up to twice that.
+    """
     if p.tries:
         return list(p.tries)
     if p.low > 0:
-        ends = max(p.low, p.typical / SPREAD), min(p.high, p.typical * SPREAD)
+        ends = max(p.low, p.typical / 5.0), min(p.high, p.typical * 5.0)
         return [float(x) for x in np.geomspace(*ends, count)]
     if p.typical == 0:
         return [float(x) for x in np.linspace(p.low, p.high, count)]
-    fractions = FRACTIONS if count == len(FRACTIONS) else FRACTIONS[::2]
+    fractions = (0.25, 0.5, 1.0, 1.5, 2.0) if count == 5 else (0.25, 1.0, 2.0)
     return [f * p.typical for f in fractions if f * p.typical <= p.high]
 
 
 def tried_range(p: Parameter) -> float:
-    """The range in which a shape parameter is tried, of its logarithm where it is always positive."""
-    tries = _tries(p, len(FRACTIONS))
+    """The range in which a shape parameter is tried; of its logarithm if it is always positive."""
+    tries = _tries(p, 5)
     return math.log(tries[-1] / tries[0]) if p.low > 0 else tries[-1] - tries[0]
 
 
 def refine_tried_values(p: Parameter, value: float, closer: int) -> list[float]:
-    """Values of a shape parameter to either side of one that was tried.
+    """Values of a shape parameter on either side of a tried one.
 
     Parameters
     ----------
     p : Parameter
     value : float
-        That was tried.
+        The tried value.
     closer : int
-        0 for thirds of the way to the next value tried; each more divides the way by three again.
+        0 for thirds of the distance to the next tried value; each further step divides the distance by three again.
 
     Returns
     -------
     list of float
         Within the parameter's limits.
     """
-    tries = _tries(p, len(FRACTIONS))
+    tries = _tries(p, 5)
     steps = [k / 3 / 3**closer for k in (-2, -1, 1, 2)]
     at = min(int(np.searchsorted(tries, value, side="right")), len(tries) - 1)
     low, high = tries[max(at - 1, 0)], tries[max(at, 1)]
@@ -107,24 +107,25 @@ def refine_tried_values(p: Parameter, value: float, closer: int) -> list[float]:
 
 
 def list_candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
-    """What a model may lack: base parameters that it holds at zero, and the library's effects.
+    """List what a model may lack: base parameters that are zero in it, and the library's effects.
 
-    Effects that could change nothing, as of friction where there is none, are left out.
+    Effects on sliding friction are left out where the model has none.
 
     Parameters
     ----------
     model : Model
     fitted : sequence of str
-        Dotted names of parameters that are fitted already, and so are no candidates.
+        Dotted names of parameters that are fitted already and so are not candidates.
 
     Returns
     -------
     tuple of Candidate
     """
+    multiply_friction = {"friction", "normal_load", "drilling"}
     found = [Candidate(n, (n,)) for n in BASE_PARAMETERS if n not in fitted and model.value(n) == 0]
     for kind in library().values():
         strengths = tuple(s for s in strength_names(kind) if s not in fitted)
-        if strengths and not (model.sliding_friction == 0 and set(kind.laws) <= MULTIPLIES):
+        if strengths and not (model.sliding_friction == 0 and set(kind.laws) <= multiply_friction):
             every = (f"{kind.name()}.{p.name}" for p in kind.parameters() if p.fixed and not p.given)
             shapes = tuple(s for s in every if s not in fitted)
             there = any(model.value(s) for s in strengths)
@@ -134,9 +135,9 @@ def list_candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...
 
 
 def candidates_by_name(found: Model, given: Model, fitted: Sequence[str]) -> dict[str, Candidate]:
-    """By name, the candidates of a given model, and those that it has with the base parameters of another.
+    """The candidates by name, for a given model, and for it with the fitted base parameters of another.
 
-    The other is what was found: effects of friction are candidates only where the model has any.
+    Effects on friction are candidates only where the model has friction, which a fit may have added.
     """
     extended = given.replace({n: found.value(n) for n in BASE_PARAMETERS})
     return {s.name: s for model in (extended, given) for s in list_candidates(model, fitted)}
@@ -147,7 +148,7 @@ def strength_names(effect: type[Effect]) -> tuple[str, ...]:
 
 
 def names_to_fit(model: Model) -> tuple[str, ...]:
-    """What a fit of this model changes beside the launches: base parameters that are not zero, those it calls free."""
+    """The shared parameters of a fit: base parameters that are not zero, and those in the model's `free`."""
     named = (n for n in model.free if n != LAUNCH_SPIN)
     return tuple(dict.fromkeys([*(n for n in BASE_PARAMETERS if model.value(n) != 0), *named]))
 
@@ -156,7 +157,7 @@ _UNITS = {"rolling_drag": "1/s", "rolling_decel": "m/s^2"}  # the other base par
 
 
 def find_parameter(model: Model, name: str) -> Parameter:
-    """A parameter of the base model by its name, or of an effect as "effect.parameter", with unit, size and limits."""
+    """A parameter with unit, size and limits: of the base model by its name, of an effect as "effect.parameter"."""
     effect, dot, own = name.rpartition(".")
     if not dot:
         high = _LIMITED[name][1] if name in _LIMITED else math.inf
@@ -168,7 +169,7 @@ def find_parameter(model: Model, name: str) -> Parameter:
 
 
 def difference_step(model: Model, name: str) -> float:
-    """The step of a parameter, in its unit, for derivatives by finite differences."""
+    """The step of a parameter for central differences, in its unit."""
     if "." not in name:
         return _LIMITED[name][0] if name in _LIMITED else _UNLIMITED[name]
     p = find_parameter(model, name)
@@ -183,6 +184,6 @@ def parameter_limits(model: Model, name: str) -> tuple[float, float]:
 
 
 def replace_within_limits(model: Model, values: Mapping[str, float]) -> Model:
-    """The model with these values by dotted name, each moved to its limit where rounding led past it."""
+    """The model with these values by dotted name, each clipped to its limits."""
     ends = {name: parameter_limits(model, name) for name in values}
     return model.replace({name: min(max(v, ends[name][0]), ends[name][1]) for name, v in values.items()})

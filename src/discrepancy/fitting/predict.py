@@ -1,4 +1,4 @@
-"""What a model says the tracks should be: exposure means of all clips at once, through camera, clock and tracker."""
+"""Predicts the tracks of all clips: positions averaged over exposures, through camera, clock and tracker."""
 
 from __future__ import annotations
 
@@ -17,10 +17,6 @@ from synthcam.dynamics.batch import CollisionBatch, solve_collisions
 from synthcam.model import Model
 from tracker.camera.camera import Camera, LampSettings
 
-FRICTIONLESS = 1e-9  # stands in for no sliding friction: a slide then outlasts every film, but ends
-LATE = 1e-4  # s, the step of a numerical derivative
-FAR = 1e9  # m: squares of such residuals are still numbers
-
 
 def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
     """Predict where each clip's balls are seen.
@@ -30,7 +26,7 @@ def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     model : Model
     launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
         All of one camera, at any frame rates.
 
     Returns
@@ -41,28 +37,33 @@ def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     Raises
     ------
     ValueError
-        The model has no motion for such a launch, or one that leads farther than any number should.
+        The model has no motion for a launch, or one whose positions overflow.
     OutOfTime
-        Where a search's time is over.
+        The time of the search is over.
     """
+    farthest = 1e9  # m; squares of such residuals are still finite
     deadline.check()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        places = map_by_frame_rate(clips, lambda rows, some: _predict_one_rate(model, launches[rows], some))
-    if not all(np.abs(p).max(initial=0.0) < FAR for p in places):  # NaN too
-        raise ValueError("the motion leads out of the world")
-    return places
+        positions = map_by_frame_rate(clips, lambda rows, some: _predict_one_rate(model, launches[rows], some))
+    if not all(np.abs(p).max(initial=0.0) < farthest for p in positions):  # NaN too
+        raise ValueError("the predicted positions are not finite, or beyond 1e9 m")
+    return positions
 
 
 def map_by_frame_rate(
     clips: Sequence[MeasuredCollision], of: Callable[[Ints, Sequence[MeasuredCollision]], Sequence[Array]]
 ) -> list[Array]:
-    """What a function gives for clips of one frame rate and exposure, for all clips.
+    """Apply a function to the clips of each frame rate and exposure, and collect the results in the clips' order.
 
     Parameters
     ----------
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
     of : callable
-        (places of some clips, these clips) -> an array of each.
+        (indices of some clips, these clips) -> an array for each.
+
+    Returns
+    -------
+    list of array
     """
     rates: dict[tuple[str, str], list[int]] = {}
     for k, clip in enumerate(clips):
@@ -76,8 +77,8 @@ def map_by_frame_rate(
 
 
 def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
-    if model.sliding_friction == 0:
-        model = model.replace({"sliding_friction": FRICTIONLESS})
+    if model.sliding_friction == 0:  # so little that a slide outlasts every film, but ends
+        model = model.replace({"sliding_friction": 1e-9})
     camera = clips[0].camera
     frames = np.arange(min(int(c.frame.min()) for c in clips), max(int(c.frame.max()) for c in clips) + 1)
     film = frames / camera.fps
@@ -86,41 +87,41 @@ def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCol
     extent = model.laws("clock", film[[0, -1]], {"fps": camera.fps, "row": rows}) + np.array([0.0, exposure])
     start = min(float(extent.min()), float(launches[:, T_C].min()))
     motion = solve_collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips])
-    places, opens = _average_exposures(model, motion, camera, film, exposure)
+    positions, opens = _average_exposures(model, motion, camera, film, exposure)
     height = _heights(motion, opens, exposure) if model.laws.has_effect_on("loft") else camera.radius
-    places = _apply_camera(model, camera, places, height)
-    return [places[c.ball, k, c.frame - frames[0]] for k, c in enumerate(clips)]
+    positions = _apply_camera(model, camera, positions, height)
+    return [positions[c.ball, k, c.frame - frames[0]] for k, c in enumerate(clips)]
 
 
 def _average_exposures(
     model: Model, motion: CollisionBatch, camera: Camera, film: Array, exposure: float
 ) -> tuple[Array, Array]:
-    """Means over the exposures, (2, clips, frames, 2), m; each ball by the clock of its own row where that matters.
+    """Means over the exposures, (2, clips, frames, 2), m, and the times at which these open, s.
 
-    And when the exposures open, (frames,) or (2 clips, frames).
+    The times are (frames,), or (2 clips, frames) where the clock depends on the picture's row, as in a rolling shutter.
     """
     if not model.laws.needs("clock", "row"):
         opens = model.laws("clock", film, {"fps": camera.fps, "row": 0.0})
         return motion.average_centres(opens, exposure), opens
-    places, opens = motion.average_centres(film, exposure), film
+    positions, opens = motion.average_centres(film, exposure), film
     for _ in range(2):
-        rows = np.clip(_project(camera, places)[..., 1], 0, camera.size[1] - 1).reshape(-1, len(film))
+        rows = np.clip(_project(camera, positions)[..., 1], 0, camera.size[1] - 1).reshape(-1, len(film))
         own = model.laws("clock", film + 0 * rows, {"fps": camera.fps, "row": rows})
         opens = np.clip(own, motion.start, motion.end - exposure)
-        places = motion.average_centres(opens, exposure)
-    return places, opens
+        positions = motion.average_centres(opens, exposure)
+    return positions, opens
 
 
 def _heights(motion: CollisionBatch, opens: Array, exposure: float) -> Array:
-    """Of the centres, means over the exposures by Simpson's rule, (2, clips, frames, 1), m: some hop."""
+    """Heights of the centres, means over the exposures by Simpson's rule, (2, clips, frames, 1), m."""
     first, middle, last = (motion.heights(opens + share * exposure)[..., None] for share in (0.0, 0.5, 1.0))
     return np.asarray((first + 4 * middle + last) / 6)
 
 
-def _apply_camera(model: Model, camera: Camera, places: Array, height: Array | float) -> Array:
-    """Where the tracker, which knows the nominal camera and no hop, puts centres that are at `places` and `height`."""
+def _apply_camera(model: Model, camera: Camera, positions: Array, height: Array | float) -> Array:
+    """Where a tracker with the nominal camera, for balls on the plate, puts centres at these positions and heights."""
     if not model.laws.has_effect_on("camera", "measure", "loft"):
-        return places
+        return positions
     nominal = Optics(
         K=camera.K,
         dist=np.asarray(camera.dist),
@@ -132,13 +133,13 @@ def _apply_camera(model: Model, camera: Camera, places: Array, height: Array | f
         scale=float("nan"),
         psf_sigma_px=float("nan"),
     )
-    pixels = replace(model.laws("camera", nominal, {})).project(_spatial(places, height))
+    pixels = replace(model.laws("camera", nominal, {})).project(_spatial(positions, height))
     pixels = model.laws("measure", pixels, measurement_context(camera))
     return np.asarray(camera.unproject(pixels)[0])
 
 
 def measurement_context(camera: Camera) -> dict[str, Any]:
-    """What a defect of a tracker with this camera file may ask for, as LAWS has it."""
+    """The quantities that a tracker's defect (law "measure") may depend on, for this camera file."""
 
     def glint(seen: Array) -> Array:
         return camera.glint_of_centre(camera.unproject(seen)[0])
@@ -151,16 +152,17 @@ def measurement_context(camera: Camera) -> dict[str, Any]:
     return {"glint": glint, "mirrored": mirrored}
 
 
-def _project(camera: Camera, places: Array) -> Array:
-    return np.asarray(camera.project(_spatial(places, camera.radius)))
+def _project(camera: Camera, positions: Array) -> Array:
+    return np.asarray(camera.project(_spatial(positions, camera.radius)))
 
 
-def _spatial(places: Array, height: Array | float) -> Array:
-    return np.concatenate([places, np.broadcast_to(height, (*places.shape[:-1], 1))], axis=-1)
+def _spatial(positions: Array, height: Array | float) -> Array:
+    return np.concatenate([positions, np.broadcast_to(height, (*positions.shape[:-1], 1))], axis=-1)
 
 
 def predict_velocities(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
-    """How fast the forecast positions move, (n_k, 2) m/s of each clip: by shifting the contact's time."""
-    nudge = LATE * (np.arange(launches.shape[1]) == T_C)
-    ahead, behind = (predict_tracks(model, launches + way * nudge, clips) for way in (-1, 1))
-    return [(a - b) / (2 * LATE) for a, b in zip(ahead, behind, strict=True)]
+    """Velocities of the predicted positions, (n_k, 2) m/s for each clip, by a shift of the contact's time."""
+    step = 1e-4  # s
+    nudge = step * (np.arange(launches.shape[1]) == T_C)
+    ahead, behind = (predict_tracks(model, launches + sign * nudge, clips) for sign in (-1, 1))
+    return [(a - b) / (2 * step) for a, b in zip(ahead, behind, strict=True)]

@@ -1,10 +1,10 @@
-"""What a small change of a law does to the tracks, to first order: many changes at once, by integrals over the motion.
+"""Computes the first-order response of tracks to small changes of a law, many at once, by integrals over the motion.
 
 Sliding, with u the contact velocity, q = v - (2/7) u and a change m of friction, p of the push:
     du_along' = p_along - (7/2) N m,   du_across = |u| Int p_across/|u|,   dq' = (5/7) p
 Rolling, with a change l of the loss:
     dv_along' + drag dv_along = (5/7) p_along - l,   dv_across = |v| Int (5/7) p_across/|v|
-A slide's end comes later by dT = du_along / |u|', and the ball rolls off with dq less its deceleration times dT.
+A slide ends later by dT = du_along / |u|'. The ball then rolls with dq less its deceleration times dT.
 """
 
 from __future__ import annotations
@@ -27,15 +27,12 @@ from synthcam.model import Model
 
 LawChange = Callable[["ResponseSegment"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J) of the push
 
-POINTS = 65  # of a segment
-AT_ONCE = 32  # clips
-SLIPS = 1e-6  # m/s, of a ball that slides all the while before the contact
-NUMBERS = 250_000  # at once, for the processor's cache
+POINTS = 65  # times of a segment
 
 
 @dataclass(frozen=True)
 class ResponseSegment:
-    """A segment of k balls at m instants: place, velocity, contact velocity (k, m, 2); their sizes and directions.
+    """A segment of the motion of k balls at m times: position, velocity, contact velocity (k, m, 2).
 
     slip and direction stay defined where the motion ends.
     """
@@ -78,13 +75,13 @@ class ResponseSegment:
 def compute_responses(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], changes: Mapping[str, LawChange], size: int
 ) -> list[Array]:
-    """Derivatives of the tracks by many changes of the laws at once.
+    """Differentiate the tracks by many changes of the laws at once.
 
     Parameters
     ----------
     model : Model
     launches : (clips, p) array
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
     changes : mapping of str to callable
         For "friction", "rolling" or "push", what `size` changes add to the law on a segment: `LawChange`.
     size : int
@@ -92,11 +89,12 @@ def compute_responses(
     Returns
     -------
     list of (n, 2, size) array
-        Of each clip, m for a change of one unit; zero where it overflows.
+        For each clip, m for a change of one unit; zero where it overflows.
     """
+    batch = 32  # clips
 
     def of(rows: Ints, own: Sequence[MeasuredCollision]) -> list[Array]:
-        parts = [slice(k, k + AT_ONCE) for k in range(0, len(own), AT_ONCE)]
+        parts = [slice(k, k + batch) for k in range(0, len(own), batch)]
         return [xy for p in parts for xy in _respond_one_rate(model, launches[rows[p]], own[p], changes, size)]
 
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -112,7 +110,7 @@ def _respond_one_rate(
     end = (max(int(c.frame.max()) for c in clips) + 1) / fps + exposure
     early, slide, roll = _split_motion(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, end)
     contact, over = slide.times[:, 0], roll.times[:, 0]
-    parts = -(-len(contact) * POINTS * 2 * size // NUMBERS)
+    parts = -(-len(contact) * POINTS * 2 * size // 250_000)  # numbers that fit into the processor's cache
     blocks = [
         _shift_segments(model, early[r], slide[r], roll[r], changes, size) for r in _split_evenly(len(contact), parts)
     ]
@@ -134,11 +132,13 @@ def _respond_one_rate(
 def _split_motion(
     model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: float, end: float
 ) -> tuple[ResponseSegment, ResponseSegment, ResponseSegment]:
-    """Before the contact, sliding and rolling; launches: (clips, p). Many laws are tried on one motion."""
+    """The segments before the contact, sliding and rolling; cached, since many laws are tried on one motion."""
     places = np.frombuffer(launches).reshape(len(a_strikes), -1)
     motion = solve_collisions(model, places, start, end, a_strikes)
     contact = np.tile(places[:, T_C], 2)
-    before = np.nextafter(contact, -np.inf) if places.shape[1] == WITH_SPIN else contact  # the slip still as it came
+    before = (
+        np.nextafter(contact, -np.inf) if places.shape[1] == WITH_SPIN else contact
+    )  # with the slip before the contact
     over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))
     ends = (before, start * whole), (contact, over), (over, end * whole)
     early, slide, roll = (ResponseSegment.of(motion, model.ball.radius, *e) for e in ends)
@@ -158,10 +158,10 @@ def _shift_segments(
     changes: Mapping[str, LawChange],
     size: int,
 ) -> tuple[Array, Array, Array]:
-    """How far some balls are moved, (k, m, 2, J) in each of their three segments."""
+    """Shifts (k, m, 2, J) of some balls in each of their three segments."""
     nothing = np.zeros((len(early.times), 2, size))
     slid, left = _shift_sliding(model, slide, roll, changes, size)
-    came, slides = _shift_rolling(model, early, changes, size, nothing, nothing), early.slip_speed.min(axis=1) > SLIPS
+    came, slides = _shift_rolling(model, early, changes, size, nothing, nothing), early.slip_speed.min(axis=1) > 1e-6
     if slides.any():
         came[slides] = _shift_sliding(model, early[slides], early[slides], changes, size)[0]
     return (
@@ -174,7 +174,7 @@ def _shift_segments(
 def _shift_sliding(
     model: Model, segment: ResponseSegment, after: ResponseSegment, changes: Mapping[str, LawChange], size: int
 ) -> tuple[Array, Array]:
-    """Shifts (k, m, 2, J) in a slide, and the change of the velocity (k, 2, J) with which the ball rolls off."""
+    """Shifts (k, m, 2, J) in a slide, and the change of the velocity (k, 2, J) at the start of rolling."""
     slip, u = segment.slip, segment.slip_speed
     across = np.stack([-slip[..., 1], slip[..., 0]], axis=-1)
     push = _evaluate_change(changes, "push", segment, (*u.shape, 2, size))
@@ -197,7 +197,7 @@ def _shift_sliding(
 def _shift_rolling(
     model: Model, segment: ResponseSegment, changes: Mapping[str, LawChange], size: int, place: Array, velocity: Array
 ) -> Array:
-    """Shifts (k, m, 2, J) in a roll that begins with changes of place and velocity, (k, 2, J). A ball at rest stays."""
+    """Shifts (k, m, 2, J) while rolling, from initial changes (k, 2, J) of position and velocity; none at rest."""
     way, v = segment.direction, segment.speed
     moves = (v > 1e-7)[..., None]
     across = np.stack([-way[..., 1], way[..., 0]], axis=-1)
@@ -220,7 +220,7 @@ def _evaluate_change(
 
 
 def _integrate(times: Array, values: Array) -> Array:
-    """From the first instant, by trapezia: (k, m), evenly spaced, and (k, m, ...) -> (k, m, ...)."""
+    """Integrals from the first time by the trapezoidal rule: even times (k, m), values (k, m, ...) -> (k, m, ...)."""
     out = np.empty_like(values)
     out[:, 0] = 0
     sums = out[:, 1:]
@@ -231,7 +231,7 @@ def _integrate(times: Array, values: Array) -> Array:
 
 
 def _interpolate(times: Array, shift: Array, ball: NDArray[np.intp], when: Array) -> Array:
-    """Shifts (n, 2, J) of balls (n,) at `when`, between the instants (n, m)."""
+    """Shifts (n, 2, J) of balls (n,) at times `when`, by linear interpolation between times (n, m)."""
     span = times[:, -1] - times[:, 0]
     place = np.clip((when - times[:, 0]) / np.where(span != 0, span, 1) * (POINTS - 1), 0, POINTS - 1)
     low = np.minimum(place.astype(int), POINTS - 2)

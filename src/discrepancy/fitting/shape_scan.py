@@ -1,4 +1,4 @@
-"""Derivatives by an effect's strengths at many values of its shape parameters, all at once and to first order."""
+"""Differentiates tracks by an effect's strengths at many values of its shape parameters at once."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from synthcam.model import Model
 Shapes = dict[str, float]
 
 # laws whose small changes are integrals over the motion; a change of the load is one of friction, in proportion
-MOTION = {"friction": "friction", "normal_load": "friction", "rolling": "rolling", "push": "push"}
-KNOWN = {"position", "velocity", "speed", "slip", "slip_speed", "gravity", "radius"}  # of a segment
-MANY = 30  # values of the shape parameters: fewer are tried one by one, exactly
-FEW = 2  # the same where nothing but the last step, from pixel to pixel, is taken again
-AT_ONCE = 64  # columns, for memory
+MOTION_LAWS = {"friction": "friction", "normal_load": "friction", "rolling": "rolling", "push": "push"}
+MIN_SCANNED_VALUES = 30  # of the shape parameters; fewer are tried one by one, exactly
 
 
 def can_scan(candidate: Candidate, tries: Sequence[Shapes]) -> bool:
-    """Whether `scan_shapes` can serve a candidate: it has many values to try, and laws that a segment suffices for."""
+    """Whether `scan_shapes` can serve a candidate: it has many values to try, and laws that a segment suffices for.
+
+    Two values are enough for a tracker's defect, which needs no new motion.
+    """
+    known = {"position", "velocity", "speed", "slip", "slip_speed", "gravity", "radius"}
     laws = candidate.kind.laws if candidate.kind else {}
-    if not laws or len(tries) < (FEW if "measure" in laws else MANY):
+    if not laws or len(tries) < (2 if "measure" in laws else MIN_SCANNED_VALUES):
         return False
     if "measure" in laws or "clock" in laws:
         return len(laws) == 1 and laws.get("clock", ("fps",)) == ("fps",)
-    return all(law in MOTION and set(asks) <= KNOWN for law, asks in laws.items())
+    return all(law in MOTION_LAWS and set(asks) <= known for law, asks in laws.items())
 
 
 def scan_shapes(
@@ -44,14 +45,14 @@ def scan_shapes(
     tries: Sequence[Shapes],
     here: Sequence[Array],
 ) -> list[Array]:
-    """Derivatives of the tracks by a candidate's strengths, at many values of its shape parameters at once.
+    """Differentiate the tracks by a candidate's strengths, at many values of its shape parameters at once.
 
     Parameters
     ----------
     model : Model
         Without the candidate.
     launches : (clips, p) array
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
     candidate : Candidate
         For which `can_scan` holds.
     tries : sequence of dict of str to float
@@ -62,8 +63,9 @@ def scan_shapes(
     Returns
     -------
     list of (n, 2, tries, strengths) array
-        Of each clip, m over the strength's unit.
+        For each clip, m over the strength's unit.
     """
+    batch = 64  # columns, for memory
     kind = candidate.kind
     assert kind is not None
     sizes = {_short(s): find_parameter(model, s).typical for s in candidate.strengths}
@@ -78,7 +80,7 @@ def scan_shapes(
     elif "measure" in kind.laws:
         found = _misplace_tracks(here, clips, fitted_law)
     else:
-        parts = [fitted_law[k : k + AT_ONCE] for k in range(0, len(fitted_law), AT_ONCE)]
+        parts = [fitted_law[k : k + batch] for k in range(0, len(fitted_law), batch)]
         every = [compute_responses(model, launches, clips, _changes(p, model), len(p)) for p in parts]
         found = [np.concatenate(own, axis=-1) for own in zip(*every, strict=True)]
     return [f.reshape(*f.shape[:2], len(tries), len(sizes)) for f in found]
@@ -89,13 +91,13 @@ def _short(name: str) -> str:
 
 
 def _changes(fitted_law: Sequence[tuple[Effect, float]], model: Model) -> dict[str, Callable[[ResponseSegment], Array]]:
-    """What each of several effects of one kind changes of friction, rolling loss and push, over its size."""
+    """Changes of friction, rolling loss and push by each of several effects of one kind, divided by its size."""
     laws = fitted_law[0][0].laws
 
     def change(kind: str, segment: ResponseSegment) -> Array:
-        return np.asarray(sum(_change(law, fitted_law, model, segment) for law in laws if MOTION[law] == kind))
+        return np.asarray(sum(_change(law, fitted_law, model, segment) for law in laws if MOTION_LAWS[law] == kind))
 
-    return {kind: partial(change, kind) for kind in {MOTION[law] for law in laws}}
+    return {kind: partial(change, kind) for kind in {MOTION_LAWS[law] for law in laws}}
 
 
 def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, segment: ResponseSegment) -> Array:
@@ -118,7 +120,7 @@ def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, 
 def _delay_tracks(
     moving: Sequence[Array], clips: Sequence[MeasuredCollision], fitted_law: Sequence[tuple[Effect, float]]
 ) -> list[Array]:
-    """Displacements (n_k, 2, columns) of each clip by an effect on the clock: the velocity times how late it is."""
+    """Displacements (n_k, 2, columns) of each clip by an effect on the clock: velocity times delay."""
     out = []
     for v, clip in zip(moving, clips, strict=True):
         t = clip.frame / clip.fps

@@ -1,4 +1,4 @@
-"""How significant: chi^2 as the |z| of a normal variable, and what the best of many candidates scores by chance."""
+"""Converts chi^2 to sigma, counts independent trials, and computes the chance threshold of the best of many."""
 
 from __future__ import annotations
 
@@ -11,13 +11,9 @@ from scipy.special import chdtrc, ndtri_exp
 from discrepancy.arrays import Array
 from discrepancy.policy import current_policy
 
-DRAWS = 40_000  # the level then lies within a sixth of the one asked for, and its sigma within a hundredth
-AT_ONCE = 4_000
-SEED = 20_260
-
 
 def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
-    """The |z| of a normal variable that is as improbable as a chi^2.
+    """Convert a chi^2 to the |z| of a normal variable with the same p-value.
 
     Parameters
     ----------
@@ -25,12 +21,13 @@ def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
     dof : int
         Its degrees of freedom.
     trials_factor : float
-        How many independent trials it is the best of; twice its logarithm is taken off sigma squared.
+        The number of independent trials of which it is the best (look-elsewhere effect). Twice its logarithm is
+        subtracted from sigma squared, the leading term for rare events.
 
     Returns
     -------
     float
-        Sigma; 0 where chance does as well.
+        Sigma; 0 where it is as large by chance.
     """
     if trials_factor > 1:
         return math.sqrt(max(chi2_to_sigma(chi2, dof) ** 2 - 2 * math.log(trials_factor), 0.0))
@@ -46,15 +43,23 @@ def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
 
 
 def closes_too_little(without: float, with_: float, share: float) -> bool:
-    """Whether far more is missing than a claim explains, by chi^2 a point without it and with it.
+    """Whether far more is missing than a claim explains.
 
-    share: what it must close of what is over one.
+    Parameters
+    ----------
+    without, with_ : float
+        chi^2 per point without and with the claim.
+    share : float
+        The share of the excess of chi^2 per point over one that the claim must remove.
     """
     return with_ > current_policy().poor_chi2_per_point and without - with_ < share * (without - 1)
 
 
 def count_trials(every: Sequence[Array]) -> float:
-    """How many independent trials so many signatures make, each a basis (points, k); 1 where all are alike."""
+    """Effective number of independent trials of several signatures, each a basis (points, k); 1 if all are the same.
+
+    It is the participation ratio of their Gram matrix, over the largest number of axes of one signature.
+    """
     columns = np.concatenate(every, axis=1)
     length = np.linalg.norm(columns, axis=0)
     unit = columns[:, length > 0] / length[length > 0]
@@ -70,29 +75,30 @@ def chance_threshold(
     level: float | None = None,
     trials_factors: Sequence[float] = (),
 ) -> float:
-    """The sigma that the best of all candidates exceeds in a share of cases when nothing is hidden.
+    """The sigma that the best of all candidates exceeds by chance, in a share of cases when nothing is hidden.
 
-    The products of the candidates' signatures with white noise are Gaussian with covariance `gram`, so they are drawn
-    at once, by the same random numbers every time.
+    The products of the candidates' signatures with white noise are Gaussian with covariance `gram`. 40,000 draws of
+    them, with a fixed seed, give the level to a sixth of itself and its sigma to 1 %.
 
     Parameters
     ----------
     gram : (K, K) array
-        Products of the axes of all candidates. A candidate's axes are an orthonormal basis of what the fit leaves of
-        its signature.
+        Products of the axes of all candidates. A candidate's axes are an orthonormal basis of its signature after
+        projection off everything that the fit absorbs.
     sizes : sequence of int
         How many axes each candidate has; their sum is K.
     one_sided : sequence of bool
         Which candidates have a single strength that can have one sign only.
     level : float, optional
-        That share; default: that of a claim.
+        That share; by default `SearchPolicy.significance_level`.
     trials_factors : sequence of float
-        Of each candidate; default: 1.
+        One for each candidate; by default 1.
 
     Returns
     -------
     float
     """
+    draws, batch, seed = 40_000, 4_000, 20_260
     if not sum(sizes):
         return 0.0
     values, turn = np.linalg.eigh(gram)
@@ -103,13 +109,13 @@ def chance_threshold(
     alike: dict[tuple[int, float], list[int]] = {}
     for i, k in enumerate(owners):
         alike.setdefault((sizes[int(k)], trials_factors[int(k)] if trials_factors else 1.0), []).append(i)
-    rng, best = np.random.default_rng(SEED), []
-    for _ in range(DRAWS // AT_ONCE):
-        pulls = rng.standard_normal((AT_ONCE, len(root))).astype(np.float32) @ root
+    rng, best = np.random.default_rng(seed), []
+    for _ in range(draws // batch):
+        pulls = rng.standard_normal((batch, len(root))).astype(np.float32) @ root
         single = np.flatnonzero([sizes[k] == 1 and one_sided[k] for k in range(len(sizes))])
         pulls[:, starts[single]] = np.maximum(pulls[:, starts[single]], 0.0)
         chi2 = np.add.reduceat(pulls**2, starts[owners], axis=1)
-        each = np.zeros(AT_ONCE)
+        each = np.zeros(batch)
         for (dof, factor), rows in alike.items():
             each = np.maximum(each, _tabulate_sigma(chi2[:, rows].max(axis=1), dof, factor))
         best.append(each)
@@ -119,7 +125,7 @@ def chance_threshold(
 
 
 def _tabulate_sigma(chi2: Array, dof: int, trials_factor: float) -> Array:
-    """`chi2_to_sigma` of many, from a table."""
+    """`chi2_to_sigma` of many values, interpolated in a table."""
     roots = np.sqrt(chi2)
     knots = np.linspace(0, roots.max(), 64)
     return np.asarray(np.interp(roots, knots, [chi2_to_sigma(x * x, dof, trials_factor) for x in knots]))

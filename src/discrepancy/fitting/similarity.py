@@ -1,7 +1,7 @@
-"""Realistic sizes of an effect's parameters for balls of another diameter than the library was written for.
+"""Scales the realistic sizes of an effect's parameters to balls of another diameter.
 
-Motions with the same dimensionless numbers are similar where lengths go as the ball and times as their square root
-(W. Froude's law: gravity is the same). A library of beads then serves billiard balls.
+Motions with the same dimensionless numbers are similar if lengths scale as the ball and times as its square root
+(Froude scaling: gravity is the same). So a library for beads also serves billiard balls.
 """
 
 from __future__ import annotations
@@ -11,17 +11,14 @@ import dataclasses
 from synthcam.effect import Effect, Parameter
 from synthcam.model import Ball
 
-_POWERS = {"m": 1.0, "s": 0.5, "rad": 0.0, "px": 0.0, "1": 0.0}  # of the ball's size
-_OF_CAMERA = {"camera", "clock", "exposure", "measure"}  # laws that do not know the ball
-
 
 def size_exponent(unit: str) -> float:
-    """The power of the ball's size with which a quantity grows, by its unit, as "m/s^2".
+    """The exponent with which a quantity scales with the ball's diameter.
 
     Parameters
     ----------
     unit : str
-        Of m, s, rad and px; "1" for a pure number.
+        A product of powers of m, s, rad and px, as "m/s^2"; "1" for a pure number.
 
     Returns
     -------
@@ -32,24 +29,24 @@ def size_exponent(unit: str) -> float:
     >>> power_of("m/s"), power_of("m/s^2"), power_of("1/m")
     (0.5, 0.0, -1.0)
     """
-    total = 0.0
+    exponents, total = {"m": 1.0, "s": 0.5, "rad": 0.0, "px": 0.0, "1": 0.0}, 0.0
     for sign, part in zip((1, -1), unit.split("/"), strict=False):
         for factor in part.split():
             base, _, power = factor.partition("^")
-            total += sign * _POWERS[base] * float(power or 1)
+            total += sign * exponents[base] * float(power or 1)
     return total
 
 
 def scale_to_ball(value: float, unit: str, diameter: float) -> float:
-    """A size that is realistic for the paper's balls, as it would be for balls of that diameter, m."""
+    """Scale a size that is realistic for the paper's balls to balls of that diameter, m."""
     larger: float = (diameter / Ball().diameter) ** size_exponent(unit)
     return value * larger
 
 
 def scale_parameter(kind: type[Effect], name: str, diameter: float) -> Parameter:
-    """A parameter of an effect, with the sizes that are realistic for balls of that diameter, m, within its limits."""
+    """Scale an effect's parameter to balls of that diameter, m, within its limits; laws of the camera do not scale."""
     p = next(p for p in kind.parameters() if p.name == name)
-    if diameter == Ball().diameter or _OF_CAMERA & set(kind.laws):
+    if diameter == Ball().diameter or {"camera", "clock", "exposure", "measure"} & set(kind.laws):
         return p
     typical, *tries = (min(max(scale_to_ball(x, p.unit, diameter), p.low), p.high) for x in (p.typical, *p.tries))
     return dataclasses.replace(p, typical=typical, tries=tuple(dict.fromkeys(tries)))

@@ -12,7 +12,7 @@ from discrepancy.arrays import Array
 from discrepancy.fitting.jacobian import decouple
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
-from discrepancy.fitting.shape_scan import MANY, can_scan
+from discrepancy.fitting.shape_scan import MIN_SCANNED_VALUES, can_scan
 from discrepancy.policy import current_policy
 from discrepancy.select.score_test import CandidateScore, ScoreTests, derive_trial, largest_cosine
 from synthcam.model import Model
@@ -162,7 +162,7 @@ def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candi
     likely_sigma = 3.0  # less likely values say nothing of an interval of one or two sigma
     std = {n: s for n, s in fit.std.items() if n in candidate.strengths + candidate.shapes}
     tries = list(candidate.grid(reduced.model))
-    if len(tries) < 2 or (len(tries) >= MANY and can_scan(candidate, tries)):
+    if len(tries) < 2 or (len(tries) >= MIN_SCANNED_VALUES and can_scan(candidate, tries)):
         return std
     found = {s: fit.model.value(s) for s in candidate.shapes}
     plain, here = decouple(reduced.model, reduced.launches, evidence.clips)
