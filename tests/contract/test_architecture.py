@@ -1,6 +1,8 @@
 """Who may import whom: packages, rooms and files in layers, with the imports made by name counted too."""
 
 import ast
+import pkgutil
+import re
 import runpy
 from functools import cache
 from graphlib import TopologicalSorter
@@ -277,6 +279,16 @@ def test_the_map_in_contributing_is_up_to_date():
     assert page == tool["with_plan"](page), "the map is out of date: python tools/plan.py --write"
     missing = [module(p) for p in FILES if not tool["summary"](p)]
     assert not missing, "modules without a docstring"
+
+
+def test_decisions_are_made_where_contributing_says():
+    """Each dotted name in the table of decisions is a module, or something in one."""
+    page = (ROOT / "CONTRIBUTING.md").read_text()
+    table = page.partition("### Where decisions are made")[2].partition("\n## ")[0]
+    names = re.findall(r"`((?:synthcam|tracker|discrepancy|synthcam_shared)[.\w]+)`", table)
+    assert len(names) > 10
+    for name in names:
+        assert pkgutil.resolve_name(name), name
 
 
 @pytest.mark.parametrize("folder", sorted(PEERS))
