@@ -157,7 +157,7 @@ def _multiply_by_bands(tiles: NDArray[np.float32], blur: NDArray[np.float32]) ->
     return out
 
 
-class Patches:
+class PixelPatches:
     """Squares of pixels, one for each frame and ball in view, wide enough for the ball, its motion and the blur.
 
     A patch depends on its own frame alone.

@@ -77,7 +77,7 @@ class SecondLampSettings(OneLampSettings):
     radiance: Positive = 1.0
 
 
-class LampSettings(OneLampSettings):
+class SceneLampSettings(OneLampSettings):
     """`lamp:` by default a disc that faces down.
 
     - room: radiance of the surroundings that a mirror ball shows, over the peak of its glint
@@ -220,7 +220,7 @@ def list_deviations(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
         out["lens"]["vignetting"] = camera["vignetting"]
     if camera["shutter"] == "rolling":
         out["shutter"] = {"kind": "rolling", "line_time": camera["line_time"]}
-    for section, kind in (("lamp", LampSettings), ("surface", SurfaceSettings), ("sensor", SensorSettings)):
+    for section, kind in (("lamp", SceneLampSettings), ("surface", SurfaceSettings), ("sensor", SensorSettings)):
         usual = kind.model_validate({}).model_dump(exclude_none=True)
         given = {k: v for k, v in drawn[section].items() if k not in HIDDEN_KEYS}
         out[section] = {k: v for k, v in given.items() if v != usual.get(k)}

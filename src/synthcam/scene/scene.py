@@ -23,7 +23,7 @@ from synthcam.model import (
     settings_of,
     table_settings,
 )
-from synthcam.scene.apparatus import CameraSettings, LampSettings, SensorSettings, SurfaceSettings, VideoSettings
+from synthcam.scene.apparatus import CameraSettings, SceneLampSettings, SensorSettings, SurfaceSettings, VideoSettings
 from synthcam.scene.clip import Clip, build_clip
 from synthcam.scene.distribution import draw, find_choices, pick_representatives, replace_at, replace_by_extremes
 from synthcam.settings import (
@@ -88,7 +88,7 @@ def scene_file() -> type[Settings]:
         "launch": LaunchSettings,
         "timing": TimingSettings,
         "camera": CameraSettings,
-        "lamp": LampSettings,
+        "lamp": SceneLampSettings,
         "surface": SurfaceSettings,
         "sensor": SensorSettings,
     }

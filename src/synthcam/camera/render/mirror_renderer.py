@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from synthcam.camera.exposure import (
     Array,
-    Patches,
+    PixelPatches,
     Picture,
     SubExposures,
     blur_matrix,
@@ -255,7 +255,7 @@ class MirrorRenderer:
         positions = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(positions)
         extent = self._reach(positions, slope)
-        patches = Patches(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
+        patches = PixelPatches(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
         wanted = patches.number[moments.frames] >= 0
         found = []
         for lamp, cell in zip(self.lamp.all, self._cells, strict=True):
@@ -313,7 +313,7 @@ class MirrorRenderer:
         return tuple(place_sub_exposures(bounds, weights, frames, far, wave) for far in (farthest, farthest / 4))  # type: ignore[return-value]
 
     def _draw_balls(
-        self, centres: Centres, moments: SubExposures, patches: Patches, selected: Index, scene: int
+        self, centres: Centres, moments: SubExposures, patches: PixelPatches, selected: Index, scene: int
     ) -> Float32:
         """Draw blurred balls minus the plate behind them: (n, width, width) for n patches of one width.
 
@@ -381,7 +381,7 @@ class MirrorRenderer:
         return rows
 
     def _add_glints(
-        self, images: Float32, glints: GlintImages, moments: SubExposures, patches: Patches, selected: Index
+        self, images: Float32, glints: GlintImages, moments: SubExposures, patches: PixelPatches, selected: Index
     ) -> None:
         ranks = patches.ranks(selected)[patches.number[moments.frames[glints.moment], glints.ball]]
         order = np.argsort(ranks, kind="stable")
