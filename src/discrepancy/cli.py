@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from synthcam.library import add_effects
 from synthcam.model import read_model, write_model
-from synthcam_shared.application import EVERY, command_line, progress_bar, run
+from synthcam_shared.application import PROGRESS_INTERVAL_S, command_line, progress_bar, run
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable
 from tracker.camera.camera import Camera
@@ -59,7 +59,7 @@ def show_stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
             text = stage + (f", round {turn}" if turn > 1 else "")
             bar.update(task, completed=passed, description=text)
             now = time.monotonic()
-            if bar.disable and now - printed >= EVERY:
+            if bar.disable and now - printed >= PROGRESS_INTERVAL_S:
                 printed = now
                 print(f"{text} after {now - began:.0f} s", file=sys.stderr, flush=True)
 

@@ -1,4 +1,4 @@
-"""synthcam: generate, merge, verify, preview, export, schema, effects, doctor."""
+"""The command `synthcam`: generate, merge, verify, preview, export, schema, effects, doctor."""
 
 from __future__ import annotations
 
@@ -22,27 +22,23 @@ from synthcam_shared.errors import InputError, NoGL
 if TYPE_CHECKING:
     from synthcam.effect import Parameter
 
-app = command_line(
-    "synthcam", "Rolling steel balls that collide: their exact motion, their picture, and the truth about both."
-)
+app = command_line("synthcam", "Simulate and render rolling balls that collide, with the ground truth of their motion.")
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 Withhold = Annotated[
     Path | None,
-    typer.Option(metavar="TRUTH", help="Another folder for the truth: a challenge, which gives nothing away."),
+    typer.Option(metavar="TRUTH", help="Another folder for the truth; the dataset is then a challenge."),
 ]
-MOST_CLIPS = 1_000_000
-SHOWN = 20  # failed clips listed, one line each; --json has them all
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the scene.")]
 
 EffectsDir = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="DIR", help="A folder with effects of your own, NAME.py; more than one may be."),
+    typer.Option("--effects", metavar="DIR", help="A folder with your own effects, NAME.py; repeatable."),
 ]
 
 ModelFile = Annotated[
     Path | None,
     typer.Option(
-        "--model", metavar="MODEL", help="A model file, for ball, model, effects and free laws of the scenes."
+        "--model", metavar="MODEL", help="A model file that replaces ball, model, effects and free laws of the scenes."
     ),
 ]
 
@@ -60,12 +56,12 @@ def generate(
     scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="Scene files (YAML).")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DATASET", help="Folder to make.")],
     clips: Annotated[int, typer.Option(min=1, help="Clips of each scene.")] = 1,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything drawn; default: 0.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
-    shard: Annotated[str, typer.Option(metavar="I/N", help="Make every N-th clip from the I-th, to merge later.")] = "",
-    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
-    no_video: Annotated[bool, typer.Option("--no-video", help="Truth and camera only, nothing drawn.")] = False,
-    compression: Annotated[str, typer.Option(help="Of the frames: none, or zstd (lossless).")] = "none",
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random; default: 0.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: as many as are quickest.")] = None,
+    shard: Annotated[str, typer.Option(metavar="I/N", help="Make only every N-th clip from the I-th on.")] = "",
+    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler for the work.")] = "",
+    no_video: Annotated[bool, typer.Option("--no-video", help="Write truth and camera only, without frames.")] = False,
+    compression: Annotated[str, typer.Option(help="Compression of the frames: none, or zstd (lossless).")] = "none",
     encode: Annotated[str, typer.Option(metavar="CODEC", help="A video too: h264:crf=23,gamma=2.2, mjpeg, ffv1.")] = "",
     withhold_truth: Withhold = None,
     set_: Set = None,
@@ -73,7 +69,7 @@ def generate(
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Make a dataset: simulate, draw, expose, write. Interrupted, the same command goes on.
+    """Make a dataset: simulate, render, expose, write. If interrupted, the same command continues.
 
     Example: synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 100
     """
@@ -83,12 +79,15 @@ def generate(
     from synthcam.scene.scene import read_scene
 
     started = time.monotonic()
-    if clips * len(scenes) > MOST_CLIPS:
-        raise InputError(f"--clips {clips}: expected at most {MOST_CLIPS} clips in all, as six digits number them")
+    most_clips = 1_000_000  # numbered by six digits
+    if clips * len(scenes) > most_clips:
+        raise InputError(f"--clips {clips}: expected at most {most_clips} clips in all")
     if withhold_truth:
         check_apart(output, withhold_truth)
     if withhold_truth and seed is None:
-        raise InputError("--withhold-truth: expected --seed too, one nobody guesses: scene and seed give the truth")
+        raise InputError(
+            "--withhold-truth: expected --seed too, which nobody can guess: scene and seed determine the truth"
+        )
     changes = (*(set_ or ()), *_encoding(encode))
     read = tuple(read_scene(s, changes, model) for s in scenes)
     plan = GenerationPlan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
@@ -97,10 +96,11 @@ def generate(
     with progress_bar("clips") as progress:
         tell = _print_estimate if sys.stderr.isatty() and not scheduler else None
         outcome = generate_dataset(plan, output, workers or 0, progress, withhold_truth, scheduler, tell)
-    for line in outcome.failed[:SHOWN]:
+    listed = 20  # failed clips; --json lists all
+    for line in outcome.failed[:listed]:
         print(f"synthcam: {line}", file=sys.stderr)
-    if len(outcome.failed) > SHOWN:
-        print(f"synthcam: and {len(outcome.failed) - SHOWN} clips more", file=sys.stderr)
+    if len(outcome.failed) > listed:
+        print(f"synthcam: and {len(outcome.failed) - listed} more clips", file=sys.stderr)
     seconds = time.monotonic() - started
     summary = {
         "dataset": str(output),
@@ -110,7 +110,9 @@ def generate(
         "failures": list(outcome.failed),
         "seconds": round(seconds, 2),
     }
-    _print_result(summary, as_json, f"{output}: {plan.total} clips, {outcome.made} made now in {seconds:.1f} s")
+    _print_result(
+        summary, as_json, f"{output}: {plan.total} clips, {outcome.made} of them made in this run, in {seconds:.1f} s"
+    )
     if outcome.failed:
         kept = f"; the rest are kept in {output}.partial" if len(outcome.failed) < plan.total else ""
         raise InputError(f"{output}: {len(outcome.failed)} of {plan.total} clips could not be made{kept}")
@@ -126,7 +128,7 @@ def _shard(text: str) -> tuple[int, int] | None:
 
 
 def _encoding(text: str) -> tuple[str, ...]:
-    """As changes of a scene's `video`."""
+    """Turn --encode into changes of a scene's `video`."""
     from synthcam.dataset.video import parse_encoding
 
     how = parse_encoding(text, "--encode") if text else {}
@@ -153,7 +155,7 @@ def merge(
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Put shards together: the same dataset, byte for byte, as one process makes. The shards stay as they are.
+    """Merge shards into the dataset, byte for byte, that one process makes. The shards are not changed.
 
     Example: synthcam merge out/part1 out/part2 out/part3 -o out/benchmark
     """
@@ -162,25 +164,27 @@ def merge(
 
     with progress_bar("clips") as progress:
         clips = merge_shards(shards, output, progress, withhold_truth)
-    _print_result({"dataset": str(output), "clips": clips}, as_json, f"{output}: {clips} clips of {len(shards)} shards")
+    _print_result(
+        {"dataset": str(output), "clips": clips}, as_json, f"{output}: {clips} clips from {len(shards)} shards"
+    )
 
 
 @app.command()
 def preview(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A scene file (YAML).")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="A .png, .gif or .mp4 to write.")],
-    clip: Annotated[int, typer.Option(min=0, help="Which clip to draw.")] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn.")] = 0,
-    frame: Annotated[int | None, typer.Option(min=0, help="Which frame; default: the one before the contact.")] = None,
-    magnify: Annotated[int, typer.Option(min=0, help="Also show the balls so many times larger; 0: not.")] = 12,
+    clip: Annotated[int, typer.Option(min=0, help="Number of the clip.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    frame: Annotated[int | None, typer.Option(min=0, help="Number of the frame; default: before contact.")] = None,
+    magnify: Annotated[int, typer.Option(min=0, help="Magnification of the balls below the frame; 0: without.")] = 12,
     set_: Set = None,
     model: ModelFile = None,
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Draw one frame of a scene, as the sensor gives it, with the balls magnified beside it (.png).
+    """Render one frame of a scene (.png), with the balls magnified below it.
 
-    Or all its frames, slowed down, cropped to the balls' paths and magnified (.gif, .mp4).
+    For .gif and .mp4: render all frames in slow motion, cropped to the paths of the balls and magnified.
 
     Example: synthcam preview scenes/painter_behringer.yaml -o frame.png
     """
@@ -194,11 +198,13 @@ def preview(
     drawn = read_scene(scene, tuple(set_ or ()), model).draw(clip, seed)
     if kind == ".png":
         write_preview(drawn, output, frame, magnify)
-        _print_result({"output": str(output)}, as_json, f"{output}")
+        _print_result({"output": str(output)}, as_json, f"{output}: a frame of clip {clip} of {scene}")
     else:
         slower = write_animation(drawn, output)
         _print_result(
-            {"output": str(output), "slower": slower}, as_json, f"{output}: {slower:.3g} times slower than it was"
+            {"output": str(output), "slower": slower},
+            as_json,
+            f"{output}: clip {clip} of {scene}, in {slower:.3g} times slow motion",
         )
 
 
@@ -207,7 +213,7 @@ def verify(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET")],
     as_json: Json = False,
 ) -> None:
-    """Hold every file of a dataset to its checksum. Exit status 1 when one is changed, missing or new.
+    """Compare every file of a dataset with its checksum. Exit status 1 if one is changed, missing or new.
 
     Example: synthcam verify out/benchmark
     """
@@ -221,7 +227,7 @@ def verify(
     _print_result(
         {"dataset": str(dataset), "files": found.files, "problems": list(found.problems)},
         as_json,
-        f"{dataset}: {found.files} files, {'all as written' if ok else f'{len(found.problems)} problems'}",
+        f"{dataset}: {found.files} files, {'all unchanged' if ok else f'{len(found.problems)} problems'}",
     )
     if not ok:
         raise typer.Exit(1)
@@ -232,11 +238,11 @@ def export(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET")],
     kind: Annotated[str, typer.Option("--format", metavar="NAME", help="mot, zarr, ffv1, h264:crf=23, ...")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder to make.")],
-    truth: Annotated[Path | None, typer.Option(metavar="TRUTH", help="The truth, where it was withheld.")] = None,
+    truth: Annotated[Path | None, typer.Option(metavar="TRUTH", help="The truth, if it was withheld.")] = None,
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Write a dataset in another program's format.
+    """Export a dataset to the format of another program.
 
     Example: synthcam export out/benchmark --format mot -o out/benchmark_mot
     """
@@ -255,7 +261,7 @@ def effects(
     folder: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """The library of effects: laws, parameters, typical values. With -o, what one of them does to the tracks.
+    """List the effects: laws, parameters, typical values. With -o, draw what one of them does to the tracks.
 
     Example: synthcam effects hop -o hop.png
     """
@@ -264,7 +270,9 @@ def effects(
 
     known = library()
     if name is not None and name not in known:
-        raise InputError(f"{name}: no such effect{did_you_mean(name, known) or '; there are ' + ', '.join(known)}")
+        raise InputError(
+            f"{name}: no such effect{did_you_mean(name, known) or '; expected one of ' + ', '.join(known)}"
+        )
     if output is not None and (name is None or output.suffix.lower() != ".png"):
         raise InputError(f"-o {output}: expected the NAME of one effect, and a file that ends in .png")
     for effect in known.values() if name is None else [known[name]]:
@@ -285,9 +293,9 @@ def effects(
 
         apart = draw_effect(with_typical_values(known[name]), output)
         if not as_json:
-            print(f"    {output}: it moves what is seen by up to {apart:.3g} um")
+            print(f"    {output}: the effect shifts the tracks by up to {apart:.3g} um")
     elif name is not None and not as_json:
-        print(f"    what it does to the tracks is drawn with -o: synthcam effects {name} -o {name}.png")
+        print(f"    to draw what it does to the tracks: synthcam effects {name} -o {name}.png")
 
 
 def _as_json(parameter: Parameter) -> dict[str, Any]:
@@ -310,7 +318,7 @@ def schema(effects_dir: EffectsDir = None) -> None:
 
 @app.command()
 def doctor(as_json: Json = False) -> None:
-    """Show which OpenGL draws the pictures and how fast; when none works, what to install.
+    """Show which OpenGL renders the frames and how fast; if none works, what to install.
 
     Example: synthcam doctor
     """
@@ -320,7 +328,7 @@ def doctor(as_json: Json = False) -> None:
     info: dict[str, Any] = dict(gl_info())
     info["frames_per_second"] = round(measure_speed(), 1)
     text = "\n".join(f"{key}: {value}" for key, value in info.items())
-    _print_result(info, as_json, text + "\n(two balls, 640 x 480, drawn and exposed by one process)")
+    _print_result(info, as_json, text + "\n(two balls, 640 x 480 px, rendered and exposed by one process)")
 
 
 def _print_result(summary: dict[str, Any], as_json: bool, text: str) -> None:

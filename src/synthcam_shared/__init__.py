@@ -1,1 +1,1 @@
-"""What the commands of the three packages share: bad input, messages and progress, writing files."""
+"""Shared by the three packages: errors, command lines, files, settings, jobs, report pages."""

@@ -1,4 +1,4 @@
-"""What all commands share: one line for what is wrong, the version, and how far the work is."""
+"""Run a command line: one line for an error, the version, and the progress of the work."""
 
 import os
 import re
@@ -11,20 +11,20 @@ from typing import Annotated, Any
 
 import typer
 
-USAGE: Any = typer.BadParameter.__mro__[1]  # UsageError of click, or of the click that typer carries
-EVERY = 30.0  # s, from one line to the next where no bar is drawn
+UsageError: Any = typer.BadParameter.__mro__[1]  # of click, or of the copy of click in typer
+PROGRESS_INTERVAL_S = 30.0  # between two lines of progress if there is no terminal for a bar
 
-# Before numpy is loaded: its matrices are small here, and threads of BLAS wait for one another for longer than they
-# work, the more so beside other processes.
+# Set before numpy is loaded. Matrices are small here: BLAS's threads would wait for each other longer than they work,
+# even more so beside other processes.
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 
 def command_line(name: str, about: str) -> typer.Typer:
-    """An application without commands yet, which tells its version."""
+    """Make an application that has no commands yet but prints its version."""
     app = typer.Typer(help=about, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
-    def tell(wanted: bool) -> None:
+    def print_version(wanted: bool) -> None:
         if wanted:
             print(f"{name} {version('synthcam')}")
             raise typer.Exit
@@ -32,7 +32,7 @@ def command_line(name: str, about: str) -> typer.Typer:
     @app.callback()
     def options(
         show: Annotated[
-            bool, typer.Option("--version", callback=tell, is_eager=True, help="Show the version.")
+            bool, typer.Option("--version", callback=print_version, is_eager=True, help="Show the version.")
         ] = False,
     ) -> None: ...
 
@@ -40,16 +40,26 @@ def command_line(name: str, about: str) -> typer.Typer:
 
 
 def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed: tuple[str, ...] = ()) -> None:
-    """Ends the process: 0 done, 1 a check failed, 2 bad input, 130 interrupted; with one line, unless all went well.
+    """Run a command and end the process, with one line on stderr for an error.
 
-    resumed: the commands that, interrupted, keep what they have made; the others leave nothing.
+    Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted.
+
+    Parameters
+    ----------
+    app : Typer
+    name : str
+        Of the program.
+    wrong : tuple of exception classes
+        Those that are the user's to mend; their message is the line.
+    resumed : tuple of str
+        Commands that keep what they have made when they are interrupted.
     """
     try:
         status = app(prog_name=name, standalone_mode=False)
         if status == 130:  # typer makes this of Ctrl-C
             raise KeyboardInterrupt
         sys.exit(status or 0)
-    except USAGE as error:
+    except UsageError as error:
         line = re.sub(r" \(Possible options: (.*)\)$", _name_alternatives, error.format_message())
         where = error.ctx.command_path if error.ctx else name
         print(line if "\n" in line else f"{where}: {line} (see {where} --help)", file=sys.stderr)
@@ -57,7 +67,7 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
         print(f"{name}: {error}", file=sys.stderr)
     except (KeyboardInterrupt, typer.Abort):
         kept = any(word in resumed for word in sys.argv[1:2])
-        then = "the same command goes on where it stopped" if kept else "nothing was written"
+        then = "the same command continues where it stopped" if kept else "nothing was written"
         print(f"{name}: interrupted; {then}", file=sys.stderr)
         sys.exit(130)
     except MemoryError:
@@ -76,7 +86,7 @@ def _name_alternatives(options: re.Match[str]) -> str:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar with an estimate on a terminal; elsewhere a line on stderr every so many seconds."""
+    """Show a bar with an estimate on a terminal, elsewhere a line on stderr now and then."""
     if not sys.stderr.isatty():
         yield print_progress(what)
         return
@@ -90,17 +100,17 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def print_progress(what: str) -> Callable[[int, int], None]:
-    """Prints what is done and how long the rest will take, at most every EVERY seconds."""
-    began = said = time.monotonic()
+    """Return a function that prints the progress and the time left, at most once in PROGRESS_INTERVAL_S."""
+    began = printed = time.monotonic()
     before: int | None = None  # done by an earlier run
 
     def progress(done: int, total: int) -> None:
-        nonlocal said, before
+        nonlocal printed, before
         before = done if before is None else before
         now = time.monotonic()
-        if now - said < EVERY or done >= total:
+        if now - printed < PROGRESS_INTERVAL_S or done >= total:
             return
-        said = now
+        printed = now
         left = f", about {(now - began) / (done - before) * (total - done):.0f} s left" if done > before else ""
         print(f"{what}: {done} of {total} after {now - began:.0f} s{left}", file=sys.stderr, flush=True)
 

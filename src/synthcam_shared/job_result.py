@@ -8,7 +8,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class JobValue(Generic[T]):
-    """What the work returned for one number."""
+    """A number, and the value that the work returned for it."""
 
     number: int
     value: T

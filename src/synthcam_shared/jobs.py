@@ -1,6 +1,6 @@
 """Run one job per number, such as one per clip, in processes of this machine or on the workers of a Dask cluster.
 
-A worker that dies loses only the job at which it was: the caller receives a `LostJob` in place of a `JobValue`. The
+A worker that dies loses only the job at which it was: the caller receives a `LostJob` instead of a `JobValue`. The
 work is sent once to each worker and may therefore be large. At no time does memory hold more than the numbers and the
 answers that the caller has not taken yet.
 """
@@ -31,7 +31,7 @@ Progress = Callable[[int, int], None]  # takes the jobs done and the jobs in all
 
 @dataclass(frozen=True)
 class Trial:
-    """What the first jobs show of the others.
+    """A forecast from the first jobs for the others.
 
     Attributes
     ----------

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from synthcam_shared.errors import InputError
 
-RESUMES = "; the same command goes on where it stopped"
+RESUMES = "; the same command continues where it stopped"
 
 
 def check_writable(output: Path, probe_bytes: int = 1 << 16) -> None:
@@ -52,7 +52,7 @@ def _is_inside(file: Path, output: Path) -> bool:
 def write_atomically(path: Path, data: str | bytes) -> None:
     """Write a file under another name and move it into place, in a new folder if need be.
 
-    If this fails, the file that was there stays as it was.
+    If this fails, the earlier file stays unchanged.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
@@ -110,7 +110,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def resume_folder(partial: Path, plan_file: str, plan: str) -> Iterator[None]:
-    """Work in a folder that a killed run may have left, and that the next run of the same plan goes on with.
+    """Work in a folder that a killed run may have left, and that the next run of the same plan continues.
 
     The folder is locked, `plan` is written into it, and the leftovers of killed workers (``clips/*.tmp``) are removed.
     If the work fails before any clip is complete, the folder is removed again.

@@ -56,7 +56,7 @@ def track(
     settings: SettingsFile = None,
     as_json: Json = False,
 ) -> None:
-    """Find, follow and measure the balls of every clip. Interrupted, the same command goes on.
+    """Find, follow and measure the balls of every clip. Interrupted, the same command continues.
 
     Example: tracker track out/benchmark -o out/results
     """
@@ -192,7 +192,7 @@ def compare(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
     as_json: Json = False,
 ) -> None:
-    """Track a dataset with several detectors and set them beside each other. Interrupted, the same command goes on.
+    """Track a dataset with several detectors and set them beside each other. Interrupted, the same command continues.
 
     Example: tracker compare out/benchmark --detectors maximum_likelihood,centroid -o out/compared
     """

@@ -145,7 +145,7 @@ def swapped(recorded, tmp, *clips):
 
 def test_clips_left_out_are_told_and_written(recorded, tmp_path, capsys, monkeypatch):
     only(monkeypatch)
-    monkeypatch.setattr(cli, "EVERY", math.inf)  # no lines on how far it is
+    monkeypatch.setattr(cli, "PROGRESS_INTERVAL_S", math.inf)  # no lines on how far it is
     table, why = swapped(recorded, tmp_path, 6), "clip 6: the two balls exchange their numbers at frame 39"
     assert command("find", *table, "--model", MODEL, "-o", tmp_path / "report") == 0
     out, err = capsys.readouterr()

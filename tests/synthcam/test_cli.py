@@ -150,7 +150,7 @@ def test_generate_twice_and_verify(command, scene, tmp_path):
     assert (status, json.loads(printed)["made"]) == (0, 0)
     status, printed, err = command("verify", out)
     assert (status, err) == (0, "")
-    assert "all as written" in printed
+    assert "all unchanged" in printed
     status, printed, _ = command("verify", out, "--json")
     assert json.loads(printed) == {"dataset": str(out), "files": 15, "problems": []}
 
@@ -181,7 +181,7 @@ def test_effects_and_schema(command):
     assert "x: strength, rad, typically 0.001, from -0.1 to 0.1" in out
     assert all(line == line.rstrip() for line in out.splitlines())
     assert "    x, y: slopes, positive where the plate falls" in out
-    assert out.endswith("drawn with -o: synthcam effects plate_tilt -o plate_tilt.png\n")
+    assert out.endswith("to draw what it does to the tracks: synthcam effects plate_tilt -o plate_tilt.png\n")
     status, out, _ = command("effects", "--json")
     found = {effect["effect"]: effect for effect in map(json.loads, out.splitlines())}
     assert found.keys() >= {"plate_tilt", "rolling_quadratic"}

@@ -30,7 +30,7 @@ def refuse() -> None:
 @pytest.mark.parametrize(
     ("command", "status", "line"),
     [
-        ("keep", 130, "tool: interrupted; the same command goes on where it stopped"),
+        ("keep", 130, "tool: interrupted; the same command continues where it stopped"),
         ("drop", 130, "tool: interrupted; nothing was written"),
         ("refuse", 2, "tool: film.mp4: no such file"),
     ],

@@ -64,7 +64,7 @@ def test_a_full_disk_is_named_and_the_same_command_goes_on(table, tmp_path, monk
     first = sum(map(len, contents(tmp_path / "whole/clips/000000").values()))
     with monkeypatch.context() as patch:
         limited(patch, max(first * 3 // 2, ROOM))
-        with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command goes on"):
+        with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command continues"):
             measure(table, tmp_path / "d")
     done = contents(tmp_path / "d.partial")
     assert 0 < len(list((tmp_path / "d.partial/clips").iterdir())) < 3

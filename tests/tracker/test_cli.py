@@ -138,7 +138,7 @@ def test_interrupted_it_says_how_to_go_on(dataset, tmp_path, monkeypatch, capsys
     with pytest.raises(SystemExit) as stopped:
         cli.main()
     assert stopped.value.code == 130
-    assert capsys.readouterr().err == "tracker: interrupted; the same command goes on where it stopped\n"
+    assert capsys.readouterr().err == "tracker: interrupted; the same command continues where it stopped\n"
 
 
 def test_results_of_anything_else_are_refused(dataset, tracked, tmp_path):

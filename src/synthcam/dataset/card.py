@@ -1,45 +1,22 @@
-"""A dataset's card: its README.md, for people who have never seen the dataset."""
+"""Write the card of a dataset: its README.md, for people who have never seen the dataset."""
 
 from __future__ import annotations
 
 import html
 import re
+from collections.abc import Iterator
 from typing import Any
-
-LONGEST = 200  # characters of a name
-TIFF = "clips/000000/frames.tif"
-FRAMES = (
-    ("NumPy", f'`import tifffile; frames = tifffile.imread("{TIFF}")`'),
-    ("trackpy, pims", f'`import pims; frames = pims.open("{TIFF}")`'),
-)
-PLAIN = (  # what not every library can unpack
-    ("OpenCV", f'`import cv2; frames = cv2.imreadmulti("{TIFF}", flags=cv2.IMREAD_UNCHANGED)[1]`'),
-    ("ImageJ, Fiji (macro)", f'`open("{TIFF}");`'),
-)
-CAMERA = (("the camera", '`import json; camera = json.load(open("clips/000000/camera.json"))`'),)
-TRUTH = (
-    ("pandas, a row a clip", '`import pandas; clips = pandas.read_parquet("truth/clips.parquet")`'),
-    (
-        "where the balls were, in trackpy's columns",
-        '`import pandas; tracks = pandas.read_parquet("clips/000000/truth/tracks.parquet", '
-        'columns=["frame", "particle", "x_mean_px", "y_mean_px"])'
-        '.rename(columns={"x_mean_px": "x", "y_mean_px": "y"})`',
-    ),
-    ("contacts, slide ends", '`import pandas; events = pandas.read_parquet("clips/000000/truth/events.parquet")`'),
-)
 
 
 def write_card(about: dict[str, Any], clips: int, names: list[str], holds: str = "all") -> str:
-    """The card of a dataset. holds: "all", "frames" of a challenge, whose card gives nothing away, or its "truth"."""
+    """Write the card of a dataset.
+
+    holds: "all"; "frames" of a challenge, whose card tells nothing of the truth; or its "truth".
+    """
     video, plain = about.get("video", bool(about["gl"])), about.get("compression", "none") == "none"
     matte = any(scene.get("surface", {}).get("ball", "steel") != "steel" for scene in about.get("scenes", ()))
     made_of = "" if matte else "steel "
-    readers: list[tuple[str, str]] = []
-    if holds != "truth":
-        readers += [*FRAMES, *(PLAIN if plain else ())] if video else []
-        readers += CAMERA
-    if holds != "frames":
-        readers += TRUTH
+    readers = _readers(video and holds != "truth", plain, holds != "truth", holds != "frames")
     return "\n".join(
         [
             f"# {_title(clips, names, holds, made_of)}",
@@ -53,10 +30,33 @@ def write_card(about: dict[str, Any], clips: int, names: list[str], holds: str =
             *(f"| {what} | {code} |" for what, code in readers),
             "",
             *(["Frames are compressed with Zstandard: tifffile then needs `imagecodecs`.", ""] if not plain else []),
-            "`synthcam verify DATASET` holds every file to SHA256SUMS.",
+            "`synthcam verify DATASET` compares every file with SHA256SUMS.",
             "",
         ]
     )
+
+
+def _readers(frames: bool, plain: bool, camera: bool, truth: bool) -> Iterator[tuple[str, str]]:
+    """Yield (program or purpose, code that reads the file). plain: frames that every library can unpack."""
+    tiff = "clips/000000/frames.tif"
+    if frames:
+        yield "NumPy", f'`import tifffile; frames = tifffile.imread("{tiff}")`'
+        yield "trackpy, pims", f'`import pims; frames = pims.open("{tiff}")`'
+    if frames and plain:
+        yield "OpenCV", f'`import cv2; frames = cv2.imreadmulti("{tiff}", flags=cv2.IMREAD_UNCHANGED)[1]`'
+        yield "ImageJ, Fiji (macro)", f'`open("{tiff}");`'
+    if camera:
+        yield "the camera", '`import json; camera = json.load(open("clips/000000/camera.json"))`'
+    if truth:
+        yield "pandas, a row a clip", '`import pandas; clips = pandas.read_parquet("truth/clips.parquet")`'
+        yield (
+            "the balls' true positions, in trackpy's columns",
+            '`import pandas; tracks = pandas.read_parquet("clips/000000/truth/tracks.parquet", '
+            'columns=["frame", "particle", "x_mean_px", "y_mean_px"])'
+            '.rename(columns={"x_mean_px": "x", "y_mean_px": "y"})`',
+        )
+        read_events = 'events = pandas.read_parquet("clips/000000/truth/events.parquet")'
+        yield "contacts, slide ends", f"`import pandas; {read_events}`"
 
 
 def _title(clips: int, names: list[str], holds: str, made_of: str) -> str:
@@ -67,8 +67,8 @@ def _title(clips: int, names: list[str], holds: str, made_of: str) -> str:
 
 
 def _plain(text: Any) -> str:
-    """A name as it stands: on one line, without HTML, links or other marks of Markdown."""
-    line = "".join(c if c.isprintable() else " " for c in str(text))[:LONGEST]
+    """Make a name plain text: on one line, without HTML, links or other marks of Markdown."""
+    line = "".join(c if c.isprintable() else " " for c in str(text))[:200]
     return re.sub(r"([\\`*\[\]!|#])", r"\\\1", html.escape(line, quote=False))
 
 
@@ -77,13 +77,12 @@ def _provenance(about: dict[str, Any], holds: str) -> list[str]:
     if holds == "frames":
         return [
             f"Made by synthcam {about['version']}, {drawn}. Every position, spin and event is known,",
-            "and kept by whoever made this; `tracker score RESULTS --truth TRUTH` holds results to it.",
+            "and kept by the author of this challenge; `tracker score RESULTS --truth TRUTH` compares results with it.",
         ]
     made = f"Made by synthcam {about['version']}, seed {about['seed']}, {drawn}."
     if holds == "truth":
-        return [made, "The truth that was withheld: `tracker score RESULTS --truth` this folder."]
+        return [made, "The withheld truth: `tracker score RESULTS --truth` this folder."]
     return [
         made,
-        "Synthetic: every position, spin and event is known and lies under `truth/`; a tracker may open the frames",
-        "and camera.json only.",
+        "Synthetic: `truth/` holds every position, spin and event. A tracker may open the frames and camera.json only.",
     ]

@@ -1,4 +1,4 @@
-"""A drawing of what an effect does: a collision without and with it, and how far the tracks part."""
+"""Draw what an effect does: a collision with and without it, and the difference of the tracks."""
 
 from __future__ import annotations
 
@@ -16,45 +16,44 @@ from synthcam.model import Model
 from synthcam.scene.film_time import FilmedMotion
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
-LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
+EXAMPLE_LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
 FRAMES, FPS = 80, 250.0
-LAMP = (0.05, 0.0, 0.45)
-NAMES, COLOURS = ("ball 1, at rest", "ball 2"), ("tab:blue", "tab:red")
 
 
 def with_typical_values(kind: type[Effect]) -> Effect:
-    """The effect with every parameter at its typical value."""
+    """Make the effect with every parameter at its typical value."""
     return kind(**{p.name: p.typical for p in kind.parameters()})
 
 
 def simulate_tracks(model: Model) -> Array:
-    """Where the nominal camera, mistaken for the real one, puts the centres: mm, (2, FRAMES, 2)."""
+    """Simulate the tracks that an experimenter with the nominal camera measures: mm, (2, FRAMES, 2)."""
     radius = model.ball.radius
     nominal = PinholeCamera.overhead(
         (640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0
     )
     camera = model.laws("camera", nominal, {})
     camera = replace(camera, exposure=float(model.laws("exposure", camera.exposure, {"fps": FPS})))
-    view = FilmedMotion.solve(model, Launch.pair(model.bodies("ab"), **LAUNCH), camera, FRAMES)  # type: ignore[arg-type]
+    view = FilmedMotion.solve(model, Launch.pair(model.bodies("ab"), **EXAMPLE_LAUNCH), camera, FRAMES)  # type: ignore[arg-type]
     pixels = view.mean(view.spans(FRAMES), lambda states: camera.project(states[..., :3]))
 
-    def mirrored(pixels: Array, lamp: tuple[float, float, float] = LAMP) -> Array:
+    def to_glint(pixels: Array, lamp: tuple[float, float, float] = (0.05, 0.0, 0.45)) -> Array:
         centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
         glints = project_glint(camera, Lamp(np.array(lamp), 0.01), centres, radius)
         return np.asarray(pixels + glints - camera.project(centres))
 
-    seen = model.laws("measure", pixels, {"glint": mirrored, "mirrored": mirrored}) - nominal.K[:2, 2]
+    seen = model.laws("measure", pixels, {"glint": to_glint, "mirrored": to_glint}) - nominal.K[:2, 2]
     return np.asarray(1e3 * nominal.scale * seen * [1, -1])
 
 
 def draw_effect(effect: Effect, path: Path) -> float:
-    """Draw the effect on a collision like the paper's; the largest distance between the tracks, um."""
+    """Draw the effect on a collision like the paper's. Returns the largest distance between the tracks, um."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     check_writable(path)
-    base, bent = simulate_tracks(Model()), simulate_tracks(Model(effects=(effect,)))
-    apart = 1e3 * (bent - base)
+    without, with_effect = simulate_tracks(Model()), simulate_tracks(Model(effects=(effect,)))
+    difference = 1e3 * (with_effect - without)
+    names, colours = ("ball 1, at rest", "ball 2"), ("tab:blue", "tab:red")
     figure = Figure(figsize=(9, 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(1, 2)
@@ -62,13 +61,13 @@ def draw_effect(effect: Effect, path: Path) -> float:
     left, right = (half.subplots() for half in halves)
     time = np.arange(FRAMES) / FPS * 1e3
     for k in (0, 1):
-        left.plot(*base[k].T, color="0.6", lw=3, label="without" if k else None)
-        left.plot(*bent[k].T, color=COLOURS[k], lw=1, label=NAMES[k])
+        left.plot(*without[k].T, color="0.6", lw=3, label="without the effect" if k else None)
+        left.plot(*with_effect[k].T, color=colours[k], lw=1, label=names[k])
         for axis, style in ((0, "-"), (1, "--")):
-            right.plot(time, apart[k, :, axis], style, color=COLOURS[k], lw=1, label=f"{NAMES[k]}, {'xy'[axis]}")
-    right.axvline(1e3 * float(LAUNCH["time"]), color="0.6", lw=0.8)  # type: ignore[arg-type]
-    left.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="where the balls are seen")
-    right.set(xlabel="time, ms", ylabel="with less without, µm", title="and how far from where they are without it")
+            right.plot(time, difference[k, :, axis], style, color=colours[k], lw=1, label=f"{names[k]}, {'xy'[axis]}")
+    right.axvline(1e3 * float(EXAMPLE_LAUNCH["time"]), color="0.6", lw=0.8)  # type: ignore[arg-type]
+    left.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="measured tracks")
+    right.set(xlabel="time, ms", ylabel="with minus without the effect, µm", title="shift by the effect")
     for half in halves:
         half.legend(fontsize="small", loc="outside lower center", ncols=2)
     values = ", ".join(
@@ -80,4 +79,4 @@ def draw_effect(effect: Effect, path: Path) -> float:
     figure.savefig(drawn, format=kind, dpi=120, metadata={"Software": None} if kind == "png" else None)
     with as_input_error(path):
         write_atomically(path, drawn.getvalue())
-    return float(np.abs(apart).max())
+    return float(np.abs(difference).max())

@@ -1,4 +1,4 @@
-"""A dataset in other programs' formats: each is a file of the folder `exports`, found by its being there."""
+"""Export a dataset to the formats of other programs: each file of the folder `exports` is one format."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import importlib
 import inspect
 import json
 import pkgutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,12 @@ from synthcam.dataset.files import clip_folders
 from synthcam.dataset.partial_dataset import open_exclusively
 from synthcam.dataset.recorded_clip import RecordedClip, first_line
 from synthcam_shared.errors import InputError
+from synthcam_shared.jobs import Progress
 from synthcam_shared.outputs import as_input_error, check_writable
 
 
 def formats() -> dict[str, str]:
-    """Name of each format, and what it is in one line."""
+    """Describe each format in one line, by its name."""
     names = sorted(info.name for info in pkgutil.iter_modules(exports.__path__))
     return {name: (_module(name).__doc__ or "").splitlines()[0] for name in names}
 
@@ -31,27 +32,25 @@ def _module(name: str) -> Any:
     return importlib.import_module(f"{exports.__name__}.{name}")
 
 
-def export(
-    dataset: Path, kind: str, output: Path, progress: Callable[[int, int], None], truth: Path | None = None
-) -> int:
-    """Write a dataset in another program's format; aside first, and moved into place.
+def export(dataset: Path, kind: str, output: Path, progress: Progress, truth: Path | None = None) -> int:
+    """Write a dataset in another program's format, in a temporary folder that is then moved into place.
 
     Parameters
     ----------
     dataset : Path
     kind : str
-        Name of the format: a file of the folder `exports`. Behind a colon, settings: h264:crf=28.
+        Name of the format: a file of the folder `exports`. Settings follow a colon, as in h264:crf=28.
     output : Path
         A new or empty folder.
     progress : callable
-        Takes clips done and clips in all.
+        Takes the clips done and the clips in all.
     truth : Path, optional
-        Another folder with the truth, where it was withheld.
+        Another folder with the truth, if it was withheld.
 
     Returns
     -------
     int
-        How many clips.
+        The number of clips.
 
     Raises
     ------
@@ -80,7 +79,7 @@ def export(
 
 
 def _rows(table: Path) -> pd.DataFrame:
-    """The truth's row of each clip. Raises InputError where the table is damaged."""
+    """Read the truth's row of each clip. Raises InputError if the table is damaged."""
     try:
         rows = pd.read_parquet(table)
         return rows.astype({"clip": int, "scene": str})
@@ -88,9 +87,7 @@ def _rows(table: Path) -> pd.DataFrame:
         raise InputError(f"{table}: damaged ({first_line(error)})") from None
 
 
-def _clips(
-    dataset: Path, truth: Path, rows: pd.DataFrame, progress: Callable[[int, int], None]
-) -> Iterator[RecordedClip]:
+def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, progress: Progress) -> Iterator[RecordedClip]:
     each, folders = rows["scene"].value_counts(), clip_folders(dataset)
     if [int(f.name) for f in folders] != rows["clip"].tolist():
         raise InputError(f"{dataset}: {len(folders)} clips for {len(rows)} rows of its truth")

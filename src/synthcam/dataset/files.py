@@ -1,4 +1,4 @@
-"""The files of a dataset, written and read. docs/format.md describes them."""
+"""Write, read and verify the files of a dataset, which docs/format.md describes."""
 
 from __future__ import annotations
 
@@ -27,8 +27,6 @@ from synthcam_shared.errors import InputError
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
 SUMS = "SHA256SUMS"
 VIDEO = "frames.tif"
-ROWS = 1024  # of clips.parquet, written at a time
-IMAGEJ_LIMIT = 4_000_000_000  # bytes of a stack; a longer one is a plain BigTIFF
 
 
 def write_clip(
@@ -39,9 +37,20 @@ def write_clip(
     secret: Path | None = None,
     compression: str = "none",
 ) -> None:
-    """Write one clip's folder; `frames` None: no video. `meta` goes into its scene.json.
+    """Write one clip's folder.
 
-    secret: another folder for the clip's truth. compression: "none", or "zstd", lossless.
+    Parameters
+    ----------
+    folder : Path
+    clip : Clip
+    frames : iterator of ndarray or None
+        None: no video.
+    meta : dict
+        Further keys of the clip's scene.json.
+    secret : Path, optional
+        Another folder, for the clip's truth.
+    compression : {"none", "zstd"}
+        Both are lossless.
     """
     folder.mkdir(parents=True, exist_ok=True)
     secret = secret or folder / "truth"
@@ -77,7 +86,7 @@ def write_clip(
 
 
 def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tuple[str, str]:
-    """Write a stack frame by frame, uncompressed as ImageJ likes it; SHA-256 of its pixels and of the file."""
+    """Write a stack frame by frame, uncompressed in ImageJ's format. Returns SHA-256 of its pixels and of the file."""
     width, height = clip.camera.size
     dtype = np.uint8 if clip.sensor.bits == 8 else np.uint16
     pixels, whole = hashlib.sha256(), hashlib.sha256()
@@ -89,7 +98,8 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
 
     colour = bool(clip.drawn["camera"].get("colour"))
     size = clip.frames * width * height * dtype().itemsize * (3 if colour else 1)
-    plain = compression == "none" and size < IMAGEJ_LIMIT and not (colour and clip.sensor.bits > 8)
+    imagej_limit = 4_000_000_000  # bytes; a longer stack is a plain BigTIFF
+    plain = compression == "none" and size < imagej_limit and not (colour and clip.sensor.bits > 8)
     about = {"axes": "TYX", "fps": clip.camera.fps} | ({"finterval": 1 / clip.camera.fps} if plain else {})
     shape: tuple[int, ...] = (clip.frames, height, width)
     photometric = "minisblack"
@@ -102,7 +112,7 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
     kind: dict[str, Any] = {"imagej": True} if plain else {"photometric": photometric}
     placed = write(data=None, returnoffset=True, **kind)
     assert placed is not None
-    # Into the space left for them, hashed on the way: reading the file again takes as long as writing it.
+    # Written into the space left for them and hashed on the way: reading the file again takes as long as writing it.
     with path.open("r+b") as file:
         whole.update(file.read(placed[0]))
         for frame in hashed():
@@ -115,9 +125,10 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
 
 
 def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path | None = None) -> None:
-    """Write what covers all clips: clips.parquet, dataset.json, the card, the checksums (without the file `unlisted`).
+    """Write the files that cover all clips: clips.parquet, dataset.json, the card, the checksums.
 
-    secret: the folder with the truth, where it is another. One clip at a time: memory does not grow with their number.
+    Memory does not grow with the number of clips. unlisted: a file without a checksum. secret: the folder with the
+    truth, if it is another one.
     """
     root = secret or folder
     (root / "truth").mkdir(exist_ok=True)
@@ -130,14 +141,14 @@ def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path
 
 
 def finish_shard(folder: Path, about: dict[str, Any], unlisted: str = "") -> None:
-    """Write what makes a shard complete: shard.json and the checksums."""
+    """Complete a shard: write shard.json and the checksums."""
     (folder / "truth").mkdir(exist_ok=True)
     _write_json(folder / "truth" / "shard.json", about)
     write_sums(folder, folder, unlisted)
 
 
 def _write_rows(root: Path) -> tuple[int, list[str]]:
-    """Gather the clips' rows into truth/clips.parquet; how many, and the names of their scenes."""
+    """Gather the clips' rows into truth/clips.parquet. Returns their number and the names of their scenes."""
     text = ("seed_key", "scene", "striker", "effects", "frames_sha256", "pixels_sha256")
     before = [("clip", pa.int64()), ("seed_key", pa.string()), ("scene", pa.string())]
     schema = pa.schema(
@@ -145,8 +156,8 @@ def _write_rows(root: Path) -> tuple[int, list[str]]:
     )
     clips, names = clip_folders(root), dict[str, None]()
     with (root / "truth" / "clips.parquet").open("wb") as file, pq.ParquetWriter(file, schema) as writer:
-        for start in range(0, len(clips), ROWS):
-            batch = clips[start : start + ROWS]
+        for start in range(0, len(clips), 1024):  # rows in memory at a time
+            batch = clips[start : start + 1024]
             rows = [json.loads((c / "truth" / "scene.json").read_text())["row"] for c in batch]
             rows = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
             names |= dict.fromkeys(row["scene"] for row in rows)
@@ -164,14 +175,16 @@ def write_sums(folder: Path, root: Path, unlisted: str = "") -> None:
 
 
 def _as_written(video: Path, root: Path) -> str:
-    """A video's SHA-256 from its clip's truth: hashing all again would take a tenth of the whole time, and miss what
-    has happened to the file since."""
+    """Read a video's SHA-256 from its clip's truth.
+
+    Hashing the file again would take a tenth of the whole time, and miss changes since it was written.
+    """
     scene = root / "clips" / video.parent.name / "truth" / "scene.json"
     return str(json.loads(scene.read_text())["row"]["frames_sha256"])
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """All files below a folder, one folder at a time, each in order."""
+    """Yield all files below a folder in order, one folder at a time."""
     for path in sorted(folder.iterdir()):
         if path.is_dir():
             yield from _files(path)
@@ -180,7 +193,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def clip_folders(folder: Path) -> list[Path]:
-    """The complete clips of a dataset, in order."""
+    """List the folders of the complete clips of a dataset in order."""
     return sorted(p for p in (folder / "clips").glob("[0-9]*") if p.is_dir() and p.name.isascii() and p.name.isdigit())
 
 
@@ -194,7 +207,7 @@ def _write_json(path: Path, value: Any) -> None:
 
 
 def _finite(value: Any) -> Any:
-    """NaN as null, for JSON has none."""
+    """Replace NaN by None: JSON has no NaN."""
     if isinstance(value, dict):
         return {k: _finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -204,14 +217,14 @@ def _finite(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Check:
-    """Outcome of `verify`: files looked at, and what is wrong, one line each."""
+    """Outcome of `verify`: the number of files checked, and a line for each problem."""
 
     files: int
     problems: tuple[str, ...]
 
 
 def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Check:
-    """Hold a dataset to its checksums and its counts. Raises InputError when it is no finished dataset."""
+    """Compare a dataset with its checksums and its counts. Raises InputError if it is not a finished dataset."""
     listed = read_sums(folder)
     problems = []
     for k, (name, digest) in enumerate(listed.items(), 1):
@@ -231,7 +244,7 @@ def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, tot
 
 
 def read_sums(folder: Path) -> dict[str, str]:
-    """SHA-256 by file. Raises InputError when the folder is no finished dataset, or its list leads elsewhere."""
+    """Read SHA-256 by file. Raises InputError if the dataset is not finished, or a path leads out of it."""
     if not (folder / SUMS).is_file():
         raise InputError(f"{folder}: not a finished dataset (no {SUMS})")
     listed = {}
@@ -245,7 +258,7 @@ def read_sums(folder: Path) -> dict[str, str]:
 
 
 def _counts(folder: Path) -> list[str]:
-    """Files may agree with a list that was shortened with them: the tables hold how many clips there were."""
+    """Compare the number of clips with the tables: a list of checksums may have been shortened with its files."""
     clips, problems = clip_folders(folder), []
     numbers = [int(c.name) for c in clips]
     shard = folder / "truth" / "shard.json"

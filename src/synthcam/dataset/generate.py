@@ -28,9 +28,9 @@ from synthcam_shared.outputs import move_into_place, name_temporary
 
 @dataclass(frozen=True)
 class GenerationPlan:
-    """What a dataset is made of: scenes with `clips` clips each, numbered on from one to the next.
+    """The plan of a dataset: scenes with `clips` clips each, numbered through.
 
-    shard (I, N): only every N-th clip, from the I-th, so that each shard has its share of each scene.
+    shard (I, N): only every N-th clip from the I-th on, so that each shard has its share of each scene.
     """
 
     scenes: tuple[Scene, ...]
@@ -53,7 +53,7 @@ class GenerationPlan:
         return self.scenes[number // self.clips].draw(number, self.seed)
 
     def document(self) -> dict[str, Any]:
-        """What must agree for two runs to be the same dataset, or the same shard of it."""
+        """Everything that must agree for two runs to make the same dataset, or the same shard of it."""
         return {
             "scenes": [s.settings for s in self.scenes],
             "clips_per_scene": self.clips,
@@ -66,20 +66,20 @@ class GenerationPlan:
         }
 
     def _effect_files(self) -> dict[str, str]:
-        """SHA-256 of the files of those effects in the scenes that no package brings."""
+        """SHA-256 of the files of those effects in the scenes that are not from a package."""
         used = sorted({name for s in self.scenes for name in s.settings.get("effects") or {}})
         return {name: found for name in used if (found := digest(name))}
 
     @classmethod
     def from_document(cls, document: dict[str, Any]) -> GenerationPlan:
-        """The plan of a document, shards aside."""
+        """Make the plan of a document without its shard."""
         scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
         wanted = {"clips_per_scene", "seed", "video"}
         clips, seed, video = (document[k] for k in sorted(wanted))
         return cls(scenes, clips, seed, video, document.get("compression", "none"))
 
     def estimate_bytes(self, clips: int) -> int:
-        """Disk the frames of so many clips will take, before compression."""
+        """Estimate the disk space of the frames of so many clips before compression, bytes."""
         sizes = []
         for k in range(len(self.scenes)):
             clip = self.clip(k * self.clips)
@@ -125,7 +125,7 @@ def generate_dataset(
     """Make a dataset.
 
     The dataset is made in a folder beside `output`, `output`.partial, and moved into place when it is complete. A run
-    that was killed goes on where it was.
+    that was killed continues where it stopped.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def make_clip(plan: GenerationPlan, number: int, folder: Path, secret: Path | No
 
 
 def describe_machine(video: bool) -> dict[str, Any]:
-    """What, beside the plan, decides the pixels: OpenGL's renderer and this machine."""
+    """Describe OpenGL's renderer and this machine, which decide the pixels together with the plan."""
     gl: dict[str, str] = {}
     if video:
         from synthcam.camera.render import gl_info

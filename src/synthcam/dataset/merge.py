@@ -14,12 +14,12 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, model_validator
 from synthcam.dataset.files import VIDEO, read_sums
 from synthcam.dataset.generate import GenerationPlan, complete_dataset
 from synthcam.dataset.partial_dataset import PartialDataset, check_apart, open_partial
-from synthcam.dataset.video import FILMS
+from synthcam.dataset.video import VIDEO_FILES
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from synthcam_shared.outputs import move_into_place, name_temporary
 
-FILES_OF_CLIP = FILMS | {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "truth/events.parquet"}
+FILES_OF_CLIP = VIDEO_FILES | {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "truth/events.parquet"}
 KEYS_OF_SHARD = {"shard", "clips", "gl", "machine", "drawn_by"}  # in which two shards of a dataset may differ
 
 
@@ -60,7 +60,7 @@ class _ShardDocument(_Machine):
 
 
 def merge(shards: list[Path], output: Path, progress: Progress, withheld: Path | None = None) -> int:
-    """Copy the clips of finished shards into one dataset. If interrupted, the same call goes on.
+    """Copy the clips of finished shards into one dataset. If interrupted, the same call continues.
 
     Every file is compared with its shard's checksum on the way.
 

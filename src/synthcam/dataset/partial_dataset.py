@@ -156,4 +156,14 @@ def _check_same(wanted: dict[str, Any], folder: Path, document: Path) -> None:
     wanted = json.loads(json.dumps(wanted))
     for key in [*wanted, "compression", "shard", "effect_files"]:  # the last three are missing at their defaults
         if not isinstance(found, dict) or found.get(key) != wanted.get(key):
-            raise InputError(f"{folder}: holds a dataset with another {key}; choose another folder")
+            what = {
+                "scenes": "scene",
+                "clips_per_scene": "number of clips (--clips)",
+                "seed": "seed (--seed)",
+                "video": "--no-video",
+                "version": "version of synthcam",
+                "compression": "--compression",
+                "shard": "shard (--shard)",
+                "effect_files": "effect file",
+            }[key]
+            raise InputError(f"{folder}: holds a dataset made with another {what}; choose another folder")

@@ -1,4 +1,4 @@
-"""A scene as a picture or a film for people, and how fast frames are made."""
+"""Preview a scene as a picture or an animation, and measure how fast frames are made."""
 
 from __future__ import annotations
 
@@ -21,10 +21,7 @@ from synthcam.scene.scene import check_scene
 from synthcam.scene.sensor_frames import Counts
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
-TIMED = 40  # frames
-SHOWN_FPS = 20  # of a film for people: GIF counts in hundredths of a second
-WIDTH = 640  # px of a film, about
-MARGIN = 2.0  # ball diameters round the balls' paths
+ANIMATION_FPS = 20  # GIF counts in hundredths of a second
 
 
 def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> None:
@@ -35,9 +32,9 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     clip : Clip
     path : Path
     frame : int or None
-        Its number; None: the last before the contact.
+        Its number; None: the last frame before the contact.
     magnify : int
-        Over 0: the balls so many times larger stand below the frame, with what is faint brought out.
+        Above 0: the balls so many times larger are shown below the frame, with dark parts brightened.
     """
     check_writable(path)
     view = clip.view
@@ -58,16 +55,21 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
 
 
 def write_animation(clip: Clip, path: Path) -> float:
-    """Write a clip as .gif or .mp4, cropped to where the balls pass and magnified; how many times slower it plays.
+    """Write a clip as .gif or .mp4, cropped to the paths of the balls and magnified.
 
-    What is dark is brought out, as in `write_preview`, and the noise taken out. A strip below the picture shows the
-    speed and the time.
+    Dark parts are brightened as in `write_preview`, and noise is removed. A strip below the picture shows the speed and
+    the time.
+
+    Returns
+    -------
+    float
+        How many times slower than the motion the animation plays.
     """
-    slower = clip.camera.fps / SHOWN_FPS
+    slower = clip.camera.fps / ANIMATION_FPS
     positions = clip.view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
     rows, columns = _crop_to_paths(clip, positions)
     size = max(rows.stop - rows.start, columns.stop - columns.start)
-    zoom = max(1, -(-WIDTH // size))
+    zoom = max(1, -(-640 // size))  # to 640 px or a little more
     floor = _black(clip) + _noise(clip) / 2 ** (clip.sensor.bits - 8)
 
     def shown() -> Iterator[NDArray[np.uint8]]:
@@ -82,8 +84,8 @@ def write_animation(clip: Clip, path: Path) -> float:
     with as_input_error(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
         aside = Path(folder) / f"film{path.suffix.lower()}"
         if aside.suffix == ".gif":
-            # In memory first: on a full disk imageio would try again as it is collected, and print a traceback.
-            pace = 1000 / SHOWN_FPS
+            # In memory first: on a full disk, imageio tries again when it is deleted, and prints a traceback.
+            pace = 1000 / ANIMATION_FPS
             aside.write_bytes(iio.imwrite("<bytes>", list(shown()), extension=".gif", duration=pace, loop=0))
         else:
             _write_mp4(aside, shown())
@@ -96,7 +98,7 @@ def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
     first = next(frames)
     size = (first.shape[1], first.shape[0])
     colour = first.ndim == 3
-    writer = cv2.VideoWriter(os.fspath(path), cv2.VideoWriter.fourcc(*"mp4v"), SHOWN_FPS, size, colour)
+    writer = cv2.VideoWriter(os.fspath(path), cv2.VideoWriter.fourcc(*"mp4v"), ANIMATION_FPS, size, colour)
     if not writer.isOpened():
         raise OSError(f"{path.suffix}: this OpenCV cannot write MPEG-4")
     for frame in itertools.chain([first], frames):
@@ -105,13 +107,13 @@ def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
 
 
 def _crop_to_paths(clip: Clip, positions: NDArray[np.float64]) -> tuple[slice, slice]:
-    """Rows and columns round the paths (N, T, 3) of the balls, within the picture; even, as MPEG wants it."""
+    """Rows and columns around the paths (N, T, 3) of the balls; even numbers of both, for MPEG."""
     px = clip.camera.project(positions.reshape(-1, 3))
     width, height = clip.camera.size
     inside = px[((px >= 0) & (px < [width, height])).all(axis=1)]
     if not len(inside):
         return slice(0, height), slice(0, width)
-    margin = MARGIN * float(clip.model.ball.diameter * clip.camera.K[0, 0] / abs(clip.camera.t[2]))
+    margin = 2 * float(clip.model.ball.diameter * clip.camera.K[0, 0] / abs(clip.camera.t[2]))
     low = np.clip(np.floor(inside.min(axis=0) - margin), 0, None).astype(int)
     high = np.clip(np.ceil(inside.max(axis=0) + margin), None, [width, height]).astype(int)
     high -= (high - low) % 2
@@ -144,7 +146,7 @@ def _brighten(picture: NDArray[np.uint8], black: float) -> NDArray[np.uint8]:
 
 
 def _eight_bits(counts: Counts, clip: Clip) -> NDArray[np.uint8]:
-    """As a screen shows it: under room light with its gamma, else as it is."""
+    """Convert counts for a screen: with its gamma under room light, else linearly."""
     bits = clip.sensor.bits
     if clip.finish is None:
         return (counts >> (bits - 8)).astype(np.uint8) if bits > 8 else counts.astype(np.uint8)
@@ -161,7 +163,7 @@ def _enlarge(picture: NDArray[np.uint8], times: int) -> NDArray[np.uint8]:
 
 
 def _with_inset(picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify: int, clip: Clip) -> NDArray[np.uint8]:
-    """The frame, and below it a strip round `middle`, magnified, with what is dark on a black plate brought out."""
+    """Add a strip below the frame: the surroundings of `middle`, magnified, on a black plate brightened."""
     width = picture.shape[1]
     across, down = width // magnify, max(width // magnify // 2, 1)
     left = int(np.clip(round(middle[0]) - across // 2, 0, picture.shape[1] - across))
@@ -174,13 +176,13 @@ def _with_inset(picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify
     return np.vstack([picture, strip])
 
 
-def measure_speed() -> float:
-    """Frames a second of one process: two balls, 640 x 480, drawn and exposed, after a first clip to warm up."""
-    settings = {"launch": {"b": 0.2, "v0": 0.3}, "timing": {"frames": TIMED, "contact_frame": 0.5 * TIMED}}
+def measure_speed(frames: int = 40) -> float:
+    """Measure the frames per second of one process: two balls, 640 x 480 px, rendered and exposed, after a warm-up."""
+    settings = {"launch": {"b": 0.2, "v0": 0.3}, "timing": {"frames": frames, "contact_frame": 0.5 * frames}}
     clip = check_scene(settings, "doctor").draw(0, 0)
     for _ in range(2):
         started = time.perf_counter()
         for _ in clip.pictures():
             pass
         seconds = time.perf_counter() - started
-    return TIMED / seconds
+    return frames / seconds

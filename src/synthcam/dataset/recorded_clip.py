@@ -1,4 +1,4 @@
-"""A clip of a dataset as it was recorded, with its truth: what export formats write."""
+"""One recorded clip of a dataset with its truth, which the export formats write."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError
 from synthcam_shared.track_formats import split_by_particle
 
-LARGEST = 1e9  # of any number that describes a camera or a stack
-
 
 @dataclass(frozen=True)
 class RecordedClip:
-    """One clip of a dataset, as read from its files. of: how many clips its scene has in all."""
+    """One clip of a dataset, read from its files. of: the number of clips of its scene."""
 
     number: int
     scene: str
@@ -32,9 +30,10 @@ class RecordedClip:
     stack: Path
 
     def check(self) -> None:
-        """Raises KeyError, TypeError or ValueError where what every format needs is not there."""
+        """Raise KeyError, TypeError or ValueError if something is missing that every format needs."""
         numbers = [*self.camera["size"], self.camera["fps"], self.bits, self.diameter_px, self.frames]
-        if not all(0 < float(x) < LARGEST for x in numbers):
+        largest = 1e9  # of any number that describes a camera or a stack
+        if not all(0 < float(x) < largest for x in numbers):
             raise ValueError("camera.json or tracks.parquet without size, rate, bits, ball or frames")
 
     @property
@@ -71,5 +70,5 @@ class RecordedClip:
 
 
 def first_line(error: Exception) -> str:
-    """What an error says, in one line."""
+    """The message of an error in one line."""
     return " ".join(str(error).split())[:100] or type(error).__name__

@@ -1,8 +1,8 @@
-"""Frames as an ordinary camera's video: H.264, Motion-JPEG or FFV1, with its gamma and its chroma subsampling.
+"""Write frames as an ordinary camera's video: H.264, Motion-JPEG or FFV1, with gamma and chroma subsampling.
 
-The curve is a power of full scale: counts of 2^bits - 1 are white, written as 255 (counts / white)^(1/gamma), rounded.
-FFV1 keeps the sensor's bits and, without a gamma, its counts. The time base is the frame's own, no frame depends
-on a later one, and one thread encodes: the same frames give the same bytes with the same libraries.
+Counts are written as 255 (counts / white)^(1/gamma), rounded, with white = 2^bits - 1. FFV1 keeps the sensor's bits
+and, without a gamma, its counts. One thread encodes and no frame depends on a later one: with the same libraries, the
+same frames give the same bytes.
 """
 
 from __future__ import annotations
@@ -26,16 +26,24 @@ from synthcam.settings import parse_yaml, to_input_error
 from synthcam_shared.errors import InputError
 
 Frames = Iterator[NDArray[Any]]
-FILMS = {"frames.mp4", "frames.avi", "frames.mov"}
-LIBRARY = {"h264": "libx264", "mjpeg": "mjpeg", "ffv1": "ffv1"}
-NEAREST = 100_000  # a frame rate's largest denominator: 30000/1001 is met exactly
+VIDEO_FILES = {"frames.mp4", "frames.avi", "frames.mov"}
+ENCODER_OF_CODEC = {"h264": "libx264", "mjpeg": "mjpeg", "ffv1": "ffv1"}
 
 
 class VideoWriter:
     """A video file that takes frames (h, w) or, in colour, (h, w, 3), one at a time.
 
-    how: codec, gamma, chroma and crf or q, as in a scene's `video`. size: (w, h). Raises InputError where the codec
-    cannot take such frames.
+    Parameters
+    ----------
+    folder : Path
+    how : dict
+        codec, gamma, chroma and crf or q, as in a scene's `video`.
+    fps : float
+        Frame rate, 1/s.
+    size : tuple of int
+        Width and height, px.
+    bits : int
+        Of the frames.
     """
 
     def __init__(self, folder: Path, how: dict[str, Any], fps: float, size: tuple[int, int], bits: int) -> None:
@@ -46,13 +54,13 @@ class VideoWriter:
         white = 2**bits - 1
         levels = (np.arange(white + 1) / white) ** (1 / how["gamma"]) * (white if self._wide else 255)
         self._curve = np.rint(levels).astype(np.uint16 if self._wide else np.uint8)
-        self._rate = Fraction(fps).limit_denominator(NEAREST)
+        self._rate = Fraction(fps).limit_denominator(100_000)  # 30000/1001 is then exact
         self._file = av.open(str(self.path), "w", options={"fflags": "+bitexact"})
         self._stream: Any = None
         self._taken = self._written = 0
 
     def tee(self, frames: Frames) -> Frames:
-        """The frames as they come, each written on its way."""
+        """Write the frames and pass them on."""
         for frame in frames:
             self.write(frame)
             yield frame
@@ -69,7 +77,7 @@ class VideoWriter:
         self._mux(self._stream.encode(picture))
 
     def close(self) -> None:
-        """Write what is left. Raises OSError where a frame is missing."""
+        """Write the remaining frames. Raises OSError if a frame is missing."""
         if self._stream is not None:
             self._mux(self._stream.encode())
         self._file.close()
@@ -78,7 +86,7 @@ class VideoWriter:
 
     def _begin(self, colour: bool) -> Any:
         codec = self._how["codec"]
-        stream: Any = self._file.add_stream(LIBRARY[codec], rate=self._rate)
+        stream: Any = self._file.add_stream(ENCODER_OF_CODEC[codec], rate=self._rate)
         stream.width, stream.height = self._size
         stream.codec_context.time_base = 1 / self._rate
         stream.thread_count = 1
@@ -101,7 +109,7 @@ class VideoWriter:
 
 
 def parse_encoding(text: str, where: str) -> dict[str, str]:
-    """The keys of a scene's `video` from text as h264:crf=23,gamma=2.2; their values are still text."""
+    """Parse the keys of a scene's `video` from text such as h264:crf=23,gamma=2.2; their values stay text."""
     codec, _, rest = text.partition(":")
     how = {"codec": codec}
     for part in filter(None, rest.split(",")):
@@ -136,10 +144,10 @@ def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None
 
 
 def check_video(path: Path, frames: int) -> None:
-    """Raises OSError where a film is cut short: OpenCV does not say when a disk is full."""
+    """Raise OSError if a video is cut short. OpenCV does not report a full disk."""
     film, count = cv2.VideoCapture(os.fspath(path), cv2.CAP_FFMPEG), 0
     while film.grab():
         count += 1
     film.release()
     if count != frames:
-        raise OSError(f"a film of {count} frames, expected {frames}; is there room for it?")
+        raise OSError(f"a video of {count} frames, expected {frames}; is the disk full?")

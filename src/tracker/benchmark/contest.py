@@ -94,7 +94,7 @@ def open_report(report: Path) -> Iterator[None]:
     if report.exists() and not (report.is_dir() and (mine or not any(report.iterdir()))):
         raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
     check_writable(report)
-    with lock_folder(report), as_input_error(report, "; the same command goes on where it stopped"):
+    with lock_folder(report), as_input_error(report, "; the same command continues where it stopped"):
         yield
 
 

@@ -62,7 +62,7 @@ def compare(
         raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
     report = report.resolve()
     check_writable(report)
-    with lock_folder(report), as_input_error(report, "; the same command goes on where it stopped"):
+    with lock_folder(report), as_input_error(report, "; the same command continues where it stopped"):
         (report / "results").mkdir(exist_ok=True)
         scores = []
         for k, name in enumerate(chosen):

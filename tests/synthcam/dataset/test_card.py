@@ -40,7 +40,7 @@ def test_all_readers_are_there(dataset):
         "ImageJ, Fiji (macro)",
         "the camera",
         "pandas, a row a clip",
-        "where the balls were, in trackpy's columns",
+        "the balls' true positions, in trackpy's columns",
         "contacts, slide ends",
     ]
 
@@ -82,7 +82,7 @@ def test_tables(dataset):
     lines = readers(dataset)
     assert result(lines["pandas, a row a clip"])["clip"].tolist() == [0, 1]
     assert result(lines["contacts, slide ends"])["kind"].iloc[0] == "contact"
-    tracks = result(lines["where the balls were, in trackpy's columns"])
+    tracks = result(lines["the balls' true positions, in trackpy's columns"])
     assert list(tracks.columns) == ["frame", "particle", "x", "y"]
     raw = pd.read_parquet(dataset / "clips/000000/truth/tracks.parquet")
     np.testing.assert_array_equal(tracks[["x", "y"]], raw[["x_mean_px", "y_mean_px"]])
@@ -90,7 +90,7 @@ def test_tables(dataset):
 
 def test_trackpy_takes_the_tracks(dataset):
     trackpy = pytest.importorskip("trackpy")
-    tracks = result(readers(dataset)["where the balls were, in trackpy's columns"])
+    tracks = result(readers(dataset)["the balls' true positions, in trackpy's columns"])
     moved = trackpy.motion.msd(tracks[tracks.particle == 1], mpp=3e-4, fps=250)
     assert moved["msd"].iloc[0] > 0
 

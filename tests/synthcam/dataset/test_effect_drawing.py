@@ -7,7 +7,14 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from synthcam.cli import app
-from synthcam.dataset.effect_drawing import FPS, FRAMES, LAUNCH, draw_effect, simulate_tracks, with_typical_values
+from synthcam.dataset.effect_drawing import (
+    EXAMPLE_LAUNCH,
+    FPS,
+    FRAMES,
+    draw_effect,
+    simulate_tracks,
+    with_typical_values,
+)
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.library import library
@@ -16,7 +23,7 @@ from synthcam.model import Model
 
 def test_its_tracks_are_the_motion_in_mm():
     model = Model(effects=(with_typical_values(library()["stribeck"]),))
-    motion = solve(model, Launch.pair(model.bodies("ab"), **LAUNCH), 0.0, FRAMES / FPS)
+    motion = solve(model, Launch.pair(model.bodies("ab"), **EXAMPLE_LAUNCH), 0.0, FRAMES / FPS)
     times = (np.arange(FRAMES)) / FPS + 2.5e-4
     clear = [k for k in range(FRAMES) if all(abs(e.t - times[k]) > 3e-4 for e in motion.events)]
     np.testing.assert_allclose(
@@ -50,7 +57,7 @@ def test_no_legend_covers_an_axis(tmp_path, monkeypatch):
 def test_the_command(tmp_path):
     run = CliRunner().invoke(app, ["effects", "plate_tilt", "-o", str(tmp_path / "t.png")])
     assert run.exit_code == 0
-    assert "moves what is seen by up to" in run.output
+    assert "shifts the tracks by up to" in run.output
     assert (tmp_path / "t.png").stat().st_size > 5000
     for wrong in (["effects", "-o", "t.png"], ["effects", "hop", "-o", "t.pdf"]):
         said = CliRunner().invoke(app, wrong)

@@ -321,6 +321,6 @@ def test_a_film_cut_short_is_no_film(dataset, tmp_path, monkeypatch):
                 self.whole.write(frame)
 
     monkeypatch.setattr(cv2, "VideoWriter", Cut)
-    with pytest.raises(InputError, match="expected 20; is there room for it"):
+    with pytest.raises(InputError, match="expected 20; is the disk full"):
         export(dataset, "ffv1", tmp_path / "out", lambda done, total: None)
     assert not list(tmp_path.iterdir())

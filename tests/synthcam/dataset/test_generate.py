@@ -97,7 +97,7 @@ def test_a_second_run_makes_nothing(one):
 
 @pytest.mark.parametrize("change", [{"clips": 7}, {"seed": 6}, {"scene": {}}])
 def test_another_dataset_is_not_overwritten(one, change):
-    with pytest.raises(InputError, match=r"holds a dataset with another (clips_per_scene|seed|scenes)"):
+    with pytest.raises(InputError, match=r"holds a dataset made with another (number of clips|seed|scene)"):
         generate_dataset(plan(**change), one, 1, quiet)
 
 
@@ -114,7 +114,7 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, name):
 def test_a_plan_that_is_none(tmp_path, text):
     (tmp_path / "d.partial").mkdir()
     (tmp_path / "d.partial/plan.json").write_text(text)
-    with pytest.raises(InputError, match=r"not JSON|holds a dataset with another"):
+    with pytest.raises(InputError, match=r"not JSON|holds a dataset made with another"):
         generate_dataset(plan(), tmp_path / "d", 1, quiet)
 
 
@@ -206,7 +206,7 @@ def test_killed_or_interrupted_it_goes_on(many, tmp_path, how, workers):
     assert 10 <= made < MANY
     if how == signal.SIGINT:
         assert "Traceback" not in said
-        assert "synthcam: interrupted; the same command goes on where it stopped" in said.splitlines()
+        assert "synthcam: interrupted; the same command continues where it stopped" in said.splitlines()
     again = subprocess.run(
         [*command, "--workers", "1", "--json"], capture_output=True, text=True, timeout=60, check=True
     )

@@ -115,9 +115,9 @@ def test_machines_that_draw_otherwise_are_named(parts, tmp_path):
 
 
 def test_a_shard_does_not_go_on_as_the_whole(parts, tmp_path):
-    with pytest.raises(InputError, match="holds a dataset with another shard"):
+    with pytest.raises(InputError, match="holds a dataset made with another shard"):
         generate_dataset(plan(clips=5), parts[0], 1, quiet)
-    with pytest.raises(InputError, match="holds a dataset with another shard"):
+    with pytest.raises(InputError, match="holds a dataset made with another shard"):
         generate_dataset(plan(clips=5, shard=(2, 3)), parts[0], 1, quiet)
 
 
@@ -189,6 +189,6 @@ def test_a_full_disk_while_merging(parts, tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr("synthcam.dataset.merge._copy", full)
-        with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command goes on"):
+        with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command continues"):
             merge(parts, tmp_path / "d", quiet)
     assert not list(tmp_path.glob("d*"))

@@ -52,7 +52,7 @@ def test_a_full_disk_stops_all_and_a_rerun_goes_on(tmp_path, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(generate, "write_clip", full)
-    with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command goes on"):
+    with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command continues"):
         generate_dataset(silent(6), tmp_path / "d", 1, quiet)
     assert calls == [0, 1, 2]
     assert [p.name for p in (tmp_path / "d.partial/clips").iterdir()] == ["000000", "000001"]
@@ -100,7 +100,7 @@ def small_disk(tmp_path):
 def test_a_disk_that_is_really_full(scene, small_disk):
     said = subprocess.run(command(scene, small_disk / "d", 16, "--workers", "2"), capture_output=True, text=True)
     assert said.returncode == 2
-    assert "No space left on device; the same command goes on where it stopped" in said.stderr
+    assert "No space left on device; the same command continues where it stopped" in said.stderr
     assert said.stderr.count("\n") == 1
     made = len(clip_folders(small_disk / "d.partial"))
     assert 0 < made < 16
@@ -288,7 +288,7 @@ def test_zstd_holds_the_same_pixels(tmp_path, monkeypatch, wide):
     assert (tifffile.imread(plain / name) == tifffile.imread(small / name)).all()
     assert (small / name).stat().st_size < 0.9 * (plain / name).stat().st_size
     assert generate_dataset(plan(scene=scene, compression="zstd"), small, 1, quiet).made == 0
-    with pytest.raises(InputError, match="another compression"):
+    with pytest.raises(InputError, match="another --compression"):
         generate_dataset(plan(scene=scene), small, 1, quiet)
     card = (small / "README.md").read_text()
     assert "cv2" not in card

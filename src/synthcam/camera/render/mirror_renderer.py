@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from synthcam.camera.exposure import (
     Array,
-    PixelPatches,
     Picture,
+    PixelPatches,
     SubExposures,
     blur_matrix,
     blur_tiles,

@@ -1,1 +1,1 @@
-"""Formats of other programs, one a file, each with `write(clips, folder)`; the first line of its text is its help."""
+"""Formats of other programs, one file each, with `write(clips, folder)`; the first line of a file is its help."""

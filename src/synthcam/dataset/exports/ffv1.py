@@ -1,6 +1,6 @@
 """FFV1: a lossless video (Matroska) for each clip, with its camera.json beside it; no truth.
 
-RFC 9043. Above 8 bits the counts stand in the low bits of 16.
+RFC 9043. Counts of more than 8 bits are in the low bits of 16.
 """
 
 import json

@@ -29,11 +29,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-JUMPS = ("contact", "land")  # events at which velocity and spin jump
-TURN = ("qx", "qy", "qz", "qw")
-SHARP = 0.02  # radii in which a pattern's colour changes
-STEP = 1.0  # rad between two keys of a turn, at most: players take the shorter way round
-
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     from synthcam.camera.render.gltf import BallMotion, glb
@@ -48,15 +43,15 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             times, positions, spins = _keys(ball, _jumps(clip.events, number))
             resting = ball.loc[ball["state"] != "fly", "z"]
             radius = float(resting.median()) if len(resting) else clip.camera["ball_diameter"] / 2
-            first = ball[list(TURN)].iloc[0].to_numpy(float) if "qx" in ball else None
-            paint = partial(finish.balls[number].paint, sharp=SHARP) if finish and matte else None
+            first = ball[["qx", "qy", "qz", "qw"]].iloc[0].to_numpy(float) if "qx" in ball else None
+            paint = partial(finish.balls[number].paint, sharp=0.02) if finish and matte else None
             balls.append(BallMotion(radius, times, positions, *_turns(times, spins, first), paint))
         appearance = (_lit if finish else _appearance)(drawn)
         (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls, appearance))
 
 
 def _lit(clip: Clip) -> Appearance:
-    """Matte balls, or a plate of a colour. glTF has no light from all sides: the lamps have the room's share too."""
+    """Appearance of matte balls, or of a plate with a colour. glTF has no ambient light: the lamps give it too."""
     from synthcam.camera.render.gltf import Appearance
 
     assert clip.finish
@@ -77,10 +72,10 @@ def _lit(clip: Clip) -> Appearance:
 
 
 def _appearance(clip: Clip) -> Appearance:
-    """The film's light in glTF's numbers. Lamps are points, so what makes a glint wide goes into the steel's roughness.
+    """Appearance of mirror balls. Lamps are points in glTF, so the steel's roughness makes the glint as wide as it is.
 
-    A metal of GGX's width 1 throws 1 / (4 pi) of its colour to all sides, nearly as Lambert's law does; a dielectric
-    would add 4 % of its own, more than such a plate.
+    The plate is a metal of GGX's width 1. It reflects 1 / (4 pi) of its colour to all sides, nearly as Lambert's law
+    does. A dielectric would add 4 % of its own, more than such a plate.
     """
     from synthcam.camera.render.gltf import Appearance
 
@@ -119,14 +114,16 @@ def _area(lamp: Lamp) -> float:
 
 
 def _jumps(events: pd.DataFrame, ball: int) -> Array:
-    """Times of a ball's impacts, s."""
-    own = events["kind"].isin(JUMPS) & ((events["i"] == ball) | (events["j"] == ball))
+    """Times of a ball's impacts, at which velocity and spin jump, s."""
+    own = events["kind"].isin(("contact", "land")) & ((events["i"] == ball) | (events["j"] == ball))
     return events.loc[own, "t_s"].to_numpy(float)
 
 
 def _keys(ball: pd.DataFrame, jumps: Array) -> tuple[Array, Array, Array]:
-    """Times (T,) and positions (T, 3) at the frames and at the first impact between two; spins (T - 1, 2, 3) rad/s at
-    the ends of each interval, as they are inside it."""
+    """Times (T,) and positions (T, 3) at the frames and at the first impact between two frames.
+
+    Also the spins (T - 1, 2, 3), rad/s, at the two ends of each interval, just inside it.
+    """
     time, position, velocity, spin = (
         ball[columns.split()].to_numpy(float) for columns in ("t_s", "x y z", "vx vy vz", "wx wy wz")
     )
@@ -144,12 +141,17 @@ def _keys(ball: pd.DataFrame, jumps: Array) -> tuple[Array, Array, Array]:
     return np.array(times), np.array(positions), np.array(spins).reshape(-1, 2, 3)
 
 
-def _turns(times: Array, spins: Array, first_turn: Array | None = None) -> tuple[Array, Array]:
-    """Times (S,) and unit quaternions (S, 4) from spins that change evenly within each interval, from the first on."""
+def _turns(
+    times: Array, spins: Array, first_turn: Array | None = None, largest_turn: float = 1.0
+) -> tuple[Array, Array]:
+    """Times (S,) and unit quaternions (S, 4) from spins that change linearly within each interval.
+
+    Two keys are at most `largest_turn` rad apart, because players take the shorter rotation.
+    """
     at, turns = [times[0]], [Rotation.identity() if first_turn is None else Rotation.from_quat(first_turn)]
     for start, end, (first, last) in zip(times[:-1], times[1:], spins, strict=True):
         fastest = max(np.linalg.norm(first), np.linalg.norm(last))
-        count = max(1, int(np.ceil(fastest * (end - start) / STEP)))
+        count = max(1, int(np.ceil(fastest * (end - start) / largest_turn)))
         for share in (np.arange(count) + 0.5) / count:
             turns.append(Rotation.from_rotvec((first + share * (last - first)) * (end - start) / count) * turns[-1])
             at.append(start + (share + 0.5 / count) * (end - start))

@@ -9,8 +9,6 @@ from pathlib import Path
 from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.dataset.video import write_videos
 
-CODEC = "h264"
-
 
 def write(clips: Iterator[RecordedClip], folder: Path, wishes: str = "") -> None:
-    write_videos(clips, folder, f"{CODEC}:{wishes}")
+    write_videos(clips, folder, f"h264:{wishes}")

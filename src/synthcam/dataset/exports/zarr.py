@@ -1,6 +1,6 @@
 """Zarr v3: a group for each scene with frames (clip, frame, y, x), truth (clip, particle, frame) and scalars (clip).
 
-Needs the extra `synthcam[zarr]`. Clips of one scene must be alike in size and length.
+Needs the extra `synthcam[zarr]`. Clips of one scene must have the same size and length.
 """
 
 from __future__ import annotations
@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam_shared.errors import InputError
 
-STATES = ("rest", "roll", "slide", "fly")
-FRAMES_AXES, TRUTH_AXES = ("clip", "frame", "y", "x"), ("clip", "particle", "frame")
-TOGETHER = 256  # clips whose truth shares a chunk
-CHUNK = 4_000_000  # bytes of frames in a chunk, about
+STATES = ("rest", "roll", "slide", "fly")  # by the number that stands for each
+CLIPS_PER_CHUNK_OF_TRUTH = 256
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
@@ -44,23 +42,23 @@ class _Scene:
 
     def __init__(self, root: Any, first: RecordedClip) -> None:
         name = re.sub(r"[^\w.-]", "_", first.scene)
-        if not name.strip(".") or name.startswith("__") or name == "zarr.json":  # what Zarr keeps to itself
+        if not name.strip(".") or name.startswith("__") or name == "zarr.json":  # names that Zarr reserves
             name = f"scene{name}"
         if name in root:
-            raise InputError(f"clip {first.number}: a second scene of the name {first.scene}; expected names apart")
+            raise InputError(f"clip {first.number}: a second scene of the name {first.scene}; expected different names")
         self.group, self.first, self.count, self.cameras = root.create_group(name), first, 0, list[dict[str, Any]]()
         self.waiting: list[dict[str, Any]] = []
         if first.video:
             shape = next(first.pictures()).shape
             dtype = np.uint8 if first.bits == 8 else np.uint16
-            frames = max(1, CHUNK // int(np.prod(shape) * dtype().itemsize))
+            frames = max(1, 4_000_000 // int(np.prod(shape) * dtype().itemsize))  # 4 MB a chunk
             chunks = (1, min(frames, first.frames), *shape)
-            axes = (*FRAMES_AXES, "channel")[: 2 + len(shape)]
+            axes = ("clip", "frame", "y", "x", "channel")[: 2 + len(shape)]
             self._array("frames", (first.of, first.frames, *shape), dtype, chunks, axes)
         for key, value in _truth(first).items():
-            of = TRUTH_AXES if value.ndim else ("clip",)
+            of = ("clip", "particle", "frame") if value.ndim else ("clip",)
             extra = {"states": list(STATES)} if key == "truth/state" else {}
-            self._array(key, (first.of, *value.shape), value.dtype, (TOGETHER, *value.shape), of, extra)
+            self._array(key, (first.of, *value.shape), value.dtype, (CLIPS_PER_CHUNK_OF_TRUTH, *value.shape), of, extra)
 
     def _array(
         self, key: str, shape: tuple[int, ...], dtype: Any, chunks: Any, axes: Any, attributes: Any = None
@@ -70,8 +68,7 @@ class _Scene:
         )
 
     def add(self, clip: RecordedClip) -> None:
-        alike = ("size", "fps")
-        same = all(clip.camera[k] == self.first.camera[k] for k in alike) and clip.bits == self.first.bits
+        same = all(clip.camera[k] == self.first.camera[k] for k in ("size", "fps")) and clip.bits == self.first.bits
         if not same or clip.frames != self.first.frames:
             raise InputError(f"clip {clip.number}: another size, rate or length than clip {self.first.number}")
         if clip.camera not in self.cameras:
@@ -79,7 +76,7 @@ class _Scene:
         if self.first.video:
             self.group["frames"][self.count + len(self.waiting)] = np.stack(list(clip.pictures()))
         self.waiting.append(_truth(clip) | {"camera": np.int64(self.cameras.index(clip.camera))})
-        if len(self.waiting) == TOGETHER:
+        if len(self.waiting) == CLIPS_PER_CHUNK_OF_TRUTH:
             self._flush()
 
     def _flush(self) -> None:
@@ -94,7 +91,7 @@ class _Scene:
 
 
 def _truth(clip: RecordedClip) -> dict[str, NDArray[Any]]:
-    """The clip's truth as arrays: (particle, frame), and () for what is one number a clip."""
+    """Arrange the clip's truth as arrays: (particle, frame), and () for one number per clip."""
     balls = int(clip.tracks["particle"].max()) + 1
     out: dict[str, NDArray[Any]] = {"clip": np.asarray(clip.number), "camera": np.asarray(0)}
     ordered = clip.tracks.sort_values(["particle", "frame"])

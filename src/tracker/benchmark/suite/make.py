@@ -69,7 +69,7 @@ def make(
     if output.exists() and any(output.iterdir()) and not (output / DEFINITION).is_file():
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the suite")
     check_writable(output)
-    with lock_folder(output), as_input_error(output, "; the same command goes on where it stopped"):
+    with lock_folder(output), as_input_error(output, "; the same command continues where it stopped"):
         write_atomically(output / DEFINITION, definition.text)
         truth.mkdir(parents=True, exist_ok=True)
         chosen = _seed(truth, definition, seed, withhold is not None)
