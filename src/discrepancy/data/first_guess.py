@@ -49,8 +49,8 @@ class HitGuess:
 def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> MeasuredCollision | Note:
     """Build the collision that a row of the estimates describes.
 
-    A misfit of the tracker's model is used: the search asks what that model lacks. Where the tracker measured no
-    collision, or saw too little of the approach, the outgoing balls give the first guess.
+    A misfit of the tracker's model is used: the search asks what that model lacks. The outgoing balls give
+    the first guess if the tracker measured no collision or saw too little of the approach.
 
     Parameters
     ----------
@@ -161,8 +161,8 @@ def guess_spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -
     """A first guess of the striker's spin: the last three numbers of a launch, zero where the striker rolls.
 
     The tracker's spin is taken where its fit holds, or fails only because the claimed errors are too small. In other
-    clips the deceleration decides: a striker that slows down as a sliding ball does is taken to slide, with a slip
-    of a fifth of its speed; any other is taken to roll.
+    clips the deceleration decides. A striker that slows down as a sliding ball does is taken to slide, with a slip
+    of a fifth of its speed. Any other is taken to roll.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def guess_spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -
 
 
 def _explains_by_errors(row: Mapping[Any, Any]) -> bool:
-    """Whether the tied fit agrees with the free one once errors are scaled to the free fit's residuals (F test)."""
+    """True if the tied fit agrees with the free one once errors are scaled to the free fit's residuals (F test)."""
     tied, dof, free, dof_free = (float(row.get(name, np.nan)) for name in ("chi2", "dof", "chi2_free", "dof_free"))
     if not (dof > dof_free > 0 and free > 0):
         return False
@@ -234,14 +234,14 @@ def guess_hit_from_outgoing(tracks: Tracks, camera: Camera, since: float = -math
     if abs(first - second) > reach:
         return None
 
-    def apart(t: float) -> float:
+    def gap(t: float) -> float:
         return float(np.hypot(*(_at(one, t - first) - _at(two, t - second)))) - 2 * camera.radius
 
     before = np.arange(late, late - reach, -step)
-    touching = next((k for k, t in enumerate(before.tolist()) if apart(t) < 0), 0)
+    touching = next((k for k, t in enumerate(before.tolist()) if gap(t) < 0), 0)
     if not touching:
         return None
-    t_c = float(brentq(apart, before[touching], before[touching - 1]))
+    t_c = float(brentq(gap, before[touching], before[touching - 1]))
     at = np.array([_at(one, t_c - first), _at(two, t_c - second)])
     moved = np.array([_velocity(one, t_c - first), _velocity(two, t_c - second)])
     line = (at[1] - at[0]) / np.hypot(*(at[1] - at[0]))

@@ -25,7 +25,7 @@ MAX_SPIN_TO_SPEED = 10.0  # a cue gives a slip or a spin of 3 to 4 times the spe
 
 
 def find_free_columns(launches: Array) -> NDArray[np.bool_]:
-    """Which numbers of launches (clips, p) a fit may change: not the slip of a rolling ball, nor a side spin of zero.
+    """Which numbers of launches (clips, p) a fit may change; a rolling ball's slip and a side spin of zero are fixed.
 
     Returns
     -------
@@ -69,8 +69,8 @@ def limit_spins(launches: Array) -> Array:
 def equalise_launches(launches: list[Array], rejected: list[bool] | None = None) -> list[Array]:
     """Give all launches the same length: 6 numbers where no striker spins, else 9.
 
-    Where most strikers have a side spin, the fit may give one to each. A striker whose side spin is zero then starts
-    from a hundredth of the others' median.
+    If most strikers have a side spin, the fit may give one to each. A striker whose side spin is zero then starts from
+    a hundredth of the others' median.
 
     Parameters
     ----------
@@ -101,5 +101,5 @@ def normal_speed(launches: Array) -> Array:
 
 
 def is_possible(launches: Array) -> bool:
-    """Whether in each of the launches (clips, p) the striker moves and hits the target."""
+    """True if in each of the launches (clips, p) the striker moves and hits the target."""
     return bool(np.all(np.abs(launches[:, B]) < 1) and np.all(launches[:, V0] > 0))

@@ -8,7 +8,7 @@ from typing import Any
 
 
 class NoteKind(Enum):
-    """What a note reports; its value is the text, with the note's values to be filled in."""
+    """The subject of a note; its value is the text, a template for the note's values."""
 
     # a clip that is left out
     BALLS_EXCHANGED = "the two balls exchange their numbers at frame {frames}"

@@ -66,8 +66,8 @@ def note_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[Measu
 def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set[int]:
     """Rows that are outliers.
 
-    A position is an outlier if it is more than `SearchPolicy.outlier_point_sigma` off a parabola through its neighbours
-    of the same ball and phase, in units of the typical such distance, and the neighbours themselves are smooth. The
+    A position is compared with a parabola through its neighbours of the same ball and phase. It is an outlier if it is
+    more than `SearchPolicy.outlier_point_sigma` typical distances off and the neighbours themselves are smooth. The
     worst outlier is removed first and its neighbours are tested again, because it distorts their parabolas.
 
     Parameters

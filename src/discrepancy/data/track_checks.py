@@ -112,7 +112,7 @@ def _find_strays(frame: Ints, xy: Array, diameter: float) -> Ints:
 
 
 def _is_stray(frame: Ints, xy: Array, first: int, last: int, diameter: float, beside_count: int = 4) -> bool:
-    """Whether the path is straight without rows first to last - 1, and all these are off it.
+    """True if the path is straight without rows first to last - 1, and all these are off it.
 
     The straight line is fitted to `beside_count` positions on either side.
     """

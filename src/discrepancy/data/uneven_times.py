@@ -39,8 +39,8 @@ def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: 
     constant in each. A parabola is fitted to each piece at the true times. A position then moves by what the parabola
     covers between its own time and the even one; the parabola's error over part of a frame is small.
 
-    Two kinds of positions are left out: those whose exposure, or that of the even time, contains the contact, and
-    those of a piece with fewer than 4 positions, which do not determine a speed.
+    A position is left out if its exposure, or that of the even time, contains the contact. So are those of a piece with
+    fewer than 4 positions, which do not determine a speed.
 
     Parameters
     ----------

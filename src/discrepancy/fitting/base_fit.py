@@ -1,4 +1,4 @@
-"""The start of a search: checks the clips, estimates their noise, and fits the model as it is given."""
+"""The start of a search: checks the clips, estimates their noise, and fits the given model."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Fits one model to all clips by Gauss-Newton: shared parameters, and each clip's own launch as nuisance parameters.
 
-The launches are eliminated from the normal equations clip by clip (a Schur complement; variable projection, Golub &
-Pereyra, Inverse Problems 19 (2003) R1), so the cost grows linearly with the number of clips. Derivatives are reused for
+The launches are eliminated from the normal equations clip by clip, so the cost grows linearly with the number of clips
+(variable projection; Golub & Pereyra, Inverse Problems 19 (2003) R1). Derivatives are reused for
 as long as chi^2 falls as they predict.
 """
 

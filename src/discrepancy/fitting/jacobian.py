@@ -24,8 +24,8 @@ def differentiate(
 ) -> list[Array]:
     """Differentiate the predicted tracks by a shared parameter.
 
-    A central difference, or a one-sided one at a limit of the parameter or where there is no motion on the other side,
-    as when a tilt would set the resting ball rolling; zero where there is none on either side.
+    The difference is central, or one-sided if the parameter is at a limit or the model has no motion on the other side,
+    as when a tilt would set the resting ball rolling. It is zero if no motion exists on either side.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def differentiate_launches(
 ) -> tuple[list[Array], list[Array]]:
     """Predict tracks and differentiate them by each clip's own launch, `batch` clips at a time.
 
-    Where a motion exists on one side only, as at the limit of a ball's rest, the difference is taken to that side. A
+    The difference is taken to one side if a motion exists only there, as at the limit of a ball's rest. A
     derivative is zero where neither side has one.
 
     Parameters

@@ -114,7 +114,7 @@ class ModelFit:
 
     @property
     def is_linearised_here(self) -> bool:
-        """Whether the derivatives were taken at this fit's values, by all its parameters."""
+        """True if the derivatives were taken at this fit's values, by all its parameters."""
         there = self.linearisation
         same = there.names == self.names and there.model == self.model
         return same and np.array_equal(there.launches, self.launches)

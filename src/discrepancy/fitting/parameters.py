@@ -63,7 +63,7 @@ class Candidate:
 def _tries(p: Parameter, count: int) -> list[float]:
     """Values of a shape parameter to try: 3 or 5, from a fifth of the realistic size to five times it.
 
-    Where zero is allowed, they are fractions of the realistic size up to twice that.
+    If zero is allowed, they are fractions of the realistic size up to twice that.
     """
     if p.tries:
         return list(p.tries)

@@ -119,7 +119,7 @@ def _heights(motion: CollisionBatch, opens: Array, exposure: float) -> Array:
 
 
 def _apply_camera(model: Model, camera: Camera, positions: Array, height: Array | float) -> Array:
-    """Where a tracker with the nominal camera, for balls on the plate, puts centres at these positions and heights."""
+    """Positions that a tracker with the nominal camera, for balls on the plate, finds for centres at these heights."""
     if not model.laws.has_effect_on("camera", "measure", "loft"):
         return positions
     nominal = Optics(

@@ -67,7 +67,7 @@ class ResponseSegment:
 
     @property
     def slip(self) -> Array:
-        """Direction of the contact velocity, as it was at first."""
+        """Direction of the contact velocity at the start."""
         first = self.contact[:, :1] / np.maximum(self.slip_speed[:, :1], 1e-12)[..., None]
         return np.asarray(np.broadcast_to(first, self.contact.shape))
 

@@ -24,7 +24,7 @@ MIN_SCANNED_VALUES = 30  # of the shape parameters; fewer are tried one by one, 
 
 
 def can_scan(candidate: Candidate, tries: Sequence[Shapes]) -> bool:
-    """Whether `scan_shapes` can serve a candidate: it has many values to try, and laws that a segment suffices for.
+    """True if `scan_shapes` can serve a candidate: it has many values to try, and laws that a segment suffices for.
 
     Two values are enough for a tracker's defect, which needs no new motion.
     """

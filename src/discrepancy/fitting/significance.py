@@ -43,7 +43,7 @@ def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
 
 
 def closes_too_little(without: float, with_: float, share: float) -> bool:
-    """Whether far more is missing than a claim explains.
+    """True if far more is missing than a claim explains.
 
     Parameters
     ----------

@@ -118,12 +118,12 @@ class Noise:
 
     @property
     def is_slow(self) -> bool:
-        """Whether it is so correlated that it may contain missing physics (`SearchPolicy.slow_noise_ratio`)."""
+        """True if it is so correlated that it may contain missing physics (`SearchPolicy.slow_noise_ratio`)."""
         return self.scale > current_policy().slow_noise_ratio * self.innovation_scale
 
     @property
     def is_smoothed(self) -> bool:
-        """Whether the tracks were smoothed by a filter.
+        """True if the tracks were smoothed by a filter.
 
         A filter's window ends as no natural noise does: the partial correlation two positions apart is negative.
         """
@@ -213,7 +213,7 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
     longest = max(b.span for b in every)
     freedom = sum(b.freedom for b in every)
 
-    def profiled(component: NoiseComponent) -> tuple[float, float]:
+    def profile(component: NoiseComponent) -> tuple[float, float]:
         """(-2 log likelihood at the best variance, that variance)."""
         lags = component.autocovariances(longest)
         parts = [b.restricted_likelihood(b.covariance(lags)) for b in every]
@@ -225,8 +225,8 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
     def build(shape: NoiseOrder, x: Array) -> NoiseComponent:
         return component_from_numbers(shape, 1.0, x)
 
-    unit = select_order(OWN_ORDERS, build, lambda c: profiled(c)[0], np.log(freedom))
-    return NoiseComponent(profiled(unit)[1], unit.partial_autocorrelations, unit.white_share)
+    unit = select_order(OWN_ORDERS, build, lambda c: profile(c)[0], np.log(freedom))
+    return NoiseComponent(profile(unit)[1], unit.partial_autocorrelations, unit.white_share)
 
 
 def component_from_numbers(shape: NoiseOrder, variance: float, x: Array) -> NoiseComponent:
@@ -275,7 +275,7 @@ def select_order(
 ) -> T:
     """Build the model of the order with the least cost + penalty per number (Schwarz's criterion).
 
-    The search ends when two orders in a row are no better.
+    The search ends when two orders in a row do not improve it.
 
     Parameters
     ----------
@@ -363,8 +363,8 @@ class BallPairs:
     def common_mode_score(self, own: NoiseComponent) -> float:
         """The most significant score of shared noise over correlations and axes, in sigma under independence.
 
-        The score is the sum of u0' K u1, where K is the kernel of shared noise and u are each ball's positions without
-        their cubic, times the inverse covariance A. Under independence its mean is zero and its variance is the sum of
+        The score is the sum of u0' K u1, with K the kernel of shared noise. u is A times a ball's positions without
+        their cubic, and A is the inverse covariance. Under independence its mean is zero and its variance is the sum of
         tr(K A K A) (a score test; Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
         """
         scores, variances = np.zeros((len(SHARED_NOISE_CORRELATIONS), 2)), np.zeros(len(SHARED_NOISE_CORRELATIONS))
