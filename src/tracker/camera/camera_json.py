@@ -1,44 +1,30 @@
-"""Reading camera.json: what is missing is assumed and listed, and so is what cannot be modelled."""
+"""Reads camera.json: its keys as pydantic models, and the fields of a camera that follow from them.
+
+Missing keys are assumed and listed in ``assumed``. Keys that the tracker cannot account for are listed in
+``unmodelled``.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from synthcam_shared.errors import InputError as InputError
-from tracker.camera.camera_keys import (
-    LIMITS,
-    LONGEST_SIDE,
-    MOST_PIXELS,
-    NUMBERS,
-    describe_unknown_keys,
-    format_value,
-    read_json,
-)
+from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, NUMBERS, did_you_mean, format_value, read_json
 from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
 
-DEFAULT_HEIGHT = 0.5  # m
-LEAST_FOCAL = 1.0  # px
-SMALLEST = 0.5  # px, of a ball
-LARGEST = 4.0  # of a ball, over the picture's longer side
 STANDARD_ERRORS = ("scale_std", "fps_std", "ball_diameter_std")
-LARGEST_ERROR = 0.5  # of a standard error, over what it is of: beyond, that is not known at all
-UNASSUMED = ("full_well", "codec_noise", "gamma")  # of a sensor: without them there is no such limit, loss or curve
-LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
-BLURS = {  # keys that make a glint wider than psf.sigma_px, by section
-    "psf": ("defocus_px", "f_number"),
-    "surface": ("roughness", "scratches"),
-}
 
 
 def read_keys(path: Path) -> Any:
-    """What a camera file holds. Raises InputError where that is not JSON."""
+    """The content of a camera file. Raises InputError if it is not JSON."""
     try:
         return read_json(path)
     except FileNotFoundError:
@@ -73,263 +59,415 @@ def read_source(given: Mapping[str, Any] | str | Path | HasCameraJson) -> Any:
 
 @dataclass(frozen=True)
 class LampSettings:
-    """A disc lamp, or what is as wide as one: position of its centre, radius, standard errors of the position, m."""
+    """A lamp as a disc: position of its centre, radius, and standard errors of the position, m."""
 
     position: tuple[float, float, float]
     radius: float = 0.0
     position_std: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def to_dict(self) -> dict[str, Any]:
-        """As camera.json has it."""
+        """The section of camera.json."""
         known = {"position": list(self.position), "radius": self.radius}
         return known | ({"position_std": list(self.position_std)} if any(self.position_std) else {})
 
 
-def parse(data: Any, where: str) -> dict[str, Any]:
-    """The fields of a Camera from the keys of camera.json; InputError names ``where`` and the key at fault."""
-    return _Reader(data, where).fields()
+# --- Types of values. Each check raises ValueError with what it expected. Limits are wider than any apparatus, and
+# --- narrow enough for the arithmetic.
 
 
-class _Reader:
-    """Reads the keys of one camera.json, collecting what had to be assumed."""
+def _number(low: float, high: float) -> PlainValidator:
+    """A number within limits, both included."""
 
-    def __init__(self, data: Any, where: str) -> None:
-        self.where = where
-        self.assumed: list[str] = []
-        self.unmodelled: list[str] = []
-        self.data: Mapping[str, Any] = self._table(data, "the file")
-        self.unmodelled += describe_unknown_keys(self.data)
-
-    def fields(self) -> dict[str, Any]:
-        size = self._size()
-        if "fps" not in self.data:
-            raise self._bad("fps", "frames per second, it is missing")
-        fps = self._number(self.data, "fps")
-        if "scale" not in self.data and not {"K", "t"} <= set(self.data):
-            raise self._bad("scale", "m/px, or K and t, from which it follows; they are missing")
-        if "dist" in self.data and "K" not in self.data:
-            raise self._bad("K", "the 3x3 camera matrix beside dist; it is missing")
-        diameter = self._maybe("ball_diameter", math.nan)
-        exposure = self._maybe("exposure", 0.0)
-        if exposure > 1.0 / fps * (1 + 1e-9):
-            raise self._bad("exposure", f"at most one frame time, {1 / fps:g} s")
-        matrix, rotation, shift, scale = self._view(size, diameter)
-        if not math.isnan(diameter) and not SMALLEST <= diameter / scale <= LARGEST * max(size):
-            in_mm = SMALLEST <= diameter / scale / 1000 <= LARGEST * max(size)
-            hint = f"; it is in m, did you mean {diameter / 1000:g}?" if in_mm else ""
-            if SMALLEST <= diameter / scale * 1000 <= LARGEST * max(size):
-                hint = f"; scale is in m/px, did you mean {scale / 1000:g}?"
-            shows = f"a ball that the picture can show, not one of {diameter / scale:.3g} px{hint}"
-            raise self._bad("ball_diameter", shows)
-        found: dict[str, Any] = dict(
-            K=matrix,
-            dist=self._array("dist", (5,), np.zeros(5)),
-            R=rotation,
-            t=shift,
-            size=size,
-            fps=fps,
-            exposure=exposure,
-            scale=scale,
-            ball_diameter=diameter,
-            striker=self._striker(),
-            lamp=self._lamp(),
-            psf_sigma=self._psf(),
-            sensor=self._sensor(),
-            metric=self._metric(),
-            line_time=self._line_time(),
-            view_errors=self._view_errors(),
-            matte=self._table(self.data.get("ball", {}), "ball").get("finish") == "matte",
-        )
-        found |= {key: self._error(key, found[key.removesuffix("_std")]) for key in STANDARD_ERRORS}
-        assumed = dict.fromkeys([*self.assumed, *self._said_to_be_assumed()])
-        return found | {"assumed": tuple(assumed), "unmodelled": tuple(self.unmodelled)}
-
-    def _error(self, key: str, of: float) -> float:
-        """The standard error of a number; 0 where it is not given."""
-        value = self._number(self.data, key) if key in self.data else 0.0
-        if value > 0 and not value <= LARGEST_ERROR * of:  # nor NaN
-            name = key.removesuffix("_std")
-            raise self._bad(key, f"the standard error of {name}, at most {LARGEST_ERROR:g} of what that is")
-        return value
-
-    def _view_errors(self) -> Array:
-        value = self.data.get("view_errors", [])
-        if value and not {"K", "R", "t"} <= set(self.data):
-            raise self._bad("view_errors", "K, R and t beside it, whose errors these are")
-        if not isinstance(value, list) or len(value) > NUMBERS:
-            raise self._bad("view_errors", f"at most {NUMBERS} rows of {NUMBERS} numbers, not {format_value(value)}")
-        none = np.zeros((0, NUMBERS))
-        return self._array("view_errors", (len(value), NUMBERS), none) if value else none
-
-    def _said_to_be_assumed(self) -> list[str]:
-        names = self.data.get("assumed", [])
-        if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
-            raise self._bad("assumed", f"a list of names of keys, not {format_value(names)}")
-        return list(names)
-
-    def _metric(self) -> bool:
-        value = self.data.get("metric", True)
-        if not isinstance(value, bool):
-            raise self._bad("metric", f"true or false, not {format_value(value)}")
-        return value
-
-    def _view(self, size: tuple[int, int], diameter: float) -> tuple[Array, Array, Array, float]:
-        """K, R, t and scale, whichever of them are given: (height - R) / scale is the focal length in px.
-
-        Where the diameter is not known, the plate stands for the plane of the balls' centres.
-        """
-        radius = 0.0 if math.isnan(diameter) else diameter / 2
-        rotation = self._array("R", (3, 3), np.array(LOOKING_DOWN))
-        if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > 1e-6 or np.linalg.det(rotation) < 0:
-            raise self._bad("R", "a rotation matrix: orthogonal, of determinant 1")
-        scale = self._number(self.data, "scale") if "scale" in self.data else None
-        middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
-        if "K" in self.data:
-            matrix = self._array("K", (3, 3), np.eye(3))
-            if min(matrix[0, 0], matrix[1, 1]) < LEAST_FOCAL or not np.allclose(matrix[2], (0, 0, 1)):
-                raise self._bad("K", f"focal lengths of at least {LEAST_FOCAL:g} px and a last row 0, 0, 1")
-            focal = float(matrix[0, 0])
-            height = focal * scale + radius if scale is not None else DEFAULT_HEIGHT
-        else:
-            assert scale is not None
-            height = float(self.data["t"][2]) if self._has_shift() else DEFAULT_HEIGHT
-            focal = (height - radius) / scale
-            matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1.0]])
-            self.assumed.append("K")
-        if "t" not in self.data and "K" not in self.data:
-            self.assumed.append("height")
-        shift = self._array("t", (3,), np.array([0.0, 0.0, height]))
-        if scale is None:
-            depth = float((rotation @ np.array([0, 0, radius]) + shift)[2])
-            if depth <= 0:
-                raise self._bad("t", "a camera that has the plate before it")
-            scale = depth / focal
-            self.assumed.append("scale")
-        return matrix, rotation, shift, scale
-
-    def _has_shift(self) -> bool:
-        return "t" in self.data and self._array("t", (3,), np.zeros(3))[2] > 0
-
-    def _size(self) -> tuple[int, int]:
-        value = self.data.get("size")
-        if not (isinstance(value, list | tuple) and len(value) == 2):
-            raise self._bad("size", "[width, height] in pixels")
-        if not all(isinstance(v, int) and not isinstance(v, bool) and 0 < v <= LONGEST_SIDE for v in value):
-            raise self._bad("size", f"two whole numbers from 1 to {LONGEST_SIDE}, not {format_value(value)}")
-        if value[0] * value[1] > MOST_PIXELS:
-            raise self._bad("size", f"at most {MOST_PIXELS} pixels, not {value[0] * value[1]}")
-        return int(value[0]), int(value[1])
-
-    def _striker(self) -> str:
-        value = self.data.get("striker", "b")
-        if value not in ("a", "b"):
-            raise self._bad("striker", '"a" or "b"')
-        return str(value)
-
-    def _lamp(self) -> LampSettings | None:
-        lamp = self._table(self.data.get("lamp", {}), "lamp")
-        if "position" not in lamp:
-            self.assumed.append("lamp")
-            return None
-        x, y, z = self._array("position", (3,), np.zeros(3), lamp, "lamp.").tolist()
-        if z <= 0:
-            raise self._bad("lamp.position", f"a lamp above the plate, not at z = {z:g} m")
-        if lamp.get("second"):
-            self.unmodelled.append("lamp.second: positions are biased towards its glints")
-        off = self._array("position_std", (3,), np.zeros(3), lamp, "lamp.").tolist()
-        if not off[2] <= LARGEST_ERROR * z:
-            raise self._bad("lamp.position_std", f"at most {LARGEST_ERROR:g} of the lamp's height, not {off[2]:g} m")
-        return LampSettings((x, y, z), self._lamp_radius(lamp), (off[0], off[1], off[2]))
-
-    def _lamp_radius(self, lamp: Mapping[str, Any]) -> float:
-        """Of the disc whose image is as wide as the lamp's, by the mean square from its middle."""
-
-        def length(key: str) -> float:
-            return self._number(lamp, key, "lamp.") if key in lamp else 0.0
-
-        shape = lamp.get("shape", "disc")
-        if shape not in ("disc", "ring", "bar"):
-            raise self._bad("lamp.shape", f"disc, ring or bar, not {format_value(shape)}")
-        if shape == "bar":
-            self.unmodelled.append("lamp.shape bar: its glints are taken as round")
-            return math.hypot(length("length"), length("width")) / math.sqrt(6.0)
-        return math.hypot(length("radius"), length("inner") if shape == "ring" else 0.0)
-
-    def _psf(self) -> float | None:
-        psf = self._table(self.data.get("psf", {}), "psf")
-        for section, keys in BLURS.items():
-            table = self._table(self.data.get(section, {}), section)
-            for key in keys:
-                if key in table and self._number(table, key, f"{section}.") > 0:
-                    self.unmodelled.append(f"{section}.{key}: glints are taken as Gaussian, as wide as they are seen")
-                    psf = {}
-        if "sigma_px" not in psf:
-            self.assumed.append("psf.sigma_px")
-            return None
-        return self._number(psf, "sigma_px", "psf.")
-
-    def _line_time(self) -> float:
-        shutter = self._table(self.data.get("shutter", {}), "shutter")
-        kind = shutter.get("kind", "global")
-        if kind not in ("global", "rolling"):
-            raise self._bad("shutter.kind", f"global or rolling, not {format_value(kind)}")
-        if kind == "global":
-            return 0.0
-        if "line_time" not in shutter:
-            raise self._bad("shutter.line_time", "seconds from row to row of a rolling shutter; it is missing")
-        return self._number(shutter, "line_time", "shutter.")
-
-    def _sensor(self) -> SensorSpec:
-        table = self._table(self.data.get("sensor", {}), "sensor")
-        values: dict[str, Any] = {}
-        for key in ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "black_level", *UNASSUMED):
-            if key in table:
-                values[key] = self._number(table, key, "sensor.")
-            elif key not in UNASSUMED:
-                self.assumed.append(f"sensor.{key}")
-        if "bits" in values:
-            if values["bits"] != int(values["bits"]):
-                raise self._bad("sensor.bits", "a whole number from 1 to 16")
-            values["bits"] = int(values["bits"])
-        return SensorSpec(**values)
-
-    def _maybe(self, key: str, default: float) -> float:
-        if key in self.data:
-            return self._number(self.data, key)
-        self.assumed.append(key)
-        return default
-
-    def _number(self, table: Mapping[str, Any], key: str, prefix: str = "") -> float:
-        value, (low, high) = table[key], LIMITS[prefix + key]
+    def check(value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:  # nor NaN
-            raise self._bad(prefix + key, f"a number from {low:g} to {high:g}, not {format_value(value)}")
+            raise ValueError(f"a number from {low:g} to {high:g}, not {format_value(value)}")
         return float(value)
 
-    def _array(
-        self,
-        key: str,
-        shape: tuple[int, ...],
-        default: Array,
-        table: Mapping[str, Any] | None = None,
-        prefix: str = "",
-    ) -> Array:
-        source = self.data if table is None else table
-        if key not in source:
-            return default
-        size, (low, high) = " x ".join(map(str, shape)), LIMITS[prefix + key]
-        try:
-            value = np.array(source[key], dtype=object)  # as floats, text would be read as numbers
-        except ValueError:
-            value = np.empty(0)
-        numbers = value.shape == shape and all(type(v) in (int, float) for v in value.flat)
-        if not numbers or not all(low <= v <= high for v in value.flat):
-            raise self._bad(prefix + key, f"{size} numbers from {low:g} to {high:g}, not {format_value(source[key])}")
-        return value.astype(np.float64)
+    return PlainValidator(check)
 
-    def _table(self, value: Any, key: str) -> Mapping[str, Any]:
-        if not isinstance(value, Mapping):
-            raise self._bad(key, "a table of keys and values")
+
+def _array(low: float, high: float, *shape: int) -> PlainValidator:
+    """An array of numbers within limits."""
+    return PlainValidator(lambda given: _check_array(given, low, high, shape))
+
+
+def _check_array(given: Any, low: float, high: float, shape: tuple[int, ...]) -> Array:
+    try:
+        value = np.array(given, dtype=object)  # as floats, text would be read as numbers
+    except ValueError:
+        value = np.empty(0)
+    numbers = value.shape == shape and all(type(v) in (int, float) for v in value.flat)
+    if not numbers or not all(low <= v <= high for v in value.flat):
+        size = " x ".join(map(str, shape))
+        raise ValueError(f"{size} numbers from {low:g} to {high:g}, not {format_value(given)}")
+    return value.astype(np.float64)
+
+
+def _choice(*words: str) -> PlainValidator:
+    """One of a few words."""
+
+    def check(value: Any) -> Any:
+        if value not in words:
+            raise ValueError(f"{', '.join(words[:-1])} or {words[-1]}, not {format_value(value)}")
         return value
 
-    def _bad(self, key: str, expected: str) -> InputError:
-        return InputError(f"{self.where}: {key}: expected {expected}")
+    return PlainValidator(check)
+
+
+def _check_size(value: Any) -> tuple[int, int]:
+    if not (isinstance(value, list | tuple) and len(value) == 2):
+        raise ValueError("[width, height] in pixels")
+    if not all(isinstance(v, int) and not isinstance(v, bool) and 0 < v <= LONGEST_SIDE for v in value):
+        raise ValueError(f"two whole numbers from 1 to {LONGEST_SIDE}, not {format_value(value)}")
+    if value[0] * value[1] > MOST_PIXELS:
+        raise ValueError(f"at most {MOST_PIXELS} pixels, not {value[0] * value[1]}")
+    return int(value[0]), int(value[1])
+
+
+def _check_bits(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value <= 16:
+        raise ValueError(f"a number from 1 to 16, not {format_value(value)}")
+    if value != int(value):
+        raise ValueError(f"a whole number from 1 to 16, not {format_value(value)}")
+    return int(value)
+
+
+def _check_rows(value: Any) -> Array:
+    if not isinstance(value, list) or len(value) > NUMBERS:
+        raise ValueError(f"at most {NUMBERS} rows of {NUMBERS} numbers, not {format_value(value)}")
+    return _check_array(value, -1e3, 1e3, (len(value), NUMBERS)) if value else np.zeros((0, NUMBERS))
+
+
+def _check_names(value: Any) -> list[str]:
+    if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
+        raise ValueError(f"a list of names of keys, not {format_value(value)}")
+    return list(value)
+
+
+def _check_flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"true or false, not {format_value(value)}")
+    return value
+
+
+# --- The sections. A key of type Any is known, but the tracker does not use it.
+
+
+class _Section(BaseModel):
+    """A table of keys and values; unknown keys are listed by `describe_unknown_keys`."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, arbitrary_types_allowed=True)
+
+
+class _Lamp(_Section):
+    """The lamp, a disc unless `shape` says otherwise; lengths in m."""
+
+    position: Annotated[Array | None, _array(-1e6, 1e6, 3)] = None
+    position_std: Annotated[Array, _array(0.0, 100.0, 3)] = Field(default_factory=lambda: np.zeros(3))
+    radius: Annotated[float, _number(0.0, 100.0)] = 0.0
+    shape: Annotated[str, _choice("disc", "ring", "bar")] = "disc"
+    inner: Annotated[float, _number(0.0, 100.0)] = 0.0
+    length: Annotated[float, _number(0.0, 100.0)] = 0.0
+    width: Annotated[float, _number(0.0, 100.0)] = 0.0
+    second: Any = None
+    angle: Any = None
+    facing: Any = None
+    flicker: Any = None
+    radiance: Any = None
+
+    def equivalent_radius(self) -> float:
+        """Radius of the disc whose image has the same mean square width."""
+        if self.shape == "bar":
+            return math.hypot(self.length, self.width) / math.sqrt(6.0)
+        return math.hypot(self.radius, self.inner if self.shape == "ring" else 0.0)
+
+
+class _Psf(_Section):
+    """The optics' blur, px; defocus and diffraction widen it beyond a Gaussian."""
+
+    sigma_px: Annotated[float | None, _number(0.01, 100.0)] = None
+    defocus_px: Annotated[float, _number(0.0, 1e3)] = 0.0
+    f_number: Annotated[float, _number(0.0, 1e3)] = 0.0
+    pixel_pitch: Any = None
+    wavelength: Any = None
+
+
+class _Sensor(_Section):
+    """The sensor by EMVA 1288, with the units of `SensorSpec`. The last three used keys have no estimate."""
+
+    bits: Annotated[int | None, PlainValidator(_check_bits)] = None
+    gain: Annotated[float | None, _number(1e-6, 1e6)] = None
+    read_noise: Annotated[float | None, _number(0.0, 1e6)] = None
+    dark: Annotated[float | None, _number(0.0, 1e12)] = None
+    prnu: Annotated[float | None, _number(0.0, 1.0)] = None
+    dsnu: Annotated[float | None, _number(0.0, 1e6)] = None
+    black_level: Annotated[float | None, _number(0.0, 65535.0)] = None
+    full_well: Annotated[float | None, _number(1e-6, 1e12)] = None
+    codec_noise: Annotated[float | None, _number(0.0, 65535.0)] = None
+    gamma: Annotated[float | None, _number(0.2, 5.0)] = None
+    hot_pixels: Any = None
+    hot_dark: Any = None
+
+
+class _Shutter(_Section):
+    """The shutter; a rolling one exposes each row `line_time` s after the one above."""
+
+    kind: Annotated[str, _choice("global", "rolling")] = "global"
+    line_time: Annotated[float | None, _number(0.0, 1.0)] = None
+
+
+class _Surface(_Section):
+    """Finish of balls and plate; roughness and scratches widen a glint."""
+
+    roughness: Annotated[float, _number(0.0, 1e3)] = 0.0
+    scratches: Annotated[float, _number(0.0, 1e3)] = 0.0
+    steel: Any = None
+    scratch_slope: Any = None
+    plate_gloss: Any = None
+    plate_roughness: Any = None
+    plate_texture: Any = None
+    plate_grain: Any = None
+    plate_shadow: Any = None
+
+
+class _Lens(_Section):
+    vignetting: Any = None
+
+
+class _Ball(_Section):
+    finish: Any = None
+    colour: Any = None
+
+
+class _Video(_Section):
+    codec: Any = None
+    crf: Any = None
+    q: Any = None
+    gamma: Any = None
+    chroma: Any = None
+
+
+class _CameraFile(_Section):
+    """All keys of camera.json; docs/format.md describes them."""
+
+    size: Annotated[tuple[int, int], PlainValidator(_check_size)] = Field(description="[width, height] in pixels")
+    fps: Annotated[float, _number(1e-6, 1e9)] = Field(description="frames per second, it is missing")
+    exposure: Annotated[float | None, _number(0.0, 1e6)] = None
+    scale: Annotated[float | None, _number(1e-9, 1.0)] = None
+    ball_diameter: Annotated[float | None, _number(1e-7, 10.0)] = None
+    scale_std: Annotated[float, _number(0.0, 1.0)] = 0.0
+    fps_std: Annotated[float, _number(0.0, 1e9)] = 0.0
+    ball_diameter_std: Annotated[float, _number(0.0, 10.0)] = 0.0
+    R: Annotated[Array, _array(-1.001, 1.001, 3, 3)] = Field(default_factory=lambda: np.diag([1.0, -1.0, -1.0]))
+    K: Annotated[Array | None, _array(-1e9, 1e9, 3, 3)] = None
+    t: Annotated[Array | None, _array(-1e6, 1e6, 3)] = None
+    dist: Annotated[Array | None, _array(-1e12, 1e12, 5)] = None
+    striker: Annotated[str, _choice("a", "b")] = "b"
+    lamp: _Lamp = _Lamp()
+    psf: _Psf = _Psf()
+    sensor: _Sensor = _Sensor()
+    metric: Annotated[bool, PlainValidator(_check_flag)] = True
+    shutter: _Shutter = _Shutter()
+    lens: _Lens = _Lens()
+    surface: _Surface = _Surface()
+    ball: _Ball = _Ball()
+    video: Any = None
+    view_errors: Annotated[Array, PlainValidator(_check_rows)] = Field(default_factory=lambda: np.zeros((0, NUMBERS)))
+    assumed: Annotated[list[str], PlainValidator(_check_names)] = Field(default_factory=list)
+    exposure_seen_s: Any = None
+    calibration: Any = None
+
+
+_SECTIONS: dict[str, type[_Section]] = {
+    "": _CameraFile,
+    "lamp": _Lamp,
+    "psf": _Psf,
+    "sensor": _Sensor,
+    "shutter": _Shutter,
+    "lens": _Lens,
+    "ball": _Ball,
+    "video": _Video,
+    "surface": _Surface,
+}
+
+
+def describe_unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
+    """A line for each key of camera.json that nothing reads, with the key that may have been meant."""
+    known = {key: f"{section}.{key}".lstrip(".") for section, model in _SECTIONS.items() for key in model.model_fields}
+    for section, model in _SECTIONS.items():
+        table = data.get(section) if section else data
+        for key in table if isinstance(table, Mapping) else ():
+            if key not in model.model_fields:
+                hint = did_you_mean(str(key), known)
+                yield f"{format_value(f'{section}.{key}'.lstrip('.'), quoted=False)}: not a key of camera.json{hint}"
+
+
+def parse(data: Any, where: str) -> dict[str, Any]:
+    """The fields of a `Camera` from the keys of camera.json. Raises InputError, which names `where` and the key."""
+    if not isinstance(data, Mapping):
+        raise InputError(f"{where}: the file: expected a table of keys and values")
+    try:
+        file = _CameraFile.model_validate({key: value for key, value in data.items() if isinstance(key, str)})
+    except ValidationError as error:
+        raise _first_problem(error, where) from None
+    try:
+        return _camera_fields(file, list(describe_unknown_keys(data)))
+    except _KeyProblem as problem:
+        raise InputError(f"{where}: {problem}") from None
+
+
+def _first_problem(error: ValidationError, where: str) -> InputError:
+    """The first complaint of pydantic as one line: file, key, what was expected."""
+    first = error.errors()[0]
+    key = ".".join(map(str, first["loc"]))
+    if first["type"] == "value_error":
+        expected = str(first["ctx"]["error"])
+    elif first["type"] == "missing":
+        expected = str(_CameraFile.model_fields[key].description)
+    else:
+        expected = "a table of keys and values"
+    return InputError(f"{where}: {key}: expected {expected}")
+
+
+class _KeyProblem(ValueError):
+    """A key that contradicts another one."""
+
+    def __init__(self, key: str, expected: str) -> None:
+        super().__init__(f"{key}: expected {expected}")
+
+
+def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
+    """The fields of a `Camera`. Raises _KeyProblem where keys contradict each other."""
+    assumed: list[str] = []
+    if file.scale is None and (file.K is None or file.t is None):
+        raise _KeyProblem("scale", "m/px, or K and t, from which it follows; they are missing")
+    if file.dist is not None and file.K is None:
+        raise _KeyProblem("K", "the 3x3 camera matrix beside dist; it is missing")
+    assumed += [key for key in ("ball_diameter", "exposure") if getattr(file, key) is None]
+    diameter = math.nan if file.ball_diameter is None else file.ball_diameter
+    exposure = file.exposure or 0.0
+    if exposure > 1.0 / file.fps * (1 + 1e-9):
+        raise _KeyProblem("exposure", f"at most one frame time, {1 / file.fps:g} s")
+    matrix, shift, scale = _view(file, assumed)
+    _check_ball_size(diameter, scale, max(file.size))
+    if len(file.view_errors) and (file.K is None or file.t is None or "R" not in file.model_fields_set):
+        raise _KeyProblem("view_errors", "K, R and t beside it, whose errors these are")
+    lamp = _lamp(file.lamp, assumed, unmodelled)
+    psf_sigma = _psf_sigma(file, assumed, unmodelled)
+    if file.shutter.kind == "rolling" and file.shutter.line_time is None:
+        raise _KeyProblem("shutter.line_time", "seconds from row to row of a rolling shutter; it is missing")
+    fields: dict[str, Any] = dict(
+        K=matrix,
+        dist=np.zeros(5) if file.dist is None else file.dist,
+        R=file.R,
+        t=shift,
+        size=file.size,
+        fps=file.fps,
+        exposure=exposure,
+        scale=scale,
+        ball_diameter=diameter,
+        striker=file.striker,
+        lamp=lamp,
+        psf_sigma=psf_sigma,
+        sensor=_sensor(file.sensor, assumed),
+        metric=file.metric,
+        line_time=file.shutter.line_time if file.shutter.kind == "rolling" else 0.0,
+        view_errors=file.view_errors,
+        matte=file.ball.finish == "matte",
+    )
+    for key in STANDARD_ERRORS:
+        name = key.removesuffix("_std")
+        fields[key] = error = getattr(file, key)
+        if error > 0 and not error <= 0.5 * fields[name]:  # nor NaN; with larger errors it is not known at all
+            raise _KeyProblem(key, f"the standard error of {name}, at most 0.5 of what that is")
+    assumed += file.assumed
+    return fields | {"assumed": tuple(dict.fromkeys(assumed)), "unmodelled": tuple(unmodelled)}
+
+
+def _view(file: _CameraFile, assumed: list[str]) -> tuple[Array, Array, float]:
+    """K, t and scale, whichever of them are given: (height - R) / scale is the focal length in px.
+
+    Without a diameter the plate is taken as the plane of the balls' centres. A camera of unknown height is assumed at
+    half a metre.
+    """
+    default_height, least_focal = 0.5, 1.0  # m, px
+    radius, scale = (file.ball_diameter or 0.0) / 2, file.scale
+    if np.max(np.abs(file.R @ file.R.T - np.eye(3))) > 1e-6 or np.linalg.det(file.R) < 0:
+        raise _KeyProblem("R", "a rotation matrix: orthogonal, of determinant 1")
+    if file.K is not None:
+        matrix = file.K
+        if min(matrix[0, 0], matrix[1, 1]) < least_focal or not np.allclose(matrix[2], (0, 0, 1)):
+            raise _KeyProblem("K", f"focal lengths of at least {least_focal:g} px and a last row 0, 0, 1")
+        focal = float(matrix[0, 0])
+        height = focal * scale + radius if scale is not None else default_height
+    else:
+        assert scale is not None
+        height = float(file.t[2]) if file.t is not None and file.t[2] > 0 else default_height
+        focal = (height - radius) / scale
+        middle = ((file.size[0] - 1) / 2, (file.size[1] - 1) / 2)
+        matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1.0]])
+        assumed.append("K")
+    if file.t is None and file.K is None:
+        assumed.append("height")
+    shift = np.array([0.0, 0.0, height]) if file.t is None else file.t
+    if scale is None:
+        depth = float((file.R @ np.array([0, 0, radius]) + shift)[2])
+        if depth <= 0:
+            raise _KeyProblem("t", "a camera that has the plate before it")
+        scale = depth / focal
+        assumed.append("scale")
+    return matrix, shift, scale
+
+
+def _check_ball_size(diameter: float, scale: float, longest_side: int) -> None:
+    """Refuse a ball that the picture cannot show: below half a pixel, or over four times its longer side."""
+
+    def fits(size: float) -> bool:
+        return 0.5 <= size <= 4.0 * longest_side
+
+    if math.isnan(diameter) or fits(diameter / scale):
+        return
+    hint = f"; it is in m, did you mean {diameter / 1000:g}?" if fits(diameter / scale / 1000) else ""
+    if fits(diameter / scale * 1000):
+        hint = f"; scale is in m/px, did you mean {scale / 1000:g}?"
+    shows = f"a ball that the picture can show, not one of {diameter / scale:.3g} px{hint}"
+    raise _KeyProblem("ball_diameter", shows)
+
+
+def _lamp(lamp: _Lamp, assumed: list[str], unmodelled: list[str]) -> LampSettings | None:
+    if lamp.position is None:
+        assumed.append("lamp")
+        return None
+    (x, y, z), off = lamp.position.tolist(), lamp.position_std.tolist()
+    if z <= 0:
+        raise _KeyProblem("lamp.position", f"a lamp above the plate, not at z = {z:g} m")
+    if lamp.second:
+        unmodelled.append("lamp.second: positions are biased towards its glints")
+    if not off[2] <= 0.5 * z:
+        raise _KeyProblem("lamp.position_std", f"at most 0.5 of the lamp's height, not {off[2]:g} m")
+    if lamp.shape == "bar":
+        unmodelled.append("lamp.shape bar: its glints are taken as round")
+    return LampSettings((x, y, z), lamp.equivalent_radius(), (off[0], off[1], off[2]))
+
+
+def _psf_sigma(file: _CameraFile, assumed: list[str], unmodelled: list[str]) -> float | None:
+    """Width of the PSF, px; None where something widens glints beyond it: then the film has to show it."""
+    widening = {
+        "psf.defocus_px": file.psf.defocus_px,
+        "psf.f_number": file.psf.f_number,
+        "surface.roughness": file.surface.roughness,
+        "surface.scratches": file.surface.scratches,
+    }
+    wider = [key for key, value in widening.items() if value > 0]
+    unmodelled += [f"{key}: glints are taken as Gaussian, with the width that the film shows" for key in wider]
+    if wider or file.psf.sigma_px is None:
+        assumed.append("psf.sigma_px")
+        return None
+    return file.psf.sigma_px
+
+
+def _sensor(sensor: _Sensor, assumed: list[str]) -> SensorSpec:
+    given = {key: value for key in vars(SensorSpec()) if (value := getattr(sensor, key)) is not None}
+    required = ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "black_level")
+    assumed += [f"sensor.{key}" for key in required if key not in given]
+    return SensorSpec(**given)

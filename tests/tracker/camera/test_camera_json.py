@@ -48,7 +48,7 @@ def test_what_widens_a_glint_has_its_width_measured(section, keys):
     assert known.psf_sigma is None
     assert "psf.sigma_px" in known.assumed
     assert known.unmodelled == (
-        f"{section}.{next(iter(keys))}: glints are taken as Gaussian, as wide as they are seen",
+        f"{section}.{next(iter(keys))}: glints are taken as Gaussian, with the width that the film shows",
     )
     assert camera(**{section: dict.fromkeys(keys, 0)}).psf_sigma == 1.0
 
