@@ -1,4 +1,4 @@
-"""Camera, lamp and ball: where a point is seen, and how far a glint stands from its ball's centre.
+"""Projects points to pixels and back, and converts the position of a glint to that of its ball's centre.
 
 Axes and conventions are those of ``camera.json``: plate at z = 0, ball centres at z = R, pixel centres at
 integers, ``x_cam = R x_world + t`` and lens distortion as OpenCV defines them.
@@ -23,15 +23,10 @@ from tracker.camera.sensor import SensorSpec
 
 __all__ = ["Camera", "InputError", "LampSettings", "SensorSpec"]
 
-USUAL_PX = 15.0  # px, of a ball whose diameter is not known, for the search of its glint
-CHECKED = 9  # pixels along each side of the picture at which a camera file is tried
-UNEVEN = 3.0  # between scale and what the view makes of it anywhere in the picture
-LOST = 0.01  # px between a pixel and what its position is projected to
-
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Camera, lamp and ball, as ``camera.json`` has them: where a point is seen, and where a ball mirrors the lamp.
+    """Camera, lamp and ball of a ``camera.json``.
 
     Attributes
     ----------
@@ -48,7 +43,7 @@ class Camera:
     scale : float
         m/px at the height of the balls' centres.
     ball_diameter : float
-        m; NaN where the file does not have it: collisions are then not measured.
+        m; NaN without it in the file: collisions are then not measured.
     striker : {"a", "b"}
         Which ball was launched.
     lamp : Lamp or None
@@ -56,21 +51,21 @@ class Camera:
         Gaussian width of the optics, px.
     sensor : Sensor
     assumed : tuple of str
-        Each key that was left to a default or an estimate.
+        The keys that have a default or an estimate.
     metric : bool
-        False where nothing ties pixels to metres (no camera file): there are only pixels then.
+        False without a scale (no camera file): all lengths are then in pixels.
     line_time : float
         Delay of each row of a rolling shutter after the one above, s.
     unmodelled : tuple of str
-        What in the file is not accounted for.
+        Keys of the file that the tracker does not account for.
     exposure_from_blur : float or None
-        The exposure found from the motion blur of the glints, s, where it differs from `exposure`.
+        The exposure that the motion blur of the glints shows, s; None where it agrees with `exposure`.
     scale_std, fps_std, ball_diameter_std : float
-        Standard errors of these, m/px, 1/s, m; 0 where the file does not have them.
+        Standard errors, m/px, 1/s, m; 0 if unknown.
     view_errors : ndarray of shape (n, 11)
-        What each of n independent standard errors changes of K, dist, R, t; see `view_errors.moved`.
+        The change of K, dist, R and t by each of n independent standard errors; see `perturb_view`.
     matte : bool
-        Whether the balls mirror no lamp: they are seen whole.
+        Whether the balls are matte: they show no glint and are seen whole.
 
     References
     ----------
@@ -113,12 +108,12 @@ class Camera:
 
     @property
     def effective_exposure(self) -> float:
-        """Seconds for which glints are drawn out."""
+        """Exposure that fits the motion blur, s: from the blur where it is known, else the file's."""
         return self.exposure if self.exposure_from_blur is None else self.exposure_from_blur
 
     @property
     def radius(self) -> float:
-        """Ball radius, m; 0 where it is not known."""
+        """Ball radius, m; 0 if unknown."""
         return self.ball_diameter / 2.0 if self.knows_diameter else 0.0
 
     @property
@@ -128,24 +123,24 @@ class Camera:
 
     @property
     def diameter_px(self) -> float:
-        """Ball diameter as seen, px; where it is not known a usual one, good enough for a search."""
-        return self.ball_diameter / self.scale if self.knows_diameter else USUAL_PX
+        """Ball diameter in the picture, px; if unknown 15 px, a usual one, which is enough for a search."""
+        return self.ball_diameter / self.scale if self.knows_diameter else 15.0
 
     @property
     def centre_height(self) -> float:
-        """Height of the balls' centres, m; where the diameter is not known that at which ``scale`` holds."""
+        """Height of the balls' centres, m; without a diameter the height at which ``scale`` holds."""
         if self.knows_diameter:
             return self.radius
         return float((self.position + self.R[2] * self.scale * self.K[0, 0])[2])
 
     @property
     def position(self) -> Array:
-        """(3,) the camera's own position in the world, m."""
+        """Position of the camera in the world, (3,), m."""
         return np.asarray(-self.R.T @ self.t, dtype=np.float64)
 
     @property
     def corrects_glint(self) -> bool:
-        """Whether glint -> centre is possible: lamp, ball diameter and camera height all given."""
+        """Whether glints can be converted to centres: lamp, ball diameter and camera height are all given."""
         return (
             self.metric
             and self.lamp is not None
@@ -168,7 +163,7 @@ class Camera:
         return math.sqrt(self.psf_sigma**2 + self.lamp_image_radius**2 / 4.0)
 
     def project(self, points: ArrayLike) -> Array:
-        """Pixels at which points are seen.
+        """Project points to pixels.
 
         Parameters
         ----------
@@ -184,7 +179,7 @@ class Camera:
         return bent @ self.K[:2, :2].T + self.K[:2, 2]
 
     def unproject(self, pixels: ArrayLike, z: float | None = None) -> tuple[Array, Array]:
-        """Points of a horizontal plane that are seen at pixels.
+        """Find the points of a horizontal plane that are seen at pixels.
 
         Parameters
         ----------
@@ -213,7 +208,7 @@ class Camera:
         return np.asarray(self.position[:2] + depth * ray[..., :2], dtype=np.float64), straight, bend, depth
 
     def glint_of_centre(self, centres: ArrayLike) -> Array:
-        """Pixels at which balls mirror the lamp's centre.
+        """Find the pixels at which balls mirror the centre of the lamp.
 
         Parameters
         ----------
@@ -227,7 +222,7 @@ class Camera:
         Raises
         ------
         InputError
-            Where the lamp's position is not known.
+            If the position of the lamp is unknown.
         """
         if self.lamp is None:
             raise InputError("camera: lamp is missing, expected its position for the position of a glint")
@@ -237,7 +232,7 @@ class Camera:
         return self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, light))
 
     def centre_of_glint(self, glints: ArrayLike) -> tuple[Array, Array]:
-        """Pixels of the centres of balls from those of their glints.
+        """Convert the pixels of glints to those of the balls' centres.
 
         Parameters
         ----------
@@ -246,7 +241,7 @@ class Camera:
         Returns
         -------
         centres : ndarray of shape (..., 2)
-            The glints themselves, where lamp, diameter or height are not known: see `corrects_glint`.
+            The glints themselves if lamp, diameter or height are unknown: see `corrects_glint`.
         jacobians : ndarray of shape (..., 2, 2)
             Derivative of the centres by the glints.
         """
@@ -259,12 +254,12 @@ class Camera:
         return pixels[0], jacobian
 
     def ball_of_glint(self, glints: ArrayLike) -> Array:
-        """Centres of balls from their glints.
+        """Convert the pixels of glints to positions of the balls' centres.
 
         Parameters
         ----------
         glints : array_like of shape (..., 2)
-            Pixels; the lamp's position must be known.
+            px; the position of the lamp must be known.
 
         Returns
         -------
@@ -335,9 +330,9 @@ class Camera:
         Parameters
         ----------
         data : dict
-            As the file has it; docs/format.md lists the keys. Unknown ones are listed in `unmodelled`.
+            The keys, as docs/format.md lists them. Unknown ones are listed in `unmodelled`.
         where : str
-            What messages call it.
+            How messages name it.
 
         Returns
         -------
@@ -351,7 +346,8 @@ class Camera:
         camera = Camera(**parse(data, where))
         if camera.position[2] <= camera.radius:
             raise InputError(f"{where}: R, t: expected a camera above the plate, not at z = {camera.position[2]:g} m")
-        if not 1 / UNEVEN < (reach := camera._scales() / camera.scale).min() <= reach.max() < UNEVEN:
+        most = 3.0  # between scale and the scale of the view anywhere in the picture
+        if not 1 / most < (reach := camera._scales() / camera.scale).min() <= reach.max() < most:
             raise InputError(
                 f"{where}: K, dist, R, t: expected a view of about {camera.scale:.3g} m/px all over the picture, "
                 f"as scale says; they make it {camera.scale * reach.min():.3g} to {camera.scale * reach.max():.3g}"
@@ -359,8 +355,8 @@ class Camera:
         return camera
 
     def _scales(self) -> Array:
-        """m/px all over the picture; infinite at pixels that have no position, or whose position is another pixel's."""
-        across, down = (np.linspace(0, n - 1, CHECKED) for n in self.size)
+        """m/px at 9 x 9 pixels; infinite at a pixel without a position, or whose position projects to another pixel."""
+        across, down = (np.linspace(0, n - 1, 9) for n in self.size)
         pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
         level = np.full((len(pixels), 1), self.centre_height)
         with np.errstate(all="ignore"):
@@ -369,12 +365,12 @@ class Camera:
             except np.linalg.LinAlgError:
                 return np.array([np.inf])
             back = self.project(np.concatenate([at, level], axis=-1))
-            found = np.all(np.abs(back - pixels) < LOST, axis=1)
+            found = np.all(np.abs(back - pixels) < 0.01, axis=1)  # px
             return np.where(found, np.sqrt(np.abs(np.linalg.det(slope))), np.inf)
 
     @staticmethod
     def unknown(size: tuple[int, int], bits: int) -> Camera:
-        """A camera of which only the pictures are known: lengths in pixels, times in frames.
+        """A camera without a file: lengths in pixels, times in frames.
 
         Parameters
         ----------
@@ -396,7 +392,7 @@ class Camera:
         Returns
         -------
         dict
-            Without the keys of a lamp, a PSF or a diameter that is not known.
+            Without the keys of a lamp, a PSF or a diameter that is unknown.
         """
         plain = {"codec_noise": 0.0, "gamma": 1.0}
         sensor = {k: v for k, v in vars(self.sensor).items() if math.isfinite(v) and v != plain.get(k)}

@@ -1,4 +1,4 @@
-"""Frames in memory, taken as those of a file are."""
+"""Wraps a film in memory as `Frames`."""
 
 from __future__ import annotations
 

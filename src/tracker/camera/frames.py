@@ -1,4 +1,4 @@
-"""Frames in grey, each read when asked for, and what pictures may be; of films in colour, one channel of them."""
+"""`Frames`: the grey pictures of a film, or one colour channel of them, each read when it is indexed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from tracker.camera.camera_keys import CHANNELS, LONGEST_SIDE, MOST_PIXELS
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
-GREY_WEIGHTS = (0.299, 0.587, 0.114)  # ITU-R BT.601, as OpenCV and scikit-image's users expect of red, green, blue
 GREY = CHANNELS[0]
 
 
@@ -79,7 +78,7 @@ def make_grey_frames(
         return Frames(count, (plane[0], plane[1]), dtype, lambda k: np.ascontiguousarray(fetch(k)[..., 0]))
 
     def grey(k: int) -> Any:
-        mix = fetch(k)[..., :3] @ np.array(GREY_WEIGHTS)
+        mix = fetch(k)[..., :3] @ np.array((0.299, 0.587, 0.114))  # ITU-R BT.601, of red, green, blue
         return np.round(mix).astype(dtype)
 
     out = Frames(count, (plane[0], plane[1]), dtype, grey)
@@ -105,6 +104,6 @@ def check_frame_size(path: Path | str, plane: tuple[int, ...]) -> None:
 
 def check_pixel_type(path: Path | str, dtype: Any) -> None:
     if dtype.kind == "f":
-        raise InputError(f"{path}: float pixels, expected counts as uint8 or uint16 (NaN has no place in them)")
+        raise InputError(f"{path}: float pixels, expected counts as uint8 or uint16 (which cannot hold NaN)")
     if dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: pixels of type {dtype}, expected uint8 or uint16")

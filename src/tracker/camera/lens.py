@@ -1,4 +1,4 @@
-"""Mirror and lens: where on a sphere an eye sees a lamp, and OpenCV's distortion with its inverse."""
+"""Reflection of a lamp at one or two spheres, and OpenCV's lens distortion with its inverse."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ Array = NDArray[np.float64]
 def mirror_normal(centres: Array, radius: float, eye: Array, light: Array) -> Array:
     """Unit normals (n, 3) of spheres (n, 3) at which an eye sees a point of light.
 
-    The normal halves the angle between the ways to light and eye; iterated, for the ways start on the
-    surface.
+    The normal halves the angle between the directions to light and eye. It is iterated, because these directions start
+    on the surface.
     """
     normal = np.zeros_like(centres)
     normal[..., 2] = 1.0
@@ -75,7 +75,7 @@ def _unit(vectors: Array) -> Array:
 
 
 def pair_normal(centres: Array, others: Array, radius: float, eye: Array, light: Array) -> Array:
-    """Unit normals (n, 3) of spheres (n, 3) at which an eye sees a light by way of another sphere ``others``.
+    """Unit normals (n, 3) of spheres (n, 3) at which an eye sees a light after a reflection at the spheres ``others``.
 
     Both reflections halve their angles; steps are damped, for close spheres turn each other's rays strongly.
     """

@@ -1,4 +1,4 @@
-"""What a ball mirrors beside the lamp: the zenith of the room, and the lamp as another ball mirrors it."""
+"""Locates what a ball mirrors besides the lamp: the zenith of the room, and the lamp as another ball mirrors it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,6 @@ from numpy.typing import ArrayLike
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array, mirror_normal, pair_normal
-
-FAR = 1e6  # m, of a point as good as straight overhead
-NUDGE = 0.03  # of the lamp's height, by which it is moved for a derivative
 
 
 def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Array:
@@ -36,7 +33,7 @@ def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Arra
     if not camera.corrects_glint or seen.size == 0:
         return seen.copy()
     middle = camera.ball_of_glint(seen)
-    overhead = np.concatenate([middle[..., :2], np.full_like(middle[..., :1], FAR)], axis=-1)
+    overhead = np.concatenate([middle[..., :2], np.full_like(middle[..., :1], 1e6)], axis=-1)
     zenith = camera.project(middle + camera.radius * mirror_normal(middle, camera.radius, camera.position, overhead))
     centre = camera.project(middle)
     return np.asarray(centre + share * (zenith - centre), dtype=np.float64)
@@ -74,7 +71,7 @@ def secondary_flux_ratio(camera: Camera, glints: ArrayLike, others: ArrayLike) -
     """
     middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
     lamp = _lamp_position(camera)
-    moved = [lamp, *(lamp + NUDGE * lamp[2] * axis for axis in np.eye(3)[:2])]
+    moved = [lamp, *(lamp + 0.03 * lamp[2] * axis for axis in np.eye(3)[:2])]
     areas = []
     for normals in (
         [pair_normal(middle, other, camera.radius, camera.position, light) for light in moved],

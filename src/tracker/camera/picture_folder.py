@@ -1,4 +1,4 @@
-"""Reads folders of pictures, one at a time."""
+"""Reads the pictures of a folder as a film, one at a time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, ma
 
 TIFF = (".tif", ".tiff")
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
-JPEG = (".jpg", ".jpeg")
 
 
 def list_pictures(folder: Path) -> list[Path]:
@@ -26,6 +25,7 @@ def list_pictures(folder: Path) -> list[Path]:
 
 
 def read_picture_folder(folder: Path) -> Frames:
+    """Frames of a folder of pictures. Raises InputError, which names the picture."""
     paths = list_pictures(folder)
     first = read_picture(paths[0])
     check_pixel_type(paths[0], first.dtype)
@@ -39,7 +39,7 @@ def read_picture_folder(folder: Path) -> Frames:
         return picture
 
     frames = make_grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
-    frames.lossy = paths[0].suffix.lower() in JPEG
+    frames.lossy = paths[0].suffix.lower() in (".jpg", ".jpeg")
     return frames
 
 

@@ -1,4 +1,4 @@
-"""The noise of a pixel's count, and where it clips."""
+"""The noise model of a pixel's count (EMVA 1288), and the count at which it clips."""
 
 from __future__ import annotations
 
@@ -9,17 +9,30 @@ import numpy as np
 
 from tracker.camera.lens import Array
 
-COPIED = 0.5  # of an encoder's variance: what rests it copies, but what creeps it holds back and then moves on
-
 
 @dataclass(frozen=True)
 class SensorSpec:
-    """Noise of one pixel in counts (EMVA 1288): shot, read-out, rounding and the fixed patterns.
+    """Noise of one pixel: shot noise, read-out noise, rounding, fixed patterns, and that of an encoder.
 
-    ``gain`` e-/count, ``read_noise``, ``dsnu`` and ``full_well`` e-, ``dark`` e-/s, ``prnu`` a fraction,
-    ``black_level`` counts. ``codec_noise`` counts: what an encoder with loss leaves out where something is seen; of a
-    picture that stays as it is, it leaves out the same in every frame. ``gamma``: counts of the file are light to the
-    power of 1/gamma; all else here is of counts that have been made linear again, in 16 bits.
+    Attributes
+    ----------
+    bits : int
+        Of the converter.
+    gain : float
+        e-/count.
+    read_noise, dsnu, full_well : float
+        e-.
+    dark : float
+        e-/s.
+    prnu : float
+        Relative.
+    black_level : float
+        Counts.
+    codec_noise : float
+        Error of an encoder with loss, counts, in the blocks that contain something.
+    gamma : float
+        Counts of the file are light to the power of 1/gamma. The tracker makes them linear, in 16 bits; all other
+        fields are those of linear counts.
     """
 
     bits: int = 8
@@ -40,9 +53,10 @@ class SensorSpec:
         return np.asarray(floor + signal * (1.0 / self.gain + self.prnu**2 * signal))
 
     def fixed_pattern_variance(self, mean: Array) -> Array:
-        """The part of ``variance`` that is the same in every frame of a ball at rest: of pixels and of encoders."""
+        """The part of ``variance`` that is the same in every frame of a ball at rest."""
         signal = np.maximum(mean - self.black_level, 0.0)
-        return (self.dsnu / self.gain) ** 2 + (self.prnu * signal) ** 2 + COPIED * self.codec_noise**2
+        # an encoder copies what rests, but moves what creeps in steps: half of its variance is fixed
+        return (self.dsnu / self.gain) ** 2 + (self.prnu * signal) ** 2 + 0.5 * self.codec_noise**2
 
     def variance_slope(self, mean: Array) -> Array:
         """d variance / d mean, counts."""
@@ -51,7 +65,7 @@ class SensorSpec:
 
     @property
     def ceiling(self) -> float:
-        """Count from which a pixel says only "at least this".
+        """Count from which on a pixel is censored.
 
         The converter's last count, or, where the well fills first, four read-out deviations below the full
         well: read-out noise spreads a full well, and a limit below that spread is an exact one.

@@ -18,6 +18,7 @@ from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, ma
 
 
 def read_tiff_stack(path: Path) -> Frames:
+    """Frames of a TIFF stack. Raises InputError if it is damaged."""
     try:
         with _raise_logged_errors(path), tifffile.TiffFile(path) as tif:
             shape, dtype, colour, offset = _layout(path, tif)
@@ -43,7 +44,7 @@ def read_tiff_stack(path: Path) -> Frames:
 
 @contextmanager
 def _raise_logged_errors(path: Path) -> Iterator[None]:
-    """tifffile logs a broken chain of pages and goes on with the pages it has: here that is an error."""
+    """Raise an error where tifffile only logs a broken chain of pages and goes on with the pages it has."""
     heard, logger = _LogCollector(logging.ERROR), logging.getLogger("tifffile")
     passed_on = logger.propagate
     logger.addHandler(heard)
@@ -53,8 +54,8 @@ def _raise_logged_errors(path: Path) -> Iterator[None]:
     finally:
         logger.propagate = passed_on
         logger.removeHandler(heard)
-    if heard.said:
-        raise InputError(f"{path}: truncated or damaged ({heard.said[0].splitlines()[0][:120]})")
+    if heard.messages:
+        raise InputError(f"{path}: truncated or damaged ({heard.messages[0].splitlines()[0][:120]})")
 
 
 class _LogCollector(logging.Handler):
@@ -62,10 +63,10 @@ class _LogCollector(logging.Handler):
 
     def __init__(self, level: int) -> None:
         super().__init__(level)
-        self.said: list[str] = []
+        self.messages: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.said.append(record.getMessage())
+        self.messages.append(record.getMessage())
 
 
 def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, bool, int | None]:
@@ -75,7 +76,7 @@ def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, b
     colour = series.axes[-1:] == "S" and shape[-1] in (2, 3, 4)
     if len(tif.series) > 1:  # pages that no program declared to be one stack
         if any(s.shape != shape or s.dtype != dtype for s in tif.series):
-            raise InputError(f"{path}: pages of unequal size or type, expected all alike")
+            raise InputError(f"{path}: pages of unequal size or type, expected all the same")
         plane = shape[-3:] if colour else shape[-2:]
         return (len(tif.pages), *plane), dtype, colour, None
     return shape, dtype, colour, None if offset is None else int(offset)

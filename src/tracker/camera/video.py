@@ -27,14 +27,7 @@ from tracker.camera.frames import Frames, check_frame_size, make_grey_frames
 
 LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
 LUMA_FIRST = re.compile(r"(yuvj?4\d\dp|yuva4\d\dp|gray)(\d+le|8)?|nv(12|16|21|24)")  # the first plane is the luma
-BLACK, WHITE = 16, 235  # of 8 bits, of a limited range
-KEPT = 8  # frames held for steps back; further back, a pass begins at the key frame before
-COLOURED = 12  # counts of 255 off grey, and
-ENOUGH = 1e-3  # of the first picture, from which on a film is in colour
-UNEVEN = 0.05  # of the usual time between frames, by which one is another
-TICKS = 1.5  # of the file's clock, by which times are rounded
-SHORT = 0.99  # of the frames that a file promises
-av.logging.set_libav_level(av.logging.PANIC)  # what is wrong with a film is said once, in a note
+av.logging.set_libav_level(av.logging.PANIC)  # a note reports what is wrong with a film, once
 
 
 @dataclass
@@ -148,7 +141,7 @@ def _count_promised_frames(stream: Any) -> int:
 def _describe_faults(found: _VideoContents) -> Iterator[str]:
     """Lines on what in a video is not as one would expect."""
     count = len(found.times)
-    if count < SHORT * found.promised - 1:
+    if count < 0.99 * found.promised - 1:
         yield f"truncated or damaged: {count} of the {found.promised} frames that the file promises can be decoded"
     if found.damaged:
         yield f"damaged: {len(found.damaged)} frames could not be decoded whole, the first at frame {found.damaged[0]}"
@@ -160,7 +153,7 @@ def _describe_faults(found: _VideoContents) -> Iterator[str]:
         return
     apart = np.diff(np.array(found.times, dtype=np.float64)) * found.tick
     usual = float(np.median(apart))
-    odd = np.flatnonzero(np.abs(apart - usual) > max(UNEVEN * usual, TICKS * found.tick))
+    odd = np.flatnonzero(np.abs(apart - usual) > max(0.05 * usual, 1.5 * found.tick))
     if len(odd):
         times = f"{1e3 * usual:.4g} ms between frames, but {1e3 * apart[odd[0]]:.4g} ms after frame {odd[0]}"
         more = f" and {len(odd) - 1} more such" if len(odd) > 1 else ""
@@ -189,7 +182,7 @@ class _VideoReader:
         if frame is None:
             raise InputError(f"{self.path}: frame {k} of {len(self.times)} cannot be decoded")
         picture = self.recent[k] = self.grey(frame)
-        if len(self.recent) > KEPT:
+        if len(self.recent) > 8:  # frames, for steps back; a longer step decodes from the key frame before
             del self.recent[next(iter(self.recent))]
         return picture
 
@@ -278,15 +271,16 @@ def _plane(frame: VideoFrame, index: int, bits: int) -> NDArray[Any]:
 
 def _full_range(bits: int) -> NDArray[Any]:
     """Counts by code, black 0 and white 2^bits - 1."""
+    black, white = 16, 235  # of 8 bits, in a limited range
     unit, top = 2.0 ** (bits - 8), 2.0**bits - 1
-    counts = (np.arange(2**bits) - BLACK * unit) * top / ((WHITE - BLACK) * unit)
+    counts = (np.arange(2**bits) - black * unit) * top / ((white - black) * unit)
     return np.clip(np.rint(counts), 0, top).astype(np.uint8 if bits == 8 else np.uint16)
 
 
 def _has_colour(frame: VideoFrame) -> bool:
-    """Whether a Y'CbCr picture has chroma to speak of."""
+    """Whether a thousandth of a Y'CbCr picture is more than 12 counts of 255 off grey."""
     parts = frame.format.components
     if len(parts) < 3:
         return False
     chroma = frame.reformat(format="yuv444p") if frame.format.name != "yuv420p" else frame
-    return any(float(np.mean(np.abs(_plane(chroma, k, 8).astype(np.int16) - 128) > COLOURED)) > ENOUGH for k in (1, 2))
+    return any(float(np.mean(np.abs(_plane(chroma, k, 8).astype(np.int16) - 128) > 12)) > 1e-3 for k in (1, 2))

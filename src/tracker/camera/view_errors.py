@@ -1,4 +1,4 @@
-"""Errors of a camera's view: what independent standard errors of focal length, lens and pose do to it."""
+"""Perturbs a camera by the standard errors of its focal length, lens and pose."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tracker.camera.lens import Array
 
 
 def perturb_view(camera: Camera, change: Array) -> Camera:
-    """The camera with focal length, lens and pose changed by a row of view_errors."""
+    """The camera with focal length, lens and pose changed by a row (11,) of ``view_errors``."""
     matrix = camera.K.copy()
     matrix[:2, :2] *= 1 + change[0]
     matrix[:2, 2] += change[1:3]
