@@ -79,7 +79,7 @@ def test_a_file_that_is_no_effect_is_one_line(own, name, text, said):
         add_effects(own)
     assert "\n" not in str(error.value)
     assert set(library()) == before
-    assert not [m for m in sys.modules if m.startswith(module.PREFIX)]
+    assert not [m for m in sys.modules if m.startswith("synthcam_effects_of_a_folder")]
 
 
 def test_a_folder_without_any(own):
