@@ -7,10 +7,10 @@
     blind.py table [R] [--write]   the tables of docs/blind.md; --write puts them there
     blind.py --page [--round R]    the page alone, of all boxes opened so far, or of one round
 
-A study goes on where it stopped; another round has other boxes. They are drawn from a secret, made at the first box:
-its hash, and that of each truth, is on record before the analysis, which runs in a process of its own and is given
-tracks and camera. Studies: tracks and video draw all kinds at .85 to 20 times the detection limit; the others put one
-question each. index.html in the output is the page.
+A study resumes where it stopped; another round has other boxes. They are drawn from a secret that is made at the first
+box. Its hash, and that of each truth, is on record before the analysis. The analysis runs in a process of its own and
+receives tracks and camera only. The studies tracks and video draw all kinds at 0.85 to 20 times the detection limit;
+the others ask one question each. The page is index.html in the output.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: its matrices here
 from benchmarks.search.sealed import oracle, page, rounds
 from benchmarks.search.sealed.boxes import Study, Truth
 from benchmarks.search.sealed.drawing import draw
-from benchmarks.search.sealed.evidence import alone, prepare
+from benchmarks.search.sealed.evidence import isolated_environment, prepare
 from benchmarks.search.sealed.judge import judge
 from benchmarks.search.sealed.ledger import Broken, Ledger
 from benchmarks.search.sealed.studies import ROUND, STUDIES
@@ -56,26 +56,26 @@ def code() -> str:
 
 
 def trial(study: Study, box: int, output: Path, secret: str) -> str:
-    """Seal, analyse and open one box; a line that tells of it."""
+    """Seal, analyse and open one box; return a line about it."""
     ledger = Ledger(output, study.name)
     ledger.commit(secret)
     ledger.seal(box, draw(study, box, secret))
     with tempfile.TemporaryDirectory(prefix="box-") as temporary:
         folder = Path(temporary)
-        said = ledger.answered(box)
+        said = ledger.recall_answer(box)
         if said is None:
-            said = {"code": code()} | answered(ledger.truth(box), folder)
+            said = {"code": code()} | answer_box(ledger.truth(box), folder)
             ledger.answer(box, said)
         beside = {"gap": oracle.gap(ledger.truth(box), said, folder)}  # {} of an answer by a run that was killed
         row = judge({"truth": ledger.open(box, said, beside), "answer": said} | beside)
-    word = "right" if row.right else "right class" if row.kin else "WRONG"
+    word = "right" if row.right else "right class" if row.right_class else "WRONG"
     return (
         f"{study.name} {box}: {row.kind} {'+'.join(row.hidden)} {row.ratio:.1f} {row.noise} {row.source} -> "
         f"{row.verdict} {'+'.join(row.called)} {word} ({row.cpu:.0f} s)"
     )
 
 
-def answered(truth: Truth, folder: Path) -> dict[str, object]:
+def answer_box(truth: Truth, folder: Path) -> dict[str, object]:
     """Make the evidence of a box and have it analysed; the answer."""
     try:
         measured, camera = prepare(truth, folder / "evidence")
@@ -83,13 +83,15 @@ def answered(truth: Truth, folder: Path) -> dict[str, object]:
         return {"verdict": "refused", "why": f"tracker: {e}"}
     model = folder / "model.yaml"
     write_model(Model(), model)
-    return analysed(measured, camera, model, folder)
+    return analyse_in_process(measured, camera, model, folder)
 
 
-def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> dict[str, object]:
+def analyse_in_process(measured: Path, camera: Path | None, model: Path, folder: Path) -> dict[str, object]:
     """The answer of a process that is given the evidence and the textbook model, and nothing else."""
     command = [sys.executable, str(ROOT / "benchmarks/search/sealed/analysis.py"), str(measured), str(camera or "-")]
-    done = subprocess.run([*command, str(model), str(folder)], capture_output=True, text=True, env=alone(), check=False)
+    done = subprocess.run(
+        [*command, str(model), str(folder)], capture_output=True, text=True, env=isolated_environment(), check=False
+    )
     if done.returncode < 0:  # killed, as the whole study may be: the box stays shut
         raise RuntimeError(f"the analysis was ended by signal {-done.returncode}")
     path = folder / "answer.json"
@@ -120,7 +122,7 @@ def main() -> None:
             command(options)
         elif options.page and (ROUNDS / options.round / rounds.ABOUT).exists():
             options.output.mkdir(parents=True, exist_ok=True)
-            print(page.write(options.output, rounds.rows_of(ROUNDS / options.round)))
+            print(page.write(options.output, rounds.judge_round(ROUNDS / options.round)))
         else:
             unknown = set(options.studies) - set(STUDIES) - {"round"}
             if unknown:
@@ -135,7 +137,7 @@ def main() -> None:
         sys.exit(str(e))
 
 
-def secret_of(options: argparse.Namespace, make: bool = False) -> str:
+def read_secret(options: argparse.Namespace, make: bool = False) -> str:
     """The secret's text. make: a new one where there is none yet; readable by its owner alone."""
     path = options.secret or options.output / "secret.txt"
     if make and not path.exists():
@@ -148,11 +150,11 @@ def secret_of(options: argparse.Namespace, make: bool = False) -> str:
 
 def publish(options: argparse.Namespace) -> None:
     asked = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
-    print(rounds.publish(options.output, options.round, secret_of(options), ROUNDS, asked.stdout.strip()))
+    print(rounds.publish(options.output, options.round, read_secret(options), ROUNDS, asked.stdout.strip()))
 
 
 def verify(options: argparse.Namespace) -> None:
-    faults, chosen = [], [ROUNDS / name for name in options.studies] or rounds.published(ROUNDS)
+    faults, chosen = [], [ROUNDS / name for name in options.studies] or rounds.list_published(ROUNDS)
     if not chosen:
         raise Broken(f"{ROUNDS}: no round is published")
     for place in chosen:
@@ -160,13 +162,13 @@ def verify(options: argparse.Namespace) -> None:
             raise Broken(f"{place}: there is no such round")
         found = rounds.verify(place)
         if options.redraw:
-            codes = {row.code for row in rounds.rows_of(place)}
+            codes = {row.code for row in rounds.judge_round(place)}
             if codes != {code()}:
                 raise Broken(
-                    f"{place.name}: drawn by code {', '.join(codes)}, this is {code()}; {rounds.commit_of(place)}"
+                    f"{place.name}: drawn by code {', '.join(codes)}, this is {code()}; {rounds.describe_commit(place)}"
                 )
-            found += rounds.redrawn(place)
-        count, left = len(rounds.opened_in(place)), rounds.shut(place)
+            found += rounds.redraw_boxes(place)
+        count, left = len(rounds.read_boxes(place)), rounds.list_unopened(place)
         print(f"{place.name}: {count} boxes, {len(found)} faults; never opened: {', '.join(left) or 'none'}")
         faults += found
     if faults:
@@ -174,11 +176,11 @@ def verify(options: argparse.Namespace) -> None:
 
 
 def table(options: argparse.Namespace) -> None:
-    """Of published rounds; by default of each study in the last round that has it."""
-    chosen = [row for name in options.studies for row in rounds.rows_of(ROUNDS / name)] or rounds.latest(ROUNDS)
-    text = rounds.told(chosen, ROUNDS)
+    """Print or write the tables of published rounds; by default of each study in the last round that has it."""
+    chosen = [row for name in options.studies for row in rounds.judge_round(ROUNDS / name)] or rounds.latest(ROUNDS)
+    text = rounds.render_tables(chosen, ROUNDS)
     if options.write:
-        DOCS.write_text(rounds.within(DOCS.read_text(), text))
+        DOCS.write_text(rounds.insert_tables(DOCS.read_text(), text))
     else:
         print(text)
 
@@ -202,7 +204,7 @@ def run(options: argparse.Namespace) -> None:
         done = {row["box"] for row in Ledger(options.output, study.name).opened()}
         todo += [(study, k, boxes) for k in range(boxes) if k not in done]
     todo.sort(key=lambda t: t[1] / t[2])  # a stopped run has its share of each study
-    secret, last = secret_of(options, make=True), time.monotonic() + 60 * options.minutes
+    secret, last = read_secret(options, make=True), time.monotonic() + 60 * options.minutes
     for name in dict.fromkeys(study.name for study, _, _ in todo):
         Ledger(options.output, name).commit(secret)
     with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
@@ -212,12 +214,12 @@ def run(options: argparse.Namespace) -> None:
                 break
             busy.add(pool.submit(trial, study, box, options.output, secret))
             while len(busy) >= options.jobs:
-                busy -= _ended(busy)
+                busy -= _wait_for_one(busy)
         while busy:
-            busy -= _ended(busy)
+            busy -= _wait_for_one(busy)
 
 
-def _ended(busy: set) -> set:  # type: ignore[type-arg]
+def _wait_for_one(busy: set) -> set:  # type: ignore[type-arg]
     """Wait for one box; say what came of it, whatever it was."""
     one = next(as_completed(busy))
     try:

@@ -41,7 +41,7 @@ LACKED = {"sliding_friction": Model().sliding_friction, "spin_transfer": Model()
 
 
 def run(*command: str) -> dict[str, float]:
-    """What the command took: processor time and time by the clock, s, and the most memory at once, MB."""
+    """Measure what the command took: processor and wall-clock time, s, and peak memory, MB."""
     program = Path(sys.executable).with_name(command[0])
     alone = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     began = time.monotonic()

@@ -1,4 +1,4 @@
-"""What `discrepancy plan` promises against what a search then scores: the limits of ten effects.
+"""Detection limits that `discrepancy plan` predicts, against the limits of a search: ten effects.
 
     plan_power.py [--effects hop,stribeck] [--trials 6] [--noise 0.03125] [-o out/plan_power.json]
 
@@ -49,7 +49,7 @@ FIRST_SEED = 1000  # none that the plan was made with
 
 
 def tracks(scene: Scene, count: int, noise: float, seed: int) -> list[tracker.Result]:
-    """What the tracker's fits make of true tracks with noise."""
+    """Measure true tracks with noise by the tracker's fits."""
     rng, out = np.random.default_rng([seed, 1]), []
     for number in range(count):
         clip = scene.draw(number, seed)

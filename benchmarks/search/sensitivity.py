@@ -7,7 +7,7 @@
 FIELD: names of `SearchPolicy` (src/discrepancy/policy.py), all by default. The tracks of each box are made again from
 its truth. They are searched once with the default policy and once with each field times each factor. A cosine has its
 distance from 1 multiplied; a count is rounded, to 1 at least. Each search is a line of
-searches.jsonl, written when it ends; a study goes on where it stopped. Searches by another version of the code do not
+searches.jsonl, written when it ends; a study resumes where it stopped. Searches by another version of the code do not
 count.
 """
 
@@ -28,7 +28,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy
 
 from benchmarks.search.blind import ROOT, ROUNDS, code
 from benchmarks.search.sealed import rounds
-from benchmarks.search.sealed.analysis import analysed
+from benchmarks.search.sealed.analysis import analyse
 from benchmarks.search.sealed.evidence import prepare
 from benchmarks.search.sealed.judge import judge
 from benchmarks.search.sealed.ledger import append, lines
@@ -62,7 +62,7 @@ def changes(names: Sequence[str], factors: Sequence[float]) -> list[Change]:
     return [AS_IT_IS, *(c for c in every if changed(*c) != default(c[0]))]
 
 
-def searched(line: Json, todo: Sequence[Change], place: Path, until: float, version: str) -> str:
+def search_box(line: Json, todo: Sequence[Change], place: Path, until: float, version: str) -> str:
     """Make the tracks of an opened box again and search them with each of these changes; what was done, in a line."""
     truth, count = line["truth"], 0
     with tempfile.TemporaryDirectory(prefix="box-") as temporary:
@@ -75,10 +75,10 @@ def searched(line: Json, todo: Sequence[Change], place: Path, until: float, vers
                 break
             change: dict[str, Any] = {name: changed(name, factor)} if name else {}
             with applied_policy(SearchPolicy(**change)):
-                answer = analysed(measured, camera, model, folder)
+                answer = analyse(measured, camera, model, folder)
             row = judge({"truth": truth, "answer": answer})
             said = {"study": truth["study"], "box": truth["box"], "constant": name, "factor": factor, "code": version}
-            said |= {"verdict": row.verdict, "called": sorted(row.called), "right": row.right or row.kin}
+            said |= {"verdict": row.verdict, "called": sorted(row.called), "right": row.right or row.right_class}
             append(place, said | {"classes": sorted(map(sorted, row.classes)), "cpu": answer.get("cpu")})
             count += 1
     return f"{truth['study']} {truth['box']}: {count} of {len(todo)} searches"
@@ -87,7 +87,7 @@ def searched(line: Json, todo: Sequence[Change], place: Path, until: float, vers
 def opened(options: argparse.Namespace) -> list[Json]:
     """The boxes asked for: the first so many of each study, those of all studies in turn."""
     asked, chosen = set(filter(None, options.studies.split(","))), []
-    for line in rounds.opened_in(ROUNDS / options.round):
+    for line in rounds.read_boxes(ROUNDS / options.round):
         truth = line["truth"]
         study, box = truth["study"].removesuffix(f"-{options.round}"), truth["box"]
         wanted = not asked or asked & {study, f"{study}:{box}"}
@@ -107,7 +107,7 @@ def run(options: argparse.Namespace, place: Path) -> None:
         todo = [c for c in asked if (*key, *c) not in done]
         jobs += [(line, todo)] if todo else []
     with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
-        waiting = [pool.submit(searched, line, todo, place, until, version) for line, todo in jobs]
+        waiting = [pool.submit(search_box, line, todo, place, until, version) for line, todo in jobs]
         for one in as_completed(waiting):
             try:
                 print(one.result(), flush=True)

@@ -41,16 +41,16 @@ def test_a_box_is_sealed_answered_and_opened_once(tmp_path):
 def test_another_answer_is_refused(tmp_path):
     ledger = Ledger(tmp_path, "study")
     ledger.seal(3, TRUTH)
-    assert ledger.answered(3) is None
+    assert ledger.recall_answer(3) is None
     ledger.answer(3, ANSWER)
     for other in (ANSWER, ANSWER | {"verdict": "named"}):
         with pytest.raises(Broken, match="answered before"):
             ledger.answer(3, other)
-    assert ledger.answered(3) == ANSWER
+    assert ledger.recall_answer(3) == ANSWER
     (path,) = ledger.sealed.glob("*.answer.json")
     path.write_text(json.dumps(ANSWER | {"verdict": "named"}))
     with pytest.raises(Broken, match="not the answer on record"):
-        ledger.answered(3)
+        ledger.recall_answer(3)
 
 
 def test_a_box_answered_before_a_kill_is_opened_with_that_answer(tmp_path, monkeypatch):
@@ -59,7 +59,7 @@ def test_a_box_answered_before_a_kill_is_opened_with_that_answer(tmp_path, monke
     ledger.commit("s")
     ledger.seal(0, drawing.draw(study, 0, "s"))
     ledger.answer(0, said)
-    monkeypatch.setattr(blind, "answered", lambda *_: pytest.fail("analysed again"))
+    monkeypatch.setattr(blind, "answer_box", lambda *_: pytest.fail("analysed again"))
     assert "none" in blind.trial(study, 0, tmp_path, "s")
     (row,) = page.rows_in(tmp_path)
     assert (row.verdict, row.code, row.gap) == ("none", "before", {})
@@ -143,17 +143,17 @@ def test_a_round_in_the_repository_tells_all(finished):
     out, place = finished
     rounds.publish(out, "x", "s", place)
     assert rounds.verify(place / "x") == []
-    assert rounds.shut(place / "x") == ["every-x 7", "nulls-x 7"]
-    assert [r.study for r in rounds.rows_of(place / "x")] == ["every-x", "every-x", "nulls-x"]
-    assert sorted(rounds.rows_of(place / "x"), key=str) == sorted(page.rows_in(out), key=str)
+    assert rounds.list_unopened(place / "x") == ["every-x 7", "nulls-x 7"]
+    assert [r.study for r in rounds.judge_round(place / "x")] == ["every-x", "every-x", "nulls-x"]
+    assert sorted(rounds.judge_round(place / "x"), key=str) == sorted(page.rows_in(out), key=str)
     with pytest.raises(Broken, match="published already"):
         rounds.publish(out, "x", "s", place)
-    text = rounds.told(rounds.rows_of(place / "x"), place)
+    text = rounds.render_tables(rounds.judge_round(place / "x"), place)
     (row,) = [r for r in text.splitlines() if r.startswith("| right class from there on | 99 % | 3 of 3, 100.0 ")]
     assert row.endswith("; classes of 1.0 names, 1 at most | - |")
     assert "hop 3" in text
     page_of = f"before\n{rounds.BEGIN}\nold\n{rounds.END}\nafter"
-    assert rounds.within(page_of, text) == f"before\n{rounds.BEGIN}\n\n{text}\n{rounds.END}\nafter"
+    assert rounds.insert_tables(page_of, text) == f"before\n{rounds.BEGIN}\n\n{text}\n{rounds.END}\nafter"
 
 
 def test_nothing_is_published_that_does_not_hold(finished):
@@ -162,7 +162,7 @@ def test_nothing_is_published_that_does_not_hold(finished):
         rounds.publish(out, "x", "t", place)
     with pytest.raises(Broken, match="no round y"):
         rounds.publish(out, "y", "s", place)
-    assert rounds.published(place) == []
+    assert rounds.list_published(place) == []
 
 
 def edited(name, change):
@@ -215,7 +215,7 @@ def test_published_boxes_are_those_that_the_secret_draws(finished):
     for path in out.glob("[en]*-x*.jsonl"):
         path.unlink()
     rounds.publish(out, "x", "s", place)
-    assert rounds.redrawn(place / "x") == ["filmed_nulls-x 1: the secret draws another box"]
+    assert rounds.redraw_boxes(place / "x") == ["filmed_nulls-x 1: the secret draws another box"]
 
 
 def test_of_each_study_the_last_round_that_has_it_is_told(monkeypatch, tmp_path):
@@ -224,7 +224,7 @@ def test_of_each_study_the_last_round_that_has_it_is_told(monkeypatch, tmp_path)
     for name in rows:
         (tmp_path / name).mkdir()
         (tmp_path / name / rounds.ABOUT).write_text("{}")
-    monkeypatch.setattr(rounds, "rows_of", lambda place: [SimpleNamespace(study=one) for one in rows[place.name]])
+    monkeypatch.setattr(rounds, "judge_round", lambda place: [SimpleNamespace(study=one) for one in rows[place.name]])
     assert [row.study for row in rounds.latest(tmp_path)] == ["nulls-10", "pairs-9"]
 
 
@@ -238,20 +238,20 @@ def test_no_box_of_a_published_round_is_opened(tmp_path, monkeypatch):
 def test_a_secret_is_made_once_and_for_its_owner_alone(tmp_path):
     options = SimpleNamespace(secret=None, output=tmp_path)
     with pytest.raises(Broken, match="there is no secret"):
-        blind.secret_of(options)
-    made = blind.secret_of(options, make=True)
+        blind.read_secret(options)
+    made = blind.read_secret(options, make=True)
     assert len(made) == 64
-    assert blind.secret_of(options, make=True) == blind.secret_of(options) == made
+    assert blind.read_secret(options, make=True) == blind.read_secret(options) == made
     assert (tmp_path / "secret.txt").stat().st_mode & 0o777 == 0o600
 
 
 def test_what_the_docs_tell_of_the_rounds_is_what_the_rounds_tell():
     """And each round that lies in the repository holds, and is small."""
-    for place in rounds.published(blind.ROUNDS):
+    for place in rounds.list_published(blind.ROUNDS):
         assert rounds.verify(place) == []
-        assert sum(p.stat().st_size for p in place.iterdir()) < max(1e6, 5e3 * len(rounds.rows_of(place)))
-    text = rounds.told(rounds.latest(blind.ROUNDS), blind.ROUNDS)
-    assert rounds.within(blind.DOCS.read_text(), text) == blind.DOCS.read_text()
+        assert sum(p.stat().st_size for p in place.iterdir()) < max(1e6, 5e3 * len(rounds.judge_round(place)))
+    text = rounds.render_tables(rounds.latest(blind.ROUNDS), blind.ROUNDS)
+    assert rounds.insert_tables(blind.DOCS.read_text(), text) == blind.DOCS.read_text()
 
 
 SMALL = {"clips": 6, "size": (320, 240), "filmed": True}
@@ -271,11 +271,11 @@ def test_a_box_from_sealing_to_opening(study, tmp_path, monkeypatch):
     """All but the first know five effects, and hide theirs at 20 times its limit: it tries the way, not the power."""
     if study.name != "nothing":  # it alone pays for the whole library, and for a process of its own
         only(monkeypatch, **{name: library()[name] for name in FEW})
-        monkeypatch.setattr(blind, "analysed", analysis.analysed)
+        monkeypatch.setattr(blind, "analyse_in_process", analysis.analyse)
     blind.trial(study, 0, tmp_path, "s")
     (row,) = page.rows_in(tmp_path)
     assert row.false == ()
-    assert row.kin == (row.kind != "outside")
+    assert row.right_class == (row.kind != "outside")
     assert row.declared == (row.kind == "outside")
     if row.kind == "one":
         assert row.closure > 0.9

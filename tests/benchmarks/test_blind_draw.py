@@ -33,7 +33,7 @@ def test_two_integrators_agree_to_a_tenth_of_a_nanometre(name):
     for clip in boxes.clips_of(truth):
         camera = Camera.from_dict(clip.camera_json)
         one, seen = evidence._by_synthcam(clip, camera)
-        other, also = evidence.integrated(truth, clip, camera)
+        other, also = evidence.integrate_tracks(truth, clip, camera)
         np.testing.assert_array_equal(seen, also)
         np.testing.assert_allclose(one[seen] * boxes.SCALE, other[seen] * boxes.SCALE, rtol=0, atol=1e-10)
 

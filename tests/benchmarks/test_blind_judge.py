@@ -26,24 +26,24 @@ def at_most(wanted):
     return partial(goals.at_most, "", "tracks", wanted)
 
 
-def counted(most, of):
-    return partial(goals.counted, "", "tracks", most, of)
+def at_most_count(most, of):
+    return partial(goals.at_most_count, "", "tracks", most, of)
 
 
 def test_judging():
     right = judge.judge(line(["hop"], ["hop"]))
     assert right.name
-    assert right.kin
+    assert right.right_class
     assert right.false == ()
     assert right.z == pytest.approx([3.0])
     by_class = judge.judge(line(["hop"], ["mass_mismatch"], [["mass_mismatch", "hop"]], "ambiguous"))
-    assert (by_class.name, by_class.kin, by_class.false, by_class.z) == (False, True, (), ())
+    assert (by_class.name, by_class.right_class, by_class.false, by_class.z) == (False, True, (), ())
     wrong = judge.judge(line(["hop"], ["stribeck"]))
-    assert (wrong.name, wrong.kin, wrong.false) == (False, False, ("stribeck",))
+    assert (wrong.name, wrong.right_class, wrong.false) == (False, False, ("stribeck",))
     one_of_two = judge.judge(line(["hop", "stribeck"], ["hop"]))
-    assert (one_of_two.name, one_of_two.kin, one_of_two.false) == (False, False, ())
+    assert (one_of_two.name, one_of_two.right_class, one_of_two.false) == (False, False, ())
     twice = judge.judge(line(["hop", "stribeck"], ["hop", "twin"], [["twin", "hop"]]))
-    assert not twice.kin  # one effect cannot answer for two claims
+    assert not twice.right_class  # one effect cannot answer for two claims
     outside = judge.judge(line(["hop"], [], verdict="outside_library"))
     assert (outside.name, outside.false) == (False, (judge.OUTSIDE,))
     locked = judge.judge(line([], ["pixel_locking"], kind="defect", defect={"pixel_locking": 0.01}))
@@ -70,7 +70,7 @@ def test_an_outsider_is_declared_without_a_false_name_beside_it(kind, text):
     ]
     assert reached(lines, text) == (2, 5)
     assert [judge.judge(one).declared for one in lines] == [True, True, True, True, False]
-    assert [judge.judge(one).misnamed for one in lines] == [False, False, True, True, False]
+    assert [judge.judge(one).has_false_name for one in lines] == [False, False, True, True, False]
     (goal,) = [g for g in goals.goals([judge.judge(one) for one in lines]) if g.text.startswith(text)]
     assert goal.beside == "declared 4, 2 of them inadequate; with a false name 2"
 
@@ -91,8 +91,8 @@ def test_inadequate_is_false_of_nothing_and_a_miss_of_what_the_library_has():
     nothing = judge.judge(line([], [], verdict="inadequate", kind="none"))
     assert nothing.false == (judge.INADEQUATE,)
     missed = judge.judge(line(["hop"], [], verdict="inadequate"))
-    assert (missed.false, missed.detected, missed.kin, missed.right) == ((), False, False, False)
-    assert not judge.judge(line(["hop"], ["hop"], verdict="inadequate")).kin
+    assert (missed.false, missed.detected, missed.right_class, missed.right) == ((), False, False, False)
+    assert not judge.judge(line(["hop"], ["hop"], verdict="inadequate")).right_class
     assert judge.judge(line([], [], verdict="inadequate", kind="defect", defect={"scale": 1e-3})).false == ()
 
 
@@ -109,10 +109,10 @@ def test_a_withdrawn_claim_is_no_claim():
 def test_a_class_of_everything_is_no_answer():
     everything = sorted(library())
     wide = judge.judge(line(["hop"], ["stribeck"], [everything], "ambiguous"))
-    assert not wide.kin
+    assert not wide.right_class
     assert wide.false == ("stribeck",)
     few = ["stribeck", "hop", "adhesion"]
-    assert judge.judge(line(["hop"], ["stribeck"], [few], "ambiguous")).kin
+    assert judge.judge(line(["hop"], ["stribeck"], [few], "ambiguous")).right_class
     assert goals.sizes([judge.judge(line(["hop"], ["stribeck"], [few], "ambiguous"))] * 2) == (
         "classes of 3.0 names, 3 at most"
     )
@@ -150,7 +150,7 @@ def test_an_outsider_that_the_library_takes_in_is_an_effect_like_any_other(monke
     assert judge.judge(row).false == ("air_drag",)
     monkeypatch.setattr(ORDINARY["ball_curves"], "SAME", ("no_such_effect", "air_drag"))
     taken = judge.judge(row)
-    assert (taken.kind, taken.hidden, taken.false, taken.kin) == ("one", ("air_drag",), (), True)
+    assert (taken.kind, taken.hidden, taken.false, taken.right_class) == ("one", ("air_drag",), (), True)
 
 
 @pytest.mark.parametrize("name", ["rolling_resonance", "friction_streaks", "speed_delay"])
@@ -199,11 +199,11 @@ def test_bounds_of_shares_in_closed_form():
         (at_most(0.02), 0, 148, "not shown"),  # 1 - .05^(1/148) = .02004
         (at_most(0.02), 0, 149, "yes"),
         (at_most(0.02), 4, 50, "no"),
-        (counted(2, 300), 0, 299, "not shown"),
-        (counted(2, 300), 2, 298, "yes"),
-        (counted(2, 300), 3, 97, "no"),
-        (counted(2, 300), 4, 596, "yes"),
-        (counted(2, 300), 5, 595, "no"),
+        (at_most_count(2, 300), 0, 299, "not shown"),
+        (at_most_count(2, 300), 2, 298, "yes"),
+        (at_most_count(2, 300), 3, 97, "no"),
+        (at_most_count(2, 300), 4, 596, "yes"),
+        (at_most_count(2, 300), 5, 595, "no"),
         (at_least(0.8), 0, 0, "not shown"),
     ],
 )

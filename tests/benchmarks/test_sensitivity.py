@@ -23,12 +23,12 @@ def searches(monkeypatch):
         return {"verdict": "named" if named else "none", "named": named}
 
     monkeypatch.setattr(sensitivity, "prepare", lambda truth, folder: (folder, None))
-    monkeypatch.setattr(sensitivity, "analysed", analysed)
+    monkeypatch.setattr(sensitivity, "analyse", analysed)
     return seen
 
 
 def search(place, todo, until=float("inf")):
-    return sensitivity.searched({"truth": TRUTH}, todo, place, until, sensitivity.code())
+    return sensitivity.search_box({"truth": TRUTH}, todo, place, until, sensitivity.code())
 
 
 def test_numbers_are_multiplied_cosines_come_nearer_to_one_and_counts_stay_counts():

@@ -40,7 +40,7 @@ def plain(value: Any) -> Any:
 
 
 def answer(found: SearchResult) -> dict[str, Any]:
-    """What is put on record: the report's document and both models."""
+    """Build the answer for the ledger: the document of the report and both models."""
     models = {"base": settings_of(found.gap_fits.before.model), "model": settings_of(found.model)}
     return found.document() | models
 
@@ -53,7 +53,7 @@ def keep(clips: list[MeasuredCollision] | tuple[MeasuredCollision, ...], path: P
     np.savez(path, **arrays)
 
 
-def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> dict[str, Any]:
+def analyse(measured: Path, camera: Path | None, model: Path, folder: Path) -> dict[str, Any]:
     """The answer to one box; the clips that no fit saw go into `folder`."""
     try:
         clips, left_out = read_collisions(measured, camera)
@@ -73,7 +73,7 @@ def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> 
 def main() -> None:
     measured, model, folder = (Path(sys.argv[k]) for k in (1, 3, 4))
     camera = None if sys.argv[2] == "-" else Path(sys.argv[2])
-    said = analysed(measured, camera, model, folder)
+    said = analyse(measured, camera, model, folder)
     (folder / "answer.json").write_text(json.dumps(said, allow_nan=False))
 
 

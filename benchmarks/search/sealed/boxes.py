@@ -1,4 +1,4 @@
-"""What a box holds: a truth drawn from the study's seed and the box's number, and the experiment it hides in."""
+"""A sealed box: a truth drawn from the seed of the study and the number of the box, and its experiment."""
 
 from __future__ import annotations
 
@@ -54,7 +54,9 @@ ALIKE = 0.98  # of the cosine: beyond it no data of this size part two effects
 
 @dataclass(frozen=True)
 class Study:
-    """What the boxes of a study are drawn from. Weights by name; ratios: of strength to limit, none: `within`.
+    """The distributions from which the boxes of a study are drawn.
+
+    Weights by name. ratios: of strength to limit; none: drawn from `within`.
 
     naming: ratios are of the naming limit, where the nearest rival would be 5 sigma off. filmed: through the tracker.
     The effects take turns: box k of a study hides the k-th of them first, in an order that its seed makes.
@@ -79,7 +81,7 @@ class Study:
     all: bool = False  # each of them: the integrator makes the tracks only where it knows the effect
 
     def seed(self, secret: str) -> int:
-        """What its boxes are drawn with: nobody who lacks the secret can know them."""
+        """Return the seed of the boxes, which nobody can know without the secret."""
         return int(hashlib.sha256(f"{secret}/{self.name}".encode()).hexdigest(), 16)
 
 
@@ -125,11 +127,11 @@ def clips_of(truth: Truth) -> list[Clip]:
     scene, foreign = scene_of(truth), _foreign(truth)
     clips = [scene.draw(k, truth["seed"]) for k in range(truth["clips"])]
     bent = [dataclasses.replace(c.model, effects=(*c.model.effects, *foreign)) for c in clips]
-    own = [in_clip(m, k, launched_a(c), launch_of(c)) for k, (c, m) in enumerate(zip(clips, bent, strict=True))]
+    own = [in_clip(m, k, striker_is_a(c), launch_of(c)) for k, (c, m) in enumerate(zip(clips, bent, strict=True))]
     return [dataclasses.replace(c, model=m) for c, m in zip(clips, own, strict=True)]
 
 
-def launched_a(clip: Clip) -> bool:
+def striker_is_a(clip: Clip) -> bool:
     return bool(clip.drawn["launch"]["striker"] == "a")
 
 

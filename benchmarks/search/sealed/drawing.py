@@ -110,7 +110,7 @@ def _defect(rng: np.random.Generator, filmed: bool) -> dict[str, float]:
     sign = float(rng.choice([-1, 1]))
     size = {
         "pixel_locking": sign * np.exp(rng.uniform(np.log(0.003), np.log(0.03))),  # px
-        "glint": 1.0,  # taken for the centre
+        "glint": 1.0,  # mistaken for the centre
         "lamp": sign * rng.uniform(0.002, 0.01),  # m, each way
         "scale": sign * np.exp(rng.uniform(np.log(1e-4), np.log(2e-3))),
     }
@@ -130,7 +130,7 @@ def _fits(effect: str, world: worlds.World) -> bool:
 
 
 def _in_world(rng: np.random.Generator, world: worlds.World, box: int, turns: list[str]) -> list[list[str]]:
-    """What is hidden in a hostile world, as names to draw from: nothing, or an effect; and the world's own laws.
+    """Return the names to draw from in a hostile world: nothing or one effect, and the laws of the world.
 
     An effect is hidden in every other turn of a world, as one of the two laws of two.
     """
@@ -144,10 +144,10 @@ def _in_world(rng: np.random.Generator, world: worlds.World, box: int, turns: li
 
 
 def _designs(truth: Truth, study: Study) -> Callable[[str], Fisher]:
-    """What the box's tracks could show of an effect, by its name."""
+    """Return the Fisher information of the tracks of a box about an effect, by its name."""
     noise = Noise(VIDEO_STD) if study.filmed else NOISES[truth["noise"]]
     world = truth.get("world", {})
-    noise = dataclasses.replace(noise, std=worlds.noisier(world, noise.std, SCALE))
+    noise = dataclasses.replace(noise, std=worlds.scale_noise(world, noise.std, SCALE))
     plain = Fisher(base_model(truth), fitted(truth), noise)
     if world.get("name") != "friction_of_clip":
         return lambda name: plain
@@ -244,7 +244,7 @@ def _entry(
             return None
     truth, camera = hidden(limit * ratio), fisher.rows[0].camera
     shutter = truth.laws("exposure", camera.exposure, {"fps": camera.fps})
-    if not 0 < shutter <= 1 / camera.fps:  # no shutter opens for less than no time, nor into the next frame
+    if not 0 < shutter <= 1 / camera.fps:  # the exposure must be positive and end before the next frame
         return None
     try:
         fisher.signature(truth)

@@ -1,4 +1,4 @@
-"""What the analysis is given of a box: a table of tracks and a camera file, or the results of a tracker on a film."""
+"""The evidence that the analysis receives: tracks and a camera file, or the results of a tracker on a film."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ Array = NDArray[np.float64]
 def prepare(truth: Truth, folder: Path) -> tuple[Path, Path | None]:
     """Write the evidence of a box into an empty folder: (tracks, camera), or (results, None) of a film."""
     folder.mkdir(parents=True, exist_ok=True)
-    return (_filmed(truth, folder), None) if truth["source"] == "video" else _tabled(truth, folder)
+    return (_film(truth, folder), None) if truth["source"] == "video" else _write_table(truth, folder)
 
 
-def _tabled(truth: Truth, folder: Path) -> tuple[Path, Path]:
+def _write_table(truth: Truth, folder: Path) -> tuple[Path, Path]:
     clips = clips_of(truth)
     camera = camera_of(truth)
     rng = np.random.default_rng([truth["seed"], 1])
     tables = [_tracks(truth, clip, camera, rng) for clip in clips]
     path = folder / "tracks.parquet"
     pd.concat(tables).to_parquet(path, index=False)
-    (folder / "camera.json").write_text(json.dumps(_as_believed(camera_file(truth, clips[0]), truth["defect"])))
+    (folder / "camera.json").write_text(json.dumps(_believed_camera(camera_file(truth, clips[0]), truth["defect"])))
     return path, folder / "camera.json"
 
 
 def _tracks(truth: Truth, clip: Clip, camera: Camera, rng: np.random.Generator) -> pd.DataFrame:
     """Visible balls of one clip with noise, px, in the columns of TRACKS."""
     if truth["source"] == "integrator":
-        pixels, seen = integrated(truth, clip, camera)
+        pixels, seen = integrate_tracks(truth, clip, camera)
     elif "by" in truth.get("world", {}):
         pixels, seen = _at_own_times(truth, clip, camera)
     else:
         pixels, seen = _by_synthcam(clip, camera)
-    pixels = _mismeasured(pixels.reshape(-1, 2), truth, camera).reshape(pixels.shape)
+    pixels = _add_tracker_defect(pixels.reshape(-1, 2), truth, camera).reshape(pixels.shape)
     pixels = pixels + noise_of(truth["noise"], clip.frames, rng) / SCALE
     if "world" in truth:
         return _hostile(truth, clip, pixels, seen, rng)
@@ -107,11 +107,11 @@ def _by_synthcam(clip: Clip, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
     place = camera.unproject(pixels)[0]
     shift = moved(clip.model.effects, place, velocity, clip.launch.bodies.of_a[:, None])
     if np.any(shift):
-        pixels = _projected(camera, place + shift)
+        pixels = _project(camera, place + shift)
     return pixels, table["visible"].to_numpy().reshape(2, clip.frames)
 
 
-def integrated(truth: Truth, clip: Clip, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
+def integrate_tracks(truth: Truth, clip: Clip, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
     """The same by the integrator that shares nothing with synthcam's motion."""
     numbers = {"gravity": 9.81, "diameter": 2.38e-3, "density": 7800.0} | truth["base"] | truth["hidden"]
     opens = np.arange(clip.frames) / camera.fps
@@ -119,22 +119,22 @@ def integrated(truth: Truth, clip: Clip, camera: Camera) -> tuple[Array, NDArray
     paths = collision(Plate(numbers), launch_of(clip), clip.drawn["launch"]["striker"] == "a", end)
     place = means(paths, opens, camera.exposure)
     half = np.array(camera.size) / 2 * SCALE - camera.radius
-    return _projected(camera, place), np.asarray((np.abs(place) < half).all(axis=-1))
+    return _project(camera, place), np.asarray((np.abs(place) < half).all(axis=-1))
 
 
-def _projected(camera: Camera, place: Array) -> Array:
+def _project(camera: Camera, place: Array) -> Array:
     return np.asarray(camera.project(np.concatenate([place, np.full((*place.shape[:-1], 1), camera.radius)], axis=-1)))
 
 
-def _mismeasured(pixels: Array, truth: Truth, camera: Camera) -> Array:
-    """What a tracker at fault makes of centres (n, 2), px."""
+def _add_tracker_defect(pixels: Array, truth: Truth, camera: Camera) -> Array:
+    """Apply the defect of a tracker to centres (n, 2), px."""
     defect = truth["defect"]
     if "pixel_locking" in defect:
         return np.asarray(pixels - defect["pixel_locking"] * np.sin(2 * np.pi * pixels))
     if "glint" in defect:
         return camera.glint_of_centre(_on_plate(camera, pixels))
     if "lamp" in defect:
-        wrong = dataclasses.replace(camera, lamp=_moved_lamp(camera, defect["lamp"]))
+        wrong = dataclasses.replace(camera, lamp=_move_lamp(camera, defect["lamp"]))
         return wrong.centre_of_glint(camera.glint_of_centre(_on_plate(camera, pixels)))[0]
     bent = model_of(truth).laws("measure", pixels, measurement_context(camera))
     return np.asarray(bent)
@@ -144,13 +144,13 @@ def _on_plate(camera: Camera, pixels: Array) -> Array:
     return camera.unproject(pixels)[0]
 
 
-def _moved_lamp(camera: Camera, by: float) -> LampSettings:
+def _move_lamp(camera: Camera, by: float) -> LampSettings:
     assert camera.lamp is not None
     x, y, z = camera.lamp.position
     return dataclasses.replace(camera.lamp, position=(x + by, y + by, z + by))
 
 
-def _as_believed(known: dict[str, Any], defect: dict[str, float]) -> dict[str, Any]:
+def _believed_camera(known: dict[str, Any], defect: dict[str, float]) -> dict[str, Any]:
     """camera.json as an experimenter wrote it who is wrong about lamp or scale, or knows of no lamp."""
     if "scale" in defect:
         factor = 1 + defect["scale"]
@@ -177,25 +177,27 @@ def _chain(rng: np.random.Generator, shape: tuple[int, int, int], rho: float) ->
     return out
 
 
-def _filmed(truth: Truth, folder: Path) -> Path:
+def _film(truth: Truth, folder: Path) -> Path:
     """Film every clip, let the tracker look at the film alone, and keep what it says."""
     dataset, results, secret = folder / "film", folder / "results", folder / "truth"
     for clip in clips_of(truth):
         place = dataset / f"clips/{clip.number:06d}"
         write_clip(place, clip, clip.pictures(), {"seed": 0}, secret / f"{clip.number:06d}")
-        known = _as_believed(json.loads((place / "camera.json").read_text()), truth["defect"])
+        known = _believed_camera(json.loads((place / "camera.json").read_text()), truth["defect"])
         if "glint" in truth["defect"]:
             known.pop("lamp")  # without it a tracker has nothing but the glint
         (place / "camera.json").write_text(json.dumps(known))
     shutil.rmtree(secret)
     command = [str(Path(sys.executable).with_name("tracker")), "track", str(dataset), "-o", str(results)]
-    done = subprocess.run([*command, "--workers", "1"], capture_output=True, text=True, env=alone(), check=False)
+    done = subprocess.run(
+        [*command, "--workers", "1"], capture_output=True, text=True, env=isolated_environment(), check=False
+    )
     if done.returncode:
         raise RuntimeError(done.stderr.strip())
     shutil.rmtree(dataset)
     return results
 
 
-def alone() -> dict[str, str]:
+def isolated_environment() -> dict[str, str]:
     """An environment in which numpy keeps to one core."""
     return os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

@@ -1,4 +1,4 @@
-"""What an experiment could tell at best: detection limits, and which effects look alike in it.
+"""Fisher information of an experiment: detection limits, and the similarity of effects.
 
 The model is linear about the base model: launches and base parameters are free, the rest of an effect's trace in the
 tracks, whitened by the true noise, is its signature; its length is the expected |z|.
@@ -38,7 +38,7 @@ BENT = 8.0  # times the length at four times the strength: 4 of the first order,
 
 @dataclass(frozen=True)
 class Rows:
-    """Where one collision has measurements: frame (n,), ball (n,) 0 the target; as the search's own clips."""
+    """The measured rows of one collision: frame (n,), and ball (n,), 0 for the target."""
 
     striker: str
     camera: Camera
@@ -62,7 +62,7 @@ class Noise:
         return np.asarray(own + self.shake**2 * 0.9**lag)
 
 
-def where(model: Model, launches: Array, rows: Sequence[Rows]) -> list[Array]:
+def predict_positions(model: Model, launches: Array, rows: Sequence[Rows]) -> list[Array]:
     """Where the balls are at these rows, m: (n_k, 2). The search's forecast asks for no more than rows have."""
     return predict_tracks(model, launches, cast(Sequence[MeasuredCollision], rows))
 
@@ -89,7 +89,7 @@ class Fisher:
         out: list[list[Array]] = [[] for _ in range(n)]
         for j, nudge in enumerate(nudges):
             step = np.where(free[:, j], nudge, 0.0)[:, None] * np.eye(len(nudges))[j]
-            ahead, behind = (where(self.model, self.launches + way * step, self.rows) for way in (1, -1))
+            ahead, behind = (predict_positions(self.model, self.launches + way * step, self.rows) for way in (1, -1))
             for k in np.flatnonzero(free[:, j]):
                 out[k].append((ahead[k] - behind[k]) / (2 * nudge))
         return out
@@ -97,7 +97,7 @@ class Fisher:
     @staticmethod
     def places(model: Model, rows: Sequence[Rows]) -> list[Array]:
         """Where the balls are, m: (n_k, 2)."""
-        return where(model, np.array([r.launch for r in rows]), rows)
+        return predict_positions(model, np.array([r.launch for r in rows]), rows)
 
     def _tracks(self, model: Model) -> list[Array]:
         """Places (n_k, 2) of every clip, with what an outsider does to one clip or to the picture."""
@@ -113,13 +113,13 @@ class Fisher:
         return out
 
     def _places(self, model: Model) -> list[Array]:
-        """Where the balls are; clips of one model together."""
+        """Predict positions; clips with the same model are solved together."""
         alike: dict[Model, list[int]] = {}
         for k, r in enumerate(self.rows):
             alike.setdefault(outsiders.in_clip(model, r.clip, r.striker == "a", r.launch), []).append(k)
         out: dict[int, Array] = {}
         for own, which in alike.items():
-            found = where(own, self.launches[which], [self.rows[k] for k in which])
+            found = predict_positions(own, self.launches[which], [self.rows[k] for k in which])
             out |= dict(zip(which, found, strict=True))
         return [out[k] for k in range(len(self.rows))]
 

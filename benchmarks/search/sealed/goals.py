@@ -73,7 +73,7 @@ def at_most(text: str, where: str, wanted: float, hits: Sequence[bool]) -> Goal:
     return _share(text, where, f"under {100 * wanted:g} %", hits, verdict(high <= wanted, low > wanted))
 
 
-def counted(text: str, where: str, most: int, of: int, hits: Sequence[bool]) -> Goal:
+def at_most_count(text: str, where: str, most: int, of: int, hits: Sequence[bool]) -> Goal:
     """A goal that is itself a count: at most so many in so many."""
     part = sum(hits) / most * of
     met = verdict(part <= len(hits) >= of, part > max(len(hits), of))
@@ -91,7 +91,7 @@ def _share(text: str, where: str, wanted: str, hits: Sequence[bool], met: str, b
 
 def sizes(rows: Iterable[Row]) -> str:
     """How many names the reported classes hold, where a class counted: a class of everything would always be right."""
-    many = [len(c) for r in rows if r.kin for c in r.classes]
+    many = [len(c) for r in rows if r.right_class for c in r.classes]
     return f"classes of {np.mean(many):.1f} names, {max(many)} at most" if many else ""
 
 
@@ -119,7 +119,7 @@ def _claims(rows: list[Row], where: str) -> list[Goal]:
     claims = [c in r.false for r in rows for c in r.called]
     seen = [r.detected for r in near(one, limit)]
     return [
-        counted("a false claim, nothing hidden", where, 2, 300, [bool(r.false) for r in plain]),
+        at_most_count("a false claim, nothing hidden", where, 2, 300, [bool(r.false) for r in plain]),
         at_most("likewise with correlated noise or shake", where, 0.02, [bool(r.false) for r in hard]),
         at_most("likewise with a tracker's defect", where, 0.02, [bool(r.false) for r in defects]),
         at_least(f"detected at {limit:g} x its limit (.85 to 1.2 of that)", where, 0.8, seen),
@@ -137,17 +137,17 @@ def _names(rows: list[Row], where: str) -> list[Goal]:
     return [
         at_least("right name at 2 x its naming limit", where, 0.98, [r.name for r in near(parted, 2, naming=True)]),
         at_least("right name from there on", where, 0.98, [r.name for r in parted if r.naming >= 2 * FROM]),
-        at_least("right class at 2 x its limit", where, 0.99, [r.kin for r in at_two], sizes(at_two)),
-        at_least("right class from there on", where, 0.99, [r.kin for r in beyond], sizes(beyond)),
+        at_least("right class at 2 x its limit", where, 0.99, [r.right_class for r in at_two], sizes(at_two)),
+        at_least("right class from there on", where, 0.99, [r.right_class for r in beyond], sizes(beyond)),
         at_least(
             "aliases (cos over .98): always a class",
             where,
             1.0,
-            [r.kin and any(len(c) > 1 for c in r.classes) for r in alike],
+            [r.right_class and any(len(c) > 1 for c in r.classes) for r in alike],
             sizes(alike),
         ),
         at_least("two effects, from 5 x their limits: both right", where, 0.95, [r.name for r in strong]),
-        at_least("both classes right", where, 0.98, [r.kin for r in pairs], sizes(pairs)),
+        at_least("both classes right", where, 0.98, [r.right_class for r in pairs], sizes(pairs)),
     ]
 
 
@@ -155,21 +155,21 @@ def _outside(rows: list[Row], where: str) -> list[Goal]:
     out = [r for r in rows if r.kind == "outside"]
     strong = [r for r in out if r.ratio >= 5 * FROM]
     curves = [bool(r.curve) for r in strong if r.curve is not None]
-    near_truth = [r.left < 1 + WORSE for r in strong if r.in_model and r.gap]
+    near_truth = [r.chi2_ratio < 1 + WORSE for r in strong if r.in_model and r.gap]
     text = "outside the library, from 5 x: declared, with no false name"
     return [
         at_least(text, where, 0.98, [r.right for r in strong], split(strong)),
         at_least("the right free law", where, 0.95, [r.free_law for r in strong]),
         at_least("the curve in its band", where, 0.9, curves),
         at_least("the law in the model: gap on clips kept out within 10 % of the true law's", where, 0.9, near_truth),
-        at_most("at 2 x: called by a name of the library", where, 0.1, [r.misnamed for r in near(out, 2)]),
+        at_most("at 2 x: called by a name of the library", where, 0.1, [r.has_false_name for r in near(out, 2)]),
     ]
 
 
 def _ordinary(rows: list[Row], where: str) -> list[Goal]:
     out = [r for r in rows if r.kind == "ordinary"]
     strong = [r for r in out if r.ratio >= 5 * FROM]
-    weak = [r.misnamed for r in near(out, 2)]
+    weak = [r.has_false_name for r in near(out, 2)]
     text = "an ordinary fault without a free law, from 5 x: declared, with no false name"
     return [
         at_least(text, where, 0.95, [r.right for r in strong], split(strong)),
@@ -183,7 +183,7 @@ def _hostile(rows: list[Row], where: str) -> list[Goal]:
         return []
     plain = [r for r in rows if not r.hidden]
     laws = [r for r in rows if r.lawless]
-    named = [r.kin for r in rows if r.nameable]
+    named = [r.right_class for r in rows if r.nameable]
     return [
         at_least("hostile worlds: an answer at all", where, 1.0, [r.worked for r in rows]),
         at_most("hostile worlds: a box with a false claim", where, 0.02, [bool(r.false) for r in rows]),
@@ -200,7 +200,7 @@ def split(rows: Sequence[Row]) -> str:
         return ""
     told = sum(r.verdict == "inadequate" for r in rows)
     declared = sum(r.declared for r in rows)
-    return f"declared {declared}, {told} of them inadequate; with a false name {sum(r.misnamed for r in rows)}"
+    return f"declared {declared}, {told} of them inadequate; with a false name {sum(r.has_false_name for r in rows)}"
 
 
 def with_gap(rows: Iterable[Row]) -> list[Row]:
@@ -226,13 +226,13 @@ def _numbers(rows: list[Row], where: str) -> list[Goal]:
 
 
 def _gap(found: list[Row], where: str) -> list[Goal]:
-    """What is closed of the gap on clips kept out: all boxes summed, the median box; and what the truth closes more."""
+    """Return the share of the held-out gap that the answers close (sum, median), beside that of the true model."""
     if not found:
         return []
     base, augmented, oracle = np.array([[r.gap[k] for k in ("base", "augmented", "oracle")] for r in found]).T
     drawn = np.random.default_rng(0).integers(len(found), size=(AGAIN, len(found)))
     summed = (base - augmented)[drawn].sum(axis=1) / (base - oracle)[drawn].sum(axis=1)
-    closed, left = np.array([r.closure for r in found]), np.array([r.left for r in found])
+    closed, left = np.array([r.closure for r in found]), np.array([r.chi2_ratio for r in found])
     whole = float((base - augmented).sum() / (base - oracle).sum())
     off, error = abs(float(left.mean()) - 1), float(left.std() / math.sqrt(len(left)))
     far = float(np.mean(np.abs(left - 1) < 0.01))

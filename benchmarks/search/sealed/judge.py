@@ -1,4 +1,4 @@
-"""What an opened box shows: was the answer right, and how far off."""
+"""Judges the answer of an opened box: whether it is right, and how far off."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from synthcam.library import library
 
 from .boxes import DEFECTS, FOREIGN
-from .worlds import LAWS, UNTOLD
+from .worlds import LAWS, UNDETECTABLE
 
 INSIDE = 0.9  # of a true curve's places must lie in the 95 % band
 OWNERS = {"friction": "sliding_friction", "restitution": "restitution", "spin_transfer": "spin_transfer"}
@@ -42,7 +42,7 @@ class Row:
     classes: tuple[tuple[str, ...], ...]
     false: tuple[str, ...]
     name: bool
-    kin: bool
+    right_class: bool
     noise: str
     source: str
     free_law: bool = False
@@ -64,7 +64,7 @@ class Row:
 
     @property
     def detected(self) -> bool:
-        """Of what the library holds, `inadequate` is a miss."""
+        """Whether the search found something; `inadequate` is a miss where the library has the effect."""
         return self.worked and self.verdict != "none" and (self.kind in STRANGE or self.verdict != "inadequate")
 
     @property
@@ -79,7 +79,7 @@ class Row:
     @property
     def nameable(self) -> bool:
         """Does a hostile box hide an effect of the library that its tracks can tell?"""
-        return self.world not in UNTOLD and any(h not in FOREIGN for h in self.hidden)
+        return self.world not in UNDETECTABLE and any(h not in FOREIGN for h in self.hidden)
 
     @property
     def lawless(self) -> bool:
@@ -88,8 +88,8 @@ class Row:
 
     @property
     def _answered(self) -> bool:
-        """Is a hostile box answered as far as can be? What can be named by class, what cannot declared."""
-        if self.nameable and not self.kin:
+        """Is a hostile box answered as far as can be? Effects of the library by class, other laws by a declaration."""
+        if self.nameable and not self.right_class:
             return False
         return self.declared if self.lawless else self.nameable or not self.called or self.declared
 
@@ -99,7 +99,7 @@ class Row:
         return OUTSIDE in self.called or INADEQUATE in self.called
 
     @property
-    def misnamed(self) -> bool:
+    def has_false_name(self) -> bool:
         """A false name of the library, whatever else was said."""
         return bool(set(self.false) - {OUTSIDE, INADEQUATE})
 
@@ -110,20 +110,20 @@ class Row:
         return (g["base"] - g["augmented"]) / (g["base"] - g["oracle"]) if g else math.nan
 
     @property
-    def left(self) -> float:
+    def chi2_ratio(self) -> float:
         """augmented / oracle."""
         return self.gap["augmented"] / self.gap["oracle"] if self.gap else math.nan
 
 
 def judge(line: dict[str, Any]) -> Row:
     """A line of NAME.jsonl, judged."""
-    truth, answer = _known(line["truth"]), line["answer"]
+    truth, answer = _resolve_outsider(line["truth"]), line["answer"]
     hidden, about = tuple(truth["effects"]), truth.get("about", [])
     named = [n["effect"] for n in answer.get("named", [])]
     classes = [next((tuple(a) for a in answer.get("aliases", []) if n in a), (n,)) for n in named]
     kins = [kin if len(kin) <= WIDEST else (n,) for n, kin in zip(named, classes, strict=True)]
     said = [word for word, verdict in WORDS.items() if answer["verdict"] == verdict]
-    allowed = {*hidden, *_rounded(truth), *(n for d in truth["defect"] for n in DEFECTS[d])}
+    allowed = {*hidden, *_grid_effects(truth), *(n for d in truth["defect"] for n in DEFECTS[d])}
     false = [n for n, kin in zip(named, kins, strict=True) if not allowed & {n, *kin}]
     false += [word for word in said if truth["kind"] in FALSE[word]]
     world = truth.get("world", {}).get("name", "")
@@ -146,7 +146,7 @@ def judge(line: dict[str, Any]) -> Row:
         classes=tuple(classes),
         false=tuple(false),
         name=not said and sorted(named) == sorted(ours) and len(ours) == len(hidden),
-        kin=_matched(ours, *_unrounded(truth, named, kins))
+        right_class=_match_claims(ours, *_without_grid_effects(truth, named, kins))
         and ("gap" in answer if world else not said and len(ours) == len(hidden)),
         noise=truth["noise"],
         source=truth["source"],
@@ -165,16 +165,16 @@ def judge(line: dict[str, Any]) -> Row:
     )
 
 
-def _rounded(truth: dict[str, Any]) -> tuple[str, ...]:
-    """What the library has for a grid of whole pixels."""
+def _grid_effects(truth: dict[str, Any]) -> tuple[str, ...]:
+    """Return the library's effect for a grid of whole pixels, if the world has one."""
     return ("pixel_locking",) if truth.get("world", {}).get("step", 0.0) >= 1 else ()
 
 
-def _unrounded(
+def _without_grid_effects(
     truth: dict[str, Any], named: list[str], kins: list[tuple[str, ...]]
 ) -> tuple[list[str], list[tuple[str, ...]]]:
-    """What is named, and the classes, without what is true of a grid."""
-    kept = [k for k, n in enumerate(named) if n in truth["effects"] or n not in _rounded(truth)]
+    """Return names and classes without the effect that is true of a grid."""
+    kept = [k for k, n in enumerate(named) if n in truth["effects"] or n not in _grid_effects(truth)]
     return [named[k] for k in kept], [kins[k] for k in kept]
 
 
@@ -190,7 +190,7 @@ WORDS = {OUTSIDE: "outside_library", INADEQUATE: "inadequate"}
 FALSE = {OUTSIDE: ("none", "one", "two", "defect"), INADEQUATE: ("none",)}
 
 
-def _known(truth: dict[str, Any]) -> dict[str, Any]:
+def _resolve_outsider(truth: dict[str, Any]) -> dict[str, Any]:
     """The truth; an outsider whose law the library has by now is a hidden effect like any other."""
     names = [_same(n) for n in truth["effects"]]
     if names == truth["effects"]:
@@ -203,7 +203,7 @@ def _same(name: str) -> str:
     return next((n for n in kind.SAME if n in library()), name) if kind else name
 
 
-def _matched(hidden: list[str], named: list[str], classes: list[tuple[str, ...]]) -> bool:
+def _match_claims(hidden: list[str], named: list[str], classes: list[tuple[str, ...]]) -> bool:
     """Is each claim, by its class, another hidden effect, and none left?"""
     if len(hidden) != len(named):
         return False
@@ -211,7 +211,9 @@ def _matched(hidden: list[str], named: list[str], classes: list[tuple[str, ...]]
         return True
     first, *rest = hidden
     for k, (n, kin) in enumerate(zip(named, classes, strict=True)):
-        if (first == n or first in kin) and _matched(rest, named[:k] + named[k + 1 :], classes[:k] + classes[k + 1 :]):
+        if (first == n or first in kin) and _match_claims(
+            rest, named[:k] + named[k + 1 :], classes[:k] + classes[k + 1 :]
+        ):
             return True
     return False
 
@@ -225,14 +227,14 @@ def _errors(truth: dict[str, Any], answer: dict[str, Any]) -> list[float]:
     for n in named:
         found = {k if "." in k else f"{n['effect']}.{k}": v for k, v in n["parameters"].items()}
         stds = {k if "." in k else f"{n['effect']}.{k}": v for k, v in (n.get("std") or {}).items()}
-        hidden = facing(n["effect"], truth["hidden"], found)
+        hidden = align_conventions(n["effect"], truth["hidden"], found)
         for dotted in found:
             if stds.get(dotted) and dotted in hidden and dotted in strengths_of(n["effect"]):
                 out.append((found[dotted] - hidden[dotted]) / stds[dotted])
     return out
 
 
-def facing(effect: str, hidden: dict[str, float], found: dict[str, float]) -> dict[str, float]:
+def align_conventions(effect: str, hidden: dict[str, float], found: dict[str, float]) -> dict[str, float]:
     """The hidden values written as the found ones are, where two sets of numbers are one law.
 
     A wave that runs along angle, and one along angle + pi whose sine has the other sign, are the same wave. No other
@@ -265,13 +267,13 @@ def _outside(truth: dict[str, Any], answer: dict[str, Any]) -> tuple[bool, bool 
         return free_law, None
     x = np.asarray(first["x"], dtype=float)
     axes = x.T if x.ndim == 2 else (x,)
-    law = effect._curve(*axes) + _owned(kind.FREE_LAW, axes[0], truth["base"])
+    law = effect._curve(*axes) + _base_value(kind.FREE_LAW, axes[0], truth["base"])
     curve, band = (np.asarray(first[k], dtype=float) for k in ("curve", "band"))
     return free_law, curve.shape == law.shape and inside(law, band, kind.FREE_LAW in CENTRED)
 
 
-def _owned(free_law: str, x: Any, base: dict[str, float]) -> Any:
-    """What the base model itself makes of the law."""
+def _base_value(free_law: str, x: Any, base: dict[str, float]) -> Any:
+    """Return the law of the base model alone."""
     if free_law.startswith("rolling"):
         return base["rolling_decel"] + base["rolling_drag"] * x
     name = next((n for start, n in OWNERS.items() if free_law.startswith(start)), None)

@@ -71,8 +71,8 @@ class Ledger:
         _write(self._path(box, ".answer"), answer)
         append(self.record, {"box": box, "answer": digest(answer)})
 
-    def answered(self, box: int) -> Json | None:
-        """The answer on record, held against its hash, for a run that goes on after a kill. Raises Broken."""
+    def recall_answer(self, box: int) -> Json | None:
+        """Return the recorded answer, checked against its hash, for a run that resumes after a kill. Raises Broken."""
         if self._hash(box, "answer") is None:
             return None
         answer: Json = json.loads(self._path(box, ".answer").read_text())

@@ -1,4 +1,4 @@
-"""The gap that the truth itself would leave on the clips kept out, beside what the search left there."""
+"""The gap that the true model leaves on held-out clips, to compare with the gap of the search's model."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from synthcam.model import Model, build
 from tracker.camera.camera import Camera
 
 from .boxes import NOISES, Truth, camera_of, model_of, scene_of
-from .fisher import NUDGES, SPUN, Rows, where
+from .fisher import NUDGES, SPUN, Rows, predict_positions
 
 Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
-class Held:
-    """A clip kept out of every fit: where it has measurements, and what whitens them, (2n, 2n)."""
+class HeldOutClip:
+    """A held-out clip: its measured rows, and the matrix (2n, 2n) that whitens them."""
 
     rows: Rows
     xy: Array
     root: Array
 
 
-def held(path: Path, truth: Truth, camera: Camera) -> list[Held]:
-    """What the analysis kept out; whitened by the true noise, or by what the tracker claims."""
+def read_held_out(path: Path, truth: Truth, camera: Camera) -> list[HeldOutClip]:
+    """Read the clips that the analysis held out, whitened by the true noise or by the claimed errors."""
     scene, arrays, out = scene_of(truth, effects=False), np.load(path), []
     for number in sorted({int(k.partition("/")[0]) for k in arrays.files}):
         frame, ball, xy, covariance, launch = (
@@ -43,39 +43,39 @@ def held(path: Path, truth: Truth, camera: Camera) -> list[Held]:
             whole = np.zeros((2 * len(frame),) * 2)
             for k, block in enumerate(covariance):
                 whole[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
-        out.append(Held(rows, xy, np.linalg.inv(np.linalg.cholesky(whole))))
+        out.append(HeldOutClip(rows, xy, np.linalg.inv(np.linalg.cholesky(whole))))
     return out
 
 
-def chi2(model: Model, clips: list[Held]) -> float:
-    """Sum of whitened squares with each clip's launch fitted and all physics frozen.
+def chi2(model: Model, clips: list[HeldOutClip]) -> float:
+    """Return the sum of whitened squares, with the launch of each clip fitted and all physics fixed.
 
-    Where the search has strikers that spin, a clip counts with one that does or one that rolls, whichever fits.
+    If the search has spinning strikers, each clip counts with a spinning or a rolling one, whichever fits better.
     """
     launches = np.array([c.rows.launch for c in clips])
     ways = [launches] if launches.shape[1] == len(NUDGES) else [launches, launches[:, : len(NUDGES)]]
     found = []
     for way in ways:
         with suppress(ValueError):
-            found.append(_fitted(model, way, clips))
+            found.append(_fit_launches(model, way, clips))
     if not found:
         raise ValueError("no motion")
     return float(np.min(found, axis=0).sum())
 
 
-def _fitted(model: Model, places: Array, clips: list[Held]) -> Array:
-    """Of each clip, (n,): the whitened squares with its launch, (n, p) to start from, fitted. Raises ValueError."""
+def _fit_launches(model: Model, places: Array, clips: list[HeldOutClip]) -> Array:
+    """Fit the launches, (n, p) at the start; return the whitened squares of each clip, (n,). Raises ValueError."""
     rows, n, size = [c.rows for c in clips], len(clips), places.shape[1]
     nudges, free = SPUN[:size], launch_numbers(places)
     many = np.concatenate([np.diag(nudges), -np.diag(nudges)])
 
     def left(at: Array) -> list[Array]:
-        there = where(model, at, rows)
+        there = predict_positions(model, at, rows)
         return [c.root @ (c.xy - p).ravel() for c, p in zip(clips, there, strict=True)]
 
     now = left(places)
     for _ in range(8):
-        moved = where(model, (places[None] + many[:, None] * free).reshape(-1, size), rows * (2 * size))
+        moved = predict_positions(model, (places[None] + many[:, None] * free).reshape(-1, size), rows * (2 * size))
         steps = np.zeros((n, size))
         for k, c in enumerate(clips):
             slopes = [(moved[j * n + k] - moved[(j + size) * n + k]).ravel() / (2 * nudges[j]) for j in range(size)]
@@ -99,7 +99,7 @@ def gap(truth: Truth, answer: dict[str, Any], folder: Path) -> dict[str, float]:
         not path.exists() or truth["defect"] or truth["kind"] in ("ordinary", "hostile")
     ):  # one model does not hold all its clips
         return {}
-    clips = held(path, truth, camera_of(truth))
+    clips = read_held_out(path, truth, camera_of(truth))
     models = {"base": build(answer["base"]), "augmented": build(answer["model"]), "oracle": model_of(truth)}
     found = {"points": 2.0 * sum(map(_n, clips))}
     for name, model in models.items():
@@ -112,5 +112,5 @@ def gap(truth: Truth, answer: dict[str, Any], folder: Path) -> dict[str, float]:
     return found
 
 
-def _n(clip: Held) -> int:
+def _n(clip: HeldOutClip) -> int:
     return len(clip.xy)

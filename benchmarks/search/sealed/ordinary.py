@@ -40,7 +40,7 @@ def speed_of(velocity: Any) -> Any:
     return np.hypot(velocity[..., 0], velocity[..., 1])
 
 
-def turned(velocity: Any) -> Any:
+def quarter_turn(velocity: Any) -> Any:
     """A quarter turn on."""
     return np.stack([-velocity[..., 1], velocity[..., 0]], axis=-1)
 
@@ -90,7 +90,7 @@ class BallCurves(Ordinary):
     rate: float = parameter("1/s", typical=0.02, low=-0.5, high=0.5)
 
     def push(self, acceleration: Any, velocity: Any, of_a: Any) -> Any:
-        return acceleration + np.asarray(self.rate * of_a)[..., None] * turned(velocity)
+        return acceleration + np.asarray(self.rate * of_a)[..., None] * quarter_turn(velocity)
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ class FrictionPace(Ordinary):
 
 @dataclass(frozen=True)
 class RestitutionWay(Ordinary):
-    """Balls with a soft side that is always laid down alike: a restitution by heading, the more the harder the hit."""
+    """Balls with a soft side that is always placed the same way: restitution depends on the heading."""
 
     size: float = parameter("1", typical=0.01, low=-0.04, high=0.04)
 

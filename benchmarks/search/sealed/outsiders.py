@@ -46,7 +46,7 @@ class Outsider(Effect):
         return "".join("_" + c.lower() if c.isupper() else c for c in cls.__name__).lstrip("_")
 
     def _in(self, clip: int, a_strikes: bool, launch: Array) -> Outsider:
-        """What it is in one clip: its number, whether ball a is the launched one, and x, y, t_c, v0, heading, b."""
+        """Return the effect in one clip, from its number, whether ball a is launched, and x, y, t_c, v0, heading, b."""
         return self
 
 
@@ -245,7 +245,7 @@ OUTSIDERS = {kind.name(): kind for kind in Outsider.__subclasses__() if kind.FRE
 
 
 def in_clip(model: Model, clip: int, a_strikes: bool, launch: Array) -> Model:
-    """The model as it is in one clip: some outsiders are another in each."""
+    """Return the model of one clip: some outsiders differ from clip to clip."""
     own = tuple(e._in(clip, a_strikes, launch) if isinstance(e, Outsider) else e for e in model.effects)
     return model if own == model.effects else dataclasses.replace(model, effects=own)
 

@@ -189,11 +189,11 @@ def _names(rows: Sequence[Row]) -> Figure:
         two = [r for r in rows if r.kind == "two" and r.filmed == filmed and r.detected]
         if one:
             _curve(axes[0], [(r.ratio, r.name) for r in one], f"name, {label}", colour)
-            _curve(axes[0], [(r.ratio, r.kin) for r in one], f"class, {label}", colour, "s")
+            _curve(axes[0], [(r.ratio, r.right_class) for r in one], f"class, {label}", colour, "s")
             _curve(axes[1], [(r.naming, r.name) for r in one if r.naming >= 1], f"name, {label}", colour)
         if two:
             _curve(axes[2], [(r.ratio, r.name) for r in two], f"both names, {label}", colour)
-            _curve(axes[2], [(r.ratio, r.kin) for r in two], f"both classes, {label}", colour, "s")
+            _curve(axes[2], [(r.ratio, r.right_class) for r in two], f"both classes, {label}", colour, "s")
     axes[0].set_ylabel("% of the detected")
     _axes(axes, ("against the detection limit", "against the naming limit", "pairs, the weaker one's ratio"))
     return figure
@@ -206,7 +206,7 @@ def _gaps(rows: Sequence[Row]) -> Figure:
         if found:
             left = np.clip([1 - r.closure for r in found], *OPEN)
             axes[0].plot([r.ratio for r in found], left, ".", color=colour, label=label)
-            axes[1].hist([r.left for r in found], bins=np.linspace(0.97, 1.06, 40), color=colour, alpha=0.6)
+            axes[1].hist([r.chi2_ratio for r in found], bins=np.linspace(0.97, 1.06, 40), color=colour, alpha=0.6)
     axes[0].set(xscale="log", xlabel="strength over its limit", ylabel="1 - closure (beyond: at the edge)", ylim=OPEN)
     axes[0].axhline(0.01, color=GREY, lw=1, ls="--", label="wanted")
     axes[0].legend()
@@ -250,7 +250,7 @@ def _wrong(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Boxes answered wrongly, for whoever wants to see why."""
     out = []
     for r in rows:
-        good = r.right or r.kin
+        good = r.right or r.right_class
         weak = r.kind in ("one", "two", *STRANGE) and r.ratio < 2 and not r.false
         if r.worked and not good and not weak:
             out.append({"row": r, "hidden": " + ".join(r.hidden) or r.kind, "called": " + ".join(r.called) or "none"})
@@ -268,7 +268,7 @@ def outsiders(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:
             out.append(
                 {"name": name, "free_law": FOREIGN[name].FREE_LAW or "-", "n": len(own),
                  "declared": sum(r.declared for r in own),
-                 "told": told, "right": sum(r.free_law for r in own), "library": sum(r.misnamed for r in own),
+                 "told": told, "right": sum(r.free_law for r in own), "library": sum(r.has_false_name for r in own),
                  "curve": f"{sum(curves)} of {len(curves)}" if curves else "-",
                  "nearest": f"{np.mean([r.nearest for r in own]):.2f}"}
             )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A round in the repository: its ledgers, its boxes as they were opened and its secret; checked, and told as tables.
+"""A published round of sealed boxes: its ledgers, opened boxes and secret, how they are checked, and their tables.
 
 rounds/NAME/: about.json with the secret, STUDY.ledger.jsonl as it grew, boxes.jsonl.xz with every opened
 box. earlier.json: the false claims of rounds whose boxes were not kept.
@@ -56,31 +56,31 @@ def publish(folder: Path, name: str, secret: str, rounds: Path, commit: str = ""
     return place
 
 
-def commit_of(place: Path) -> str:
+def describe_commit(place: Path) -> str:
     """Which code a round wants to be drawn again, in words."""
     commit = json.loads((place / ABOUT).read_text()).get("commit")
     return f"that was commit {commit}" if commit else "its commit was not written down"
 
 
-def opened_in(place: Path) -> list[Json]:
+def read_boxes(place: Path) -> list[Json]:
     """The opened boxes of a published round."""
     text = lzma.decompress((place / BOXES).read_bytes()).decode()
     return [json.loads(line) for line in text.splitlines()]
 
 
-def rows_of(place: Path) -> list[Row]:
+def judge_round(place: Path) -> list[Row]:
     """The same, judged afresh."""
-    return [judge(line) for line in opened_in(place)]
+    return [judge(line) for line in read_boxes(place)]
 
 
 def verify(place: Path) -> list[str]:
-    """What is wrong with a published round: a line each, none when every hash on record holds."""
+    """Return the faults of a published round, a line each; none when every recorded hash is right."""
     secret, faults = json.loads((place / ABOUT).read_text())["secret"], []
     records = {p.name.removesuffix(LEDGER): list(lines(p)) for p in sorted(place.glob(f"*{LEDGER}"))}
     for study, record in records.items():
         if not record or record[0] != {"secret": sealing(secret)}:
             faults.append(f"{study}: the secret's hash does not stand before the first box")
-    opened = opened_in(place)
+    opened = read_boxes(place)
     seen = collections.Counter((o["truth"]["study"], o["truth"]["box"]) for o in opened)
     faults += [f"{study} {box}: opened {n} times" for (study, box), n in seen.items() if n > 1]
     for line in opened:
@@ -100,19 +100,19 @@ def _checked(line: Json, record: Sequence[Json]) -> list[str]:
     return faults
 
 
-def shut(place: Path) -> list[str]:
+def list_unopened(place: Path) -> list[str]:
     """Boxes that were sealed, and never opened."""
-    known = {(o["truth"]["study"], o["truth"]["box"]) for o in opened_in(place)}
+    known = {(o["truth"]["study"], o["truth"]["box"]) for o in read_boxes(place)}
     records = {p.name.removesuffix(LEDGER): lines(p) for p in place.glob(f"*{LEDGER}")}
     sealed = {(study, line["box"]) for study, record in records.items() for line in record if "truth" in line}
     return [f"{study} {box}" for study, box in sorted(sealed - known)]
 
 
-def redrawn(place: Path) -> list[str]:
+def redraw_boxes(place: Path) -> list[str]:
     """Draws every box again from the secret: those that come out as another, with this version of the code."""
     secret = json.loads((place / ABOUT).read_text())["secret"]
     faults = []
-    for line in opened_in(place):
+    for line in read_boxes(place):
         name, box = line["truth"]["study"], line["truth"]["box"]
         study = dataclasses.replace(STUDIES[name.removesuffix(f"-{place.name}")], name=name)
         again = json.loads(json.dumps(draw(study, box, secret)))
@@ -121,7 +121,7 @@ def redrawn(place: Path) -> list[str]:
     return faults
 
 
-def told(rows: Sequence[Row], rounds: Path) -> str:
+def render_tables(rows: Sequence[Row], rounds: Path) -> str:
     """The tables of docs/blind.md: a round's goals and outsiders, and the false claims of every round."""
     parts = [_goals(rows), *(_outsiders(rows, kind) for kind in STRANGE)] if rows else []
     return "\n".join(part for part in [*parts, _library(rows), _false(rounds)] if part)
@@ -173,8 +173,8 @@ def _library(rows: Sequence[Row]) -> str:
 def _false(rounds: Path) -> str:
     """False claims in boxes that hide nothing, or a tracker's defect, of every round known."""
     every = json.loads((rounds / "earlier.json").read_text())
-    for place in published(rounds):
-        rows = rows_of(place)
+    for place in list_published(rounds):
+        rows = judge_round(place)
         counts = {key: _count([r for r in rows if r.worked and which(r)]) for key, which in FALSE.items()}
         codes = ", ".join(dict.fromkeys(r.code for r in rows))
         every.append({"round": place.name, "code": codes, "boxes": len(rows)} | counts)
@@ -196,7 +196,7 @@ def _count(rows: Sequence[Row]) -> str:
     return f"{sum(bool(r.false) for r in rows)} of {len(rows)}"
 
 
-def published(rounds: Path) -> list[Path]:
+def list_published(rounds: Path) -> list[Path]:
     """The rounds in the repository, in the order of their names: 9 before 10."""
     places = (p.parent for p in rounds.glob(f"[!.]*/{ABOUT}"))
     return sorted(places, key=lambda place: (len(place.name), place.name))
@@ -205,15 +205,15 @@ def published(rounds: Path) -> list[Path]:
 def latest(rounds: Path) -> list[Row]:
     """The boxes of each study in the last round that has it: a round may be of a few studies."""
     found = dict[str, list[Row]]()
-    for place in published(rounds):
+    for place in list_published(rounds):
         studies = collections.defaultdict[str, list[Row]](list)
-        for row in rows_of(place):
+        for row in judge_round(place):
             studies[row.study.removesuffix(f"-{place.name}")].append(row)
         found |= studies
     return [row for rows in found.values() for row in rows]
 
 
-def within(page: str, table: str) -> str:
+def insert_tables(page: str, table: str) -> str:
     """A text with what stands between its marks replaced. Raises ValueError without marks."""
     before, mark, rest = page.partition(BEGIN)
     _, end, after = rest.partition(END)

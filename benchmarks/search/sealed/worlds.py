@@ -73,7 +73,7 @@ WORLDS: dict[str, Callable[[np.random.Generator], World]] = {
     ),
 }
 LAWS = ("friction_of_clip", "two_laws")
-UNTOLD = ("two_laws",)  # where no effect of the library need be named: a law left free may hold it
+UNDETECTABLE = ("two_laws",)  # where no effect of the library need be named: a law left free may hold it
 UNFIT = {  # effects that cannot be told, or not be drawn, in a world; by name or by the law that they bend
     "strikers_slide": ("magnetic_attraction",),
     "strikers_spin": ("magnetic_attraction",),
@@ -91,12 +91,12 @@ def launch(world: World) -> dict[str, Any]:
 
 
 def spins(drawn: dict[str, Any]) -> list[float]:
-    """What the launch of a clip has beside six numbers: three, or none."""
+    """Return the spin of a launch beside its six numbers: three numbers, or none."""
     own = [float(drawn.get(name, 0.0)) for name in SPIN_COLUMNS]
     return own if any(own) else []
 
 
-def noisier(world: World, std: float, scale: float) -> float:
+def scale_noise(world: World, std: float, scale: float) -> float:
     """The noise, m, of an axis with what rounding adds."""
     return float(np.hypot(std, world.get("step", 0.0) * scale / 12**0.5))
 
@@ -139,13 +139,13 @@ def processed(world: World, pixels: Array, there: Mask) -> Array:
         for ball in (0, 1):
             rows = np.flatnonzero(there[ball])
             for part in np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1):
-                out[ball, part] = _smoothed(world, pixels[ball, part])
+                out[ball, part] = _smooth(world, pixels[ball, part])
     if "step" in world:
         out = np.round(out / world["step"]) * world["step"]
     return out
 
 
-def _smoothed(world: World, path: Array) -> Array:
+def _smooth(world: World, path: Array) -> Array:
     if world["filter"] == "mean":
         return np.asarray(uniform_filter1d(path, world["width"], axis=0, mode="nearest"))
     if world["filter"] == "gauss":
@@ -161,7 +161,7 @@ def within(path: Array, size: list[int]) -> Mask:
 
 
 def third(world: World, number: int, pixels: Array, there: Mask, seed: int) -> tuple[Array, Array] | None:
-    """A third ball's path (frames, 2), px, and the frames (n,) in which it is taken for ball 1; None: none passes.
+    """A third ball's path (frames, 2), px, and the frames (n,) in which it is mistaken for ball 1; None: no ball.
 
     It rolls by one of the two, `ABROAD` diameters from either at least, and is nearest to the striker.
     """
