@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, create_model, model_validator
+from pydantic import ConfigDict, Field, ValidationError, create_model, model_validator
 
 from synthcam.effect import Effect, Laws
 from synthcam.library import cache_until_effects_change, library
@@ -31,8 +31,25 @@ class BallSettings(Settings):
     density: Positive = 7800.0
 
 
+# The symbols of the literature, under which truth and results list three numbers of the base model.
+SYMBOLS = {"r": "restitution", "mu_k": "sliding_friction", "C": "spin_transfer"}
+
+
+def _list_symbols(schema: dict[str, Any]) -> None:
+    """Add the symbols to the JSON Schema, each as another name of its parameter."""
+    for symbol, name in SYMBOLS.items():
+        rule = schema["properties"][name]
+        rule["description"] = f"{symbol} in truth and results; a scene may use either name"
+        schema["properties"][symbol] = {k: v for k, v in rule.items() if k != "default"} | {
+            "title": symbol,
+            "description": f"another name of {name}",
+        }
+
+
 class ModelSettings(Settings):
-    """`model:` the paper's numbers."""
+    """`model:` the paper's numbers; r, mu_k and C are other names of the three that SYMBOLS lists."""
+
+    model_config = ConfigDict(json_schema_extra=_list_symbols)
 
     gravity: Annotated[float, Field(ge=1e-3, le=1e5)] = 9.81  # from asteroids to centrifuges
     restitution: Fraction = 0.903
@@ -236,7 +253,7 @@ class Model:
         Parameters
         ----------
         name : str
-            Dotted: "restitution", "plate_tilt.x".
+            Dotted: "restitution" or "r", "plate_tilt.x".
 
         Returns
         -------
@@ -245,7 +262,7 @@ class Model:
         """
         effect, dot, parameter = name.rpartition(".")
         if not dot:
-            return float(getattr(self, name))
+            return float(getattr(self, SYMBOLS.get(name, name)))
         present = next((e for e in self.effects if e.name() == effect), None) or library()[effect].absent()
         return float(getattr(present, parameter))
 
@@ -261,7 +278,7 @@ class Model:
         -------
         Model
         """
-        base = {k: v for k, v in values.items() if "." not in k}
+        base = {SYMBOLS.get(k, k): v for k, v in values.items() if "." not in k}
         effects = {e.name(): e for e in self.effects}
         for name, value in values.items():
             effect, dot, parameter = name.rpartition(".")
@@ -314,6 +331,23 @@ def model_file() -> type[Settings]:
     )
 
 
+def resolve_symbols(loaded: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Settings in which r, mu_k and C of `model` and `free` have their long names.
+
+    Raises InputError where a number is given under both names.
+    """
+    out = dict(loaded)
+    numbers = out.get("model")
+    if isinstance(numbers, Mapping):
+        for symbol, name in SYMBOLS.items():
+            if symbol in numbers and name in numbers:
+                raise InputError(f"{where}: model.{symbol}: the same number as model.{name}; give one of the two")
+        out["model"] = {SYMBOLS.get(key, key): value for key, value in numbers.items()}
+    if isinstance(out.get("free"), list):
+        out["free"] = [SYMBOLS.get(name, name) if isinstance(name, str) else name for name in out["free"]]
+    return out
+
+
 def refuse_search_only_laws(free_laws: Any, where: str) -> None:
     """Raises InputError for a free law of a search that no model holds, with why."""
     for name in free_laws if isinstance(free_laws, Mapping) else ():
@@ -346,7 +380,7 @@ def read_model(path: Path) -> Model:
 
 
 def _validate(loaded: Mapping[str, Any], where: str) -> Model:
-    known = {k: v for k, v in loaded.items() if k in model_file().model_fields}
+    known = {k: v for k, v in resolve_symbols(loaded, where).items() if k in model_file().model_fields}
     refuse_search_only_laws(known.get("free_laws"), where)
     try:
         plain = model_file().model_validate(known).model_dump()

@@ -190,7 +190,7 @@ MISTAKES = {
     "synthcam generate comma_text.yaml -o new": "v0",
     "synthcam generate units.yaml -o new": "ball.diameter",
     "synthcam generate in_mm.yaml -o new": "two ball diameters (2.38 m)",
-    "synthcam generate degrees.yaml -o new": "launch.heading: value error, expected radians",
+    "synthcam generate degrees.yaml -o new": "launch.heading: expected radians",
     "synthcam generate no_frames.yaml -o new": "timing.frames",
     "synthcam generate section.yaml -o new": "did you mean launch?",
     "synthcam generate key.yaml -o new": "did you mean launch.v0?",

@@ -284,7 +284,7 @@ def test_a_bad_model(recorded, tmp_path, capsys, text, expected):
     ("text", "expected"),
     [
         ("min_collision: 5", "unknown key; did you mean min_collisions?"),
-        ("max_effects: many", "input should be a valid integer"),
+        ("max_effects: many", "expected a whole number"),
         ("min_collisions: 7", "6 measured collisions: expected 7 or more"),
     ],
 )

@@ -112,7 +112,7 @@ def test_a_report_takes_no_folder_that_holds_something_else(found, tmp_path):
     ("model", "said"),
     [
         ({"modle": {}}, "model: modle: unknown key; did you mean model?; there are ball, model, effects, free"),
-        ({"model": {"restitution": 2.0}}, "model: model.restitution: input should be less than or equal to 1"),
+        ({"model": {"restitution": 2.0}}, "model: model.restitution: expected a number of 1 or less"),
         ({"free": ["luck"]}, "model: free: luck is no parameter"),
         ("no_such.yaml", "no_such.yaml: no such file"),
         (7, "model: of type int, expected a model, its settings, or a path"),

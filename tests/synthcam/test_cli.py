@@ -12,17 +12,17 @@ from synthcam import cli
 GOOD = "launch: {v0: 0.3}\ntiming: {frames: 5, contact_frame: 2}\n"
 BAD_SCENES = {
     "launch.v00: unknown key": "launch: {v00: 1}",
-    "ball.diameter: input should be greater than 0, found -0.001": "ball: {diameter: -1e-3}",
-    "launch.v0: input should be a finite number, found nan": "launch: {v0: .nan}",
-    "launch.v0: input should be a finite number, found inf": "launch: {v0: .inf}",
+    "ball.diameter: expected a number above 0, found -0.001": "ball: {diameter: -1e-3}",
+    "launch.v0: expected a finite number, found nan": "launch: {v0: .nan}",
+    "launch.v0: expected a finite number, found inf": "launch: {v0: .inf}",
     "expected keys and values, found list": "[1, 2]",
     "not plain YAML (aliases are not taken)": "a: &a [x]\nb: &b [*a, *a]\nc: [*b, *b]",
     "not plain YAML (nested too deeply)": "a: " + "[" * 5000,
     "launch.v0.uniform: expected two numbers": "launch: {v0: {uniform: [0.1, 1" + "0" * 400 + "]}}",
     "a\\nb: unknown key": '"a\\nb": 1',
-    "clip 0: timing.frames: input should be a valid integer": "timing: {frames: {uniform: [5, 6]}}",
-    "model.gravity: input should be greater than or equal to 0.001": "model: {gravity: 1.0e-300}",
-    "input should be 'upstream' or input should be less than or equal to 1000": "launch: {contact: [1.0e+300, 0.0]}",
+    "clip 0: timing.frames: expected a whole number": "timing: {frames: {uniform: [5, 6]}}",
+    "model.gravity: expected a number of 0.001 or more": "model: {gravity: 1.0e-300}",
+    "expected 'upstream' or a number of 1000 or less": "launch: {contact: [1.0e+300, 0.0]}",
     "camera.height: expected more than two ball diameters": "camera: {height: 1.0e-3}",
 }
 
@@ -91,9 +91,9 @@ def test_code_in_a_scene_does_not_run(tmp_path):
         ("launch.v0=[", "the value is not plain YAML"),
         ("launch.v0=2001-99-99", "the value is not plain YAML"),
         ("launch.v0=" + "[" * 3000, "the value is not plain YAML"),
-        ("launch.v0=-1", "launch.v0: input should be greater than 0"),
-        ("launch.v0=.nan", "launch.v0: input should be a finite number"),
-        ("timing.frames=1e99", "timing.frames: input should be a valid integer"),
+        ("launch.v0=-1", "launch.v0: expected a number above 0"),
+        ("launch.v0=.nan", "launch.v0: expected a finite number"),
+        ("timing.frames=1e99", "timing.frames: expected a whole number"),
     ],
 )
 def test_a_bad_override(command, scene, tmp_path, text, message):

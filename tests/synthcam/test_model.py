@@ -5,7 +5,8 @@ import math
 import pytest
 
 from synthcam.effects.plate_tilt import PlateTilt
-from synthcam.model import Ball, Model, check_free, read_model, write_model
+from synthcam.model import Ball, Model, as_model, check_free, read_model, write_model
+from synthcam.scene.scene import Scene, read_scene, schema
 from synthcam_shared.errors import InputError
 
 
@@ -50,11 +51,11 @@ def test_a_model_to_be_searched_may_lack_sliding_friction(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("model: {restitution: {uniform: [0.8, 0.9]}}", r"m\.yaml: model\.restitution: input should be a valid number"),
-        ("model: {restitution: 1.2}", r"model\.restitution: input should be less than or equal to 1, found 1.2"),
+        ("model: {restitution: {uniform: [0.8, 0.9]}}", r"m\.yaml: model\.restitution: expected a number"),
+        ("model: {restitution: 1.2}", r"model\.restitution: expected a number of 1 or less, found 1.2"),
         ("model: {bounce: 1}", r"m\.yaml: model\.bounce: unknown key"),
         ("free: [bounce]", r"m\.yaml: free: bounce is no parameter; did you mean hop\.bounce\?"),
-        ("effects: {plate_tilt: {x: 3}}", r"effects\.plate_tilt\.x: input should be less than or equal to 0\.1"),
+        ("effects: {plate_tilt: {x: 3}}", r"effects\.plate_tilt\.x: expected a number of 0\.1 or less"),
     ],
 )
 def test_a_wrong_model_file(tmp_path, text, message):
@@ -74,3 +75,34 @@ def test_free_names():
     assert check_free(["restitution", "plate_tilt.x"], "here") == ("restitution", "plate_tilt.x")
     with pytest.raises(InputError, match="here: free: plate_tilt is no parameter"):
         check_free(["plate_tilt"], "here")
+
+
+def test_symbols_are_other_names_of_three_numbers(tmp_path):
+    """Truth and results say r, mu_k and C; a scene or model may use either name, in `free` and --set too."""
+    short, long = tmp_path / "short.yaml", tmp_path / "long.yaml"
+    short.write_text("model: {r: 0.8, mu_k: {uniform: [0.1, 0.2]}, C: 0.3}\n")
+    long.write_text("model: {restitution: 0.8, sliding_friction: {uniform: [0.1, 0.2]}, spin_transfer: 0.3}\n")
+    drawn = [read_scene(file).draw(3, 7) for file in (short, long)]
+    assert drawn[0].model == drawn[1].model
+    assert drawn[0].model.restitution == pytest.approx(drawn[0].truth["r"]) == 0.8
+    assert read_scene(long, ("model.C=0.25",)).draw(0, 0).model.spin_transfer == 0.25
+    assert Scene.read(long, model={"r": 0.7}).draw(0, 0).model.restitution == 0.7
+    short.write_text("model: {mu_k: 0.2}\nfree: [r, mu_k]\n")
+    model = Model.read(short)
+    assert (model.sliding_friction, model.free) == (0.2, ("restitution", "sliding_friction"))
+    assert model.replace({"C": 0.1}).value("C") == 0.1
+    assert as_model({"model": {"r": 0.6}}).restitution == 0.6
+
+
+def test_a_number_under_both_names_is_one_line(tmp_path):
+    file = tmp_path / "both.yaml"
+    file.write_text("model: {mu_k: 0.2, sliding_friction: 0.2}")
+    for read in (read_model, read_scene):
+        with pytest.raises(InputError, match=r"both\.yaml: model\.mu_k: the same number as model\.sliding_friction"):
+            read(file)
+
+
+def test_the_schema_lists_both_names():
+    rules = schema()["$defs"]["ModelSettings"]["properties"]
+    assert rules["mu_k"]["anyOf"] == rules["sliding_friction"]["anyOf"]
+    assert "mu_k" in rules["sliding_friction"]["description"]

@@ -181,7 +181,7 @@ def test_a_scene_simulates_with_it():
         ("spin_transfer_speed", {"x": [0, 1], "y": [0, 0.8]}, "y: expected numbers from 0 to 0.714"),
         ("rolling_heading", {"x": [0, 1, 2], "y": [1, 1, 1]}, "y: expected pairs, m/s\\^2"),
         ("friction_place", {"x": [0, 1], "y": [1, 1]}, "x: expected pairs, m"),
-        ("friction_speed", {"x": [0, 1]}, "free_laws.friction_speed.y: field required"),
+        ("friction_speed", {"x": [0, 1]}, "free_laws.friction_speed.y: required key is missing"),
         ("lag_speed", {"x": [0, 1], "y": [1, 1]}, "free_laws.lag_speed: of the instrument"),
         ("restitution_clip", {"x": [0, 1], "y": [1, 1]}, "another number in each clip; .*distribution"),
     ],

@@ -13,6 +13,7 @@ from yaml import YAMLError
 
 from synthcam.library import cache_until_effects_change
 from synthcam.model import (
+    SYMBOLS,
     BallSettings,
     ModelSettings,
     check_free,
@@ -20,6 +21,7 @@ from synthcam.model import (
     model_file,
     read_model,
     refuse_search_only_laws,
+    resolve_symbols,
     settings_of,
     table_settings,
 )
@@ -156,7 +158,11 @@ class Scene:
         for name, values in sections.items():
             here = loaded.get(name)
             kept = here if isinstance(here, dict) else {}
-            loaded[name] = kept | _plain(values) if isinstance(values, Mapping) else _plain(values)
+            plain = _plain(values)
+            if isinstance(plain, dict):  # under one name each, so that a value replaces the file's
+                kept, plain = (resolve_symbols({name: part}, str(path))[name] for part in (kept, plain))
+                plain = kept | plain
+            loaded[name] = plain
         return check_scene(loaded, str(path))
 
     def __repr__(self) -> str:
@@ -232,7 +238,7 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
     ------
     InputError
     """
-    settings = copy.deepcopy(loaded)
+    settings = resolve_symbols(copy.deepcopy(loaded), where)
     for text in overrides:
         _apply_override(settings, text)
     refuse_search_only_laws(settings.get("free_laws"), where)
@@ -258,6 +264,7 @@ def _apply_override(settings: dict[str, Any], text: str) -> None:
     if not equals or not key:
         raise InputError(f"--set {text}: expected key=value, as in launch.v0=0.2")
     *parents, last = key.split(".")
+    last = SYMBOLS.get(last, last) if parents == ["model"] else last
     here = settings
     for parent in parents:
         here = here.setdefault(parent, {})

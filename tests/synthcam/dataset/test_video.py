@@ -135,11 +135,11 @@ def test_films_of_a_dataset_that_is_there(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("video", "said"),
     [
-        ({"codec": "vhs"}, "video.codec: input should be 'h264', 'mjpeg' or 'ffv1'"),
+        ({"codec": "vhs"}, "video.codec: expected 'h264', 'mjpeg' or 'ffv1'"),
         ({"codec": "mjpeg", "crf": 3}, "mjpeg has no crf"),
-        ({"crf": 77}, "video.crf: input should be less than or equal to 51"),
+        ({"crf": 77}, "video.crf: expected a number of 51 or less"),
         ({"gamma": 0}, "video.gamma: "),
-        ({"chroma": 411}, "video.chroma: input should be 420, 422 or 444"),
+        ({"chroma": 411}, "video.chroma: expected 420, 422 or 444"),
         ({"bitrate": 5}, "video.bitrate: unknown key"),
         (5, "video: "),
     ],
@@ -165,7 +165,7 @@ def test_an_odd_picture_is_refused(tmp_path, monkeypatch):
     [
         ("h264:crf", "expected CODEC:key=value"),
         ("h264:crf=1,crf=2", "expected CODEC:key=value"),
-        ("mjpeg:q=0", "q: input should be greater than or equal to 1"),
+        ("mjpeg:q=0", "q: expected a number of 1 or more"),
         ("mot:q=1", "mot takes no settings"),
     ],
 )

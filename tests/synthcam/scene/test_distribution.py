@@ -99,7 +99,7 @@ def test_a_long_choice_is_checked_by_its_extremes():
     assert (
         len(check_scene({"launch": {"v0": {"choice": values}}}, "s.yaml").settings["launch"]["v0"]["choice"]) == 200_000
     )
-    with pytest.raises(InputError, match=r"launch\.v0: .*greater than 0"):
+    with pytest.raises(InputError, match=r"launch\.v0: expected a number above 0"):
         check_scene({"launch": {"v0": {"choice": [*values[:100_000], -1.0, *values[100_000:]]}}}, "s.yaml")
     with pytest.raises(InputError, match=r"sensor\.bits"):
         check_scene({"sensor": {"bits": {"choice": [8, 9.5, 12]}}}, "s.yaml")

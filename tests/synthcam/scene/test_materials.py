@@ -135,7 +135,7 @@ def test_steel_in_colour_is_grey_with_noise_of_its_own():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"surface": {"ball": "glass"}}, "surface.ball: input should be 'steel' or 'matte'"),
+        ({"surface": {"ball": "glass"}}, "surface.ball: expected 'steel' or 'matte'"),
         ({"surface": {"colour": "red"}}, "surface.colour: expected together with surface.ball or surface.plate"),
         ({"lamp": {"ambient": 0.5}}, "expected together with surface.ball or surface.plate"),
         ({"sensor": {"white": 99}}, "expected together with surface.ball or surface.plate"),
@@ -146,8 +146,8 @@ def test_steel_in_colour_is_grey_with_noise_of_its_own():
             {"surface": {"ball": "matte", "plate_gloss": 0.1}},
             "surface.plate_gloss: has no effect together with surface.ball",
         ),
-        ({"surface": {"plate": "ice"}}, "surface.plate: input should be "),
-        ({"surface": {"ball": "matte", "albedo": 1.5}}, "surface.albedo: input should be less than or equal to 1"),
+        ({"surface": {"plate": "ice"}}, "surface.plate: expected "),
+        ({"surface": {"ball": "matte", "albedo": 1.5}}, "surface.albedo: expected a number of 1 or less"),
         ({"surface": {"plate": "wood"}, "lamp": {"ambient": -1}}, "lamp.ambient: "),
         ({"surface": {"plate": "wood"}, "sensor": {"white": 0}}, "sensor.white: "),
         ({"camera": {"colour": "yes"}}, "camera.colour: "),
