@@ -45,7 +45,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 def track(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Dataset, clip, stack, video or pictures.")],
     output: Results,
-    camera: Annotated[Path | None, typer.Option(help="camera.json, in place of the source's own.")] = None,
+    camera: Annotated[Path | None, typer.Option(help="camera.json that replaces the source's own.")] = None,
     detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}. Without it the film decides.")] = None,
     channel: Annotated[
         str | None, typer.Option(help=f"{', '.join(CHANNELS)}, of a film in colour. Without it the film decides.")
@@ -56,7 +56,7 @@ def track(
     settings: SettingsFile = None,
     as_json: Json = False,
 ) -> None:
-    """Find, follow and measure the balls of every clip. Interrupted, the same command continues.
+    """Find, follow and measure the balls of every clip. If interrupted, the same command continues.
 
     Example: tracker track out/benchmark -o out/results
     """
@@ -88,9 +88,11 @@ def measure(
     ],
     camera: Annotated[Path, typer.Option(help="camera.json of the tracks.")],
     output: Results,
-    point: Annotated[str, typer.Option(help="What x, y are: centre (mean over the exposure) or glint.")] = "centre",
+    point: Annotated[
+        str, typer.Option(help="x, y are the ball's centre (mean over the exposure) or glint.")
+    ] = "centre",
     columns: Annotated[str, typer.Option(help="x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID: its own names.")] = "",
-    unit: Annotated[str, typer.Option(help="Of lengths: px, m, cm, mm, um, ... Default: as the file says.")] = "",
+    unit: Annotated[str, typer.Option(help="Unit of lengths: px, m, cm, mm, um, ... Default: as the file says.")] = "",
     pages: WithPages = None,
     settings: SettingsFile = None,
     as_json: Json = False,
@@ -114,7 +116,7 @@ def measure(
 
 @app.command()
 def export(
-    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="What tracker track or measure made.")],
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="RESULTS of tracker track or measure.")],
     kind: Annotated[str, typer.Option("--format", metavar="NAME", help="csv, mot, ptc, trackmate or trackpy.")],
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="FILE|DIR", help="A file; of several clips, a folder.")
@@ -134,19 +136,19 @@ def export(
 
 @app.command()
 def score(
-    results: Annotated[Path, typer.Argument(metavar="RESULTS|TRACKS", help="What tracker track made, or a table.")],
+    results: Annotated[Path, typer.Argument(metavar="RESULTS|TRACKS", help="RESULTS of tracker track, or a table.")],
     truth: Annotated[Path, typer.Option(metavar="DATASET|TABLE", help="The dataset, with its truth, or a true table.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
-    name: Annotated[str, typer.Option(help="What to call the detector in the report.")] = "",
-    point: Annotated[str, typer.Option(help="Of a table: x, y are centre or glint.")] = "centre",
-    gate: Annotated[float | None, typer.Option(help="Of two tables: largest distance of a pair; default 5.")] = None,
+    name: Annotated[str, typer.Option(help="Name of the detector in the report.")] = "",
+    point: Annotated[str, typer.Option(help="In a table, x, y are centre or glint.")] = "centre",
+    gate: Annotated[float | None, typer.Option(help="Largest distance of a pair in two tables; default 5.")] = None,
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
     as_json: Json = False,
 ) -> None:
-    """Hold results to the truth: localisation against its bound, tracking measures, bias and coverage.
+    """Compare results with the truth: localisation against its bound, tracking measures, bias and coverage.
 
-    A table of any program may be held to a true table of any program: CSV, MOTChallenge, Particle Tracking Challenge,
-    TrackMate. Boxes are then compared by their overlap, points by their distance.
+    A table of any program may be scored against a true table of any program: CSV, MOTChallenge, Particle Tracking
+    Challenge, TrackMate. Boxes are then compared by their overlap, points by their distance.
 
     Example: tracker score out/results --truth out/benchmark -o out/report
 
@@ -168,7 +170,7 @@ def score(
                 _score_tables(results, truth, output, gate, name, as_json)
                 return
             if gate is not None:
-                raise InputError("--gate: expected a true table behind --truth; a dataset is held to 5 px")
+                raise InputError("--gate: expected a true table behind --truth; a dataset has a gate of 5 px")
             if results.is_file():
                 name = name or results.stem
                 results = _measured(results, truth, output, point)
@@ -192,7 +194,7 @@ def compare(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
     as_json: Json = False,
 ) -> None:
-    """Track a dataset with several detectors and set them beside each other. Interrupted, the same command continues.
+    """Track a dataset with several detectors and compare them. If interrupted, the same command continues.
 
     Example: tracker compare out/benchmark --detectors maximum_likelihood,centroid -o out/compared
     """
@@ -215,17 +217,17 @@ def compare(
 @app.command()
 def calibrate(
     video: Annotated[Path, typer.Argument(metavar="VIDEO", help="Video, stack, pictures or clips of the balls.")],
-    diameter: Annotated[float, typer.Option(help="Of the balls, m.")],
+    diameter: Annotated[float, typer.Option(help="Diameter of the balls, m.")],
     fps: Annotated[float, typer.Option(help="Frames a second.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="CAMERA.JSON", help="File to write.")],
-    exposure: Annotated[float | None, typer.Option(help="Of a frame, s, if known.")] = None,
+    exposure: Annotated[float | None, typer.Option(help="Exposure of a frame, s, if known.")] = None,
     gamma: Annotated[float, typer.Option(help="Counts are light to the power of 1/gamma: often 2.2.")] = 1.0,
     points: Annotated[
         Path | None, typer.Option(help="Known points of the plate, a table of x_px, y_px (px), x, y (m, y up).")
     ] = None,
     board: Annotated[str, typer.Option(help="On the plate: 7x5,square=0.01[,marker=0.007,dict=4X4_50].")] = "",
-    error: Annotated[float | None, typer.Option(help="Of the points, px; default .5, of a board .2.")] = None,
-    height: Annotated[float | None, typer.Option(help="Of the camera above the plate, m, to 2 %.")] = None,
+    error: Annotated[float | None, typer.Option(help="Error of the points, px; default 0.5, for a board 0.2.")] = None,
+    height: Annotated[float | None, typer.Option(help="Height of the camera above the plate, m, to 2 %.")] = None,
     as_json: Json = False,
 ) -> None:
     """Write a camera file: scale from balls that touch or are seen whole, glint width, noise, and what is not known.
@@ -280,7 +282,7 @@ def _score_tables(found: Path, truth: Path, output: Path, gate: float | None, na
 
 
 def _typed() -> str:
-    """The command, as it was typed."""
+    """The command line of this process."""
     return shlex.join(["tracker", *sys.argv[1:]])
 
 

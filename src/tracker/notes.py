@@ -8,7 +8,7 @@ from enum import Enum
 
 
 class NoteKind(Enum):
-    """What a note is about; decisions read this, never the text.
+    """The subject of a note; decisions read this, never the text.
 
     Examples
     --------

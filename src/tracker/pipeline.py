@@ -32,12 +32,10 @@ from tracker.tables.read import read_tracks
 if TYPE_CHECKING:
     from tracker.report.pages import ResultPages
 
-ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
-
 
 @dataclass(frozen=True)
 class ClipDone:
-    """What a worker reports of a clip: how many frames it has, and notes on what was converted or assumed."""
+    """The report of a worker on a clip: its number of frames, and notes."""
 
     frames: int
     notes: tuple[Note, ...]
@@ -45,9 +43,19 @@ class ClipDone:
 
 @dataclass(frozen=True)
 class ClipOutcome:
-    """What a run did: the estimates, how many clips, how many of them now, frames tracked now.
+    """The result of a run over many clips.
 
-    notes: what was converted or assumed, each with the number of clips. source: the films, as they were read.
+    Attributes
+    ----------
+    estimates : DataFrame
+    clips, fresh : int
+        Number of clips, and of those done in this run.
+    frames : int
+        Number of frames tracked in this run.
+    notes : dict
+        Number of clips by note.
+    source : RecordingSource or None
+        The films.
     """
 
     estimates: pd.DataFrame
@@ -246,7 +254,7 @@ def _settings_entry(settings: TrackerSettings) -> dict[str, Any]:
 
 
 def _plan(source: RecordingSource, name: str, settings: TrackerSettings) -> dict[str, Any]:
-    """What distinguishes one run from another, without paths or times."""
+    """The entries of run.json that distinguish one run from another, without paths or times."""
     mark = hashlib.sha256()
     for number, location in source.clips:
         mark.update(f"{number}".encode())
@@ -255,9 +263,10 @@ def _plan(source: RecordingSource, name: str, settings: TrackerSettings) -> dict
             size = file.stat().st_size
             mark.update(f"|{size}".encode())
             with file.open("rb") as stream:
-                mark.update(stream.read(ENDS))
-                stream.seek(max(0, size - ENDS))
-                mark.update(stream.read(ENDS))
+                # 64 KiB at either end of a file distinguish recordings
+                mark.update(stream.read(1 << 16))
+                stream.seek(max(0, size - (1 << 16)))
+                mark.update(stream.read(1 << 16))
     for file in source.camera_files():
         mark.update(file.read_bytes())
     colour = {} if source.channel == GREY else {"channel": source.channel}

@@ -43,17 +43,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Film = NDArray[Any] | Iterable[NDArray[Any]] | str | Path
-TRACKS = "tracks"  # what messages call a table in memory
-SAID = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
+PRINTED_UNITS = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
 UNITS = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
     "rad/s": "w1n w1t w2n w2t"
 }
-COLOURS = ("#2166ac", "#b2182b", "#4d9221", "#7b3294")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """What the tracker makes of one recording.
+    """The tracks and estimates of one recording.
 
     Attributes
     ----------
@@ -96,14 +94,14 @@ class Result:
 
         frame, particle; x, y (px): ball centre, mean over the exposure, or the glint where `flags` says so; x_std,
         y_std (px), cov_xy (px^2); flux (counts); flags; glint_x, glint_y (px); x_fixed_std, y_fixed_std, cov_xy_fixed:
-        the part of the covariance that a resting ball has in every frame alike.
+        the part of the covariance that is the same in every frame of a resting ball.
         """
         table: pd.DataFrame = tracks_table(self.found).to_pandas()
         return table
 
     @cached_property
     def estimates(self) -> pd.DataFrame:
-        """What was measured, a row for each collision, with the columns of ``estimates.parquet``, SI.
+        """The estimates, a row for each collision, with the columns of ``estimates.parquet``, SI.
 
         status is ok, misfit, no_collision or a reason. NAME, NAME_free and NAME_paper are the tied fit, the free fit
         and the paper's differences, each with its _std; docs/format.md has all columns.
@@ -117,7 +115,7 @@ class Result:
         for row in self.rows:
             values = (
                 f"{name} {format_with_error(row[name], row[f'{name}_std'])} {unit}".strip()
-                for name, unit in SAID.items()
+                for name, unit in PRINTED_UNITS.items()
             )
             measured_values = f": {', '.join(values)}" if row["status"] in MEASURED else ""
             lines.append(f"  collision {row['collision']} {row['status']}{measured_values}")
@@ -160,7 +158,10 @@ class Result:
 
             ax = plt.subplots(layout="constrained")[1]
         for k, (particle, rows) in enumerate(self.tracks.groupby("particle")):
-            style: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)], "label": f"particle {particle}"}
+            style: dict[str, Any] = {
+                "color": ("#2166ac", "#b2182b", "#4d9221", "#7b3294")[k % 4],
+                "label": f"particle {particle}",
+            }
             ax.plot(rows["x"], rows["y"], ".-", lw=0.8, ms=3, **style)
         width, height = self.camera.size
         ax.set(xlabel="x (px)", ylabel="y (px)", xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
@@ -291,12 +292,12 @@ def measure(
     if camera is None:
         raise InputError("camera: expected a camera, its keys, or a path; tracks alone have no times and lengths")
     if isinstance(tracks, pd.DataFrame):
-        given = to_pixels(TrackTable(tracks), TRACKS, camera, unit)
+        given = to_pixels(TrackTable(tracks), "tracks", camera, unit)
     else:
         given = read_tracks(Path(tracks), camera, columns, unit)
     if len(given.clips) > 1:
         clips = len(given.clips)
-        raise InputError(f"{TRACKS}: {clips} clips, expected one; give them one by one, as of groupby('clip')")
+        raise InputError(f"tracks: {clips} clips, expected one; give them one by one, as of groupby('clip')")
     ((number, (found, striker)),) = given.clips.items()
     known = given.camera if striker is None else replace(given.camera, striker=striker)
     result = measure_tracks(found, known, number, point, TrackerSettings.of(settings))

@@ -1,6 +1,6 @@
 """The files of RESULTS, written and read.
 
-Everything is written aside and moved into place, and holds neither times nor paths: the same input gives the
+Everything is written aside and moved into place. Files hold no times and no paths, so that the same input gives the
 same bytes.
 """
 
@@ -32,7 +32,6 @@ from tracker.tables.rows import check_columns, to_tracks, tracks_table
 
 RUN = "run.json"
 SEEN = "exposure_seen_s"  # of clips whose motion blur is not as long as the camera file's exposure makes it
-MOST_BYTES = 1 << 30  # of a JSON file
 
 
 def clip_folder(results: Path, number: int) -> Path:
@@ -41,7 +40,7 @@ def clip_folder(results: Path, number: int) -> Path:
 
 
 def is_done(results: Path, number: int) -> bool:
-    """Whether a clip's results are there, whole."""
+    """Test whether the results of a clip are complete."""
     return clip_folder(results, number).is_dir()
 
 
@@ -121,7 +120,7 @@ def estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 def load_json(path: Path) -> Any:
     """A file of RESULTS. Raises InputError where it is missing or damaged."""
     try:
-        return read_json(path, MOST_BYTES)
+        return read_json(path, 1 << 30)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; expected a file of results") from None
     except ValueError as error:

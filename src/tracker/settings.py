@@ -31,7 +31,7 @@ class DetectionSettings(Settings):
     """Least flux of a fitted glint, in its standard errors. Five is the usual threshold of a detection."""
 
     max_candidates_per_frame: Count = 64
-    """Most candidates of a frame, the brightest first. More are no picture of a few balls."""
+    """Most candidates of a frame, the brightest first. More show another scene than a few balls."""
 
     block_windows: Count = 1024
     """How many windows maximum likelihood fits at once. 1024 are 512 frames with two balls, some 100 MB of memory."""
@@ -119,7 +119,7 @@ class FitSettings(Settings):
     With normal errors that is one position in 10^8."""
 
     max_outlier_share: Fraction = 0.05
-    """Most positions, as a share of all, that may be left out. Where more are far off, the model is wrong."""
+    """Most positions, as a share of all, that may be left out. If more are far off, the model is wrong."""
 
     slide_end_chi2: Positive = 25.0
     """Rise of chi^2 without the end of a slide from which on the tracks show that end: five standard errors."""

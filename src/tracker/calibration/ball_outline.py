@@ -1,7 +1,7 @@
 """The ball's outline in the mean picture around its glint: its radius in pixels, where there is light enough to see it.
 
-A mirror ball shows the room within .71 of its radius, brightest in the middle, and the plate outside of that; where it
-is seen against a bright ground its own edge shows too. Either gives the radius.
+A mirror ball shows the room within .71 of its radius, brightest in the middle, and the plate outside of that. Against
+a bright ground its own edge shows too. Either gives the radius.
 """
 
 from __future__ import annotations
@@ -20,15 +20,8 @@ from tracker.camera.lens import Array
 from tracker.detection.candidates import EmptyPlate
 from tracker.detection.glints import Glints
 
-HALF = 36  # px, of the mean picture
-WINDOWS = 400  # at most, in the mean
-FEWEST = 20
-CORE = 3.6  # widths of the glint, left out about it
-VISIBLE = 20.0  # standard errors of the radius over which it must stand
-SIZES = (2.5, 4, 5.5, 7.5, 10, 14, 19, 25)  # px, first guesses of the radius
-ANOTHER = 0.1  # of the radius: a different one
-SURE = 15.0  # half the chi^2 by which it must be worse
-SYSTEMATIC = 0.01  # of the radius: rooms are not even, and balls no ideal mirrors
+HALF_WINDOW_PX = 36  # px, of the mean picture
+FIRST_RADII_PX = (2.5, 4, 5.5, 7.5, 10, 14, 19, 25)  # px, first guesses of the radius
 
 
 @dataclass(frozen=True)
@@ -46,7 +39,9 @@ def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, si
         return None
     picture, weight = stack
     blur = math.sqrt(sigma**2 + 1.0 / 12.0)  # windows are centred on the nearest pixel
-    fits = sorted((_fit(picture, weight, blur, float(size)) for size in SIZES), key=lambda fit: float(fit.cost))
+    fits = sorted(
+        (_fit(picture, weight, blur, float(size)) for size in FIRST_RADII_PX), key=lambda fit: float(fit.cost)
+    )
     best = fits[0]
     freedom = max(int(np.count_nonzero(weight)) - 6, 1)
     try:
@@ -55,32 +50,46 @@ def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, si
         return None
     radius = math.exp(best.x[0])
     std = radius * math.sqrt(max(float(cov[0, 0]), 0.0))
-    inside = SIZES[0] < radius < 0.8 * HALF and math.hypot(*best.x[1:]) < 0.4 * radius
+    inside = FIRST_RADII_PX[0] < radius < 0.8 * HALF_WINDOW_PX and math.hypot(*best.x[1:]) < 0.4 * radius
     # With the glint over most of the ball, a small disc and the rim of a larger ball's bowl can look the same.
-    rivals = [fit.cost for fit in fits if abs(fit.x[0] - best.x[0]) > ANOTHER]
-    if rivals and min(rivals) - best.cost < SURE * max(1.0, 2.0 * best.cost / freedom):
+    # fits whose radius differs by more than 10 % are rivals
+    rivals = [fit.cost for fit in fits if abs(fit.x[0] - best.x[0]) > 0.1]
+    # a rival must be worse by 30 in chi^2
+    if rivals and min(rivals) - best.cost < 15.0 * max(1.0, 2.0 * best.cost / freedom):
         return None
-    if not inside or not std < radius / VISIBLE or not _is_ball_needed(picture, weight, best.cost, freedom):
+    if not inside or not std < radius / 20.0 or not _is_ball_needed(picture, weight, best.cost, freedom):
         return None
-    return Outline(radius, math.hypot(std, SYSTEMATIC * radius))
+    # 1 % of the radius: rooms are uneven, and balls are not ideal mirrors
+    return Outline(radius, math.hypot(std, 0.01 * radius))
 
 
 def _mean(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, sigma: float) -> tuple[Array, Array] | None:
     """Mean over the plate (s, s) about single glints, and the root of each pixel's weight, 1/counts."""
     h, w = plate.level.shape
     column, row = np.rint(glints.x).astype(np.int64), np.rint(glints.y).astype(np.int64)
-    clear = (column >= HALF) & (column < w - HALF) & (row >= HALF) & (row < h - HALF) & _is_only_glint(glints)
+    clear = (
+        (column >= HALF_WINDOW_PX)
+        & (column < w - HALF_WINDOW_PX)
+        & (row >= HALF_WINDOW_PX)
+        & (row < h - HALF_WINDOW_PX)
+        & _is_only_glint(glints)
+    )
     chosen = np.flatnonzero(clear)
-    if len(chosen) < FEWEST:
+    if len(chosen) < 20:
         return None
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, WINDOWS).round().astype(np.int64))]
-    total = np.zeros((2 * HALF + 1, 2 * HALF + 1))
+    # more windows do not make the mean better
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, 400).round().astype(np.int64))]
+    total = np.zeros((2 * HALF_WINDOW_PX + 1, 2 * HALF_WINDOW_PX + 1))
     for k in chosen.tolist():
-        part = slice(row[k] - HALF, row[k] + HALF + 1), slice(column[k] - HALF, column[k] + HALF + 1)
+        part = (
+            slice(row[k] - HALF_WINDOW_PX, row[k] + HALF_WINDOW_PX + 1),
+            slice(column[k] - HALF_WINDOW_PX, column[k] + HALF_WINDOW_PX + 1),
+        )
         total += frames[int(glints.frame[k])][part].astype(np.float64)
         total -= float(np.median(plate.level[part]))
-    offsets = np.arange(-HALF, HALF + 1.0)
-    core = offsets[:, None] ** 2 + offsets**2 < (CORE * sigma + 1.0) ** 2
+    offsets = np.arange(-HALF_WINDOW_PX, HALF_WINDOW_PX + 1.0)
+    # the glint itself, 3.6 of its widths about its centre, is left out
+    core = offsets[:, None] ** 2 + offsets**2 < (3.6 * sigma + 1.0) ** 2
     return total / len(chosen), np.where(core, 0.0, math.sqrt(len(chosen)) / plate.noise)
 
 
@@ -91,7 +100,7 @@ def _is_only_glint(glints: Glints) -> NDArray[np.bool_]:
         rows = np.flatnonzero(glints.frame == number)
         apart = np.max(np.abs(glints.xy[rows][:, None] - glints.xy[rows][None]), axis=2)
         np.fill_diagonal(apart, np.inf)
-        alone[rows] = apart.min(axis=1) > 1.8 * HALF
+        alone[rows] = apart.min(axis=1) > 1.8 * HALF_WINDOW_PX
     return alone
 
 
@@ -106,14 +115,14 @@ def _fit(picture: Array, weight: Array, blur: float, size: float) -> Any:
 
     low, high = (
         [math.log(2.0), -0.5 * size - 1.0, -0.5 * size - 1.0],
-        [math.log(HALF), 0.5 * size + 1.0, 0.5 * size + 1.0],
+        [math.log(HALF_WINDOW_PX), 0.5 * size + 1.0, 0.5 * size + 1.0],
     )
     return least_squares(misfit, [math.log(size), 0.0, 0.0], bounds=(low, high), x_scale=[0.1, 1.0, 1.0], max_nfev=30)
 
 
 def _parts(radius: float, x: float, y: float, blur: float) -> Array:
     """(s, s, 3): the disc, the bowl of what it mirrors of the room, the ground; edges blurred."""
-    offsets = np.arange(-HALF, HALF + 1.0)
+    offsets = np.arange(-HALF_WINDOW_PX, HALF_WINDOW_PX + 1.0)
     distance = np.hypot(offsets - x, offsets[:, None] - y)
     disc = ndtr((radius - distance) / blur)
     # 1 - 2 q falls to zero with a slope of 4 rim / R^2: its blurred ramp is the normal's loss integral.
@@ -125,7 +134,7 @@ def _parts(radius: float, x: float, y: float, blur: float) -> Array:
 
 
 def _is_ball_needed(picture: Array, weight: Array, cost: float, freedom: int) -> bool:
-    """Whether there is anything but ground: chi^2 without a ball beyond doubt larger."""
+    """Test whether there is anything but ground: chi^2 without a ball is clearly larger."""
     used = weight > 0
     flat = picture[used] * weight[used]
     empty = float(np.sum((flat - weight[used] * np.average(picture[used], weights=weight[used] ** 2)) ** 2))

@@ -23,22 +23,26 @@ from tracker.camera.recordings import RecordingSource, make_recording, open_sour
 from tracker.detection.choose import DISCS, GLINTS, choose_detector, select_channel
 from tracker.results import write_json
 
-DISAGREE = 3.0  # standard errors between two ways to the scale, beyond which they disagree
-LARGEST_BALL = 0.5  # m
-ENCODED_ALIKE = 0.25  # of one contact's error, which lossy video has in all of them: encoders show slow balls late
-ROUGH = 12  # clips at most, from which scale, glint width and noise are first read
-FEWEST = 10  # balls, to say anything
-GLINTLESS = "glints found, expected balls with a bright glint on a darker ground, or seen whole on a still one"
-BLURRED_GLINT = "; the glint's width includes the motion blur"
-NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
-STRAY = 4.0  # deviations by which a contact may differ from the middle one
+MAX_ROUGH_CLIPS = 12  # clips at most, from which scale, glint width and noise are first read
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What was found from a video: the camera; ``scale_std`` m/px; ``scale_from`` (contact, outline, or nothing); by
-    each way the scale and its error, m/px; in ``missing`` a line for each thing that the video does not show; whether
-    balls are seen as ``discs``, which tell nothing of the sensor.
+    """The result of a calibration.
+
+    Attributes
+    ----------
+    camera : Camera
+    scale_std : float
+        m/px.
+    scale_from : str
+        "contact", "outline", or "" without a scale.
+    ways : dict
+        Scale and its standard error, m/px, by each of these methods.
+    missing : tuple of str
+        A line for each thing that the video does not show.
+    discs : bool
+        Whether balls are seen as discs, which show nothing of the sensor.
     """
 
     camera: Camera
@@ -100,7 +104,7 @@ def keys_from_options(diameter: float, fps: float, exposure: float | None, gamma
     for name, value in (("--diameter", diameter), ("--fps", fps)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{name}: expected a number over 0, not {value!r}")
-    if diameter > LARGEST_BALL:
+    if diameter > 0.5:
         raise InputError(f"--diameter: expected metres, as in 2.38e-3, not {diameter!r}")
     if exposure is not None and not 0 <= exposure <= 1.0 / fps * (1 + 1e-9):
         raise InputError(f"--exposure: expected 0 to one frame time, {1 / fps:g} s, not {exposure!r}")
@@ -154,7 +158,7 @@ def calibrate(
     width, height = frames.shape[:0:-1]
     given |= {"size": [width, height], "scale": diameter / Camera.unknown((width, height), 8).diameter_px}
     last = len(source) - 1
-    rough = sorted({round(i * last / (ROUGH - 1)) for i in range(ROUGH)})
+    rough = sorted({round(i * last / (MAX_ROUGH_CLIPS - 1)) for i in range(MAX_ROUGH_CLIPS)})
     rest = sorted({*range(len(source))} - {*rough})
     steps, total, ways = count(1), 2 * len(rough) + len(rest), dict[str, tuple[float, float]]()
 
@@ -203,7 +207,8 @@ def _ways(seen: Sequence[BallSighting], diameter: float) -> dict[str, tuple[floa
     if contacts:
         distance, std = inverse_variance_mean(contacts)  # of the glints, which are what is tracked without a lamp
         if any(s.encoded for s in seen):
-            std = math.hypot(std, ENCODED_ALIKE * float(np.median([one for _, one in contacts])))
+            # encoders show slow balls late, so that all contacts share a quarter of the error of one
+            std = math.hypot(std, 0.25 * float(np.median([one for _, one in contacts])))
         out["contact"] = (diameter / distance, diameter / distance**2 * std)
     outlines = [(2.0 * s.outline.radius, 2.0 * s.outline.std) for s in seen if s.outline is not None]
     if outlines:
@@ -217,7 +222,8 @@ def inverse_variance_mean(values: list[tuple[float, float]]) -> tuple[float, flo
     """Weighted mean and its error, no smaller than their own scatter says; without strays."""
     value, std = np.array(values).T
     off = np.abs(value - np.median(value))
-    kept = off <= STRAY * np.maximum(std, NORMAL * np.median(off))
+    # contacts more than four deviations from the median are strays; 1.4826 turns a median deviation into a standard one
+    kept = off <= 4.0 * np.maximum(std, 1.4826 * np.median(off))
     value, std = value[kept], std[kept]
     weight = 1.0 / std**2
     mean = float(np.sum(weight * value) / np.sum(weight))
@@ -229,13 +235,20 @@ def _combine(
     seen: Sequence[BallSighting], ways: dict[str, tuple[float, float]], video: Path, timed: bool, detector: str
 ) -> Calibration:
     found, discs = sum(s.balls for s in seen), detector == DISCS
-    if found < FEWEST:
-        what = "discs found, expected balls on a still background" if discs else GLINTLESS
+    # fewer balls show nothing reliable
+    if found < 10:
+        what = (
+            "discs found, expected balls on a still background"
+            if discs
+            else "glints found, expected balls with a bright glint on a darker ground, or seen whole on a still one"
+        )
         raise InputError(f"{video}: {found} {what}")
     best = min(ways, key=lambda name: ways[name][1]) if ways else ""
     missing = [*_of_scale(seen, ways, best, discs)]
     if not timed:
-        missing.append("exposure: a video does not show it" + BLURRED_GLINT * (not discs))
+        missing.append(
+            "exposure: a video does not show it" + "; the glint's width includes the motion blur" * (not discs)
+        )
     missing += [] if discs else ["lamp: its position is not known; tracks will be those of glints, not of centres"]
     missing.append("height: the camera's is not known; it is assumed straight above, without distortion")
     missing += [] if discs else ["sensor: prnu, dsnu and dark current cannot be separated from the noise"]
@@ -246,7 +259,7 @@ def _combine(
 def _of_scale(
     seen: Sequence[BallSighting], ways: dict[str, tuple[float, float]], best: str, discs: bool
 ) -> Sequence[str]:
-    """What the ways to the scale do not show."""
+    """Lines about methods that give no scale, or disagree."""
     unseen = "no outline is bright enough to be seen"
     if discs:
         unseen = "no outline is seen whole, for the balls are darker on one side or too few"
@@ -257,8 +270,9 @@ def _of_scale(
         other = {"contact": unseen, "outline": "no two balls are seen to hit each other"}[best]
         return [f"scale: from the {best} alone, {other}"]
     (one, one_std), (two, two_std) = ways["contact"], ways["outline"]
-    if abs(one - two) > DISAGREE * math.hypot(one_std, two_std):
-        return ["scale: contact and outline disagree; are the balls alike, and of that diameter?"]
+    # standard errors
+    if abs(one - two) > 3.0 * math.hypot(one_std, two_std):
+        return ["scale: contact and outline disagree; are the balls equal, and of that diameter?"]
     return []
 
 

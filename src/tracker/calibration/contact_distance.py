@@ -14,11 +14,7 @@ from tracker.camera.lens import Array
 from tracker.detection.glints import Flag
 from tracker.detection.link import Tracks
 
-BEFORE = 7  # frames used before the contact
-AFTER = (7, 6, 5, 4)  # and after it: a parabola holds while both balls slide, and slow ones soon roll
-KINK = 0.3  # px a frame, by which the relative velocity must change
-GOOD = 1.8  # chi^2 a degree of freedom, of parabolas that hold
-POOR = 16.0  # the same, beyond which the balls did not move so at all
+FRAMES_BEFORE = 7  # frames used before the contact
 
 
 @dataclass(frozen=True)
@@ -41,11 +37,13 @@ def contact_distances(tracks: Tracks) -> list[ContactDistance]:
 
 
 def _nearest(distance: Array) -> NDArray[np.int64]:
-    """Rows in which two balls are nearer than in any of the BEFORE rows on either side."""
+    """Rows in which two balls are nearer than in any of the FRAMES_BEFORE rows on either side."""
     if len(distance) < 8:
         return np.empty(0, np.int64)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(distance, BEFORE, constant_values=np.inf), 2 * BEFORE + 1)
-    return np.flatnonzero(np.argmin(around, axis=1) == BEFORE)
+    around = np.lib.stride_tricks.sliding_window_view(
+        np.pad(distance, FRAMES_BEFORE, constant_values=np.inf), 2 * FRAMES_BEFORE + 1
+    )
+    return np.flatnonzero(np.argmin(around, axis=1) == FRAMES_BEFORE)
 
 
 def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
@@ -62,21 +60,25 @@ def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Ar
 def _touch(frame: NDArray[np.int64], gap: Array, cov: Array, fixed: Array, k: int) -> ContactDistance | None:
     """Parabolas before and after row k of least distance, and the distance where they meet."""
     best = None
-    for span in AFTER:
+    # frames after the contact: a parabola holds while both balls slide, and slow balls soon roll
+    for span in (7, 6, 5, 4):
         for split in (k, k + 1):  # the contact lies just before or just after the frame of least distance
-            before, after = np.arange(max(0, split - BEFORE), split), np.arange(split, min(len(frame), split + span))
+            before = np.arange(max(0, split - FRAMES_BEFORE), split)
+            after = np.arange(split, min(len(frame), split + span))
             if len(before) < 4 or len(after) < 4 or np.any(np.diff(frame[before[0] : after[-1] + 1]) > 1):
                 continue
             found = _meet(frame, gap, cov, before, after, float(frame[split]))
             if found is not None and (best is None or found[1] < best[1]):
                 best = found
-        if best is not None and best[1] < GOOD:
+        # chi^2 per degree of freedom of parabolas that hold
+        if best is not None and best[1] < 1.8:
             break
     if best is None:
         return None
     contact, chi2 = best
     random, lasting = (float(np.trace(c[k])) / 2 for c in (cov, fixed))
-    if chi2 * random > POOR * (random + lasting):
+    # beyond this chi^2 the balls did not move so at all
+    if chi2 * random > 16.0 * (random + lasting):
         return None
     return ContactDistance(contact.distance, math.sqrt(contact.std**2 * max(1.0, chi2) + lasting), contact.instant)
 
@@ -95,7 +97,8 @@ def _meet(
         freedom += 2 * (len(rows) - 3)
         sides.append((fit, normal))
     (early, early_cov), (late, late_cov) = sides
-    if np.hypot(*(late[1] - early[1])) < KINK:
+    # px per frame, by which the relative velocity changes in a hit
+    if np.hypot(*(late[1] - early[1])) < 0.3:
         return None
     times = np.linspace(-1.5, 0.5, 401)
     powers = np.vander(times, 3, increasing=True)

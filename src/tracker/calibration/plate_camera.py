@@ -18,11 +18,6 @@ from tracker.camera.camera import Camera
 from tracker.camera.view_errors import perturb_view, scale_at
 from tracker.results import write_json
 
-POINT_ERROR = 0.5  # px, of a point that a person marked
-CORNER_ERROR = 0.2  # px, of a board's corner that a program found
-SHOWN = 12  # points, each with its residual
-STEP = 1e-3  # of a standard error, for derivatives
-
 
 @dataclass(frozen=True)
 class PlateCalibration:
@@ -71,7 +66,7 @@ class PlateCalibration:
     def summary(self) -> list[str]:
         """Lines for people."""
         left, view = self.view.residuals, self.view
-        lines = [f"point {k + 1}: off by {x:+.2f}, {y:+.2f} px" for k, (x, y) in enumerate(left[:SHOWN].tolist())]
+        lines = [f"point {k + 1}: off by {x:+.2f}, {y:+.2f} px" for k, (x, y) in enumerate(left[:12].tolist())]
         rms = math.sqrt(float((left**2).sum(axis=1).mean()))
         lines.append(f"{len(left)} points: off by {rms:.2g} px rms, taken to be known to {self.error:g} px each way")
         for name, unit, factor, function in (
@@ -88,7 +83,7 @@ class PlateCalibration:
     def _with_error(self, function: Any) -> tuple[float, float]:
         camera = self.camera
         slopes = [
-            (function(perturb_view(camera, STEP * e)) - function(perturb_view(camera, -STEP * e))) / (2 * STEP)
+            (function(perturb_view(camera, 1e-3 * e)) - function(perturb_view(camera, -1e-3 * e))) / (2 * 1e-3)
             for e in self.view.errors
         ]
         return function(camera), float(np.linalg.norm(slopes))
@@ -135,6 +130,7 @@ def calibrate_plate(
             raise InputError(f"{name}: expected a number from 0.001 to 1000, not {value!r}")
     size = size_of(source)
     known = find_board(source, board) if points is None else read_points(points)
-    used = error if error is not None else POINT_ERROR if points is not None else CORNER_ERROR
+    # px: a person marks points to 0.5, a program finds corners of a board to 0.2
+    used = error if error is not None else 0.5 if points is not None else 0.2
     view = fit_view(known, size, used, height)
     return PlateCalibration(given | {"size": list(size)}, known, view, used)

@@ -18,11 +18,9 @@ from tracker.camera.recordings import open_source
 from tracker.tables.content import Content
 from tracker.tables.rows import to_numbers
 
-COLUMNS = ("x_px", "y_px", "x", "y")
-FEWEST = 4
-LOOKED_AT = 20  # frames of a film, in search of a board
-BOARD = "expected COLUMNSxROWS,square=M[,marker=M,dict=4X4_50], or marker=M[,dict=4X4_50]"
-DICTIONARY = "4X4_50"
+POINT_COLUMNS = ("x_px", "y_px", "x", "y")
+MIN_POINTS = 4
+BOARD_SYNTAX = "expected COLUMNSxROWS,square=M[,marker=M,dict=4X4_50], or marker=M[,dict=4X4_50]"
 
 
 @dataclass(frozen=True)
@@ -41,12 +39,14 @@ def read_points(path: Path) -> PlatePoints:
     """
     content = Content.of(path)
     table = content.cells()
-    if missing := [name for name in COLUMNS if name not in table]:
+    if missing := [name for name in POINT_COLUMNS if name not in table]:
         there = format_value(", ".join(map(str, table.columns)), quoted=False)
-        raise content.wrong(f"no column {', '.join(missing)}, expected {', '.join(COLUMNS)} (px, m); found {there}")
+        raise content.wrong(
+            f"no column {', '.join(missing)}, expected {', '.join(POINT_COLUMNS)} (px, m); found {there}"
+        )
     pixels, metres = (
         np.column_stack([to_numbers(table[name], name, content.where) for name in names])
-        for names in (COLUMNS[:2], COLUMNS[2:])
+        for names in (POINT_COLUMNS[:2], POINT_COLUMNS[2:])
     )
     if not np.isfinite(pixels).all() or not np.isfinite(metres).all():
         raise content.wrong("expected four numbers in each row")
@@ -67,7 +67,7 @@ def find_board(source: Path, board: str) -> PlatePoints:
     source : Path
         A picture or a film.
     board : str
-        As BOARD says; a chessboard, a ChArUco board, or one ArUco marker.
+        As BOARD_SYNTAX says; a chessboard, a ChArUco board, or one ArUco marker.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def find_board(source: Path, board: str) -> PlatePoints:
     kind, sizes = _board(board)
     for picture in _pictures(source):
         found = _corners(_eight_bits(picture), kind, sizes)
-        if found is not None and len(found[0]) >= FEWEST:
+        if found is not None and len(found[0]) >= MIN_POINTS:
             return PlatePoints(found[0], found[1], f"{source}")
     raise InputError(f"{source}: no board {board} found in it, expected one that lies flat and is seen whole")
 
@@ -85,7 +85,8 @@ def _pictures(source: Path) -> list[Any]:
     if source.is_file() and source.suffix.lower() in PICTURES:
         return [read_picture(source)]
     _, frames = open_source(source).open_film(0)
-    return [frames[k] for k in range(min(len(frames), LOOKED_AT))]
+    # the first frames of a film are searched for a board
+    return [frames[k] for k in range(min(len(frames), 20))]
 
 
 def _eight_bits(picture: Any) -> Any:
@@ -95,7 +96,7 @@ def _eight_bits(picture: Any) -> Any:
 
 def _board(board: str) -> tuple[str, dict[str, Any]]:
     """chessboard, charuco or marker, and its sizes: columns, rows, square, marker, dict."""
-    sizes: dict[str, Any] = {"dict": DICTIONARY}
+    sizes: dict[str, Any] = {"dict": "4X4_50"}
     for part in board.split(","):
         key, _, value = part.strip().partition("=")
         if (grid := re.fullmatch(r"(\d{1,3})x(\d{1,3})", part.strip())) is not None:
@@ -105,7 +106,7 @@ def _board(board: str) -> tuple[str, dict[str, Any]]:
         elif key == "dict" and value:
             sizes["dict"] = value.upper().removeprefix("DICT_")
         else:
-            raise InputError(f"--board: {format_value(part)}: {BOARD}")
+            raise InputError(f"--board: {format_value(part)}: {BOARD_SYNTAX}")
     names = {n.removeprefix("DICT_"): n.removeprefix("DICT_") for n in dir(cv2.aruco) if n.startswith("DICT_")}
     if sizes["dict"] not in names:
         hint = did_you_mean(sizes["dict"], {n.lower(): n for n in names})
@@ -116,7 +117,7 @@ def _board(board: str) -> tuple[str, dict[str, Any]]:
     kinds = {"chessboard": {"columns", "rows", "square"}, "charuco": {"columns", "rows", "square", "marker"}}
     kind = next((kind for kind, keys in {**kinds, "marker": {"marker"}}.items() if keys == given), None)
     if kind is None or (kind != "marker" and not min(sizes["columns"], sizes["rows"]) > 2):
-        raise InputError(f"--board: {format_value(board)}: {BOARD}, of at least 3x3")
+        raise InputError(f"--board: {format_value(board)}: {BOARD_SYNTAX}, of at least 3x3")
     if kind == "charuco" and sizes["marker"] >= sizes["square"]:
         raise InputError(f"--board: marker {sizes['marker']:g}: expected less than the square, {sizes['square']:g}")
     return kind, sizes

@@ -12,19 +12,9 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from synthcam_shared.errors import InputError
-from tracker.calibration.plate_points import FEWEST, PlatePoints
+from tracker.calibration.plate_points import MIN_POINTS, PlatePoints
 from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort
-
-LENS = ((8, 1), (20, 2))  # points from which on so many numbers of the lens, k1 and k2, are found
-USUAL_FOCAL = (1.1, 0.5)  # of a picture's width, and how far cameras scatter about it (natural logarithm)
-USUAL_CENTRE = 0.015  # of a picture's width: scatter of the principal point about its middle
-USUAL_LENS = 0.5  # scatter of k1 and k2
-HEIGHT_KNOWN = 0.02  # of a height that was measured by hand
-STARTS = (0.4, 0.7, 1.1, 2.0, 4.0)  # widths, of the focal length
-TRIED = 30  # evaluations from each of these
-FLAT = 1e-3  # of the least over the largest singular value of what four points in general position determine
-WORST = 1e-4  # p-value under which the points are no plane seen by a camera
 
 
 @dataclass(frozen=True)
@@ -43,8 +33,8 @@ class PlateView:
 def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: float | None = None) -> PlateView:
     """Fit focal length, lens and pose to points of the plate.
 
-    A view from straight above does not show the focal length apart from the height; what is known of usual cameras, or
-    a height that was measured, then stands in with its error.
+    A view from straight above does not determine the focal length and the height separately. Priors from usual cameras,
+    or a measured height with its error, then decide.
 
     Parameters
     ----------
@@ -54,7 +44,7 @@ def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: f
     error : float
         Standard error of the points' pixels.
     height : float, optional
-        Of the camera above the plate, m, known to HEIGHT_KNOWN.
+        Of the camera above the plate, m, known to 2 %.
 
     Returns
     -------
@@ -63,27 +53,33 @@ def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: f
     Raises
     ------
     InputError
-        One line, for points that do not tell a view.
+        One line, for points that do not determine a view.
     """
     _check(points, size)
-    lens = max((count for needed, count in LENS if len(points.pixels) >= needed), default=0)
+    # from 8 points on k1 is fitted, from 20 points on k2 too
+    lens = max((count for needed, count in ((8, 1), (20, 2)) if len(points.pixels) >= needed), default=0)
     problem = _Problem(points, size, error, height, lens)
-    tried = (_fit(problem, turn, begin, TRIED) for turn, begin in _starts(problem))
+    tried = (_fit(problem, turn, begin, 30) for turn, begin in _starts(problem))
     turn, x, _, _ = min(tried, key=lambda fit: float(fit[2] @ fit[2]))
-    turn, x, residual, slope = _fit(problem, problem.turned(turn, x), problem.unturned(x))  # its rotation vector is 0
+    turn, x, residual, slope = _fit(
+        problem, problem.rotate(turn, x), problem.without_rotation(x)
+    )  # its rotation vector is 0
     left = residual[: points.pixels.size].reshape(-1, 2) * error
     _judge(points, residual, len(residual) - len(x), left)
     values, vectors = np.linalg.eigh(np.linalg.inv(slope.T @ slope))
     errors = np.zeros((len(x), NUMBERS))
     errors[:, problem.free] = (vectors * np.sqrt(np.maximum(values, 0.0))).T
     K, dist, shift = problem.view(x)
-    return PlateView(K, dist, problem.turned(turn, x), shift, errors, left, lens)
+    return PlateView(K, dist, problem.rotate(turn, x), shift, errors, left, lens)
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is fitted: x has ln of the focal length, how far the principal point is from the picture's middle (px), k1
-    and k2 where they are free, a rotation vector, t."""
+    """The least-squares problem of a view.
+
+    x holds the logarithm of the focal length, the offset of the principal point from the picture's middle (px, two
+    numbers), k1 and k2 if they are free, a rotation vector, and t.
+    """
 
     points: PlatePoints
     size: tuple[int, int]
@@ -96,11 +92,11 @@ class _Problem:
         """Which of NUMBERS x has."""
         return [0, 1, 2, *range(3, 3 + self.lens), *range(5, NUMBERS)]
 
-    def turned(self, turn: Array, x: Array) -> Array:
+    def rotate(self, turn: Array, x: Array) -> Array:
         """The rotation from world to camera."""
         return np.asarray(cv2.Rodrigues(x[-6:-3])[0] @ turn)
 
-    def unturned(self, x: Array) -> Array:
+    def without_rotation(self, x: Array) -> Array:
         """x without its rotation vector."""
         return np.concatenate([x[:-6], np.zeros(3), x[-3:]])
 
@@ -116,17 +112,19 @@ class _Problem:
         )
 
     def residual(self, x: Array, turn: Array) -> Array:
-        """Of the pixels, and of what is known of cameras, in standard errors."""
+        """Residuals of the pixels and of the priors, in standard errors."""
         K, dist, shift = self.view(x)
-        rotation = self.turned(turn, x)
+        rotation = self.rotate(turn, x)
         seen = self.points.metres @ rotation[:, :2].T + shift
         pixels = distort(seen[:, :2] / seen[:, 2:], dist)[0] @ K[:2, :2].T + K[:2, 2]
-        usual, scatter = USUAL_FOCAL
-        aside = USUAL_CENTRE * self.size[0]
+        # usual cameras: a focal length of 1.1 widths of the picture, with a scatter of 0.5 in its logarithm
+        usual, scatter = (1.1, 0.5)
+        # the principal point scatters about the middle by 1.5 % of the width
+        aside = 0.015 * self.size[0]
         known = [(x[0] - math.log(usual * self.size[0])) / scatter, x[1] / aside, x[2] / aside]
-        known += (x[3 : 3 + self.lens] / USUAL_LENS).tolist()
+        known += (x[3 : 3 + self.lens] / 0.5).tolist()
         if self.height is not None:
-            known.append((-(rotation.T @ shift)[2] / self.height - 1) / HEIGHT_KNOWN)
+            known.append((-(rotation.T @ shift)[2] / self.height - 1) / 0.02)
         return np.concatenate([((pixels - self.points.pixels) / self.error).ravel(), known])
 
 
@@ -141,7 +139,8 @@ def _starts(problem: _Problem) -> Iterator[tuple[Array, Array]]:
     points = problem.points
     plate = np.column_stack([points.metres, np.zeros(len(points.metres))])
     found = False
-    for share in STARTS:
+    # focal lengths over the width of the picture
+    for share in (0.4, 0.7, 1.1, 2.0, 4.0):
         x = np.concatenate([[math.log(share * problem.size[0])], np.zeros(problem.lens + 8)])
         matrix, dist, _ = problem.view(x)
         _, turns, shifts, _ = cv2.solvePnPGeneric(plate, points.pixels, matrix, dist, flags=cv2.SOLVEPNP_IPPE)
@@ -158,8 +157,8 @@ def _starts(problem: _Problem) -> Iterator[tuple[Array, Array]]:
 def _check(points: PlatePoints, size: tuple[int, int]) -> None:
     """Raises InputError for too few points, points on a line, exchanged or mirrored ones."""
     where, count = points.where, len(points.pixels)
-    if count < FEWEST:
-        raise InputError(f"{where}: {count} points, expected at least {FEWEST}, of which no three lie on a line")
+    if count < MIN_POINTS:
+        raise InputError(f"{where}: {count} points, expected at least {MIN_POINTS}, no three of them on a line")
     outside = ~np.all((points.pixels >= -0.5) & (points.pixels <= np.array(size) - 0.5), axis=1)
     if outside.any():
         x, y = points.pixels[outside][0]
@@ -172,7 +171,7 @@ def _check(points: PlatePoints, size: tuple[int, int]) -> None:
     for (u, v), (x, y) in zip(*spread, strict=True):
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y, -u], [0, 0, 0, x, y, 1, -v * x, -v * y, -v]]
     strength = np.linalg.svd(np.array(rows), compute_uv=False)
-    if strength[7] < FLAT * strength[0]:
+    if strength[7] < 1e-3 * strength[0]:
         raise InputError(
             f"{where}: the points lie on a line, or all but one do; expected four corners, as of a rectangle"
         )
@@ -193,7 +192,8 @@ def _slope(homography: Array, place: Array) -> Array:
 
 def _judge(points: PlatePoints, residual: Array, dof: int, left: Array) -> None:
     """Raises InputError where the points are farther off than their error."""
-    if chdtrc(dof, float(residual @ residual)) < WORST:
+    # p-value below which no camera sees a plane so
+    if chdtrc(dof, float(residual @ residual)) < 1e-4:
         off = np.hypot(*left.T)
         worst = int(off.argmax())
         raise InputError(

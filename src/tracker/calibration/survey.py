@@ -1,4 +1,4 @@
-"""What one clip shows of the size of its balls: by glints on a dark plate, or by the outlines of discs."""
+"""The size of the balls in one clip: by glints on a dark plate, or by the outlines of discs."""
 
 from __future__ import annotations
 
@@ -15,10 +15,6 @@ from tracker.detection.choose import DISCS
 from tracker.detection.detect import detect, detected_point, make_view
 from tracker.detection.detector import OutlineRadius
 from tracker.detection.link import link
-
-DISC_SYSTEMATIC = 0.02  # of the radius: a ball is darker at its limb, and encoders move edges
-HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
-ENCODED_PX = 0.3  # of a contact's distance in lossy video: read from ten drawn films of discs at H.264, crf 28
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,8 @@ def _glints(clip: Recording, name: str, index: int) -> BallSighting:
     encoded = view.camera.sensor.codec_noise > 0
     seen = None if encoded else measure_outline(clip.frames, view.plate, glints, view.sigma)
     if seen is not None:
-        seen = replace(seen, std=math.hypot(seen.std, HEIGHTS * clip.camera.ball_diameter / 4 * seen.radius))
+        # 1/m, scatter of 1/height of the lamp less that of the camera: distances of glints differ from those of balls
+        seen = replace(seen, std=math.hypot(seen.std, 2.5 * clip.camera.ball_diameter / 4 * seen.radius))
     return BallSighting(index, view.camera, len(tracks), contact_distances(tracks), seen, encoded)
 
 
@@ -80,9 +77,11 @@ def _discs(clip: Recording, index: int, sized: bool) -> BallSighting:
     lossy = clip.frames.lossy
     takes = view.takes.spans if view.takes else ()
     tracks = link(found.glints, view.camera, detected_point(DISCS, view.camera), takes)
-    contacts = [replace(c, std=math.hypot(c.std, ENCODED_PX * lossy)) for c in contact_distances(tracks)]
+    # px, of a contact in lossy video: read from ten drawn films of discs at H.264, crf 28
+    contacts = [replace(c, std=math.hypot(c.std, 0.3 * lossy)) for c in contact_distances(tracks)]
     return BallSighting(index, clip.camera, len(tracks), contacts, _outline(found.outline_radius), lossy)
 
 
 def _outline(found: OutlineRadius | None) -> Outline | None:
-    return Outline(found.radius, math.hypot(found.std, DISC_SYSTEMATIC * found.radius)) if found else None
+    # 2 % of the radius: a ball is darker at its limb, and encoders move edges
+    return Outline(found.radius, math.hypot(found.std, 0.02 * found.radius)) if found else None

@@ -1,7 +1,8 @@
-"""Errors of the camera file (scale, frame rate, ball diameter, view, lamp), carried into all that is measured.
+"""Systematic errors of the camera file (scale, frame rate, ball diameter, view, lamp) in all that is measured.
 
-Each moves all estimates of all clips of one camera together. `carry` finds by how much, by a fit's linear response,
-and widens the estimates' covariance; `shared` gives a fit of many clips the part that does not average away.
+Each moves all estimates of all clips of one camera together. `add_camera_errors` finds by how much, from the linear
+response of a fit, and widens the covariance of the estimates. `shared_effects` gives a fit of many clips the part that
+does not average out.
 """
 
 from __future__ import annotations
@@ -24,21 +25,20 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera, LampSettings
 
 Floats = NDArray[np.float64]
-FIRST_ORDER = 0.03  # of an effect, to which it is known: clips are not to find the camera's error from less
-STEP = 1e-3  # of a standard error, for derivatives: t_c must not leave the exposure in which it lies
-SOURCES = ("scale", "fps", "ball_diameter")
+DERIVATIVE_STEP = 1e-3  # of a standard error, for derivatives: t_c must not leave the exposure in which it lies
+KEYS_WITH_ERRORS = ("scale", "fps", "ball_diameter")
 
 
 @dataclass(frozen=True)
 class CameraError:
     """The standard error of a key of the camera file, and what changes with that key.
 
-    The methods say what a thing would be if the key were larger by so many (`by`) of its standard errors.
+    Each method returns a quantity as it would be with the key larger by `by` of its standard errors.
 
     Attributes
     ----------
     key : str
-        Of SOURCES.
+        Of KEYS_WITH_ERRORS.
     value : float
         In the file.
     share : float
@@ -73,7 +73,7 @@ class CameraError:
 
 @dataclass(frozen=True)
 class ViewError(CameraError):
-    """One of the independent errors of the camera's view; `share` is what it does to the scale."""
+    """One of the independent errors of the camera's view; `share` is its effect on the scale."""
 
     camera: Camera
     change: Floats
@@ -82,11 +82,11 @@ class ViewError(CameraError):
     def of(camera: Camera, number: int) -> ViewError:
         """The error of that number in the camera file."""
         change = camera.view_errors[number]
-        share = (scale_at(perturb_view(camera, STEP * change)) / scale_at(camera) - 1) / STEP
+        share = (scale_at(perturb_view(camera, DERIVATIVE_STEP * change)) / scale_at(camera) - 1) / DERIVATIVE_STEP
         return ViewError(f"view_errors[{number}]", float(camera.K[0, 0]), share, camera, change)
 
     def move_track(self, track: BallTrack, by: float, fps: float) -> BallTrack:
-        """A ball's positions, as the other view places what is seen at the same pixels."""
+        """A ball's positions, as the other view projects the same pixels to the plate."""
         height = self.camera.centre_height
         middle = np.column_stack([track.position, np.full(len(track), height)])
         position, _ = perturb_view(self.camera, by * self.change).unproject(self.camera.project(middle), height)
@@ -95,7 +95,7 @@ class ViewError(CameraError):
 
 @dataclass(frozen=True)
 class LampError(CameraError):
-    """That of a coordinate of the lamp, by which glints are taken to centres; `share` is what it does to the scale."""
+    """The error of a coordinate of the lamp, which converts glints to centres; `share` is its effect on the scale."""
 
     camera: Camera
     step: Floats
@@ -106,12 +106,12 @@ class LampError(CameraError):
         key, step = f"lamp.position[{axis}]", lamp.position_std[axis] * np.eye(3)[axis]
         error, side = LampError(key, lamp.position[axis], 0.0, camera, step), camera.scale * min(camera.size) / 2
         corners = camera.unproject((np.array(camera.size) - 1) / 2)[0] + side * np.array([[0.0, 0], [1, 0], [0, 1]])
-        other = error.centres(corners, STEP)
+        other = error.centres(corners, DERIVATIVE_STEP)
         larger = float(np.sqrt(abs(np.linalg.det(other[1:] - other[0])))) / side
-        return replace(error, share=(larger - 1) / STEP)
+        return replace(error, share=(larger - 1) / DERIVATIVE_STEP)
 
     def centres(self, given: Floats, by: float) -> Floats:
-        """Where balls (n, 2) are whose glints, by the lamp as it is given, lie at the glints of balls at `given`."""
+        """Balls (n, 2) whose glints by the other lamp lie at those of balls at `given` by the given lamp."""
         lamp = self.camera.lamp
         assert lamp is not None
         x, y, z = np.array(lamp.position) + by * self.step
@@ -125,7 +125,7 @@ class LampError(CameraError):
 
 def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
     """The standard errors that the camera file gives."""
-    given = [(key, getattr(camera, key), getattr(camera, f"{key}_std")) for key in SOURCES]
+    given = [(key, getattr(camera, key), getattr(camera, f"{key}_std")) for key in KEYS_WITH_ERRORS]
     known = [CameraError(key, value, std / value) for key, value, std in given if std > 0]
     views = (ViewError.of(camera, number) for number in range(len(camera.view_errors)))
     lamp = camera.lamp if camera.corrects_glint and not camera.matte else None
@@ -184,12 +184,12 @@ def add_camera_errors(
 
 
 def measure_contact_distance(free: CollisionFit, camera: Camera) -> tuple[float, float]:
-    """How far apart the balls' centres are at the contact, by their tracks alone.
+    """Measure the distance of the balls' centres at the contact from their tracks alone.
 
     Parameters
     ----------
     free : Fit
-        The free fit, which takes them to touch at one diameter.
+        The free fit, which assumes that they touch at one diameter.
     camera : Camera
 
     Returns
@@ -211,15 +211,17 @@ def measure_contact_distance(free: CollisionFit, camera: Camera) -> tuple[float,
 
 
 def differentiate(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
-    """Derivatives (m, k) by each of k keys of the camera, per standard error.
+    """Differentiate m values by each of k keys of the camera, per standard error: (m, k).
 
-    function(error, by) gives the m values, were the key larger by so many of its standard errors.
+    function(error, by) gives the m values for a key that is larger by `by` of its standard errors.
     """
-    return np.array([(function(e, STEP) - function(e, -STEP)) / (2 * STEP) for e in errors]).T
+    return np.array(
+        [(function(e, DERIVATIVE_STEP) - function(e, -DERIVATIVE_STEP)) / (2 * DERIVATIVE_STEP) for e in errors]
+    ).T
 
 
 def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[Floats, float]:
-    """What disturbances of normal size 1 do to a least-squares fit.
+    """Compute the linear response of a least-squares fit to disturbances of standard deviation 1.
 
     Parameters
     ----------
@@ -233,7 +235,7 @@ def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> 
     shift : ndarray of shape (p, k)
         Derivative of the parameters by the disturbances.
     explained : float
-        How much less chi^2 is when the disturbances count as part of the residuals' covariance.
+        Reduction of chi^2 when the disturbances are part of the covariance of the residuals.
     """
     shift = -cov @ rows.T @ by
     left = by + rows @ shift
@@ -242,13 +244,13 @@ def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> 
 
 
 def effects_to_json(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]:
-    """The entry "shared" of `cov` in estimates.parquet; see docs/format.md.
+    """Make the entry "shared" of `cov` in estimates.parquet; see docs/format.md.
 
     Parameters
     ----------
     camera : Camera
     blocks : dict of str to (n, k) array
-        By fit, what one standard error of each of the camera's k keys does to its n quantities.
+        By fit, the effect of one standard error of each of the camera's k keys on its n quantities.
 
     Returns
     -------
@@ -266,7 +268,7 @@ def _plain(numbers: Floats) -> list[float | None]:
 
 
 def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floats:
-    """What errors of the camera file that several rows have in common do to their quantities.
+    """Collect the effects of camera errors that several rows share on their quantities.
 
     Parameters
     ----------
@@ -300,6 +302,7 @@ def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floa
 
 
 def covariance_of_shared(effects: Floats) -> Floats:
-    """What such effects (..., names, errors) make of a covariance (..., names, names), as far as clips share it."""
+    """Convert such effects (..., names, errors) to the covariance (..., names, names) that clips share."""
     part = effects @ np.swapaxes(effects, -1, -2)
-    return np.asarray(part * (1 - FIRST_ORDER**2 * np.eye(part.shape[-1])))
+    # an effect is known to 3 %: clips must not determine the error of the camera from less
+    return np.asarray(part * (1 - 0.03**2 * np.eye(part.shape[-1])))

@@ -2,11 +2,11 @@
 
 Each quantity is measured in three ways:
 
-- NAME by the tied fit: one physical model of impact, sliding and rolling;
-- NAME_free by the free fit: any velocities and slide times after the hit;
-- NAME_paper by the finite differences of the paper.
+- NAME: the tied fit, one physical model of impact, sliding and rolling.
+- NAME_free: the free fit, with any velocities and slide times after the hit.
+- NAME_paper: the finite differences of the paper.
 
-Where the first two disagree, the model is wrong. Quantities that a clip does not show are NaN.
+If the first two disagree, the model is wrong. Quantities that a clip does not show are NaN.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def _noise_columns(track: BallTrack, camera: Camera) -> dict[str, Any]:
 def _measure_collision(
     candidate: ContactCandidate, earlier: dict[int, EarlierHit], camera: Camera, index: int, settings: FitSettings
 ) -> tuple[dict[str, Any], dict[int, EarlierHit]]:
-    """The row of one collision, and by particle what it leaves of its balls for the next."""
+    """The row of one collision, and by particle the state in which it leaves the balls."""
     contact = prepare_contact(candidate, camera.ball_diameter, earlier, settings)
     row = empty_row(camera, contact.reason or "ok", index)
     row |= {f"particle{i}": track.particle for i, track in contact.pair.balls}
@@ -191,7 +191,7 @@ def _with_camera_errors(read: CollisionFits, camera: Camera) -> CollisionFits:
 
 
 def _value_columns(read: CollisionFits, camera: Camera) -> dict[str, Any]:
-    """What both fits say, with errors where the data accept the fit."""
+    """The columns of both fits, with errors if the data accept the fit."""
     tied, free = select_claims(read)
     common = effects_to_json(camera, {"tied": tied.shared, "free": free.shared})
     row: dict[str, Any] = {"cov": _covariances_to_json({"tied": tied.cov, "free": free.cov}, QUANTITY_NAMES, common)}
@@ -220,7 +220,7 @@ def _judge(read: CollisionFits, flags: list[Flag]) -> dict[str, Any]:
 
 
 def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[int, EarlierHit]:
-    """What the hit leaves of both balls: until when they slide, by the later of both fits, and their new spin."""
+    """The state of both balls after the hit: until when they slide, by the later of both fits, and their spin."""
     pair, tied = read.contact.pair, read.tied.parameters
     ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
     both = (np.asarray(tied_to_free(tied, pair.spin), dtype=np.float64), read.free.parameters)
@@ -328,8 +328,8 @@ def empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
 def _covariances_to_json(blocks: dict[str, Floats], names: tuple[str, ...], shared: dict[str, Any]) -> str:
     """Covariances by fit as JSON, in the order of `names`.
 
-    Seven digits keep a matrix positive definite. Where errors of the camera file are part of it, all digits are
-    needed, because that part may be far larger than the rest.
+    Seven digits keep a matrix positive definite. Errors of the camera file need all digits, because they may be far
+    larger than the rest.
     """
     out: dict[str, Any] = {"names": list(names)}
     digits = 17 if shared else 7

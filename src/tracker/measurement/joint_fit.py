@@ -19,19 +19,30 @@ SHARED = ("r", "mu_k", "C")
 OBSERVED = ("v1f", "v2f", "tau1", "tau2")
 GIVEN = ("v0", "b")
 ROLLING = ("drag", "decel")
-ROUNDED = 1e-12  # least eigenvalue of a correlation matrix that is not one by rounding alone
-STEEPEST = 0.9999  # |b/2R|: the formulas need its neighbourhood
+MIN_EIGENVALUE = 1e-12  # of a correlation matrix that is positive definite beyond rounding
 
 
 def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
-    """The contents of fit.json from estimates.parquet.
+    """Fit all clips together.
 
-    chi2: r, mu_k, C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, against v0 and
-    b, for any b; errors from its curvature, widened by sqrt(chi2/dof) where that exceeds one. scatter: the tied
-    fits' weighted mean, and the standard deviation between clips beyond their own errors. rolling: drag and decel
-    together, as one clip determines their sum far better than either; clips without a collision count here too. Nothing
-    of a misfit enters, and a clip whose covariance is none is left out of the sums that need it. shared_std: the part
-    of an error that comes from those of the camera file, if it gives any; more clips of one camera do not lessen it.
+    Parameters
+    ----------
+    estimates : DataFrame
+        With the columns of estimates.parquet. Misfits do not enter. A clip whose covariance is not positive definite is
+        left out of the sums that need it.
+
+    Returns
+    -------
+    dict
+        The contents of fit.json:
+
+        - chi2: r, mu_k and C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, given v0
+          and b, for any b. Errors follow from its curvature, times sqrt(chi2/dof) where that exceeds one.
+        - scatter: the weighted mean of the tied fits, and the standard deviation between clips beyond their own errors.
+        - rolling: drag and decel together, because one clip determines their sum far better than either. Clips without
+          a collision count here too.
+        - shared_std: the part of an error that comes from the errors of the camera file. More clips of one camera do
+          not lessen it.
     """
     ok = estimates[estimates["status"] == "ok"] if len(estimates) else estimates
     roll = estimates[estimates["status"].isin(["ok", "no_collision"])] if len(estimates) else estimates
@@ -65,13 +76,13 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
         return {**nothing, "chi2": None, "dof": 0}
     seen = np.column_stack([rows[f"{n}_free"] for n in OBSERVED]).astype(float)
     v0, b = (rows[f"{n}_free"].to_numpy(float) for n in GIVEN)
-    start = np.array([0.8, 0.2, 0.2])
+    start, steepest = np.array([0.8, 0.2, 0.2]), 0.9999  # |b/2R|: the formulas need its neighbourhood
     weights = np.stack([_weight(row) for _, row in rows.iterrows()])
     good = np.array([_positive(cov) for cov in weights])
     if not good.any():
         return {**nothing, "chi2": None, "dof": 0}
     common = shared_effects(rows[good], (*OBSERVED, *GIVEN), "free")  # what each shared error adds to seen, v0 and b
-    weights, seen, v0, b = weights[good], seen[good], v0[good], np.clip(b[good], -STEEPEST, STEEPEST)
+    weights, seen, v0, b = weights[good], seen[good], v0[good], np.clip(b[good], -steepest, steepest)
     weights = weights - covariance_of_shared(common)
     start = np.append(start, np.zeros(common.shape[2]))
     for _ in range(3):  # the errors of v0 and b count too, and how much depends on r, mu_k, C
@@ -79,7 +90,7 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
 
         def residual(p: Floats, whiten: Floats = whiten) -> Floats:
             off = common @ p[3:]
-            model = predict(v0 - off[:, 4], np.clip(b - off[:, 5], -STEEPEST, STEEPEST), p[:3])
+            model = predict(v0 - off[:, 4], np.clip(b - off[:, 5], -steepest, steepest), p[:3])
             return np.append(np.matmul(whiten, (model - seen + off[:, :4])[..., None]).ravel(), p[3:])
 
         found = least_squares(residual, start, method="lm", x_scale="jac")
@@ -113,11 +124,11 @@ def _weight(row: pd.Series) -> Floats:
 
 
 def _positive(cov: Floats) -> bool:
-    """Whether a matrix is a covariance, rounding allowed for."""
+    """Test whether a matrix is positive definite beyond rounding."""
     if not np.isfinite(cov).all() or not (np.diag(cov) > 0).all():
         return False
     size = np.sqrt(np.diag(cov))
-    return bool(np.linalg.eigvalsh(cov / np.outer(size, size))[0] > ROUNDED)
+    return bool(np.linalg.eigvalsh(cov / np.outer(size, size))[0] > MIN_EIGENVALUE)
 
 
 def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
@@ -129,7 +140,7 @@ def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
         slope[:, :, column] = -(predict(v0 + dv, b + db, shared) - predict(v0 - dv, b - db, shared)) / 2e-6
     cov = slope @ covs @ np.swapaxes(slope, 1, 2)
     size, axes = np.linalg.eigh(cov)
-    least = np.maximum(size, ROUNDED * size[:, -1:])
+    least = np.maximum(size, MIN_EIGENVALUE * size[:, -1:])
     return np.asarray(np.swapaxes(axes, 1, 2) / np.sqrt(least)[..., None])
 
 

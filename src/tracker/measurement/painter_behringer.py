@@ -1,7 +1,8 @@
-"""The paper's own reading of a collision: finite differences at the frame of least separation.
+"""The paper's own measurement of a collision: finite differences at the frame of least separation.
 
-Kept beside the fits because it shows what the method costs: within .01 s of the contact sliding has already
-slowed the one ball and sped up the other, so its restitution is low, and lower the slower the clip.
+It is kept because it shows the bias of the method. Within .01 s of the contact sliding has already slowed one ball
+and sped up the other. The restitution is therefore too low, and the lower the slower the frame rate.
+
 Source: Painter & Behringer 2000, sections III B and IV, with the frames that the data format fixes.
 """
 
@@ -23,9 +24,7 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
 
 Floats = NDArray[np.float64]
-BEFORE, AT, AFTER = (-3, -1), 0, (1, 3)  # frames about the contact that are read
-SETTLED = 0.3  # of its peak: acceleration under this means that sliding is over
-READING = float(np.sqrt(2 / 12))  # frames; std of a time between two instants, each known to one frame
+TIME_STD_FRAMES = float(np.sqrt(2 / 12))  # frames; std of a time between two instants, each known to one frame
 
 
 def paper_columns(contact: Contact, camera: Camera) -> dict[str, float]:
@@ -63,9 +62,9 @@ def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, flo
     spread = np.nansum((np.array(others) - value) ** 2, axis=0)
     table = {name: (float(v), float(s)) for name, v, s in zip(_READ, value, np.sqrt(spread), strict=True)}
     for name, tau in zip(("tau1", "tau2"), taus, strict=True):
-        table[name] = (float(tau), READING / fps if np.isfinite(tau) else np.nan)
+        table[name] = (float(tau), TIME_STD_FRAMES / fps if np.isfinite(tau) else np.nan)
     mu, mu_std = table["mu_k"]
-    table["mu_k"] = (mu, float(np.hypot(mu_std, mu * READING / fps / np.mean(taus))))
+    table["mu_k"] = (mu, float(np.hypot(mu_std, mu * TIME_STD_FRAMES / fps / np.mean(taus))))
     instant = balls[0].time[balls[0].frame == contact.frame]
     table["t_c"] = (float(instant[0]) if len(instant) else np.nan, 1 / fps / np.sqrt(12))
     table["drag"], table["decel"] = rolling_loss(balls, contact.frame, ends, fps)
@@ -73,7 +72,7 @@ def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, flo
 
 
 def slide_end(track: BallTrack, contact: int, fps: float) -> int | None:
-    """First frame after the contact at which acceleration has fallen under SETTLED of its peak; None if none.
+    """First frame after the contact at which acceleration has fallen below 0.3 of its peak; None if none.
 
     Only positions after the contact are differenced, or the kick itself would be the peak.
     """
@@ -87,7 +86,7 @@ def slide_end(track: BallTrack, contact: int, fps: float) -> int | None:
     smooth = np.nanmean(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
     size = np.hypot(smooth[:, 0], smooth[:, 1])
     peak = int(np.argmax(size))
-    below = np.flatnonzero(size[peak:] < SETTLED * size[peak])
+    below = np.flatnonzero(size[peak:] < 0.3 * size[peak])
     return int(late.frame[1 + peak + below[0]]) if len(below) else None
 
 
@@ -117,8 +116,8 @@ def rolling_loss(
 
 def _sample(track: BallTrack, contact: int, end: int | None) -> tuple[Floats, Floats]:
     """Positions (7, 2) and covariances at the seven frames that are differenced; NaN where there is none."""
-    wanted = [contact + k for k in (*BEFORE, AT, *AFTER)]
-    wanted += [-1, -1] if end is None else [end + k for k in AFTER]
+    wanted = [contact + k for k in (-3, -1, 0, 1, 3)]
+    wanted += [-1, -1] if end is None else [end + k for k in (1, 3)]
     row = {int(f): i for i, f in enumerate(track.frame)}
     position, cov = np.full((7, 2), np.nan), np.full((7, 2, 2), np.nan)
     for i, frame in enumerate(wanted):

@@ -18,14 +18,8 @@ if TYPE_CHECKING:
     from tracker.detection.link import Tracks
 
 Floats = NDArray[np.float64]
-UNKNOWN_PX = 0.1  # of a position, where a table gives no errors and is too short to show them
-GLINT_PX = 1.0  # width of a glint where the camera file does not have it
-# An encoder shows a moving ball beside its place by much the same while it moves on. H.264 moves what it shows by
-# quarters of a pixel from frame to frame, so that errors are a sawtooth, and last where a ball's speed along an axis
-# comes near a multiple of that. LASTING is the share of what lasts in the variance of positions that are off by AT px;
-# it grows with the square of that, to MOST, and lasts over WAY px. A film does not show its own: the motion takes up
-# what lasts. So it is the share by which z is 1 in 600 clips of two seeds at crf 18, 23, 28 (.063, .078, .105 px off).
-LASTING, AT, MOST, WAY = 0.25, 0.075, 0.45, 250.0
+UNKNOWN_ERROR_PX = 0.1  # of a position, where a table gives no errors and is too short to show them
+DEFAULT_GLINT_WIDTH_PX = 1.0  # width of a glint where the camera file does not have it
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +110,9 @@ class BallTrack:
 
 
 def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
-    """Take tracks from pixels to the plate.
+    """Convert tracks from pixels to positions on the plate.
 
-    Rows without a finite position are left out. Where not every row has a covariance, all get that of the tracks' own
+    Rows without a finite position are left out. If not every row has a covariance, all get that of the tracks' own
     scatter about smooth motion.
 
     Parameters
@@ -138,11 +132,11 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     pixel, fixed = (np.asarray(c, dtype=np.float64)[keep] for c in (tracks.cov, tracks.fixed))
     weighed = _usable(pixel)
     if not weighed:
-        pixel, fixed = np.broadcast_to(np.eye(2) * UNKNOWN_PX**2, pixel.shape), np.zeros_like(pixel)
+        pixel, fixed = np.broadcast_to(np.eye(2) * UNKNOWN_ERROR_PX**2, pixel.shape), np.zeros_like(pixel)
     cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
     time = np.asarray(tracks.time, dtype=np.float64)[keep]
     taken = np.where(np.isfinite(time), time, frame / camera.fps)
-    start, width = taken + camera.line_time * xy[:, 1], (camera.sigma or GLINT_PX) * camera.scale
+    start, width = taken + camera.line_time * xy[:, 1], (camera.sigma or DEFAULT_GLINT_WIDTH_PX) * camera.scale
     apart = np.hypot(tracks.x - tracks.glint_x, tracks.y - tracks.glint_y)[keep]  # NaN or 0 where no glint was seen
     found = []
     for ball in np.unique(particle):
@@ -164,20 +158,44 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     return found if size is None else [track.scale_errors(size) for track in found]
 
 
-def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]:
-    """The same with the part of an encoder's errors that lasts, beside what is claimed and scatters."""
+def _with_codec_noise(
+    balls: list[BallTrack],
+    camera: Camera,
+    share: float = 0.25,
+    at_px: float = 0.075,
+    max_share: float = 0.45,
+    length_px: float = 250.0,
+) -> list[BallTrack]:
+    """Add the part of an encoder's errors that persists while a ball moves on to its fixed errors.
+
+    H.264 moves what it shows by quarters of a pixel from frame to frame, so that errors are a sawtooth. They persist
+    where a ball's speed along an axis comes near a multiple of that. A film does not show this part of its own errors,
+    because the fitted motion absorbs it.
+
+    Parameters
+    ----------
+    balls : list of BallTrack
+    camera : Camera
+    share, at_px : float
+        Share of the variance that persists, of positions with errors of `at_px`; it grows with their square. It is the
+        share with which z is 1 in 600 clips of two seeds at crf 18, 23 and 28 (errors of .063, .078 and .105 px).
+    max_share : float
+        Largest such share.
+    length_px : float
+        Distance over which the errors persist.
+    """
     size, every = measure_scatter(balls), [np.trace(track.cov, axis1=1, axis2=2) / 2 for track in balls]
     off = float(np.median(np.concatenate(every))) * (size.ratio if size else 1.0) / camera.scale**2 if balls else 0.0
-    share, out = min(LASTING * off / AT**2, MOST), []
+    persistent, out = min(share * off / at_px**2, max_share), []
     for track, variances in zip(balls, every, strict=True):
-        own = share * float(np.median(variances))
-        drift, shift = (float(np.sqrt(own)), WAY * camera.scale), own * np.eye(2)
+        own = persistent * float(np.median(variances))
+        drift, shift = (float(np.sqrt(own)), length_px * camera.scale), own * np.eye(2)
         wider = replace(track, cov=track.cov + shift, fixed=track.fixed + shift, drift=drift)
         out.append(track if track.drift[0] else wider)
     return out
 
 
 def _usable(pixel: Floats) -> bool:
-    """Whether all the covariances (n, 2, 2) are ones: NaN fails."""
+    """Test whether all covariances (n, 2, 2) are positive definite; NaN is not."""
     determinant = pixel[:, 0, 0] * pixel[:, 1, 1] - pixel[:, 0, 1] * pixel[:, 1, 0]
     return len(pixel) > 0 and bool(np.all((determinant > 0) & (pixel[:, 0, 0] > 0)))

@@ -1,4 +1,4 @@
-"""What a file holds, whatever it is called: bytes as XML, as text, as cells between delimiters."""
+"""The content of a file, whatever its name: bytes as XML, as text, as cells between delimiters."""
 
 from __future__ import annotations
 
@@ -16,12 +16,8 @@ import pandas as pd
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line, format_value
 
-MOST_BYTES = 1 << 28  # of XML, all of which is held in memory, many times as large
-DEEPEST = 50  # levels of XML; TrackMate's files have 6, Tracker's 12
 PARQUET = b"PAR1"
-MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-DELIMITERS = ("\t", ";", ",")  # a comma may be a decimal one where another delimits
-HEAD = 4  # lines, at most, before the numbers
+MAX_HEAD_LINES = 4  # lines, at most, before the numbers
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,8 @@ class Content:
         """In the encoding that its mark says, in UTF-8, or in Latin-1, where any byte is a letter; none of Parquet."""
         if self.data.startswith(PARQUET):
             return ""
-        encoding = next((name for mark, name in MARKS.items() if self.data.startswith(mark)), "utf-8")
+        marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+        encoding = next((name for mark, name in marks.items() if self.data.startswith(mark)), "utf-8")
         try:
             return self.data.decode(encoding)
         except UnicodeDecodeError:
@@ -62,14 +59,16 @@ class Content:
         """
         if not self.text.lstrip().startswith("<"):
             return None
-        if len(self.data) > MOST_BYTES:
-            raise self.wrong(f"more than {MOST_BYTES >> 20} MB of XML")
+        # all of an XML file is held in memory, many times as large
+        if len(self.data) > (1 << 28):
+            raise self.wrong(f"more than {1 << 8} MB of XML")
         builder, depth = ET.TreeBuilder(), 0
 
         def start(tag: str, attributes: dict[str, str]) -> None:
             nonlocal depth
             depth += 1
-            if depth > DEEPEST:
+            # levels; files of TrackMate have 6, those of Tracker 12
+            if depth > 50:
                 raise self.wrong("XML nested too deeply for tracks")
             builder.start(tag, attributes)
 
@@ -97,13 +96,14 @@ class Content:
 
     @cached_property
     def _lines(self) -> list[str]:
-        return [line.rstrip("\r\n") for _, line in zip(range(HEAD + 1), StringIO(self.text), strict=False)]
+        return [line.rstrip("\r\n") for _, line in zip(range(MAX_HEAD_LINES + 1), StringIO(self.text), strict=False)]
 
     @property
     def delimiter(self) -> str:
         """Between cells."""
-        first = "\n".join(self._lines[:HEAD])
-        return next((mark for mark in DELIMITERS if mark in first), " ")
+        first = "\n".join(self._lines[:MAX_HEAD_LINES])
+        # a comma may be a decimal one where another character delimits
+        return next((mark for mark in ("\t", ";", ",") if mark in first), " ")
 
     def cells(self, skip: int = 0, names: list[str] | None = None) -> pd.DataFrame:
         """The cells as a table, from line `skip` on, which names the columns unless `names` does.
@@ -134,7 +134,7 @@ class Content:
         return self._number(element, name, self.attribute(element, name))
 
     def number_in(self, element: ET.Element) -> float:
-        """What stands between an element's tags, a number."""
+        """The number between an element's tags."""
         return self._number(element, element.get("name", ""), element.text or "")
 
     def _number(self, element: ET.Element, name: str, text: str) -> float:

@@ -1,4 +1,4 @@
-"""Tracks from a file of any of the formats, which its content tells, or from a table in memory."""
+"""Tracks from a file, whose format its content shows, or from a table in memory."""
 
 from __future__ import annotations
 
@@ -21,20 +21,15 @@ from tracker.detection.link import Tracks
 from tracker.notes import Note, NoteKind, note_all
 from tracker.tables import formats as format_files
 from tracker.tables.content import Content
-from tracker.tables.rows import NEEDED, check_columns, split_tracks, to_numbers
+from tracker.tables.rows import REQUIRED_COLUMNS, check_columns, split_tracks, to_numbers
 from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
 
-SAME_RATE = 0.01  # 29.97 is 30
-OPTIONAL = "t clip striker x_std y_std cov_xy ep".split()
-USUAL = 15  # px, of a ball in a picture that is made up for a table in metres
-WIDEST = 16000  # px, of such a picture
-FURTHEST = 1e3  # m, of a position in one
-ARCHIVE = b"PK\3\4"
+OPTIONAL_COLUMNS = "t clip striker x_std y_std cov_xy ep".split()
 
 
 @dataclass(frozen=True)
 class ClipTracks:
-    """What a table gives: by clip tracks, px, and the striker where it says it; the camera; what to tell the user."""
+    """Tracks of a table by clip, px, with the striker if the table names it; the camera; notes."""
 
     clips: dict[int, tuple[Tracks, str | None]]
     camera: Camera
@@ -72,7 +67,7 @@ def read_tracks(path: Path, camera: CameraSource, columns: str = "", unit: str =
     if path.suffix.lower() in (".xlsx", ".xls", ".ods") and path.is_file():
         raise InputError(f"{path}: a spreadsheet, expected a table of tracks; save it as CSV")
     content = Content.of(path)
-    if content.data.startswith(ARCHIVE):
+    if content.data.startswith(b"PK\3\4"):
         raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
     return to_pixels(
         _pick_columns(content, columns) if columns else recognise_format(content), path.name, camera, unit, str(path)
@@ -99,7 +94,7 @@ def recognise_format(content: Content) -> TrackTable:
 def _pick_columns(content: Content, columns: str) -> TrackTable:
     """A table whose columns the user names."""
     pairs = dict(part.partition("=")[::2] for part in columns.split(","))
-    known = {name: name for name in (*NEEDED, "track", *OPTIONAL)}
+    known = {name: name for name in (*REQUIRED_COLUMNS, "track", *OPTIONAL_COLUMNS)}
     for key, name in pairs.items():
         if key not in known or not name:
             hint = did_you_mean(key, known)
@@ -132,7 +127,8 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
     metric = math.isfinite(metre)
     up = table.up or (metric and not table.format)
     known = _camera(camera, table.scale_lengths(metre, where) if metric else None, where)
-    if abs(table.fps / known.fps - 1) <= SAME_RATE:
+    # 29.97 counts as 30
+    if abs(table.fps / known.fps - 1) <= 0.01:
         table = replace(table, rows=table.rows.drop(columns="t_s", errors="ignore"))
     elif table.fps > 0:
         whose = "its times are used" if "t_s" in table.rows else "the camera file's is used"
@@ -157,17 +153,17 @@ def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camer
         reach = max(
             float(np.nanmax(np.abs(to_numbers(metres.rows[axis], axis, where)), initial=0.0)) for axis in ("x", "y")
         )
-        if not 0 < reach < FURTHEST:
+        if not 0 < reach < 1e3:
             raise InputError(
                 f"{where}: x, y: up to {reach:g} m, expected positions on a plate; --unit says what they are"
             )
         if "scale" not in keys and not {"K", "t"} <= set(keys):
             ball = keys.get("ball_diameter", 0)
-            known = ball / USUAL if isinstance(ball, int | float) and 0 < ball < reach else 0.0
-            keys["scale"] = max(known, 2 * reach / WIDEST)
+            known = ball / 15 if isinstance(ball, int | float) and 0 < ball < reach else 0.0
+            keys["scale"] = max(known, 2 * reach / 16000)
         scale = keys.get("scale", 0)
         if "size" not in keys and isinstance(scale, int | float) and scale > 0:
-            keys["size"] = [min(2 * math.ceil(reach / scale) + 2 * USUAL, WIDEST)] * 2
+            keys["size"] = [min(2 * math.ceil(reach / scale) + 2 * 15, 16000)] * 2
     return Camera.from_dict(keys, named)
 
 

@@ -13,9 +13,9 @@ from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import format_value
 from tracker.detection.link import Tracks
 
-MOST = (1 << 31) - 1  # frames, particles, clips
-FARTHEST = 1e6  # px, of a position, or of its standard deviation
-NEEDED = ("frame", "particle", "x", "y")
+MAX_WHOLE_NUMBER = (1 << 31) - 1  # frames, particles, clips
+MAX_POSITION_PX = 1e6  # px, of a position, or of its standard deviation
+REQUIRED_COLUMNS = ("frame", "particle", "x", "y")
 
 
 def tracks_table(tracks: Tracks) -> pa.Table:
@@ -74,10 +74,12 @@ def split_tracks(table: pd.DataFrame, where: str, metres: bool = False) -> dict[
 
 def check_columns(table: pd.DataFrame, where: str, more: str = "") -> None:
     """Raises InputError where a table lacks what every one needs."""
-    missing = [name for name in NEEDED if name not in table]
+    missing = [name for name in REQUIRED_COLUMNS if name not in table]
     if missing:
         there = format_value(", ".join(map(str, table.columns)), quoted=False)
-        raise InputError(f"{where}: no column {', '.join(missing)}, expected {', '.join(NEEDED)}{more}; found {there}")
+        raise InputError(
+            f"{where}: no column {', '.join(missing)}, expected {', '.join(REQUIRED_COLUMNS)}{more}; found {there}"
+        )
 
 
 def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
@@ -88,8 +90,10 @@ def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
     )
     x, y = to_numbers(table["x"], "x", where), to_numbers(table["y"], "y", where)
     for name, values in (("x", x), ("y", y)):
-        if np.any(np.abs(values) > FARTHEST):
-            raise InputError(f"{where}: {name}: expected positions in px, not {values[np.abs(values) > FARTHEST][0]:g}")
+        if np.any(np.abs(values) > MAX_POSITION_PX):
+            raise InputError(
+                f"{where}: {name}: expected positions in px, not {values[np.abs(values) > MAX_POSITION_PX][0]:g}"
+            )
     kept = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     kept = kept[np.lexsort((frame[kept], particle[kept]))]
     twice = (np.diff(frame[kept]) == 0) & (np.diff(particle[kept]) == 0)
@@ -105,12 +109,14 @@ def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
         cov = np.empty((len(kept), 2, 2))
         for axis, name in enumerate((x_std, y_std)):
             std = column(name, default)
-            if np.any((std < 0) | (std > FARTHEST)):
-                raise InputError(f"{where}: {name}: expected standard errors from 0 to {FARTHEST:g} px")
+            if np.any((std < 0) | (std > MAX_POSITION_PX)):
+                raise InputError(f"{where}: {name}: expected standard errors from 0 to {MAX_POSITION_PX:g} px")
             cov[:, axis, axis] = std**2
         cov[:, 0, 1] = cov[:, 1, 0] = column(cov_xy, 0.0)
-        if np.any(np.abs(cov[:, 0, 1]) > FARTHEST**2):
-            raise InputError(f"{where}: {cov_xy}: expected covariances from {-(FARTHEST**2):g} to {FARTHEST**2:g} px^2")
+        if np.any(np.abs(cov[:, 0, 1]) > MAX_POSITION_PX**2):
+            raise InputError(
+                f"{where}: {cov_xy}: expected covariances from {-(MAX_POSITION_PX**2):g} to {MAX_POSITION_PX**2:g} px^2"
+            )
         return cov
 
     said = table["flags"].astype(object).fillna("") if "flags" in table else pd.Series("", index=table.index)
@@ -152,7 +158,9 @@ def to_numbers(values: Any, name: str, where: str) -> Any:
 def to_whole_numbers(values: Any, name: str, where: str) -> Any:
     """A column as whole numbers from 0 on."""
     numbers = to_numbers(values, name, where)
-    wrong = ~((numbers >= 0) & (numbers <= MOST) & (numbers == np.round(numbers)))  # NaN too
+    wrong = ~((numbers >= 0) & (numbers <= MAX_WHOLE_NUMBER) & (numbers == np.round(numbers)))  # NaN too
     if wrong.any():
-        raise InputError(f"{where}: {name}: expected whole numbers from 0 to {MOST}, not {numbers[wrong][0]:g}")
+        raise InputError(
+            f"{where}: {name}: expected whole numbers from 0 to {MAX_WHOLE_NUMBER}, not {numbers[wrong][0]:g}"
+        )
     return numbers.astype(np.int64)

@@ -22,9 +22,8 @@ LENGTH_UNITS = {  # what one of a unit is in m, and what it is called; "px" has 
     "nm": (1e-9, "nm nanometre nanometres nanometer nanometers"),
     "in": (0.0254, "in inch inches"),
 }
-LENGTHS = ("x", "y", "glint_x", "glint_y", "x_std", "y_std", "x_fixed_std", "y_fixed_std")
-AREAS = ("cov_xy", "cov_xy_fixed")
-EVEN = 0.2  # of a time step, by which times may be off even ones: they are printed to few digits
+LENGTH_COLUMNS = ("x", "y", "glint_x", "glint_y", "x_std", "y_std", "x_fixed_std", "y_fixed_std")
+AREA_COLUMNS = ("cov_xy", "cov_xy_fixed")
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class TrackTable:
     def scale_lengths(self, factor: float, where: str) -> TrackTable:
         """The same with lengths of another unit."""
         rows = self.rows.copy()
-        for names, by in ((LENGTHS, factor), (AREAS, factor**2)):
+        for names, by in ((LENGTH_COLUMNS, factor), (AREA_COLUMNS, factor**2)):
             for name in (n for n in names if n in rows):
                 rows[name] = to_numbers(rows[name], name, where) * by
         return replace(self, rows=rows)
@@ -83,6 +82,7 @@ def frames_from_times(times: NDArray[np.float64], where: str) -> tuple[NDArray[n
     step, first = np.polyfit(known, steps, 1)
     frame = known[np.searchsorted(steps, times)]
     even = first + step * frame
-    if np.max(np.abs(even - times)) < EVEN * step:
+    # times are printed to few digits: a fifth of a step off is even
+    if np.max(np.abs(even - times)) < 0.2 * step:
         return frame.astype(np.int64), even, 1.0 / float(step)
     return frame.astype(np.int64), times, math.nan

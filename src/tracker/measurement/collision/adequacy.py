@@ -1,4 +1,4 @@
-"""Whether the data accept a fit: p-values, and values that no two balls can have."""
+"""Goodness of fit: p-values, and values that no two balls can have."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
 
 
 class Flag(StrEnum):
-    """What is unusual about a collision, as the column `flags` of estimates.parquet spells it."""
+    """Something unusual about a collision, as the column `flags` of estimates.parquet spells it."""
 
     R_UNDER_0 = "r under 0"
     R_OVER_1 = "r over 1"
@@ -37,7 +37,7 @@ class Flag(StrEnum):
 
     @property
     def is_impossible(self) -> bool:
-        """Whether no two balls can collide so, whatever their material: such a collision is a misfit."""
+        """True if no two balls can collide so, whatever their material: such a collision is a misfit."""
         return self in (Flag.R_UNDER_0, Flag.R_OVER_1, Flag.C_UNDER_0, Flag.C_OVER_5_7)
 
 
@@ -63,8 +63,7 @@ VALUE_RANGES = (
 def p_value(square: float, dof: float, noise_dof: float) -> float:
     """Compute the probability of a chi^2 at least so large.
 
-    Where the size of the errors was found from a part of the same residuals, an F test compares the rest with that
-    part.
+    If the size of the errors was found from a part of the same residuals, an F test compares the rest with that part.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Tied and free fit of one collision, side by side: from every start that may lead to the best, by true errors."""
+"""The tied and the free fit of one collision, and the choice among the motions of its striker."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CollisionFits:
-    """Both fits of one collision and what they say."""
+    """Both fits of one collision, with the quantities that they determine."""
 
     contact: Contact
     tied: CollisionFit
@@ -59,12 +59,12 @@ class CollisionFits:
 
     @property
     def is_free_accepted(self) -> bool:
-        """Whether the data accept the free fit; they reject nothing where the errors' size is not known."""
+        """True if the data accept the free fit; they reject nothing if the size of the errors is unknown."""
         return not self.p_free < self.settings.rejection_level
 
     @property
     def is_tied_accepted(self) -> bool:
-        """Whether the data accept the tied fit beside the free one."""
+        """True if the data accept the tied fit, by itself and compared with the free one."""
         level = self.settings.rejection_level
         return self.is_free_accepted and not (self.p_tied < level or self.p_agree < level)
 
@@ -76,7 +76,7 @@ class CollisionFits:
 
     @property
     def is_misfit(self) -> bool:
-        """Whether the data reject the tied fit, or its values are physically impossible.
+        """True if the data reject the tied fit, or its values are physically impossible.
 
         Values count only where the size of the errors is known.
         """
@@ -85,18 +85,31 @@ class CollisionFits:
 
     @property
     def is_convincing(self) -> bool:
-        """Whether the data accept both fits well, as they must where a parameter was added after a rejection."""
+        """True if the data accept both fits well, as they must if a parameter was added after a rejection."""
         return bool(min(self.p_tied, self.p_free, self.p_agree) > 1e-3)
 
 
 def fit_collision(contact: Contact, better_striker: float = 0.25) -> CollisionFits | str:
-    """Tied and free fit of one collision; or the reason why there is none."""
+    """Fit one collision by the tied and the free motion.
+
+    Parameters
+    ----------
+    contact : Contact
+    better_striker : float
+        Factor by which a striker that does not roll must lower chi^2 per degree of freedom to be preferred, if the data
+        do not accept it either.
+
+    Returns
+    -------
+    CollisionFits or str
+        The reason why there is none.
+    """
     guesses = guess_parameters(contact)
     if not guesses:
         return "the approach does not lead to the other ball"
     guess, *others = guesses
     read = _fit_with_noise(contact, [guess])
-    if not _is_accepted(read):  # it may have gone astray
+    if not _is_accepted(read):  # the descent may have ended in another minimum
         again = _fit_with_noise(contact, [*others, guess])
         read = min(read, again, key=_reduced_chi2)
     if _is_accepted(read):
@@ -127,7 +140,7 @@ def _reduced_chi2(read: CollisionFits | str) -> float:
 
 
 def _fit_with_noise(contact: Contact, starts: list[Floats]) -> CollisionFits | str:
-    """Both fits, by errors as large and as lasting as the tracks show."""
+    """Both fits, by errors of the size and the correlation that the tracks show."""
     read = _fit_both(contact, starts)
     pair = None if isinstance(read, str) else with_correlated_noise(contact.pair, read.free)
     if pair is None or isinstance(read, str):
@@ -156,7 +169,7 @@ def _fit_both(contact: Contact, starts: list[Floats]) -> CollisionFits | str:
         tied_values=derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin),
         free_values=derive_from_free(free.parameters, free.cov, pair.diameter),
     )
-    if free.chi2 > 1e4 * free.dof:  # 100 sigma off everywhere is no description of the motion
+    if free.chi2 > 1e4 * free.dof:  # 100 sigma off everywhere: this is another motion
         return "no collision of two rolling balls fits the tracks"
     return read if tied.converged or not read.is_tied_accepted else "the fit did not converge"
 
@@ -174,10 +187,10 @@ def _fit_same_positions(
 
 
 def _prefer_possible(pair: BallPair, tied: CollisionFit, worse: float = 10.0) -> CollisionFit:
-    """The tied fit, or one as good by which the balls slide on all the while.
+    """Prefer a tied fit with possible values by which the balls slide until they are last seen.
 
-    Balls that go straight on after the hit either did all their sliding at once or never roll: the positions do not
-    decide, but the first may take a restitution that cannot be.
+    Balls that move on in a straight line after the hit either slid for a very short time or never roll. The positions
+    do not decide, but the first may need an impossible restitution. worse: chi^2 by which the other fit may be worse.
     """
     sigma = pair.settings.impossible_sigma
     if not find_impossible_values(derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0, sigma):
@@ -197,9 +210,9 @@ def _prefer_possible(pair: BallPair, tied: CollisionFit, worse: float = 10.0) ->
 
 
 def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[CollisionFit, tuple[bool, bool]]:
-    """The free fit, and for each ball whether its slide's end shows.
+    """The free fit, and for each ball whether the tracks show the end of its slide.
 
-    Short slides have several minima: other slide times are tried. One without end is the null hypothesis.
+    Short slides have several minima, so other slide times are tried. A slide without end is the null hypothesis.
     """
     start = np.asarray(tied_to_free(tied.parameters, pair.spin), dtype=np.float64)
     ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
@@ -226,7 +239,7 @@ def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[
 
 
 def _without_slide_end(free: Floats, ball: int, left: float) -> Floats:
-    """The same start of a slide, but one that goes on after the ball is last seen."""
+    """The same start of a slide, but one that continues after the ball is last seen."""
     out, at = free.copy(), AFTER[ball]
     tau, longer = np.exp(free[at + 4]), 1.5 * left
     out[at + 2 : at + 4] = free[at : at + 2] + (free[at + 2 : at + 4] - free[at : at + 2]) * longer / tau
@@ -236,7 +249,7 @@ def _without_slide_end(free: Floats, ball: int, left: float) -> Floats:
 
 def _free_to_tied(free: CollisionFit, tied: CollisionFit, diameter: float) -> Floats:
     """Tied parameters nearest to a free motion: its launch, the r, mu_k and C it implies, the spin of another fit."""
-    said = dict(zip(QUANTITY_NAMES, derive_from_free(free.parameters, free.cov, diameter).value, strict=True))
-    impact = [np.clip(said["r"], 0, 1), np.log(np.clip(said["mu_k"], 1e-3, 10)), np.clip(said["C"], -0.5, 1)]
+    implied = dict(zip(QUANTITY_NAMES, derive_from_free(free.parameters, free.cov, diameter).value, strict=True))
+    impact = [np.clip(implied["r"], 0, 1), np.log(np.clip(implied["mu_k"], 1e-3, 10)), np.clip(implied["C"], -0.5, 1)]
     spin = tied.parameters[TIED.index(SPIN[0]) : -len(TARGET)]
     return np.concatenate([free.parameters[:8], impact, spin, free.parameters[-len(TARGET) :]])

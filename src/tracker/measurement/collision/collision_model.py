@@ -1,20 +1,24 @@
-"""How two balls move before and after they collide: the tracker's own closed-form model.
+"""The tracker's closed-form model of two balls that roll, collide, slide and roll on.
 
-Ball 1 rests or rolls, ball 2 rolls at it. At t_c they exchange an impulse; then each ball slides on a parabola
-until its slip is used up, and rolls on. Positions are averages over the camera's exposure, because that is what
-a streaked image measures, and come with exact derivatives.
+Ball 1 rests or rolls, ball 2 rolls at it. At t_c they exchange an impulse. Then each ball slides on a parabola until
+its slip is used up, and rolls on. Positions are averages over the camera's exposure, because a streaked image measures
+that average. They come with exact derivatives.
 
-Two parameter vectors describe the same path:
+Two parameter vectors describe the same motion:
 
-- **free** (22 numbers, `FREE`): after the hit each ball has any velocity, any slide time, any final velocity;
-- **tied** (16 numbers, `TIED`): restitution, friction and spin transfer decide them (`tied_to_free`).
+- **free** (22 numbers, `FREE`): after the hit each ball has any velocity, any slide time, any final velocity.
+- **tied** (16 numbers, `TIED`): restitution, friction and spin transfer determine them (`tied_to_free`).
 
-Both end with ball 1's velocity before the hit (`TARGET`), which a fit holds at zero where that ball rests; v0
-and heading are those of ball 2's velocity relative to it. Before it stands how ball 2 is spun when it does not roll
-(`SPIN`, of the free motion the acceleration that this makes, `SLIDING`), held at zero where it rolls. The impact
-parameter enters as an angle beta, b/2R = sin(beta); friction and slide times as logarithms, so that every real vector
-is a valid motion. Source: Painter & Behringer 2000, eqs 1-4 for the head-on case; the impulse of two rolling balls is
-derived in `tied_to_free`.
+Conventions:
+
+- Both vectors end with the velocity of ball 1 before the hit (`TARGET`). A fit holds it at zero if ball 1 rests.
+- v0 and heading are those of the velocity of ball 2 relative to ball 1.
+- `SPIN` describes the spin of a ball 2 that does not roll, and is zero if it rolls. In the free vector the
+  acceleration that this causes (`SLIDING`) replaces it.
+- The impact parameter enters as an angle beta, b/2R = sin(beta). Friction and slide times enter as logarithms. Every
+  real vector is therefore a valid motion.
+
+Source: Painter & Behringer 2000, eqs 1-4, for the head-on case. `tied_to_free` derives that of two rolling balls.
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ Floats = NDArray[np.float64]
 
 GRAVITY = 9.81  # m/s^2; only the product mu_k * g shows in a track
 SLIP_RATE = 3.5  # |u| falls at 7/2 mu g: friction slows a sphere by mu g and spins it up by 5/2 mu g
-SHORTEST_EXPOSURE = 1e-8  # s; stands for an instant: below any jitter, above the integrals' rounding
+SHORTEST_EXPOSURE = 1e-8  # s, for an instant: below any jitter, above the integrals' rounding
 
 LAUNCH = ("t_c", "x", "y", "heading", "beta", "v0", "drag", "decel")
 TARGET = ("wx", "wy")  # m/s, ball 1's velocity just before the hit
@@ -76,10 +80,10 @@ def _phis(z: Floats) -> list[Floats]:
 
 @dataclass(frozen=True)
 class RollingMotion:
-    """A rolling ball after time t: way, integral of the way, and what they owe to speed, drag and decel."""
+    """A rolling ball after time t: distance, its integral, and the derivatives of that by speed, drag and decel."""
 
-    way: Floats
-    area: Floats  # integral of `way` from 0 to t
+    distance: Floats
+    area: Floats  # integral of `distance` from 0 to t
     area_speed: Floats
     area_drag: Floats
     area_decel: Floats
@@ -105,19 +109,19 @@ def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> 
     run = np.minimum(t, stop)
     _, p1, p2, p3, p4 = _phis(drag * run)
     square = run * run
-    way = run * (speed * p1 - decel * run * p2)
+    distance = run * (speed * p1 - decel * run * p2)
     area = square * (speed * p2 - decel * run * p3)
     area_speed = square * p2
     area_drag = square * run * (speed * (2 * p3 - p2) - decel * run * (3 * p4 - p3))
     area_decel = -square * run * p3
     rest = t - run
     if rest.any():  # it stands still from then on
-        way_drag = square * (speed * (p2 - p1) - decel * run * (2 * p3 - p2))  # phi_k' = k phi_(k+1) - phi_k
-        area += way * rest
+        distance_drag = square * (speed * (p2 - p1) - decel * run * (2 * p3 - p2))  # phi_k' = k phi_(k+1) - phi_k
+        area += distance * rest
         area_speed += run * p1 * rest
-        area_drag += way_drag * rest
+        area_drag += distance_drag * rest
         area_decel -= square * p2 * rest
-    return RollingMotion(way, area, area_speed, area_drag, area_decel)
+    return RollingMotion(distance, area, area_speed, area_drag, area_decel)
 
 
 def stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
@@ -213,7 +217,7 @@ def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Float
     speed, along = speed[second], along[second]
     roll = roll_freely(speed, drag, decel, s)
     part = np.zeros((len(FREE), len(s), 2))
-    part[0] = -roll.way[:, None] * along
+    part[0] = -roll.distance[:, None] * along
     part[6] = roll.area_drag[:, None] * along
     part[7] = roll.area_decel[:, None] * along
     part[-2:] = turned = _by_velocity(roll, speed, along)
@@ -228,7 +232,7 @@ def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Float
 
 
 def _sliding_approach(free: Floats, s: Floats) -> tuple[Floats, Floats]:
-    """Ball 2 sliding up to the contact: friction pulls one way all the while, for slip keeps its direction."""
+    """Ball 2 sliding up to the contact: friction keeps its direction, because slip does."""
     heading, v0, pull = free[3], free[5], free[_SLIDING : _SLIDING + 2]
     d = np.array([np.cos(heading), np.sin(heading)])
     v = free[-2:] + v0 * d
@@ -250,7 +254,7 @@ def _polar(velocities: Floats) -> tuple[Floats, Floats]:
 
 
 def _by_velocity(roll: RollingMotion, speed: Floats, along: Floats) -> Floats:
-    """d(area)/d(velocity), by its component (2, n, 2): a velocity that turns takes the whole rolled way with it."""
+    """d(area)/d(velocity), by its component (2, n, 2): a velocity that turns takes the rolled distance with it."""
     turn = roll.area / np.maximum(speed, 1e-300)
     x, y = along[:, 0], along[:, 1]
     off = roll.area_speed - turn
@@ -280,9 +284,9 @@ def _departure(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floa
     by_final[0, :, 0] += gain
     by_final[1, :, 1] += gain
     late = np.where(roll_time > 0, tau * (roll_time / 2 - tau / 6), -square * slide / (6 * tau))
-    by_tau = (tau * roll_time)[:, None] * v + late[:, None] * change - (tau * roll.way)[:, None] * along
+    by_tau = (tau * roll_time)[:, None] * v + late[:, None] * change - (tau * roll.distance)[:, None] * along
     part = np.zeros((len(FREE), len(s), 2))
-    part[0] = -slide[:, None] * v - (square / (2 * tau))[:, None] * change - roll.way[:, None] * along
+    part[0] = -slide[:, None] * v - (square / (2 * tau))[:, None] * change - roll.distance[:, None] * along
     part[6] = roll.area_drag[:, None] * along
     part[7] = roll.area_decel[:, None] * along
     for ball, at in enumerate((AFTER[1], AFTER[2])):
@@ -297,14 +301,17 @@ def _departure(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floa
 
 
 def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]:
-    """The impact and the slides of the model: the free parameters that follow from the tied ones.
+    """Apply the laws of impact and sliding: the free parameters that follow from the tied ones.
 
-    Equal balls, ball 1 rolling or at rest. P/m = (1 + r) v_n / 2 along n; J/m = -(2/5) C u_t on ball 2, u_t
-    the relative velocity of the touching surfaces: its part in the plane is the relative velocity along t, its
-    vertical part -S, S the sum of both balls' R w x z along n, which of a rolling ball is its velocity. The
-    vertical impulse spins the balls, R dw = -C S t, and lifts nothing. A ball's lowest point then slips at
-    u = dv + C S n, dv its change of velocity, and at what it slipped before; tau = |u| / (3.5 mu g) and
-    v_f = v - 2u/7, for a force there leaves (5v + 2R w x z)/7 as it is.
+    The balls are equal; ball 1 rolls or rests. The laws are, with n, t and z the unit vectors of the contact:
+
+    - The normal impulse is P/m = (1 + r) v_n / 2 along n.
+    - The tangential impulse is J/m = -(2/5) C u_t on ball 2, u_t the relative velocity of the touching surfaces. Its
+      part in the plane is the relative velocity along t. Its vertical part is -S, where S is the sum of both balls'
+      R w x z along n; that of a rolling ball is its velocity.
+    - The vertical impulse spins the balls, R dw = -C S t, and lifts nothing.
+    - The lowest point of a ball then slips at u = dv + C S n plus its slip before, dv its change of velocity.
+    - Slip ends after tau = |u| / (3.5 mu g) at v_f = v - 2u/7, because a force there conserves (5v + 2R w x z)/7.
 
     Parameters
     ----------
@@ -336,6 +343,6 @@ def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.ine
 
 
 def tied_to_free_jacobian(tied: Floats, spin: float = 0.0) -> Floats:
-    """The derivatives (22, 16) of `tied_to_free` at tied (16,), exact to rounding, by complex steps."""
+    """Compute the derivatives (22, 16) of `tied_to_free` at tied (16,), exact to rounding, by complex steps."""
     steps = tied + 1e-30j * np.eye(len(TIED))
     return np.asarray(tied_to_free(steps, spin).imag.T / 1e-30, dtype=np.float64)

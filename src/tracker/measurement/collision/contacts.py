@@ -1,4 +1,4 @@
-"""Which balls met, which of them was moving, and roughly when, where and how: the start of every fit."""
+"""Find the contacts of a clip, the striker of each, and first guesses of its motion."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class EarlierHit:
-    """What earlier hits left of a ball: it slides until rolls_from, s (inf: not known), and R w_z is spin, m/s."""
+    """The state that earlier hits leave a ball in: it slides until rolls_from, s (inf: unknown); R w_z is spin, m/s."""
 
     rolls_from: float = -np.inf
     spin: float = 0.0
@@ -40,7 +40,7 @@ class EarlierHit:
 
 @dataclass(frozen=True, eq=False)
 class ContactCandidate:
-    """A contact as it is found: two balls, each with the stretch in which it meets no third or again the other."""
+    """A possible contact: two balls, each with the frames in which it has no other contact."""
 
     one: BallTrack
     other: BallTrack
@@ -88,7 +88,7 @@ def prepare_contact(
     diameter : float
         m.
     earlier : mapping of int to EarlierHit
-        By particle, what earlier hits left of a ball: positions while it still slid are left out.
+        By particle, the state after earlier hits. Positions while a ball still slides are left out.
     settings : FitSettings
 
     Returns
@@ -162,14 +162,14 @@ def _interpolate(track: BallTrack, frames: NDArray[np.int64]) -> Floats:
 
 
 def _gap(track: BallTrack, frame: int) -> int:
-    """Longest stretch, in frames, between positions next to a frame."""
+    """Longest gap, in frames, between positions next to a frame."""
     i = int(np.searchsorted(track.frame, frame))
     near = track.frame[max(i - 2, 0) : i + 3]
     return int(np.diff(near).max(initial=1))
 
 
 def _changed_velocity(a: BallTrack, b: BallTrack, frame: int) -> bool:
-    """Whether either ball's velocity changed there by more than noise and friction do."""
+    """Test whether the velocity of either ball changed there by more than noise and friction do."""
     for track in (a, b):
         early, late = _before(track, frame), _after(track, frame)
         if len(early) < 2 or len(late) < 2:
@@ -181,7 +181,7 @@ def _changed_velocity(a: BallTrack, b: BallTrack, frame: int) -> bool:
 
 
 def _assign_roles(pair: BallPair, frame: int) -> Contact:
-    """Ball 2 is the faster before contact; says why where a clip shows too little."""
+    """Make the faster ball before contact ball 2, and give the reason if a clip shows too little."""
     early = [_before(c, frame) for _, c in pair.balls]
     if min(len(e) for e in early) < 2:
         return Contact(pair, frame, "the approach is not in view")
@@ -239,9 +239,9 @@ def _shorten_rest(track: BallTrack, frame: int, longest: int = 150, same: float 
 def guess_parameters(contact: Contact) -> list[Floats]:
     """Tied parameters (16,) to start from, the best first; none where the approach leads past the other ball.
 
-    The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter
-    apart. What the impact did comes from a coarse grid over all that is physical, the best for each friction. Where
-    frames about the contact are missing, it may have been a frame earlier or later than it seems.
+    The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter apart.
+    The impact comes from a coarse grid over all physical values, the best for each friction. If frames about the
+    contact are missing, the frames next to it are tried too.
     """
     near = np.arange(contact.frame - 2, contact.frame + 3)
     whole = all(np.isin(near, track.frame).all() for _, track in contact.pair.balls)
@@ -276,8 +276,8 @@ def _rough_chi2(pair: BallPair, tied: Floats) -> Floats:
         loss = free[:, 6:7] * speed + free[:, 7:8]
         roll = np.clip(since - tau, 0.0, speed / loss)
         grown = roll - loss * roll**2 / (2 * speed) + slide**2 / (2 * tau)  # weight of f
-        way = (slide - slide**2 / (2 * tau))[..., None] * v[:, None] + grown[..., None] * f[:, None]
-        off = contact[:, None] + way - track.position
+        distance = (slide - slide**2 / (2 * tau))[..., None] * v[:, None] + grown[..., None] * f[:, None]
+        off = contact[:, None] + distance - track.position
         total += np.where(since > 0, track.whiten.distance(off), 0.0).sum(-1)
     return total
 

@@ -1,7 +1,7 @@
-"""What a fitted motion says: r, mu_k, C, slide times, energies, spins, each with its standard error.
+"""Quantities of a fitted motion: r, mu_k, C, slide times, energies, spins, each with its standard error.
 
-Everything is a function of the free parameters of `motion`, so that both fits share one definition;
-errors follow from the parameters' covariance to first order.
+Everything is a function of the free parameters of `collision_model`, so that both fits share one definition. Errors
+follow from the covariance of the parameters to first order.
 """
 
 from __future__ import annotations
@@ -20,15 +20,13 @@ QUANTITY_NAMES = (
     *("v0", "b", "t_c", "r", "s", "mu_k", "C", "tau1", "tau2", "v1f", "v2f"),
     *("energy_fraction", "momentum_fraction", "final_angle", "drag", "decel", "w1n", "w1t", "w2n", "w2t"),
 )
-APART = 5.0  # standard errors
-STEP = 0.01  # of a standard error, for derivatives: second-order terms cancel, rounding stays below 1e-6
 
 
 @dataclass(frozen=True)
 class DerivedValues:
     """Quantities in the order of QUANTITY_NAMES: value (20,) and covariance (20, 20).
 
-    shared (20, k): what one standard error of each thing known of the camera does to them; part of cov.
+    shared (20, k) is the effect of one standard error of each of k keys of the camera file; it is part of `cov`.
     """
 
     value: Floats
@@ -54,9 +52,9 @@ class DerivedValues:
 def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = None) -> DerivedValues:
     """Quantities of a free motion.
 
-    Friction and spin transfer follow from either ball; the two are weighted by their errors. Where they differ by more
-    than APART of these, there is no one value, and its covariance is NaN. What is undefined at these parameters (s of a
-    head-on hit) is NaN with its covariance.
+    Friction and spin transfer follow from either ball; the two are averaged with weights from their errors. If they
+    differ by more than five standard errors, there is no one value, and its covariance is NaN. A quantity that is
+    undefined at these parameters (s of a head-on hit) is NaN with its covariance.
 
     Parameters
     ----------
@@ -83,7 +81,7 @@ def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats |
         if name in ("mu_k", "C"):
             pair = slice(column, column + 2)
             merge[row, pair] = _weights(wide[pair, pair])
-            if abs(twice[column] - twice[column + 1]) > APART * np.sqrt(_of_difference(wide[pair, pair])):
+            if abs(twice[column] - twice[column + 1]) > 5.0 * np.sqrt(_of_difference(wide[pair, pair])):
                 apart.append(name)
         else:
             merge[row, column] = 1.0
@@ -125,7 +123,8 @@ def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0
 
 
 def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # type: ignore[no-untyped-def]
-    size = STEP * np.sqrt(np.diag(cov))
+    # of a standard error: second-order terms cancel, and rounding stays below 1e-6
+    size = 0.01 * np.sqrt(np.diag(cov))
     steps = np.diag(size)
     high, low = function(at + steps), function(at - steps)
     with np.errstate(invalid="ignore"):

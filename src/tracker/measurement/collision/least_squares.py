@@ -1,8 +1,8 @@
 """Weighted least squares for motions: best parameters, their Fisher covariance, how well they fit.
 
-The free quantities of a clip that hardly shows them would leave the normal equations singular. A broad prior,
-far wider than any physics, keeps them regular; what it decides comes out with a standard error as wide as
-itself, and is then not claimed.
+A clip that hardly shows the free quantities would make the normal equations singular. A prior far wider than any
+physics keeps them regular. A quantity that only the prior determines has a standard error as wide as the prior, and is
+then not reported.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ BROAD_PRIORS: Mapping[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, eq=False)
 class BallPair:
-    """Two balls about one contact: their positions, and what is known beforehand.
+    """Two balls about one contact: their positions, and what is known in advance.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class BallPair:
 
     @property
     def striker_slides(self) -> bool:
-        """Whether the striker slides up to the contact."""
+        """True if the striker slides up to the contact."""
         return "ux" in self.fitted_spin
 
     @property
@@ -96,8 +96,21 @@ class BallPair:
 
 @dataclass(frozen=True)
 class CollisionFit:
-    """Best parameters (p,), covariance (p, p), zero where a parameter is held; chi^2 of the data alone, degrees of
-    freedom; the pair that was fitted, without the positions dropped as outliers.
+    """Best parameters of one motion, and how well it fits.
+
+    Attributes
+    ----------
+    parameters : (p,) array
+    cov : (p, p) array
+        Zero for parameters that are held at zero.
+    chi2 : float
+        Of the data alone, without the prior.
+    dof : int
+    pair : BallPair
+        Without the positions that were dropped as outliers.
+    dropped : int
+        Number of those positions.
+    converged : bool
     """
 
     parameters: Floats
@@ -110,9 +123,9 @@ class CollisionFit:
 
 
 class WhitenedResiduals:
-    """The two balls' positions, in units of their own error, against a motion: residuals and derivatives.
+    """Residuals of the two balls' positions from a motion, in units of their errors, and derivatives.
 
-    x: the parameters that are fitted, all of TIED or FREE but those that the pair holds at zero.
+    x holds the fitted parameters: those of TIED or FREE that the pair does not hold at zero.
     """
 
     def __init__(self, pair: BallPair, tied: bool) -> None:
@@ -194,7 +207,7 @@ class WhitenedResiduals:
 
 
 class Problem(Protocol):
-    """What can be fitted: weighted residuals (m,) and their derivatives (m, p)."""
+    """A least-squares problem: weighted residuals (m,) and their derivatives (m, p)."""
 
     def residual(self, x: Floats) -> Floats: ...
     def slope(self, x: Floats) -> Floats: ...

@@ -1,7 +1,8 @@
-"""Noise that lasts from frame to frame, read where balls roll or rest freely: before the contact, after the slides.
+"""Noise that is correlated from frame to frame, measured where balls roll or rest freely.
 
-There a cubic describes the motion, whatever the impact did. Size and correlation of what it leaves are found by
-restricted maximum likelihood, which counts what the cubics take up (Patterson & Thompson 1971).
+Before the contact and after the slides a cubic describes the motion, whatever the impact. Restricted maximum
+likelihood gives the size and the correlation of its residuals; it accounts for the degrees of freedom of the cubics
+(Patterson & Thompson 1971).
 """
 
 from __future__ import annotations
@@ -19,19 +20,8 @@ from tracker.measurement.noise.whitening import innovations
 from tracker.measurement.positions import BallTrack
 
 Floats = NDArray[np.float64]
-ORDER = 3  # of the polynomial
-FEWEST = 12  # positions in a stretch that is used
-# Correlations that are tried, from 0 to .972. There the noise is 4 times its scatter from frame to frame; what lasts
-# longer is motion that the model lacks, and no error of positions.
-TRIED = np.tanh(np.linspace(0, 2.125, 18))
-NOTICEABLE = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is fitted
-LARGEST = (
-    9.0  # of an encoder's errors' variance, over that which pixels and scatter show: beyond, the motion is another
-)
-# Variance from frame to frame that lasting errors would have, over what is seen: beyond, a cubic does not describe the
-# motion (a ball that is pushed), and what it leaves is no error. Chosen: twice the error.
-UNSEEN = 4.0
-CLEAR = 10.0  # gain in the logarithm of the likelihood: beyond four standard errors
+POLYNOMIAL_ORDER = 3  # of the polynomial
+MIN_CORRELATION_SIGMA = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is fitted
 
 
 def with_correlated_noise(pair: BallPair, free: CollisionFit) -> BallPair | None:
@@ -46,36 +36,43 @@ def with_correlated_noise(pair: BallPair, free: CollisionFit) -> BallPair | None
     Returns
     -------
     Pair or None
-        None where the errors are not clearly correlated, or no ball rolls for long enough to tell, or what a cubic
-        leaves cannot be errors, for it would scatter more from frame to frame than it does.
+        None if the errors are not clearly correlated, if no ball rolls for long enough, or if the residuals of the
+        cubics cannot be errors, because those would scatter more from frame to frame.
     """
     if pair.striker.encoded:
         return _with_codec_errors(pair, free)
-    if _neighbour_correlation(free) < NOTICEABLE:
+    if _neighbour_correlation(free) < MIN_CORRELATION_SIGMA:
         return None
     parts = [_whiten_with_cubics(stretch) for stretch in _rolling_stretches(pair, free)]
     if not parts:
         return None
-    gains, sizes = zip(*(_restricted_likelihood(parts, float(rho)) for rho in TRIED), strict=True)
+    # At a correlation of .972 the noise is 4 times its scatter from frame to frame. Longer-lived residuals are motion
+    # that the model lacks, and no errors of positions.
+    tried = np.tanh(np.linspace(0, 2.125, 18))
+    gains, sizes = zip(*(_restricted_likelihood(parts, float(rho)) for rho in tried), strict=True)
     best = int(np.argmax(gains))
-    if gains[best] - gains[0] < CLEAR:
+    # a gain of 10 in the logarithm of the likelihood is beyond four standard errors
+    if gains[best] - gains[0] < 10.0:
         return None
-    size, rho = sizes[best], float(TRIED[best])
+    size, rho = sizes[best], float(tried[best])
     quick = measure_scatter([track for _, track in pair.balls])
-    if quick is not None and size.ratio * share_seen_by_scatter(rho) > UNSEEN * quick.ratio:
+    # Correlated errors of this size would scatter from frame to frame by more than twice the observed scatter. Then the
+    # ball is pushed, a cubic does not describe its motion, and the residuals are not errors.
+    if quick is not None and size.ratio * share_seen_by_scatter(rho) > 4.0 * quick.ratio:
         return None
     struck, striker = (replace(track.scale_errors(size), rho=rho) for _, track in pair.balls)
     return replace(pair, struck=struck, striker=striker)
 
 
 def _with_codec_errors(pair: BallPair, free: CollisionFit) -> BallPair | None:
-    """The pair with errors as large as a free fit leaves, if that is more, and not too much for an encoder's.
+    """The pair with errors as large as the residuals of a free fit, within what an encoder can cause.
 
-    An encoder's errors are uneven: neither single pixels nor a few frames show their size. They last where a ball
-    creeps, which `fixed` stands for.
+    The errors of an encoder are uneven: single pixels or a few frames do not show their size. They persist where a
+    ball creeps; `fixed` describes that.
     """
     size = ScatterRatio(free.chi2 / max(free.dof, 1), float(max(free.dof, 1)))
-    if not size.sigmas > NOTICEABLE or size.ratio > LARGEST:
+    # Beyond 9 times the variance that pixels and scatter show, the motion is another than the model.
+    if not size.sigmas > MIN_CORRELATION_SIGMA or size.ratio > 9.0:
         return None
     struck, striker = (track.scale_errors(size) for _, track in pair.balls)
     return replace(pair, struck=struck, striker=striker)
@@ -96,16 +93,19 @@ def _rolling_stretches(pair: BallPair, free: CollisionFit) -> Iterator[BallTrack
         t_c, frame = free.parameters[0], float(np.median(np.diff(track.start))) if len(track) > 1 else 0.0
         end = t_c + np.exp(free.parameters[FREE.index(f"log_tau{ball}")])
         for rows in (track.start + track.exposure < t_c - frame, track.start > end + frame):
-            if rows.sum() >= FEWEST:
+            # fewer positions than 12 do not show a correlation
+            if rows.sum() >= 12:
                 yield track.where(rows)
 
 
 def _whiten_with_cubics(track: BallTrack) -> tuple[Floats, NDArray[np.int64]]:
-    """Cubics of either axis and positions, whitened by what is claimed, (9, 2n); frames (n,)."""
-    powers = np.interp(track.frame, [track.frame[0], track.frame[-1]], [-1, 1])[:, None] ** np.arange(ORDER + 1)
-    columns = np.zeros((2 * ORDER + 3, len(track), 2))
+    """Cubics of either axis and positions, whitened by the claimed errors, (9, 2n); frames (n,)."""
+    powers = np.interp(track.frame, [track.frame[0], track.frame[-1]], [-1, 1])[:, None] ** np.arange(
+        POLYNOMIAL_ORDER + 1
+    )
+    columns = np.zeros((2 * POLYNOMIAL_ORDER + 3, len(track), 2))
     for axis in (0, 1):
-        columns[axis * (ORDER + 1) : (axis + 1) * (ORDER + 1), :, axis] = powers.T
+        columns[axis * (POLYNOMIAL_ORDER + 1) : (axis + 1) * (POLYNOMIAL_ORDER + 1), :, axis] = powers.T
     columns[-1] = track.position - track.position.mean(axis=0)
     return replace(track, rho=0.0).whiten(columns), track.frame
 

@@ -1,6 +1,6 @@
 """Strikers that do not roll up to the hit: they slide, spin about the vertical, or roll only from some time on.
 
-Only where the tracks reject two rolling balls, and the simplest first: what was rolling stays as it is.
+They are tried only where the tracks reject two rolling balls, the simplest first.
 """
 
 from __future__ import annotations
@@ -22,17 +22,12 @@ if TYPE_CHECKING:
     from tracker.measurement.collision.contacts import Contact
 
 Floats = NDArray[np.float64]
-CONVINCING = 1e-3  # p-value that a further freedom must reach: it is asked for after a fit was rejected
-KEPT = (0.6, 0.35)  # of the positions before the contact, the last ones, where no push is seen or is not all
-FEWEST = 5  # positions before the contact
-SLIPS, TRANSFERS = (0.15, 0.5), (0.05, 0.3)  # slip over speed at contact, and C, from which a fit starts
-SEEN = 5.0  # standard errors by which the approach must be seen to slow down
-MOST_SPIN = 1.25  # R w over v of a ball struck half a radius off its centre, where a cue slips off: 5/2 times 1/2
+MIN_POSITIONS_BEFORE_CONTACT = 5  # positions before the contact
 
 
 @dataclass(frozen=True)
 class StrikerHypothesis:
-    """A way in which ball 2 may come: flags that say so, what is fitted then, and starts (16,)."""
+    """A possible motion of ball 2 before the hit: its flags, the contact to fit, and starts (16,)."""
 
     flags: tuple[Flag, ...]
     contact: Contact
@@ -40,7 +35,7 @@ class StrikerHypothesis:
 
 
 def alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerHypothesis]:
-    """Ways in which ball 2 may come other than rolling all the while, the simplest first.
+    """List motions of ball 2 before the hit other than rolling, the simplest first.
 
     Parameters
     ----------
@@ -68,16 +63,27 @@ def alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerH
             yield StrikerHypothesis(flags, _with_spin(one, SPIN), starts)
 
 
-def is_believable(tied: CollisionFit, free: CollisionFit) -> bool:
-    """Whether a ball can be spun so, and where it slides up to the contact is seen to slow down."""
+def is_believable(
+    tied: CollisionFit, free: CollisionFit, max_spin: float = 1.25, least_deceleration: float = 5.0
+) -> bool:
+    """Decide whether a striker can spin or slide as a fit finds it.
+
+    Parameters
+    ----------
+    tied, free : CollisionFit
+    max_spin : float
+        Largest R w over v. A cue slips off a ball beyond half a radius from its centre, which gives 5/2 times 1/2.
+    least_deceleration : float
+        Standard errors by which a striker that slides must be seen to slow down before the contact.
+    """
     v0, ux, uy, side = (tied.parameters[TIED.index(name)] for name in ("v0", *SPIN))
-    if abs(side) > MOST_SPIN * v0 or np.hypot(ux, uy) > (1 + MOST_SPIN) * v0:
+    if abs(side) > max_spin * v0 or np.hypot(ux, uy) > (1 + max_spin) * v0:
         return False
     if not tied.pair.striker_slides:
         return True
     at = [FREE.index(name) for name in SLIDING]
     pull = free.parameters[at]
-    return bool(pull @ np.linalg.pinv(free.cov[np.ix_(at, at)]) @ pull > SEEN**2)
+    return bool(pull @ np.linalg.pinv(free.cov[np.ix_(at, at)]) @ pull > least_deceleration**2)
 
 
 def _with_spin(contact: Contact, names: tuple[str, ...]) -> Contact:
@@ -90,8 +96,9 @@ def _without_first_positions(contact: Contact) -> Iterator[Contact]:
     before = np.flatnonzero(track.frame < contact.frame)
     pushed = find_bent_windows(track.where(track.frame < contact.frame - 1))
     since = [int((track.frame[before] >= pushed[-1] + WINDOW).sum())] if len(pushed) else []
-    for kept in since + [round(share * len(before)) for share in KEPT]:
-        if FEWEST <= kept < len(before):
+    # shares of the positions before the contact, where no push is seen or is not all
+    for kept in since + [round(share * len(before)) for share in (0.6, 0.35)]:
+        if MIN_POSITIONS_BEFORE_CONTACT <= kept < len(before):
             rows = track.frame >= track.frame[before[-kept]]
             yield replace(contact, pair=replace(contact.pair, striker=track.where(rows)))
 
@@ -100,7 +107,7 @@ def _sliding_starts(pair: BallPair, rolling: Floats) -> list[Floats]:
     """Starts (16,) by which the striker slides: its slip lies along its deceleration before the contact."""
     track = pair.striker
     before = track.where(track.start + track.exposure < rolling[0])
-    if len(before) < FEWEST:
+    if len(before) < MIN_POSITIONS_BEFORE_CONTACT:
         return []
     t = before.time - rolling[0]
     pull = 2 * np.polynomial.polynomial.polyfit(t, before.position, 2)[2]
@@ -108,7 +115,7 @@ def _sliding_starts(pair: BallPair, rolling: Floats) -> list[Floats]:
     if not size > 0:
         return []
     at, starts = {name: TIED.index(name) for name in TIED}, []
-    for slip, transfer in product(SLIPS, TRANSFERS):
+    for slip, transfer in product((0.15, 0.5), (0.05, 0.3)):  # slip over speed at the contact, and C
         start = rolling.copy()
         start[at["ux"] : at["uy"] + 1] = -pull / size * slip * rolling[at["v0"]]
         start[at["log_mu"]], start[at["C"]] = np.log(np.clip(size / GRAVITY, 1e-3, 1.0)), transfer

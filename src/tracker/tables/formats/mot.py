@@ -11,14 +11,14 @@ from tracker.tables.table import TrackTable
 
 NAME = "MOTChallenge's boxes"
 SUFFIX = ".txt"
-NAMES = ["frame", "particle", "left", "top", "width", "height", "confidence"]
 
 
 def read(content: Content) -> TrackTable | None:
     first = content.head[0] if content.head else []
     if not 6 <= len(first) <= 10 or not all(map(_is_number, first)):
         return None
-    boxes = content.cells(names=NAMES[: len(first)] + [f"more{k}" for k in range(len(first) - len(NAMES))])
+    names = ["frame", "particle", "left", "top", "width", "height", "confidence", "more0", "more1", "more2"]
+    boxes = content.cells(names=names[: len(first)])
     boxes = boxes.apply(pd.to_numeric, errors="coerce")
     if not (boxes[["width", "height"]] > 0).all(axis=None):
         raise content.wrong(f"{NAME}: width, height: expected numbers over 0 in each line")

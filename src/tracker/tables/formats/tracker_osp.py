@@ -1,7 +1,7 @@
 """Tracker (Open Source Physics): its exported table, a line of masses above t, x, y, ...; and its .trk file.
 
-A .trk holds marks in the picture, whose top left corner is (0, 0); the exported table lengths from the axes that the
-user set, y upwards, in a unit that it does not say.
+A .trk holds marks in the picture, whose top left corner is (0, 0). The exported table holds lengths from the axes that
+the user set, y upwards; it does not state their unit.
 """
 
 import math
@@ -16,15 +16,14 @@ from tracker.tables.rows import to_numbers
 from tracker.tables.table import TrackTable, frames_from_times
 
 NAME = "Tracker (OSP)"
-OBJECT = "org.opensourcephysics.cabrillo.tracker."
-CENTRE = 0.5  # of the first pixel
+CLASS_PREFIX = "org.opensourcephysics.cabrillo.tracker."
 
 
 def read(content: Content) -> TrackTable | None:
     root = content.root
     if root is None:
         return _read_exported(content)
-    if not root.get("class", "").startswith(OBJECT):
+    if not root.get("class", "").startswith(CLASS_PREFIX):
         return None
     rows = pd.DataFrame(list(_marks(content, root)), columns=["frame", "particle", "x", "y"])
     step = [content.number_in(p) for p in root.iter("property") if p.get("name") == "delta_t"]
@@ -32,14 +31,14 @@ def read(content: Content) -> TrackTable | None:
 
 
 def _marks(content: Content, root: ET.Element) -> Iterator[tuple[float, ...]]:
-    masses = [one for one in root.iter("object") if one.get("class") == f"{OBJECT}PointMass"]
+    masses = [one for one in root.iter("object") if one.get("class") == f"{CLASS_PREFIX}PointMass"]
     for number, mass in enumerate(masses):
         for frame in mass.iterfind("property[@name='framedata']/property"):
             at = re.fullmatch(r"\[(\d{1,9})\]", frame.get("name", ""))
             place = {p.get("name"): p for p in frame.iterfind("object/property")}
             if at is None or not {"x", "y"} <= set(place):
                 raise content.wrong("<property> of framedata: expected [frame] with x and y")
-            x, y = (content.number_in(place[name]) - CENTRE for name in ("x", "y"))
+            x, y = (content.number_in(place[name]) - 0.5 for name in ("x", "y"))
             yield int(at[1]), number, x, y
 
 

@@ -17,7 +17,6 @@ from tracker.tables.table import TrackTable, per_second, unit_of
 
 NAME = "TrackMate's XML"
 SUFFIX = ".xml"
-COLUMNS = ["frame", "particle", "x", "y"]
 
 
 def read(content: Content) -> TrackTable | None:
@@ -27,7 +26,7 @@ def read(content: Content) -> TrackTable | None:
     if root.tag == "Tracks":
         interval = content.number(root, "frameInterval") if "frameInterval" in root.attrib else np.nan
         fps, unit = per_second(interval, root.get("timeUnits", "")), content.attribute(root, "spaceUnits")
-        rows = pd.DataFrame(list(_particles(content, root)), columns=COLUMNS)
+        rows = pd.DataFrame(list(_particles(content, root)), columns=["frame", "particle", "x", "y"])
     else:
         model, image = root.find("Model"), root.find("Settings/ImageData")
         if model is None:
@@ -35,7 +34,7 @@ def read(content: Content) -> TrackTable | None:
         unit = content.attribute(model, "spatialunits")
         interval = content.number(image, "timeinterval") if image is not None else np.nan
         fps = per_second(interval, model.get("timeunits", ""))
-        rows = pd.DataFrame(list(_spots(content, model)), columns=COLUMNS)
+        rows = pd.DataFrame(list(_spots(content, model)), columns=["frame", "particle", "x", "y"])
     return TrackTable(rows, NAME, unit_of(unit, content.where), fps=fps)
 
 

@@ -6,15 +6,14 @@ import pandas as pd
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
-from tracker.tables.rows import NEEDED, to_numbers
+from tracker.tables.rows import REQUIRED_COLUMNS, to_numbers
 from tracker.tables.table import TrackTable
 
 SUFFIX = ".csv"
-ERRORS = (("x_std", ("ep_x", "ep")), ("y_std", ("ep_y", "ep")))
 
 
 def read(content: Content) -> TrackTable | None:
-    if content.root is not None or not set(NEEDED) <= set(rows := content.cells()):
+    if content.root is not None or not set(REQUIRED_COLUMNS) <= set(rows := content.cells()):
         return None
     return TrackTable(with_errors(rows, content.where))
 
@@ -23,7 +22,7 @@ def with_errors(rows: pd.DataFrame, where: str) -> pd.DataFrame:
     """The rows with `ep` as standard errors; what is not over 0 is not known."""
     if {"x_std", "y_std"} & set(rows):
         return rows
-    for name, given in ERRORS:
+    for name, given in (("x_std", ("ep_x", "ep")), ("y_std", ("ep_y", "ep"))):
         found = next((ep for ep in given if ep in rows), None)
         if found is not None:
             error = to_numbers(rows[found], found, where)

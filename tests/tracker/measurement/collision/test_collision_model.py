@@ -110,7 +110,7 @@ def test_rolling_solves_its_equation(drag, decel):
     def rate(_, state):
         return [state[1], -(drag * state[1] + decel)]
 
-    for t, way in zip(times, roll.way, strict=True):
+    for t, way in zip(times, roll.distance, strict=True):
         span = min(t, stop)
         state = solve_ivp(rate, (0, span), [0, 0.3], rtol=1e-11, atol=1e-14).y[:, -1] if span else [0, 0.3]
         assert way == pytest.approx(state[0], rel=1e-8)
