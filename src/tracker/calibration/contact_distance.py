@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.glints import Flag
+from tracker.detection.glints import PositionFlag
 from tracker.detection.link import Tracks
 
 FRAMES_BEFORE = 7  # frames used before the contact
@@ -51,7 +51,7 @@ def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Ar
     and those of a shift that lasts."""
     a, b = (np.flatnonzero(tracks.particle == p) for p in (one, two))
     frame, i, j = np.intersect1d(tracks.frame[a], tracks.frame[b], return_indices=True)
-    shaded = np.array([Flag.SHADED.word in words for words in tracks.flags])
+    shaded = np.array([PositionFlag.SHADED.word in words for words in tracks.flags])
     lasting = tracks.fixed * shaded[:, None, None]
     cov, fixed = (c[b[j]] + c[a[i]] for c in (tracks.cov - lasting, lasting))
     return frame, tracks.xy[b[j]] - tracks.xy[a[i]], cov, fixed

@@ -1,1 +1,1 @@
-"""What is known of a camera and its film: geometry, lens, sensor, camera.json, frames."""
+"""The camera and its film: geometry, lens, sensor, camera.json, and the reading of frames."""

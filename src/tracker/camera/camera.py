@@ -118,7 +118,7 @@ class Camera:
 
     @property
     def knows_diameter(self) -> bool:
-        """Whether the camera file has the balls' diameter."""
+        """True if the camera file has the balls' diameter."""
         return math.isfinite(self.ball_diameter)
 
     @property
@@ -140,7 +140,7 @@ class Camera:
 
     @property
     def corrects_glint(self) -> bool:
-        """Whether glints can be converted to centres: lamp, ball diameter and camera height are all given."""
+        """True if glints can be converted to centres: lamp, ball diameter and camera height are all given."""
         return (
             self.metric
             and self.lamp is not None

@@ -18,8 +18,8 @@ FILM = "film"  # what messages call it
 def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     """Frames of an array (n, height, width), in colour (n, height, width, 3), or of single pictures.
 
-    What has a length and an index is read frame by frame, when asked for; what is only iterated is kept. Raises
-    InputError, naming the frame, for what is no film.
+    An object with a length and an index is read frame by frame, when needed. The pictures of an iterator are kept.
+    Raises InputError, naming the frame, for what is no film.
     """
     pictures: Any = film if isinstance(film, np.ndarray | Sequence) or _is_indexed(film) else list(_each(film))
     if not len(pictures):

@@ -11,9 +11,9 @@ from tracker.camera.lens import Array, mirror_normal, pair_normal
 
 
 def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Array:
-    """Points on the line from the image of a ball's centre to where the ball mirrors the zenith.
+    """Locate points on the line from the image of a ball's centre to where the ball mirrors the zenith.
 
-    What a ball mirrors of a room that is the same all round is symmetric about that line.
+    The image of a room that is the same in all directions is symmetric about that line.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Arra
 
 
 def locate_secondary_glints(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
-    """Where balls show the lamp as their neighbours mirror it.
+    """Locate the lamp in balls as their neighbours mirror it.
 
     Parameters
     ----------

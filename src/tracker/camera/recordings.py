@@ -1,7 +1,7 @@
 """Opens recordings: a dataset, a clip, a TIFF stack, a folder of pictures, a video.
 
-Frames are read one at a time where they are asked for, so memory does not grow with a clip's length. Of a
-dataset only ``frames.tif`` (or an encoded ``frames.mp4`` and the like) and ``camera.json`` are ever opened.
+Frames are read one at a time when they are needed, so that memory does not grow with the length of a clip. The tracker
+opens only two files of a dataset's clip: the film (``frames.tif``, or an encoded ``frames.mp4``) and ``camera.json``.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def make_recording(number: int, frames: Frames, camera: Camera | None, names: tu
 
 
 def open_source(path: Path | str, camera: Path | str | None = None) -> RecordingSource:
-    """Source behind ``path``; ``camera`` stands in for the source's own camera.json. Raises InputError."""
+    """Source behind ``path``; ``camera`` replaces the source's own camera.json. Raises InputError."""
     location = Path(path)
     given = Path(camera) if camera is not None else None
     if given is not None:

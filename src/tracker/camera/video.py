@@ -1,8 +1,8 @@
 """Reads videos in passes from front to back, a frame at a time, with FFmpeg's decoders (PyAV).
 
-Counts are luma: of a grey picture its counts as they are, of Y'CbCr the Y' plane, which the file's own matrix (ITU-R
-BT.601 or 709) made of red, green and blue. Where black is 16 and white 235 they are taken to 0 and 255, as the camera
-had them before the encoder; each code keeps a count of its own.
+Counts are luma: the counts of a grey picture, or the Y' plane of Y'CbCr, which the file's own matrix (ITU-R BT.601 or
+709) made from red, green and blue. A limited range, black at 16 and white at 235, is stretched to 0 and 255, as the
+camera had it before the encoder; each code keeps a count of its own.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ av.logging.set_libav_level(av.logging.PANIC)  # a note reports what is wrong wit
 
 @dataclass
 class _VideoContents:
-    """What one pass over a video shows: its first frame, times in ticks, key frames, what is wrong with it."""
+    """Result of one pass over a video: its first frame, times in ticks, key frames, and faults."""
 
     first: VideoFrame
     codec: str
@@ -46,7 +46,7 @@ class _VideoContents:
 
     @property
     def has_times(self) -> bool:
-        """Whether each frame has a time of its own."""
+        """True if each frame has a time of its own."""
         known = [time for time in self.times if time is not None]
         return len(known) == len(self.times) and all(a < b for a, b in pairwise(known))
 
@@ -278,7 +278,7 @@ def _full_range(bits: int) -> NDArray[Any]:
 
 
 def _has_colour(frame: VideoFrame) -> bool:
-    """Whether a thousandth of a Y'CbCr picture is more than 12 counts of 255 off grey."""
+    """True if a thousandth of a Y'CbCr picture is more than 12 counts of 255 off grey."""
     parts = frame.format.components
     if len(parts) < 3:
         return False

@@ -181,7 +181,7 @@ def _gain(windows: GlintWindows, sigma: float, camera: Camera, noise: float, lev
 
 
 def _maximise(loglik: Callable[[float], float], limits: tuple[float, float]) -> float:
-    """Where a function is greatest: on a logarithmic grid, then by Brent's method between its neighbours."""
+    """The argument that maximises a function: on a logarithmic grid, then by Brent's method between its neighbours."""
     low, high = map(math.log, limits)
     grid = np.linspace(low, high, 9)
     best = int(np.argmax([loglik(math.exp(g)) for g in grid]))

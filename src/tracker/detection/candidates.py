@@ -69,7 +69,7 @@ def _find_hot_pixels(
 ) -> NDArray[np.int64]:
     """Those of the risen pixels (k,) whose neighbours are too dark for a glint.
 
-    Beside the peak of a glint of width .55 px, the sharpest that optics give, a neighbour has at least a quarter of it.
+    The sharpest glint that optics give, .55 px wide, has at least a quarter of its peak in a neighbouring pixel.
     """
     h, w = over.shape
     row, column = risen // w, risen % w

@@ -152,7 +152,7 @@ def _moving_bodies(pictures: list[Frame], expected: float | None) -> Array:
 
 
 def _shows_large_region(frame: NDArray[Any], level: NDArray[Any], least: float, smallest: float) -> bool:
-    """Whether a region larger than a glint differs from the plate."""
+    """True if a region larger than a glint differs from the plate."""
     mask = (cv2.absdiff(frame, level) > least).view(np.uint8)
     areas = cv2.connectedComponentsWithStats(mask, connectivity=4)[2][1:, cv2.CC_STAT_AREA]
     return bool((areas > smallest).any())

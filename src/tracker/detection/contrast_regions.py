@@ -71,7 +71,7 @@ class ContrastRegion:
         min_fullness: float = 0.9,
         max_blur_radii: float = 2.2,
     ) -> bool:
-        """Whether it has the shape of one disc of this radius (px, relative tolerance) that moved a little."""
+        """True if it has the shape of one disc of this radius (px, relative tolerance) that moved a little."""
         long = float(np.hypot(*self.blur))
         sized = abs(self.minor - radius) < tolerance * radius and abs(self.radius - radius) < tolerance * radius
         return sized and self.fullness > min_fullness and long < max_blur_radii * radius
@@ -156,7 +156,7 @@ def split_region(
 
 
 def casts_shadow(ball: ContrastRegion, dark: ContrastRegion) -> bool:
-    """Whether a darker region lies where the shadow of a ball would: its middle half a radius to three radii away."""
+    """True if a darker region lies where the shadow of a ball would: its middle half a radius to three radii away."""
     away = float(np.hypot(*(ball.middle - dark.middle))) / ball.minor
     return dark.sign < 0 and 0.5 < away < 3.0 and dark.area > 0.1 * ball.area
 

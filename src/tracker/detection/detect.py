@@ -95,7 +95,7 @@ def detector_name(name: DetectorChoice) -> str:
 
 
 def detected_point(name: DetectorChoice, camera: Camera) -> Point:
-    """What a detector finds with this camera: "glint", or "centre" of a ball's outline.
+    """The point that a detector finds with this camera: "glint", or "centre" of a ball's outline.
 
     It is the optional attribute ``point`` of the detector's class; see `tracker.detection.detector`.
     """
@@ -104,7 +104,7 @@ def detected_point(name: DetectorChoice, camera: Camera) -> Point:
 
 
 def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: TrackerSettings | None = None) -> View:
-    """What a detector knows of a clip; for one of glints, with estimates of what the camera file leaves open."""
+    """Make the view of a clip; for a detector of glints it estimates what the camera file leaves open."""
     settings = settings or TrackerSettings()
     if detected_point(name, clip.camera) == "centre":
         takes = find_takes(clip.frames)
@@ -158,7 +158,7 @@ def detect_until_blur_converges(clip: Recording, view: View, name: DetectorChoic
 
     The exposure is taken from the blur where the two differ by more than ``blur_sigma`` standard errors and by more
     than ``min_blur_change`` (see `DetectionSettings`). Detection is repeated with each new exposure until the blur
-    agrees with it. Where that does not converge, the camera file's exposure holds.
+    agrees with it. If that does not converge, the camera file's exposure holds.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a detector is: what it is made from (`View`), and what it returns (`Glints`, or `Detections` of a whole clip).
+"""The protocol of a detector: it is made from a `View` and returns `Glints`, or `Detections` of a whole clip.
 
 A detector is a class, made once a clip from a `View`. It has one of two forms:
 
@@ -9,7 +9,7 @@ One class attribute is optional: ``point`` says what x and y are. It is "glint" 
 outline), or "either" (the centre where the camera file says that balls are matte, otherwise the glint). For a detector
 of centres ``view.takes`` is there and ``view.plate`` is only the first frame; for one of glints ``view.takes`` is None.
 
-There are no other hooks. ``detectors/centroid.py`` is a short example of the first form.
+A detector has no other hooks. ``detectors/centroid.py`` is a short example of the first form.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Point: TypeAlias = Literal["glint", "centre"]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a detector knows of a clip. Nothing of a truth is in it.
+    """The knowledge of a detector about a clip. It contains no truth.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class OutlineRadius:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """What a detector found in a clip.
+    """The result of a detector for a clip.
 
     Attributes
     ----------

@@ -113,7 +113,7 @@ def warn_of_loose_ends(
 
 
 def _shows_dark_ball(frame: Any, level: Any, noise: float, diameter: float) -> bool:
-    """Whether a region of about a ball's size is darker than the plate, by 6 standard deviations of 5 x 5 means."""
+    """True if a region of about a ball's size is darker than the plate, by 6 standard deviations of 5 x 5 means."""
     lack = cv2.blur(cv2.subtract(level, frame, dtype=cv2.CV_32F), (5, 5))
     dark = int(np.count_nonzero(lack > 6.0 * noise / 5.0 + 1.0))
     return dark > 0.15 * diameter**2

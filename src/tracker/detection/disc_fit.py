@@ -44,7 +44,7 @@ class DiscFit:
 
 @dataclass(frozen=True)
 class DiscAppearance:
-    """What the balls of a film have in common.
+    """Properties that the balls of a film have in common.
 
     Attributes
     ----------

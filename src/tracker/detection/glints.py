@@ -18,8 +18,8 @@ about a ball's width of travel. It is the rms of 640 positions in four films of 
 """
 
 
-class Flag(IntFlag):
-    """What may impair a position; a sum of these bits."""
+class PositionFlag(IntFlag):
+    """Properties that may impair a position, as bits of a sum."""
 
     CLIPPED = 1
     """A pixel of it is at the sensor's limit."""
@@ -58,7 +58,7 @@ class Glints:
     background : ndarray of shape (n,)
         Counts per pixel.
     flags : ndarray of int, shape (n,)
-        Sums of `Flag`.
+        Sums of `PositionFlag`.
     fixed : ndarray of shape (n, 2, 2)
         The part of ``cov`` that is the same in every frame of a ball at rest, px^2. Zero where it is not known.
     """
@@ -121,7 +121,7 @@ class Glints:
         n = np.size(x)
         columns = [np.array(np.broadcast_to(np.asarray(v, np.float64), (n,))) for v in (x, y, std, flux)]
         cov = np.square(columns[2])[:, None, None] * np.eye(2)
-        flags = np.array(np.broadcast_to(np.where(full, Flag.CLIPPED, 0), (n,)), np.int64)
+        flags = np.array(np.broadcast_to(np.where(full, PositionFlag.CLIPPED, 0), (n,)), np.int64)
         return Glints(np.zeros(n, np.int64), columns[0], columns[1], cov, columns[3], np.zeros(n), flags)
 
     @staticmethod
@@ -135,6 +135,7 @@ class Glints:
 def describe_flags(flags: NDArray[np.int64], always: Sequence[str] = ()) -> NDArray[np.str_]:
     """Flags (n,) as words joined by '|', each after the words of `always`; '' where there is none."""
     table = {
-        value: "|".join([*always, *(flag.word for flag in Flag if value & flag)]) for value in np.unique(flags).tolist()
+        value: "|".join([*always, *(flag.word for flag in PositionFlag if value & flag)])
+        for value in np.unique(flags).tolist()
     }
     return np.array([table[v] for v in flags.tolist()], dtype=np.str_)

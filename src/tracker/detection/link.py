@@ -326,7 +326,7 @@ def _gate(ball: _OpenTrack, frame: int, reach: float, least: float, tolerance: f
 def _extend(ball: _OpenTrack, row: int, frame: int, x: float, y: float) -> None:
     """Append a detection to a track."""
     span = frame - ball.frame
-    if ball.bounced:  # a difference across the bounce is the velocity neither before nor after
+    if ball.bounced:  # a difference across the bounce is not a velocity
         ball.vx, ball.vy = ball.ahead[2:]
     else:
         ball.vx, ball.vy = (x - ball.x) / span, (y - ball.y) / span

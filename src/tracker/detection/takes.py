@@ -16,7 +16,7 @@ from tracker.detection.candidates import ROUNDING_NOISE_COUNTS
 
 @dataclass(frozen=True, eq=False)
 class Takes:
-    """What one pass over a film shows.
+    """Result of one pass over a film.
 
     Attributes
     ----------

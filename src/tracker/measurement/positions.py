@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.detection.glints import SHADED_POSITION_ERROR_RADII, Flag
+from tracker.detection.glints import SHADED_POSITION_ERROR_RADII, PositionFlag
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.noise.whitening import PositionWhitener
 
@@ -143,7 +143,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
         rows = np.flatnonzero(particle == ball)
         rows = rows[np.unique(frame[rows], return_index=True)[1]]  # in order; a frame given twice counts once
         alike, drift, encoded = shared[rows], (0.0, 0.0), camera.sensor.codec_noise > 0
-        if any(Flag.SHADED.word in words for words in tracks.flags[keep][rows]):
+        if any(PositionFlag.SHADED.word in words for words in tracks.flags[keep][rows]):
             drift = SHADED_POSITION_ERROR_RADII * camera.ball_diameter / 2, camera.ball_diameter
         found.append(
             BallTrack(

@@ -17,7 +17,7 @@ from tracker.camera.mirror_images import locate_secondary_glints
 from tracker.camera.recordings import Frames, Recording, open_frames
 from tracker.detection import detect as detect_module
 from tracker.detection.detect import detect, detected_point, list_detectors, make_view
-from tracker.detection.glints import Flag, Glints
+from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.likelihood.cramer_rao import localisation_bound
 from tracker.detection.link import assign
 
@@ -69,7 +69,7 @@ def test_precision_is_the_bounds_and_errors_are_honest(peak, limit):
     z = np.linalg.solve(np.linalg.cholesky(found.cov), miss[..., None])[..., 0]
     assert abs(z.mean()) < 4 / math.sqrt(z.size)
     assert abs(z.std() - 1) < 4 / math.sqrt(2 * z.size)
-    assert ((found.flags & Flag.CLIPPED) > 0).all() == (peak == 700)
+    assert ((found.flags & PositionFlag.CLIPPED) > 0).all() == (peak == 700)
 
 
 def test_glints_are_found_among_more_specks_that_an_encoder_leaves(tmp_path):
@@ -105,7 +105,7 @@ def test_position_does_not_depend_on_the_position_within_the_pixel():
         wave = np.column_stack([np.cos(phase[:, axis]), np.sin(phase[:, axis]), np.ones(len(positions))])
         fit = np.linalg.lstsq(wave, miss[:, axis], rcond=None)[0]
         assert 2 * math.hypot(fit[0], fit[1]) < 0.005
-    assert (found.flags & Flag.MISFIT).mean() < 0.01
+    assert (found.flags & PositionFlag.MISFIT).mean() < 0.01
 
 
 def test_what_a_resting_ball_shares_between_frames():
@@ -160,7 +160,7 @@ def test_a_blurred_glint_is_measured_at_its_middle():
         found = detect(shown, make_view(shown)).glints
         positions = np.array([(k, *p) for k in range(len(paths)) for p in paths[k]])
         miss, ordered = errors(found, positions)
-        assert (ordered.flags[::2] & Flag.STREAK).all()
+        assert (ordered.flags[::2] & PositionFlag.STREAK).all()
         misses.append(miss)
         covs.append(ordered.cov)
     z = np.linalg.solve(np.linalg.cholesky(np.concatenate(covs)), np.concatenate(misses)[..., None])[..., 0]
@@ -198,7 +198,7 @@ def test_neighbour_and_its_secondary_glints_do_not_pull(gap):
         shown = clip(frames, CAM_LAMP)
         found = detect(shown, make_view(shown)).glints
         assert len(found) == 2
-        assert ((found.flags & Flag.NEAR) > 0).all()
+        assert ((found.flags & PositionFlag.NEAR) > 0).all()
         order = np.argsort(np.hypot(*(found.xy - seen[0]).T))
         miss = found.xy[order] - seen
         misses.append([miss[0] @ way, -miss[1] @ way])
@@ -250,7 +250,7 @@ def test_a_neighbour_takes_the_learnt_profile_from_no_clipped_glint():
         off = found.xy[:, None] - paths[found.frame]
         pick = np.argmin(np.hypot(*np.moveaxis(off, 2, 0)), axis=1)
         std = np.sqrt(np.trace(found.cov, axis1=1, axis2=2) / 2)
-        near = (found.flags & Flag.NEAR) > 0
+        near = (found.flags & PositionFlag.NEAR) > 0
         stds.append([np.median(std[near]), np.median(std[~near])])
         misses.append((off[np.arange(len(off)), pick] / std[:, None])[near])
     beside, alone = np.mean(stds, axis=0)
@@ -306,7 +306,7 @@ def test_hot_pixels_are_no_balls_and_pull_none():
     assert set((y * 200 + x).tolist()) <= set(view.plate.hot.tolist())
     found = detect(clip(frames), view).glints
     assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
-    assert (found.flags & Flag.MISFIT).sum() == 0
+    assert (found.flags & PositionFlag.MISFIT).sum() == 0
     for k in range(60):
         own = found.xy[found.frame == k]
         assert max(np.hypot(*(own - position).T).min() for position in paths[k]) < 0.06

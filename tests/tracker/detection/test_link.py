@@ -10,7 +10,7 @@ from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import Recording
 from tracker.detection import link as link_module
 from tracker.detection.detect import load_linker
-from tracker.detection.glints import Flag, Glints
+from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.link import assign, estimate_velocities, link
 from tracker.recording import track_clip
 
@@ -173,7 +173,13 @@ def test_tracks_hold_centres_and_say_when_they_do_not():
     bare = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})
     flagged = link(
         Glints(
-            found.frame, found.x, found.y, found.cov, found.flux, found.background, np.full(len(found), Flag.CLIPPED)
+            found.frame,
+            found.x,
+            found.y,
+            found.cov,
+            found.flux,
+            found.background,
+            np.full(len(found), PositionFlag.CLIPPED),
         ),
         bare,
     )

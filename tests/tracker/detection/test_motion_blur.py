@@ -12,7 +12,7 @@ from tracker import cli
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import Frames, Recording
 from tracker.detection.detect import detect, detect_until_blur_converges, make_view
-from tracker.detection.glints import Flag
+from tracker.detection.glints import PositionFlag
 from tracker.detection.motion_blur import MotionBlurEvidence
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the profile is centred on the glint
@@ -44,9 +44,9 @@ def test_a_wrong_exposure_is_seen_and_the_motion_blur_fits(longer, within):
     assert view.camera.exposure_from_blur == pytest.approx(longer * CAM.exposure, rel=within)
     assert view.camera.exposure == CAM.exposure
     assert np.mean(misses(glints) ** 2) < 1.25
-    assert np.mean(glints.flags & Flag.MISFIT > 0) < 0.03
+    assert np.mean(glints.flags & PositionFlag.MISFIT > 0) < 0.03
     if longer > 2:
-        assert np.mean(detect(shown, make_view(shown)).glints.flags & Flag.MISFIT > 0) > 0.3  # what it cures
+        assert np.mean(detect(shown, make_view(shown)).glints.flags & PositionFlag.MISFIT > 0) > 0.3  # what it cures
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tracker.detection.candidates import CandidateSearch
 from tracker.detection.detector import View
-from tracker.detection.glints import Flag, Glints
+from tracker.detection.glints import Glints, PositionFlag
 
 
 class Centroid:
@@ -49,4 +49,6 @@ class Centroid:
         cov[:, 1, 1] = (noise * dy * dy).sum(axis=(1, 2)) / flux**2 + 1e-6
         cov[:, 0, 1] = cov[:, 1, 0] = (noise * dx * dy).sum(axis=(1, 2)) / flux**2
         full = (counts >= sensor.ceiling).any(axis=(1, 2))
-        return Glints(np.zeros(n, np.int64), columns + x, rows + y, cov, flux, ground, np.where(full, Flag.CLIPPED, 0))
+        return Glints(
+            np.zeros(n, np.int64), columns + x, rows + y, cov, flux, ground, np.where(full, PositionFlag.CLIPPED, 0)
+        )

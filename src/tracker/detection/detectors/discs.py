@@ -20,7 +20,7 @@ from tracker.detection.contrast_regions import (
 )
 from tracker.detection.detector import Detections, OutlineRadius, View
 from tracker.detection.disc_fit import DiscAppearance, DiscFit, fit_disc
-from tracker.detection.glints import Flag, Glints
+from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.outline import fit_outline_circle
 from tracker.detection.still_background import StillBackground, average_uncovered, estimate_still_background
 from tracker.detection.takes import find_takes
@@ -59,7 +59,7 @@ class Discs:
         self.relative_radius_std = 0.0
         self.true_to_fitted_radius = 1.0
         self.radii, contrast = self._usual_radius(given if view.camera.knows_diameter else None)
-        self.low = max(self.low, 0.2 * contrast)  # fainter objects are no balls
+        self.low = max(self.low, 0.2 * contrast)  # fainter objects are not balls
         self.scenes = {scene: self._clean_background(scene) for scene in self.scenes}
         if self.is_shaded and len(self.fitted) > 3:
             fitted = np.array(self.fitted)
@@ -77,7 +77,7 @@ class Discs:
 
     @property
     def is_shaded(self) -> bool:
-        """Whether balls are brighter on one side, or cast shadows."""
+        """True if balls are brighter on one side, or cast shadows."""
         return self.signs != (0,)
 
     def detect(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Detections:
@@ -117,7 +117,7 @@ class Discs:
         return OutlineRadius(float(np.median(radii)), spread / float(np.sqrt(len(radii))))
 
     def _notes(self, refused: dict[int, int]) -> Iterator[str]:
-        """What a user has to know of the frames that were searched; `refused`: objects that are no balls, by frame."""
+        """Notes for the user on the frames that were searched; `refused`: objects that are not balls, by frame."""
         yield from self.takes.describe()
         if refused:
             yield (
@@ -133,7 +133,7 @@ class Discs:
             yield "discs of two sizes: " + " and ".join(f"{2 * r:.1f} px across" for r in self.radii)
 
     def _was_seen_empty(self, ground: StillBackground, at: Array) -> bool:
-        """Whether more than half of a disc's area was seen without it; otherwise it may always be there."""
+        """True if more than half of a disc's area was seen without it; otherwise it may always be there."""
         x, y = np.round(at).astype(int)
         reach = int(self.radius)
         return bool(ground.known[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].mean() > 0.5)
@@ -298,7 +298,7 @@ class Discs:
         found: list[tuple[DiscFit, int]] = []
         if self._is_disc(part, radius):
             fitted = fit_disc(light, ground, part.middle, self._look(radius), part.blur, [])
-            flag = Flag.STREAK if np.hypot(*part.blur) > self.max_blur_at_rest * radius else 0
+            flag = PositionFlag.STREAK if np.hypot(*part.blur) > self.max_blur_at_rest * radius else 0
             found = [(fitted, flag)] if fitted is not None else []
         elif 0.3 < part.area / (np.pi * radius**2) < 6:
             found = self._touching(light, ground, part, radius)
@@ -332,15 +332,15 @@ class Discs:
             if start is not None:
                 fitted = fit_disc(light, ground, start, self._look(radius), np.zeros(2), others)
             if fitted is not None:
-                found.append((fitted, Flag.NEAR if others else 0))
+                found.append((fitted, PositionFlag.NEAR if others else 0))
         return found
 
     def _row(self, found: DiscFit, flag: int, radius: float, shape: tuple[int, ...]) -> tuple[float, ...]:
         x, y = found.position
-        flag |= Flag.SHADED if self.is_shaded else 0
+        flag |= PositionFlag.SHADED if self.is_shaded else 0
         whole = radius < x < shape[1] - 1 - radius and radius < y < shape[0] - 1 - radius
         cov = [m[i, j] for m in (found.cov, found.fixed) for i, j in ((0, 0), (0, 1), (1, 1))]
-        return x, y, *cov, np.pi * radius**2, flag | (0 if whole else Flag.EDGE)
+        return x, y, *cov, np.pi * radius**2, flag | (0 if whole else PositionFlag.EDGE)
 
 
 def _brighter(light: NDArray[np.float32], level: Array) -> float:
@@ -351,7 +351,7 @@ def _brighter(light: NDArray[np.float32], level: Array) -> float:
 
 
 def _lit_from_one_side(discs: list[ContrastRegion], *, min_lean: float = 0.15, min_share: float = 0.8) -> bool:
-    """Whether discs are brighter on one side, all on the same.
+    """True if discs are brighter on one side, all on the same.
 
     The median of their relative change of contrast over a radius must exceed `min_lean`; `min_share` of the discs must
     have half of it in that direction.

@@ -20,7 +20,7 @@ from tracker.camera.lens import Array
 from tracker.camera.mirror_images import locate_zenith_point
 from tracker.detection.candidates import CandidateSearch, estimate_coarse_positions
 from tracker.detection.detector import Detections, View
-from tracker.detection.glints import Flag, Glints
+from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.likelihood.ball_profile import BallProfile
 from tracker.detection.likelihood.brightness_priors import apply_common_reflectance, apply_flux_prior
 from tracker.detection.likelihood.dsnu import DsnuEstimator
@@ -144,7 +144,7 @@ class MaximumLikelihood:
             is_open = again.good & ~clipped[rows]
             _correct_by_reflectance(again.glints, again.secondary, near.flux_ratio[rows], is_open)
             found = found.put(rows, again.glints)
-        found.flags[near.is_near] |= Flag.NEAR
+        found.flags[near.is_near] |= PositionFlag.NEAR
         found, light = found.take(good), light[good]
         if not clipped.any():  # position and flux of an open glint are hardly correlated
             return found
@@ -181,7 +181,7 @@ class MaximumLikelihood:
         return estimate_velocities(glints.frame, ids, glints.xy) * exposed_frames
 
     def _is_smeared(self, blur: Array) -> Mask:
-        """Whether a ball moves by so much, .3 radii, during the exposure that its profile is not the learnt one."""
+        """True if a ball moves by so much, .3 radii, during the exposure that its profile is not the learnt one."""
         return np.asarray(np.hypot(*blur.T) >= 0.3 * self.camera.diameter_px / 2.0)
 
     def _find_isolated(self, frame: Ints, position: Array) -> Mask:
@@ -242,7 +242,7 @@ class MaximumLikelihood:
             Positions of secondary glints, px, and 1; or zeros.
         """
         halves = self.geometry.half_of_blur(blur)
-        # Beside a neighbour, or smeared, a ball has another profile than the learnt one. A clipped glint keeps the
+        # Near a neighbour, or smeared, a ball has another profile than the learnt one. A clipped glint keeps the
         # learnt one beside a neighbour: a free bowl would cost it more.
         bowl_of_own = bowl_of_own | (np.hypot(*blur.T) > 0.3 * self.camera.diameter_px / 2.0)
         has_secondary = secondaries[:, 2] > 0
@@ -273,16 +273,16 @@ class MaximumLikelihood:
 
     def _flags(self, result: GlintFit, windows: GlintWindows, blur: Array) -> Ints:
         full = ((windows.counts >= self.sensor.ceiling) & (windows.used > 0)).any(axis=(1, 2))
-        flags = np.where(full, Flag.CLIPPED, 0)
-        flags |= np.where(np.hypot(blur[:, 0], blur[:, 1]) > 0.5 * self.sigma, Flag.STREAK, 0)
-        flags |= np.where(_inflation(result, windows) > 1.0, Flag.MISFIT, 0)
+        flags = np.where(full, PositionFlag.CLIPPED, 0)
+        flags |= np.where(np.hypot(blur[:, 0], blur[:, 1]) > 0.5 * self.sigma, PositionFlag.STREAK, 0)
+        flags |= np.where(_inflation(result, windows) > 1.0, PositionFlag.MISFIT, 0)
         cut = windows.used[:, windows.half, windows.half] == 0
         whole = min((2 * self.geometry.half + 1) ** 2, math.pi * self.geometry.limit**2)  # pixels
         edge = windows.used.sum(axis=(1, 2)) < 0.8 * whole
-        return np.asarray(flags | np.where(edge | cut, Flag.EDGE, 0), dtype=np.int64)
+        return np.asarray(flags | np.where(edge | cut, PositionFlag.EDGE, 0), dtype=np.int64)
 
     def _is_good(self, result: GlintFit, xy: Array, half: int) -> Mask:
-        """Whether fits converged in their window, in the picture, on a significant flux."""
+        """True if fits converged in their window, in the picture, on a significant flux."""
         in_view = np.all((xy > -0.5) & (xy < np.array(self.geometry.size) - 0.5), axis=1)
         in_window = np.max(np.abs(result.xy), axis=1) < half
         bright = result.flux > self.settings.glint_sigma * result.flux_std

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skimage.feature import blob_log
 
 from tracker.detection.detector import View
-from tracker.detection.glints import Flag, Glints
+from tracker.detection.glints import Glints, PositionFlag
 
 
 class SkimageBlobLog:
@@ -38,7 +38,7 @@ class SkimageBlobLog:
         flux = risen[row, column] * 2.0 * np.pi * self.view.sigma**2
         cov = np.broadcast_to(np.eye(2) / 12.0, (n, 2, 2)).copy()  # px^2, of rounding to whole pixels
         x, y = column.astype(np.float64), row.astype(np.float64)
-        return Glints(np.zeros(n, np.int64), x, y, cov, flux, np.zeros(n), np.where(full, Flag.CLIPPED, 0))
+        return Glints(np.zeros(n, np.int64), x, y, cov, flux, np.zeros(n), np.where(full, PositionFlag.CLIPPED, 0))
 
     def _one_a_ball(self, x: NDArray[np.int64], y: NDArray[np.int64], height: NDArray[np.float64]) -> list[int]:
         """The blobs, strongest first, that are further than .8 of a ball from every stronger one."""

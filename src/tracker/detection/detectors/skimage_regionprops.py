@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skimage.measure import label, regionprops_table
 
 from tracker.detection.detector import View
-from tracker.detection.glints import Flag, Glints
+from tracker.detection.glints import Glints, PositionFlag
 
 
 class SkimageRegionprops:
@@ -45,5 +45,5 @@ class SkimageRegionprops:
                 cov[k, axis, axis] = summed @ away**2 / flux[k] ** 2 + 1e-6
         full = found["intensity_max-1"][rows] >= self.view.camera.sensor.ceiling
         return Glints(
-            np.zeros(len(rows), np.int64), x, y, cov, flux, np.zeros(len(rows)), np.where(full, Flag.CLIPPED, 0)
+            np.zeros(len(rows), np.int64), x, y, cov, flux, np.zeros(len(rows)), np.where(full, PositionFlag.CLIPPED, 0)
         )

@@ -9,7 +9,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.detect import detect, make_view
 from tracker.detection.detectors.discs import Discs
-from tracker.detection.glints import Flag
+from tracker.detection.glints import PositionFlag
 from tracker.detection.still_background import estimate_still_background
 
 
@@ -113,7 +113,7 @@ def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
     ball_of = np.hypot(*np.moveaxis(places - found.xy, -1, 0)).argmin(axis=0)
     miss = found.xy - places[ball_of, np.arange(len(found))]
     assert np.bincount(ball_of).tolist() == [ways.shape[1]] * 2
-    assert (found.flags & Flag.SHADED).all()
+    assert (found.flags & PositionFlag.SHADED).all()
     assert np.abs(miss.mean(axis=0)).max() < 0.02 * R
 
 

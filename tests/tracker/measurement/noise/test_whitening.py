@@ -7,7 +7,7 @@ import pytest
 from scipy.special import gamma, kv
 from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
-from tracker.detection.glints import SHADED_POSITION_ERROR_RADII, Flag
+from tracker.detection.glints import SHADED_POSITION_ERROR_RADII, PositionFlag
 from tracker.measurement.collision.contacts import _shorten_rest
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import measure
@@ -160,7 +160,7 @@ def shaded(tmp_path_factory):
                 shift[its, axis] = rms * np.sqrt(2 / 200) * np.cos(angle).sum(axis=1)
         fixed = np.broadcast_to(np.eye(2) * rms**2, own.shape)
         off = replace(tracks, x=tracks.x + shift[:, 0], y=tracks.y + shift[:, 1], cov=own + fixed, fixed=fixed)
-        told = replace(off, flags=np.full(len(off.x), Flag.SHADED.word))
+        told = replace(off, flags=np.full(len(off.x), PositionFlag.SHADED.word))
         rows.append([measure(t, camera)[0] | {"true": truths.iloc[clip]} for t in (told, off)])
     return rows
 
