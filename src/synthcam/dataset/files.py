@@ -91,7 +91,7 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
     dtype = np.uint8 if clip.sensor.bits == 8 else np.uint16
     pixels, whole = hashlib.sha256(), hashlib.sha256()
 
-    def hashed() -> Frames:
+    def hash_frames() -> Frames:
         for frame in frames:
             pixels.update(frame.data)
             yield frame
@@ -107,7 +107,7 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
         shape, photometric, about["axes"] = (*shape, 3), "rgb", "TYXS"
     write = partial(tifffile.imwrite, path, shape=shape, dtype=dtype, metadata=about)
     if compression != "none":
-        write(data=hashed(), photometric=photometric, compression=compression)
+        write(data=hash_frames(), photometric=photometric, compression=compression)
         return pixels.hexdigest(), sha256(path)
     kind: dict[str, Any] = {"imagej": True} if plain else {"photometric": photometric}
     placed = write(data=None, returnoffset=True, **kind)
@@ -115,7 +115,7 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
     # Written into the space left for them and hashed on the way: reading the file again takes as long as writing it.
     with path.open("r+b") as file:
         whole.update(file.read(placed[0]))
-        for frame in hashed():
+        for frame in hash_frames():
             whole.update(frame.data)
             file.write(frame.data)
         if file.tell() != placed[0] + size:

@@ -72,7 +72,7 @@ def write_animation(clip: Clip, path: Path) -> float:
     zoom = max(1, -(-640 // size))  # to 640 px or a little more
     floor = _black(clip) + _noise(clip) / 2 ** (clip.sensor.bits - 8)
 
-    def shown() -> Iterator[NDArray[np.uint8]]:
+    def render_frames() -> Iterator[NDArray[np.uint8]]:
         for k, counts in enumerate(clip.pictures()):
             patch = _eight_bits(counts, clip)[rows, columns]
             large = _enlarge(patch if clip.finish else _brighten(_remove_noise(patch, floor), _black(clip)), zoom)
@@ -86,9 +86,9 @@ def write_animation(clip: Clip, path: Path) -> float:
         if aside.suffix == ".gif":
             # In memory first: on a full disk, imageio tries again when it is deleted, and prints a traceback.
             pace = 1000 / ANIMATION_FPS
-            aside.write_bytes(iio.imwrite("<bytes>", list(shown()), extension=".gif", duration=pace, loop=0))
+            aside.write_bytes(iio.imwrite("<bytes>", list(render_frames()), extension=".gif", duration=pace, loop=0))
         else:
-            _write_mp4(aside, shown())
+            _write_mp4(aside, render_frames())
             check_video(aside, clip.frames)
         aside.replace(path)
     return slower

@@ -228,7 +228,7 @@ class MirrorRenderer:
             yield from self._gather(centres, spans[first : first + EXPOSURES_PER_BATCH], cuts)
 
     def _roll(self, centres: Centres, span: Array, cuts: Array) -> Picture:
-        def seen(times: Array) -> tuple[Array, Array]:
+        def project_balls(times: Array) -> tuple[Array, Array]:
             positions = np.asarray(centres(times), float)
             pixels, slope = self.camera.project_with_slope(positions)
             return pixels, outline_half_width(self.camera, positions, self.radii, slope) + self.psf.margin
@@ -237,7 +237,7 @@ class MirrorRenderer:
         light = self.lamp.flicker.mean(starts, starts + span[1] - span[0])
         plate = (self.plate * light[:, None]).astype(np.float32) if self.lamp.flicker.depth else self.plate
         return roll_shutter(
-            self.camera, seen, span, cuts, lambda spans: list(self._gather(centres, spans, cuts)), plate
+            self.camera, project_balls, span, cuts, lambda spans: list(self._gather(centres, spans, cuts)), plate
         )
 
     def _plate_in(self, light: float) -> Float32:

@@ -149,7 +149,7 @@ class RoomRenderer:
     def _roll(
         self, centres: Callable[[Array], Array], turns: Callable[[Array], Array], span: Array, cuts: Array
     ) -> Pictures:
-        def seen(times: Array) -> tuple[Array, Array]:
+        def project_balls(times: Array) -> tuple[Array, Array]:
             positions = np.asarray(centres(times), float)
             return self.camera.project(positions), self._extent(positions)
 
@@ -167,7 +167,7 @@ class RoomRenderer:
         if not self.lamp.flicker.depth:
             plates = list(self.plate)
         return tuple(
-            roll_shutter(self.camera, seen, span, cuts, lambda spans, c=c: gather(spans, c), plate)  # type: ignore[misc]
+            roll_shutter(self.camera, project_balls, span, cuts, lambda spans, c=c: gather(spans, c), plate)  # type: ignore[misc]
             for c, plate in enumerate(plates)
         )
 
