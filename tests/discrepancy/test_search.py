@@ -244,7 +244,8 @@ def test_an_effect_in_the_model_with_a_wrong_strength_is_named_again(monkeypatch
     assert named.effect == "velocity_restitution"
     assert abs(named.values["velocity_restitution.e"] - truth) < 3.5 * 2.4e-4
     assert named.std["velocity_restitution.e"] == pytest.approx(2.3e-4, rel=0.1)
-    assert found.sentence().startswith("Wrong: velocity_restitution.e is not 0.03 but ")
+    assert found.sentence().startswith("Wrong value: velocity_restitution.e is ")
+    assert ", not 0.03," in found.sentence()
     assert "Missing" not in found.sentence()
 
 
@@ -342,13 +343,13 @@ def test_a_strength_at_its_limit_has_no_error(monkeypatch):
     Narrow.laws = library()["velocity_restitution"].laws
     only(monkeypatch, velocity_restitution=Narrow)
     new = add(clips, Model(), "velocity_restitution")
-    assert "(e = 0.02 at its limit; " in new.sentence()
+    assert "e +0.02 at its limit (" in new.sentence()
     assert new.document()["std"] == {"e": None}
     named = dataclasses.replace(found, named=(new.named,))
     (said,) = named.document()["named"]
     assert np.isnan(said["std"]["velocity_restitution.e"])
     assert said["at_limit"] == ["velocity_restitution.e"]
-    assert "(e = 0.02 at its limit; " in named.sentence()
+    assert "e +0.02 at its limit (" in named.sentence()
     assert found.document()["named"][0]["at_limit"] == []
 
 
@@ -416,13 +417,13 @@ def test_it_is_counted_how_many_clips_are_gone(monkeypatch):
 
 @pytest.mark.parametrize(
     ("after", "said"),
-    [(0.9, "falls from 1 to 0.9"), (0.9999, "stays at 1"), (1.2, "does not fall but goes from 1 to 1.2")],
+    [(0.9, "falls from 1 to 0.9"), (0.9999, "stays at 1"), (1.2, "does not fall but rises from 1 to 1.2")],
 )
 def test_how_the_gap_goes_is_said_as_it_is(after, said):
     found = searched("velocity_restitution")
     gap = dataclasses.replace(found.gap, before=1.0, after=after)
-    moved = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
-    assert f"On collisions kept out, the gap {said} in chi^2 a point" in moved.sentence()
+    moved = dataclasses.replace(found, gap_fits=dataclasses.replace(found.gap_fits, gap=gap))
+    assert f"On held-out collisions chi^2 per point {said}" in moved.sentence()
 
 
 def test_clips_of_two_frame_rates_are_searched_together(monkeypatch):
@@ -453,5 +454,5 @@ def test_noise_that_motion_fills_is_read_from_short_pieces_and_it_is_said(monkey
     noise = found.document()["noise"]
     assert noise["scale"] == pytest.approx(1, rel=0.2)
     assert noise["over_phases"] > 10
-    said = f"over whole phases of motion it would be {noise['over_phases']:.3g} times, which is missing physics"
+    said = f"Over whole phases of motion it would be {noise['over_phases']:.3g} times; that is missing physics"
     assert said in found.sentence()

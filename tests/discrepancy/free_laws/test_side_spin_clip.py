@@ -28,7 +28,7 @@ def test_it_is_found_and_its_model_leaves_nothing(monkeypatch):
     assert (found.verdict, found.free_law.law.name) == ("outside_library", "side_spin_clip")
     assert found.model_holds_law
     assert found.model.free == (LAUNCH_SPIN,)
-    assert "In model.yaml launch.spin is free" in found.sentence()
+    assert "model.yaml leaves launch.spin free" in found.sentence()
     fitted = [c.clip for c in found.data.clips]
     off = np.ravel(found.law_summary.curve) - SPINS[fitted]
     within = np.asarray(found.document()["outside"][0]["band"]).reshape(len(fitted), 2)

@@ -9,7 +9,6 @@ from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.free_laws.tabulate import tabulate_and_refit
-from discrepancy.report.search_page import document
 from discrepancy.search import search
 from synthcam.library import library
 from synthcam.model import Model, read_model, write_model
@@ -27,7 +26,7 @@ def test_the_curve_is_in_the_model_and_is_the_law_that_was_hidden(law):
     found = outsider(law)
     held = table_of(found.model)
     assert held.law == law
-    said = document(found, [])["outside"][0]
+    said = found.document()["outside"][0]
     assert said["in_model"]
     places = np.array(said["x"]).reshape(len(said["x"]), -1).T
     values = held.beyond(*places)

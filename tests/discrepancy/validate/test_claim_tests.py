@@ -88,7 +88,7 @@ def test_what_the_clips_kept_out_do_not_bear_is_withdrawn(monkeypatch):
 def test_no_error_is_given_of_a_strength_where_more_is_missing():
     (named,) = searched("velocity_restitution").named
     found = dataclasses.replace(searched("velocity_restitution"), claims=(named.without_errors(7.0),))
-    assert np.isnan(found.document()["named"][0]["std"][E])
+    assert found.document()["named"][0]["std"][E] is None
     assert "e +0.05 without an error (7 sigma)" in found.sentence()
     assert "+-" not in found.sentence()
 
