@@ -27,8 +27,8 @@ from discrepancy.select.score_test import ScoreTests
 from discrepancy.wording import describe_claim
 from synthcam.library import library
 from synthcam.model import Model
-from synthcam.settings import did_you_mean
 from synthcam_shared.errors import InputError
+from synthcam_shared.settings import did_you_mean
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,9 @@ from discrepancy.planning.plan_result import IndistinguishablePair, PlanResult
 from discrepancy.report import plan_page
 from synthcam.library import library
 from synthcam.scene.scene import Scene
-from synthcam.settings import did_you_mean
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.folder import replace_folder
+from synthcam_shared.settings import did_you_mean
 
 Progress = Callable[[int, int], None]
 

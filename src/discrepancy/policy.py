@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError
 
-from synthcam.settings import Positive, Settings, read_yaml, to_input_error
+from synthcam_shared.settings import Positive, Settings, read_yaml, to_input_error
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]

@@ -14,7 +14,7 @@ import pandas as pd
 
 import discrepancy
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
@@ -69,10 +69,10 @@ class SearchData:
     clips: tuple[MeasuredCollision, ...]
     held_out: tuple[MeasuredCollision, ...]
     noise: Noise
-    left_out: tuple[Note, ...]
+    left_out: tuple[SearchNote, ...]
     is_smoothed: bool = False
 
-    def without(self, outliers: Mapping[int, Note]) -> SearchData:
+    def without(self, outliers: Mapping[int, SearchNote]) -> SearchData:
         """Without some of the clips to fit, by their index, each with a note that says why."""
         clips = tuple(c for k, c in enumerate(self.clips) if k not in outliers)
         return dataclasses.replace(self, clips=clips, left_out=(*self.left_out, *outliers.values()))
@@ -144,9 +144,9 @@ class SearchResult:
     rejected: tuple[ClaimTest, ...] = ()
     undetectable: tuple[str, ...] = ()
     experiment: str = ""
-    uniform: tuple[Note, ...] = ()
-    processed: tuple[Note, ...] = ()
-    left_out: tuple[Note, ...] = ()
+    uniform: tuple[SearchNote, ...] = ()
+    processed: tuple[SearchNote, ...] = ()
+    left_out: tuple[SearchNote, ...] = ()
     interrupted: InterruptedSearch | None = None
 
     @property
@@ -199,7 +199,7 @@ class SearchResult:
             return self._describe_interruption(self.interrupted)
         if self.data.is_smoothed:
             largest = "" if self.verdict is Verdict.NONE else f" The largest disagreement: {worst}."
-            return f"{NO_EFFECT_NAMED_WHEN_SMOOTHED}: {Note(NoteKind.SMOOTHED)}.{largest}{slow}"
+            return f"{NO_EFFECT_NAMED_WHEN_SMOOTHED}: {SearchNote(SearchNoteKind.SMOOTHED)}.{largest}{slow}"
         if self.verdict is Verdict.NONE:
             return f"Nothing is missing: model and measurement agree to within the noise.{rejected}{slow}"
         if self.verdict is Verdict.INADEQUATE:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.data.outlier_points import note_removed_points, remove_outliers
 from discrepancy.data.prior_processing import covers_contact, detect_processing, remove_filtered_rows
 from discrepancy.data.reading import read_collisions
@@ -106,7 +106,7 @@ def search(
     model: Model,
     progress: Progress = lambda stage: None,
     seconds: float = math.inf,
-    left_out: Sequence[Note] = (),
+    left_out: Sequence[SearchNote] = (),
 ) -> SearchResult:
     """Search collisions that `read_collisions` has read; left_out: its notes on what cannot be used.
 
@@ -156,16 +156,16 @@ def prepare(clips: Sequence[MeasuredCollision], model: Model, progress: Progress
     return SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out))
 
 
-def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[Note]) -> SearchData:
+def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[SearchNote]) -> SearchData:
     """Of smoothed tracks: the rows that the filter has not moved, of clips that keep enough of them."""
     clips = [remove_filtered_rows(clip) for clip in smoothed]
     kept, least = [clip for clip in clips if covers_contact(clip)], current_policy().min_collisions
     if len(kept) < least:
         raise InputError(
-            f"{Note(NoteKind.SMOOTHED)}: {len(kept)} of {len(clips)} collisions keep enough positions that the "
-            f"filter does not move; expected {least} or more"
+            f"{SearchNote(SearchNoteKind.SMOOTHED)}: {len(kept)} of {len(clips)} collisions keep enough positions that "
+            f"the filter does not move; expected {least} or more"
         )
-    lost = tuple(Note(NoteKind.LOST_TO_FILTER, clip.clip) for clip in clips if not covers_contact(clip))
+    lost = tuple(SearchNote(SearchNoteKind.LOST_TO_FILTER, clip.clip) for clip in clips if not covers_contact(clip))
     fitted, held_out = split_held_out(kept)
     noise = estimate_noise(fitted)
     return SearchData(tuple(fitted), tuple(held_out), noise, (*left_out, *lost), is_smoothed=True)
@@ -367,7 +367,7 @@ def summarise(
         undetectable=library.undetectable(selection.state),
         experiment=_advise_experiment(selection, claims, data) if verdict is Verdict.AMBIGUOUS else "",
         uniform=tuple(find_uniform_conditions(clips)),
-        processed=(*([Note(NoteKind.SMOOTHED)] if data.is_smoothed else []), *detect_processing(clips)),
+        processed=(*([SearchNote(SearchNoteKind.SMOOTHED)] if data.is_smoothed else []), *detect_processing(clips)),
         interrupted=selection.interrupted,
         policy=current_policy(),
     )

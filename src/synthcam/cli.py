@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from synthcam.settings import did_you_mean
 from synthcam_shared.application import command_line, progress_bar
 from synthcam_shared.application import run as run_command
 from synthcam_shared.errors import InputError, NoGL
+from synthcam_shared.settings import did_you_mean
 
 if TYPE_CHECKING:
     from synthcam.effect import Parameter

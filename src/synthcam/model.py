@@ -17,9 +17,10 @@ from pydantic import ConfigDict, Field, ValidationError, create_model, model_val
 
 from synthcam.effect import Effect, Laws
 from synthcam.library import cache_until_effects_change, library
-from synthcam.settings import Fraction, NotNegative, Positive, Settings, did_you_mean, read_yaml, to_input_error
+from synthcam.settings import read_yaml
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TabulatedLaw, kind_of, table_names
 from synthcam_shared.errors import InputError
+from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings, did_you_mean, to_input_error
 
 Array = NDArray[np.float64]
 

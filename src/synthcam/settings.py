@@ -1,168 +1,21 @@
-"""Reading YAML: safely, strictly, and with one clear line when it is wrong."""
+"""Scene and model files in YAML, found by path or by the name of a scene that comes with the package."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Any
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import ErrorDetails
-
+from synthcam_shared import settings
 from synthcam_shared.errors import InputError as InputError
 
-
-class Settings(BaseModel):
-    """Base of everything read from YAML: unknown keys refused, numbers finite, nothing coerced from text."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
-
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-
-
-SCENES = Path(__file__).with_name("scenes")  # the repository's own, carried by the package
+SCENES = Path(__file__).with_name("scenes")
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """A YAML file's mapping, safely loaded. Raises InputError.
+    """Keys and values of a scene or model file. Raises InputError where it cannot be read or is not plain YAML.
 
-    A path NAME or scenes/NAME.yaml that is not there stands for the scene of that name that comes with the package.
+    A path NAME or scenes/NAME.yaml that does not exist means the scene of that name in the package.
     """
-    carried = SCENES / f"{path.name.removesuffix('.yaml')}.yaml"
-    named = path.parent == Path("scenes") or path == Path(path.stem)
-    if named and not path.exists() and carried.is_file():
-        path = carried
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: a folder, expected a YAML file") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not text, expected a YAML file") from None
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read ({e.strerror})") from None
-    try:
-        loaded = parse_yaml(text)
-    except yaml.YAMLError as e:
-        mark = getattr(e, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark else ""
-        raise InputError(f"{path}{where}: not plain YAML ({getattr(e, 'problem', None) or 'unreadable'})") from None
-    if loaded is None:
-        return {}
-    if not isinstance(loaded, dict):
-        raise InputError(f"{path}: expected keys and values, found {type(loaded).__name__}")
-    return loaded
-
-
-def parse_yaml(text: str) -> Any:
-    """Plain YAML, safely: no tags, no aliases, no key twice. Raises YAMLError."""
-    try:
-        return yaml.load(text, Loader=_Loader)
-    except RecursionError:
-        raise yaml.MarkedYAMLError(problem="nested too deeply") from None
-    except ValueError as e:  # a date without its month, a number of 5000 digits
-        raise yaml.MarkedYAMLError(problem=str(e).partition(";")[0]) from None
-
-
-class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses a key given twice and reads 1e-3 as a number (YAML 1.1 wants 1.0e-3)."""
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
-        for key in (k for k, _ in node.value if isinstance(k, yaml.ScalarNode)):
-            if key.value in seen:
-                raise yaml.MarkedYAMLError(problem=f"key {key.value} given twice", problem_mark=key.start_mark)
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.MarkedYAMLError(problem="aliases are not taken", problem_mark=self.get_mark())
-        return super().compose_node(parent, index)
-
-
-def _number(loader: Any, node: Any) -> float:
-    return float(node.value)
-
-
-_Loader.add_implicit_resolver("!number", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789"))
-_Loader.add_constructor("!number", _number)
-
-
-def did_you_mean(word: str, known: Iterable[str], section: str = "") -> str:
-    """What to put behind a message on an unknown word: the nearest of the known ones, or nothing."""
-    near = get_close_matches(word.lower(), known, n=1, cutoff=0.5 if len(word) <= 3 else 0.6)
-    return f"; did you mean {section}{near[0]}?" if near else ""
-
-
-def _suggest_key(key: str, file: type[BaseModel]) -> str:
-    """As `did_you_mean`: a key of the same section, or else the same word in another section."""
-    section, dot, last = key.rpartition(".")
-    known = list(_dotted_keys(file))
-    beside = [k.removeprefix(section + dot) for k in known if k.rpartition(".")[0] == section]
-    elsewhere = (f"; did you mean {k}?" for k in known if k.rpartition(".")[2] == last)
-    return did_you_mean(last, beside, section + dot) or next(elsewhere, "")
-
-
-def _dotted_keys(file: type[BaseModel], below: str = "") -> Iterator[str]:
-    """Every key of a file with its sections, as launch.v0."""
-    for name, field in file.model_fields.items():
-        yield below + name
-        for kind in (field.annotation, *get_args(field.annotation)):
-            if isinstance(kind, type) and issubclass(kind, BaseModel):
-                yield from _dotted_keys(kind, f"{below}{name}.")
-
-
-def _expectation(error: ErrorDetails) -> str:
-    """What pydantic expected, in words that need no knowledge of its types."""
-    limits = error.get("ctx", {})
-    kind = error["type"]
-    if kind == "value_error":
-        return str(limits["error"])
-    words = {
-        "float_type": "expected a number",
-        "int_type": "expected a whole number",
-        "int_from_float": "expected a whole number",
-        "finite_number": "expected a finite number",
-        "string_type": "expected a text",
-        "bool_type": "expected true or false",
-        "list_type": "expected a list",
-        "model_type": "expected keys and values",
-        "dict_type": "expected keys and values",
-        "literal_error": "expected {expected}",
-        "greater_than": "expected a number above {gt}",
-        "greater_than_equal": "expected a number of {ge} or more",
-        "less_than": "expected a number below {lt}",
-        "less_than_equal": "expected a number of {le} or less",
-        "too_short": "expected {min_length} or more values",
-        "too_long": "expected {max_length} values or fewer",
-    }
-    if kind in words:
-        return words[kind].format(**{k: f"{v:g}" if isinstance(v, float) else v for k, v in limits.items()})
-    return f"{error['msg'][0].lower()}{error['msg'][1:]}"
-
-
-def to_input_error(error: ValidationError, where: str, file: type[BaseModel]) -> InputError:
-    """The first complaint of pydantic about `file` as one line: file, dotted key, what was expected."""
-    first = error.errors()[0]
-    keys = [p for p in first["loc"] if not re.fullmatch(r"(literal|list)\[.*\]", str(p))]
-    key = ".".join(repr(p)[1:-1] if isinstance(p, str) else str(p) for p in keys) or "the whole"
-    if first["type"] == "extra_forbidden":
-        return InputError(f"{where}: {key}: unknown key{_suggest_key(key, file)}")
-    either = [
-        first,
-        *(e for e in error.errors()[1:] if len(keys) < len(first["loc"]) and e["loc"][: len(keys)] == tuple(keys)),
-    ]
-    expected = " or ".join(dict.fromkeys(map(_expectation, either))).replace(" or expected ", " or ")
-    if first["type"] == "missing":
-        return InputError(f"{where}: {key}: required key is missing")
-    found = repr(first["input"])
-    found = found if len(found) < 60 else found[:57] + "..."
-    return InputError(f"{where}: {key}: {expected}, found {found}")
+    packaged = SCENES / f"{path.name.removesuffix('.yaml')}.yaml"
+    is_name = path.parent == Path("scenes") or path == Path(path.stem)
+    return settings.read_yaml(packaged if is_name and not path.exists() and packaged.is_file() else path)

@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from synthcam_shared.errors import InputError
 
@@ -124,6 +125,35 @@ def _dotted_keys(file: type[BaseModel], below: str = "") -> Iterator[str]:
                 yield from _dotted_keys(kind, f"{below}{name}.")
 
 
+def _expectation(error: ErrorDetails) -> str:
+    """What pydantic expected, in words that need no knowledge of its types."""
+    limits = error.get("ctx", {})
+    kind = error["type"]
+    if kind == "value_error":
+        return str(limits["error"])
+    words = {
+        "float_type": "expected a number",
+        "int_type": "expected a whole number",
+        "int_from_float": "expected a whole number",
+        "finite_number": "expected a finite number",
+        "string_type": "expected a text",
+        "bool_type": "expected true or false",
+        "list_type": "expected a list",
+        "model_type": "expected keys and values",
+        "dict_type": "expected keys and values",
+        "literal_error": "expected {expected}",
+        "greater_than": "expected a number above {gt}",
+        "greater_than_equal": "expected a number of {ge} or more",
+        "less_than": "expected a number below {lt}",
+        "less_than_equal": "expected a number of {le} or less",
+        "too_short": "expected {min_length} or more values",
+        "too_long": "expected {max_length} values or fewer",
+    }
+    if kind in words:
+        return words[kind].format(**{k: f"{v:g}" if isinstance(v, float) else v for k, v in limits.items()})
+    return f"{error['msg'][0].lower()}{error['msg'][1:]}"
+
+
 def to_input_error(error: ValidationError, where: str, file: type[BaseModel]) -> InputError:
     """The first complaint of pydantic about `file` as one line: file, dotted key, what was expected."""
     first = error.errors()[0]
@@ -135,10 +165,9 @@ def to_input_error(error: ValidationError, where: str, file: type[BaseModel]) ->
         first,
         *(e for e in error.errors()[1:] if len(keys) < len(first["loc"]) and e["loc"][: len(keys)] == tuple(keys)),
     ]
-    complaints = (
-        re.sub(r"^Input should be a valid dictionary.*", "expected keys and values", e["msg"]) for e in either
-    )
-    expected = " or ".join(f"{c[0].lower()}{c[1:]}" for c in complaints)
+    expected = " or ".join(dict.fromkeys(map(_expectation, either))).replace(" or expected ", " or ")
+    if first["type"] == "missing":
+        return InputError(f"{where}: {key}: required key is missing")
     found = repr(first["input"])
     found = found if len(found) < 60 else found[:57] + "..."
     return InputError(f"{where}: {key}: {expected}, found {found}")

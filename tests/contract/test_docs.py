@@ -21,7 +21,7 @@ from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import SeriesEffect
 from synthcam import tabulated_law
 from synthcam.scene.scene import check_scene
-from synthcam.settings import parse_yaml
+from synthcam_shared.settings import parse_yaml
 
 TOOL = runpy.run_path(str(ROOT / "tools/doc_blocks.py"))
 PAGES = TOOL["pages"]()

@@ -7,8 +7,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from repository import ROOT
 
-from synthcam.settings import SCENES, parse_yaml, read_yaml
+from synthcam.settings import SCENES, read_yaml
 from synthcam_shared.errors import InputError
+from synthcam_shared.settings import parse_yaml
 
 REFUSED = {
     "python tag": ("a: !!python/object/apply:os.system ['true']", "line 1: not plain YAML"),

@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import pad_spins
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.data.uneven_times import find_clock_start, measure_unevenness, move_to_even_times
 from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
@@ -46,7 +46,7 @@ class HitGuess:
     launch: Array | None = None
 
 
-def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> MeasuredCollision | Note:
+def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> MeasuredCollision | SearchNote:
     """Build the collision that a row of the estimates describes.
 
     A misfit of the tracker's model is used: the search asks what that model lacks. The outgoing balls give
@@ -70,12 +70,12 @@ def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> M
     hit = _hit_from_estimates(row, start) if measured else guess_hit_from_outgoing(tracks, camera)
     if hit is None:
         if measured:
-            return Note(NoteKind.NO_ESTIMATE, clip)
-        return Note(NoteKind.NOT_MEASURED, clip, values={"status": row["status"]})
+            return SearchNote(SearchNoteKind.NO_ESTIMATE, clip)
+        return SearchNote(SearchNoteKind.NOT_MEASURED, clip, values={"status": row["status"]})
     if hit.launch is None and _count_frames_before(tracks, hit, camera) < policy.min_frames_before_contact:
         hit = guess_hit_from_outgoing(tracks, camera, hit.t_c)
         if hit is None:
-            return Note(NoteKind.TOO_FEW_FRAMES, clip, values={"least": policy.min_frames_before_contact})
+            return SearchNote(SearchNoteKind.TOO_FEW_FRAMES, clip, values={"least": policy.min_frames_before_contact})
     tracks = replace(tracks, time=tracks.time - start)
     if (moved := measure_unevenness(tracks, camera)) > policy.max_uneven_frames:
         balls = [np.flatnonzero(tracks.particle == name) for name in hit.names]

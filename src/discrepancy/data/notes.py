@@ -7,7 +7,7 @@ from enum import Enum
 from typing import Any
 
 
-class NoteKind(Enum):
+class SearchNoteKind(Enum):
     """The subject of a note; its value is the text, a template for the note's values."""
 
     # a clip that is left out
@@ -50,7 +50,7 @@ class NoteKind(Enum):
 
 
 @dataclass(frozen=True)
-class Note:
+class SearchNote:
     """One note; `str` gives its text.
 
     Attributes
@@ -64,7 +64,7 @@ class Note:
         The numbers and words that the text of this kind contains.
     """
 
-    kind: NoteKind
+    kind: SearchNoteKind
     clip: int | None = None
     frames: tuple[int, ...] = ()
     values: dict[str, Any] = field(default_factory=dict)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.policy import current_policy
 
 NEIGHBOUR_FRAMES = 4  # frames to either side whose positions predict one between them
@@ -52,14 +52,14 @@ def remove_outliers(
     ]
 
 
-def note_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[Note]:
+def note_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[SearchNote]:
     """A note for each clip that lost positions between `clips` and `kept`, with their frames."""
     left, notes = {c.clip: set(zip(c.ball.tolist(), c.frame.tolist(), strict=True)) for c in kept}, []
     for c in clips:
         gone = [f for b, f in zip(c.ball.tolist(), c.frame.tolist(), strict=True) if (b, f) not in left[c.clip]]
         if gone:
             count = {"count": len(gone), "total": len(c.frame)}
-            notes.append(Note(NoteKind.OUTLIERS, c.clip, tuple(sorted(set(gone))), count))
+            notes.append(SearchNote(SearchNoteKind.OUTLIERS, c.clip, tuple(sorted(set(gone))), count))
     return notes
 
 

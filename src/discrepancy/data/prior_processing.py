@@ -9,19 +9,19 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.policy import current_policy
 
 
-def detect_processing(clips: Sequence[MeasuredCollision]) -> tuple[Note, ...]:
+def detect_processing(clips: Sequence[MeasuredCollision]) -> tuple[SearchNote, ...]:
     """A note for each way in which these tracks were processed, as far as the positions show it."""
     notes = []
     if step := _detect_grid(clips):
-        notes.append(Note(NoteKind.ROUNDED, values={"step": step}))
+        notes.append(SearchNote(SearchNoteKind.ROUNDED, values={"step": step}))
     if least := _detect_thinning(clips):
-        notes.append(Note(NoteKind.THINNED, values={"least_mm": 1e3 * least}))
+        notes.append(SearchNote(SearchNoteKind.THINNED, values={"least_mm": 1e3 * least}))
     if moved := max((clip.max_shift_frames for clip in clips), default=0.0):
-        notes.append(Note(NoteKind.MOVED_TO_EVEN_TIMES, values={"off": moved}))
+        notes.append(SearchNote(SearchNoteKind.MOVED_TO_EVEN_TIMES, values={"off": moved}))
     return tuple(notes)
 
 

@@ -14,7 +14,7 @@ import pandas as pd
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.first_guess import build_collision
 from discrepancy.data.launch import V0, equalise_launches
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.data.track_checks import detect_wrong_units, find_exchange, remove_strays
 from discrepancy.data.uneven_times import note_uneven_times
 from discrepancy.policy import current_policy
@@ -31,7 +31,7 @@ from tracker.tables.rows import split_tracks
 
 def read_collisions(
     measured: Path | Sequence[Result], camera: Path | None = None
-) -> tuple[list[MeasuredCollision], list[Note]]:
+) -> tuple[list[MeasuredCollision], list[SearchNote]]:
     """Read the collisions of a tracker's RESULTS, of a table of tracks, or of results in memory.
 
     Parameters
@@ -66,13 +66,13 @@ def read_collisions(
     kept, rejected, left_out = [], [], []
     for source in sources:
         outcome, misfit = _build(source)
-        if isinstance(outcome, Note):
+        if isinstance(outcome, SearchNote):
             left_out.append(outcome)
             continue
         kept.append(outcome)
         rejected.append(misfit)
         if source.strays:
-            left_out.append(Note(NoteKind.STRAYS, source.number, tuple(source.strays)))
+            left_out.append(SearchNote(SearchNoteKind.STRAYS, source.number, tuple(source.strays)))
     if not kept:
         raise InputError(f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
     typical = float(np.median([c.launch[V0] for c in kept]))
@@ -93,16 +93,16 @@ class _Source:
     strays: list[int] = field(default_factory=list)
 
 
-def _build(source: _Source) -> tuple[MeasuredCollision | Note, bool]:
+def _build(source: _Source) -> tuple[MeasuredCollision | SearchNote, bool]:
     """The clip's collision, or why it cannot be used; and whether the tracker's own model of it is rejected."""
     number, tracks, camera = source.number, source.tracks, source.camera
     if (frame := find_exchange(tracks, camera)) is not None:
-        return Note(NoteKind.BALLS_EXCHANGED, number, (frame,)), False
+        return SearchNote(SearchNoteKind.BALLS_EXCHANGED, number, (frame,)), False
     if uneven := note_uneven_times(tracks, camera, number):
         return uneven, False
     rows = source.estimates()
     if len(rows) > 1:
-        return Note(NoteKind.SEVERAL_COLLISIONS, number, values={"count": len(rows)}), False
+        return SearchNote(SearchNoteKind.SEVERAL_COLLISIONS, number, values={"count": len(rows)}), False
     return build_collision(tracks, {"clip": number} | rows[0], camera), rows[0]["status"] == MISFIT
 
 

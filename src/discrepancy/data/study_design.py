@@ -8,11 +8,11 @@ import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, V0, B, normal_speed
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.policy import current_policy
 
 
-def find_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[Note]:
+def find_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[SearchNote]:
     """A note for each condition (speed, impact parameter, heading) that all clips share.
 
     However many such clips there are, they cannot show what depends on that condition.
@@ -23,12 +23,14 @@ def find_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[Note]:
     # the speeds on which these laws depend; friction's varies within a clip
     laws = {"restitution": normal_speed(launches), "spin transfer": speeds}
     if same := [law for law, v in laws.items() if v.max() < policy.same_speed_ratio * v.min()]:
-        notes.append(Note(NoteKind.ONE_SPEED, values={"speed": np.median(speeds), "laws": " or ".join(same)}))
+        notes.append(
+            SearchNote(SearchNoteKind.ONE_SPEED, values={"speed": np.median(speeds), "laws": " or ".join(same)})
+        )
     if np.ptp(b) < policy.same_impact_parameter:
-        notes.append(Note(NoteKind.ONE_IMPACT_PARAMETER, values={"b": np.median(b)}))
+        notes.append(SearchNote(SearchNoteKind.ONE_IMPACT_PARAMETER, values={"b": np.median(b)}))
     mean = np.exp(1j * headings).mean()
     if np.abs(np.angle(np.exp(1j * headings) / mean)).max() < np.radians(policy.same_heading_deg):
-        notes.append(Note(NoteKind.ONE_HEADING))
+        notes.append(SearchNote(SearchNoteKind.ONE_HEADING))
     return notes
 
 

@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
@@ -78,8 +78,10 @@ def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: 
     return replace(tracks, **some | {"x": moved[rows, 0], "y": moved[rows, 1], "time": even[rows]})
 
 
-def note_uneven_times(tracks: Tracks, camera: Camera, clip: int) -> Note | None:
+def note_uneven_times(tracks: Tracks, camera: Camera, clip: int) -> SearchNote | None:
     """A note where a clip's positions are too far off an even rate to be moved to even times, else None."""
     if np.abs(_frame_offsets(tracks, camera)).max(initial=0.0) <= current_policy().max_time_shift_frames:
         return None
-    return Note(NoteKind.UNEVEN_TIMES, clip, values={"off": measure_unevenness(tracks, camera), "fps": camera.fps})
+    return SearchNote(
+        SearchNoteKind.UNEVEN_TIMES, clip, values={"off": measure_unevenness(tracks, camera), "fps": camera.fps}
+    )

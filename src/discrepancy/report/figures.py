@@ -277,7 +277,20 @@ def _scale_log_if_wide(ax: Axes, gap: Gap, wide: float = 5.0) -> None:
 
 
 def plot_gap(gap: Gap, ax: Axes | None = None) -> Axes:
-    """Plot the gap on held-out collisions by phase; see `SearchResult.plot_gap`."""
+    """Plot the gap on held-out collisions by phase, as `SearchResult.plot_gap` does.
+
+    Parameters
+    ----------
+    gap : Gap
+        Of a `SearchResult`.
+    ax : Axes, optional
+        Where to draw; default: a new figure.
+
+    Returns
+    -------
+    Axes
+        Residuals, rms, each axis, um.
+    """
     if ax is None:
         import matplotlib.pyplot as plt
 

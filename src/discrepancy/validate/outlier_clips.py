@@ -8,7 +8,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
@@ -16,7 +16,7 @@ from discrepancy.policy import current_policy
 
 def find_outlier_clips(
     clips: Sequence[MeasuredCollision], base: ModelFit, best: ModelFit, removed: int = 0
-) -> dict[int, Note]:
+) -> dict[int, SearchNote]:
     """Find the clips to leave out before a search is repeated.
 
     A clip is an outlier in one of two cases:
@@ -42,11 +42,11 @@ def find_outlier_clips(
         By the clip's index in `clips`, a note that says why.
     """
     most = max((len(clips) + removed) // current_policy().outlier_clips_one_in, 1) - removed
-    out: dict[int, Note] = {}
+    out: dict[int, SearchNote] = {}
     far = np.minimum(_deviations(base), _deviations(best))
     for k in np.flatnonzero(far > current_policy().outlier_clip_spreads).tolist():
         chi2 = float(best.residuals[k] @ best.residuals[k]) / len(best.residuals[k])
-        out[k] = Note(NoteKind.UNLIKE_OTHERS, clips[k].clip, values={"chi2": chi2, "held_out": ""})
+        out[k] = SearchNote(SearchNoteKind.UNLIKE_OTHERS, clips[k].clip, values={"chi2": chi2, "held_out": ""})
     if len(out) > most or not best.names:
         return out if len(out) <= most else {}
     information, pulls = _information_by_clip(best)
@@ -56,7 +56,7 @@ def find_outlier_clips(
         if sigma < current_policy().outlier_clip_sigma:
             return out
         values = {"sigma": sigma, "held_out": ""}
-        out[worst] = Note(NoteKind.CONTRADICTS_OTHERS, clips[worst].clip, values=values)
+        out[worst] = SearchNote(SearchNoteKind.CONTRADICTS_OTHERS, clips[worst].clip, values=values)
     return {}
 
 

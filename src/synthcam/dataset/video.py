@@ -22,8 +22,8 @@ from pydantic import ValidationError
 
 from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.scene.apparatus import MAX_AVI_FPS, VideoSettings, find_video_problem
-from synthcam.settings import parse_yaml, to_input_error
 from synthcam_shared.errors import InputError
+from synthcam_shared.settings import parse_yaml, to_input_error
 
 Frames = Iterator[NDArray[Any]]
 VIDEO_FILES = {"frames.mp4", "frames.avi", "frames.mov"}

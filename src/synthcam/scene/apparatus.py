@@ -12,7 +12,7 @@ from synthcam.camera.lamp import Flicker, Lamp
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.surface import IRON_N_K, Surface
 from synthcam.scene.materials import MaterialSettings, is_under_room_light
-from synthcam.settings import Fraction, NotNegative, Positive, Settings
+from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Position = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]

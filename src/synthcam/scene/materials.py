@@ -9,8 +9,8 @@ from pydantic import Field
 
 from synthcam.camera.room.finish import GREY_WEIGHTS, BallFinish, Colour, Pattern, SurfaceFinish
 from synthcam.camera.surface import Surface
-from synthcam.settings import Fraction, NotNegative, Settings
 from synthcam_shared.errors import InputError
+from synthcam_shared.settings import Fraction, NotNegative, Settings
 
 REFLECTANCE_OF_COLOUR = {  # of red, green and blue light, over that of the brightest; not a screen's colours
     "white": (1.0, 0.97, 0.9),

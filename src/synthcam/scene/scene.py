@@ -28,15 +28,8 @@ from synthcam.model import (
 from synthcam.scene.apparatus import CameraSettings, SceneLampSettings, SensorSettings, SurfaceSettings, VideoSettings
 from synthcam.scene.clip import Clip, build_clip
 from synthcam.scene.distribution import draw, find_choices, pick_representatives, replace_at, replace_by_extremes
-from synthcam.settings import (
-    InputError,
-    NotNegative,
-    Positive,
-    Settings,
-    parse_yaml,
-    read_yaml,
-    to_input_error,
-)
+from synthcam.settings import InputError, read_yaml
+from synthcam_shared.settings import NotNegative, Positive, Settings, parse_yaml, to_input_error
 
 Position = Annotated[
     list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)

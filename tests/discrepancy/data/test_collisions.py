@@ -14,7 +14,7 @@ from repository import ROOT
 
 from discrepancy.data.first_guess import build_collision
 from discrepancy.data.launch import T_C, V0, B, X, Y
-from discrepancy.data.notes import Note, NoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.data.reading import read_collisions
 from discrepancy.data.study_design import find_uniform_conditions, split_held_out
 from synthcam.model import Model
@@ -184,7 +184,7 @@ def test_a_clip_whose_balls_exchange_names_is_left_out_and_said(recorded, tmp_pa
 
     read, left_out = read_table(recorded, tmp_path, swap)
     assert [c.clip for c in read] == [1]
-    assert left_out == [Note(NoteKind.BALLS_EXCHANGED, 0, (frame,))]
+    assert left_out == [SearchNote(SearchNoteKind.BALLS_EXCHANGED, 0, (frame,))]
     assert str(left_out[0]) == f"clip 0: the two balls exchange their numbers at frame {frame}"
 
 
@@ -244,14 +244,14 @@ def launched(**columns):
 @pytest.mark.parametrize(("widest", "told"), [(22, False), (40, True)])
 def test_headings_within_thirty_degrees_of_their_mean_are_one_way(widest, told):
     said = find_uniform_conditions(launched(heading=np.linspace(-widest, widest, 9), b=np.linspace(-0.5, 0.5, 9)))
-    assert any(note.kind is NoteKind.ONE_HEADING for note in said) is not told
+    assert any(note.kind is SearchNoteKind.ONE_HEADING for note in said) is not told
 
 
 @pytest.mark.parametrize(("span", "told"), [(0.035, False), (0.07, True)])
 def test_impact_parameters_that_span_a_twentieth_are_one(span, told):
     assert (
         any(
-            note.kind is NoteKind.ONE_IMPACT_PARAMETER
+            note.kind is SearchNoteKind.ONE_IMPACT_PARAMETER
             for note in find_uniform_conditions(launched(b=0.2 + np.linspace(0, span, 9)))
         )
         is not told
@@ -299,4 +299,4 @@ def test_with_less_than_three_frames_before_the_contact_the_launch_is_read_from_
     short = {f.name: getattr(some, f.name) for f in dataclasses.fields(some)}
     short = {k: v[some.frame < 30] if isinstance(v, np.ndarray) else v for k, v in short.items()}
     left = build_collision(dataclasses.replace(some, **short), row, camera)
-    assert (left == Note(NoteKind.TOO_FEW_FRAMES, row["clip"], values={"least": 3})) is not approach
+    assert (left == SearchNote(SearchNoteKind.TOO_FEW_FRAMES, row["clip"], values={"least": 3})) is not approach
