@@ -60,7 +60,7 @@ class SearchData:
     clips, held_out : tuple of MeasuredCollision
         To fit, and to test on.
     noise : Noise
-    left_out : tuple of Note
+    left_out : tuple of SearchNote
         A note for each collision, or part of one, that is not used.
     is_smoothed : bool
         Whether somebody has put the tracks through a filter.
@@ -115,9 +115,9 @@ class SearchResult:
         Effects that these collisions cannot show at any realistic size.
     experiment : str
         What would separate the effects of an alias class.
-    uniform, processed : tuple of Note
+    uniform, processed : tuple of SearchNote
         What such clips cannot show because they are all the same in it, and what was done to the tracks.
-    left_out : tuple of Note
+    left_out : tuple of SearchNote
         A note for each collision, or part of one, that the search did not use.
     interrupted : InterruptedSearch or None
         Set if the search was cut short; it then names nothing.

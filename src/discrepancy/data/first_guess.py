@@ -62,7 +62,7 @@ def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> M
 
     Returns
     -------
-    MeasuredCollision or Note
+    MeasuredCollision or SearchNote
         A note that says why the clip cannot be used.
     """
     policy, clip = current_policy(), int(row["clip"])

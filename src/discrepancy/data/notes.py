@@ -55,7 +55,7 @@ class SearchNote:
 
     Attributes
     ----------
-    kind : NoteKind
+    kind : SearchNoteKind
     clip : int, optional
         The clip that it concerns; None where it concerns all.
     frames : tuple of int

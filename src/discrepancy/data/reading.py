@@ -43,7 +43,7 @@ def read_collisions(
     Returns
     -------
     clips : list of MeasuredCollision
-    left_out : list of Note
+    left_out : list of SearchNote
         One for each clip, or positions of a clip, that cannot be used.
 
     Raises

@@ -38,7 +38,7 @@ def find_outlier_clips(
 
     Returns
     -------
-    dict of int to Note
+    dict of int to SearchNote
         By the clip's index in `clips`, a note that says why.
     """
     most = max((len(clips) + removed) // current_policy().outlier_clips_one_in, 1) - removed
