@@ -41,7 +41,8 @@ def describe_effect(name: str) -> str:
 def describe_claim(claim: EffectClaim, base: Model) -> str:
     """An effect with its values, errors and significances.
 
-    The joint significance stands last. With several strengths each has its own, which is its value over its error.
+    The joint significance stands last. Of several strengths each has its own, its distance from zero in standard
+    errors, so that "(1 sigma)" after an error is not read as the width of an interval.
     """
     rivals = f" or {' or '.join(claim.aliases[1:])}" if len(claim.aliases) > 1 else ""
     joint = f"{claim.sigma:.0f} sigma"
@@ -53,7 +54,7 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
         number = number if number.startswith("-") or is_correction else f"+{number}"
         known = math.isfinite(claim.std[name]) and not at_limit
         error = f"+- {claim.std[name]:.1g}" if known else "at its limit" if at_limit else "without an error"
-        own = f" ({abs(value) / claim.std[name]:.0f} sigma)" if several and known and claim.std[name] > 0 else ""
+        own = f" ({_describe_distance(abs(value) / claim.std[name])})" if several and known and claim.std[name] else ""
         what = f"{name} is {number}, not {base.value(name):.3g}," if is_correction else f"{_last(name)} {number}"
         parts.append(f"{what} {error}{_unit(name)}{own}")
     for name, value in claim.shapes.items():
@@ -62,10 +63,10 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
             parts.append(f"{_last(name)} {format_with_error(value, std, 1)} +- {std:.1g}{_unit(name)}")
         else:
             parts.append(f"{_last(name)} undetermined")
-    joint = f"jointly {joint}" if several else joint
+    joint = f"; jointly {joint}" if several else f" ({joint})"
     if is_correction:
-        return f"{', '.join(parts)} ({joint}){rivals}"
-    return f"{describe_effect(claim.effect)}{rivals}, {', '.join(parts)} ({joint})"
+        return f"{', '.join(parts)}{joint}{rivals and ','}{rivals}"
+    return f"{describe_effect(claim.effect)}{rivals}, {', '.join(parts)}{joint}"
 
 
 def describe_rejection(test: ClaimTest) -> str:
@@ -133,6 +134,11 @@ def describe_slow_noise(noise: Noise) -> str:
         f" The noise is {noise.scale:.3g} times the claimed errors; {noise.innovation_scale:.3g} times are new from "
         "frame to frame. The slow rest may be missing physics."
     )
+
+
+def _describe_distance(errors: float, significant: float = 3.0) -> str:
+    """How far a strength is from zero; significant: below so many standard errors the number would mislead."""
+    return f"{errors:.0f} standard errors from zero" if errors >= significant else "not significant"
 
 
 def _last(name: str) -> str:
