@@ -31,10 +31,21 @@ class SearchPolicy(Settings):
 
     Numerical tolerances, grids, limits on memory and the priors of free laws are not here. They are local to the
     function that uses them.
+
+    Examples
+    --------
+    >>> from discrepancy import SearchPolicy
+    >>> SearchPolicy(significance_level=1e-4).changed()
+    {'significance_level': 0.0001}
     """
 
     def changed(self) -> dict[str, float]:
-        """The fields that differ from their defaults."""
+        """The fields that differ from their defaults.
+
+        Returns
+        -------
+        dict of str to float
+        """
         return {name: value for name, value in self if value != type(self).model_fields[name].default}
 
     # --- What a claim needs ---

@@ -87,42 +87,48 @@ class SearchResult:
     verdict : Verdict
         none, named, ambiguous, outside_library or inadequate.
     data : SearchData
-        The collisions, and what was taken for their noise.
+        The collisions, and the estimate of their noise.
     base_fit, best_fit : ModelFit
-        The fit of the model as it was given, and with everything that was found.
+        The fit of the given model, and the fit with everything that was found.
     model : Model
         The model with the claimed effects, everything else fitted again; ``model.write(path)`` keeps it. It holds a
         free law as a table where a model can.
-    claims : tuple of EffectClaim
-        The effects that the search names, each with its values, their errors (`std`), `sigma`, and `aliases`.
-    free_law : FittedLaw or None
-        The law of no library that explains what no effect does.
-    law_summary : LawSummary or None
-        Its curve and formula.
-    model_holds_law : bool
-        Whether `model` has the free law.
     gap_fits : GapFits
         The gap on held-out collisions, with their fits.
     base_disagreements, disagreements : tuple of Disagreement
         Where the base model disagrees, and where everything that was found still does.
-    accepted, rejected : tuple of ClaimTest
-        The tests of the claims that passed, and of those that failed.
     scores : tuple of CandidateScore
         The score tests of all candidates against the base model, most significant first.
     required_sigma : float
         The sigma that a claim needs.
+    policy : SearchPolicy
+        The thresholds that decided.
+    claims : tuple of EffectClaim
+        The effects that the search names, each with its values, their errors (`std`), `sigma`, and `aliases`.
+    free_law : FittedLaw or None
+        The law outside the library that explains what no effect does.
+    law_summary : LawSummary or None
+        Its curve and formula.
+    model_holds_law : bool
+        Whether `model` has the free law.
+    accepted, rejected : tuple of ClaimTest
+        The tests of the claims that passed, and of those that failed.
     undetectable : tuple of str
         Effects that these collisions cannot show at any realistic size.
     experiment : str
-        What would separate the effects of an alias class.
+        The collisions that would distinguish the effects of an alias class.
     uniform, processed : tuple of SearchNote
         What such clips cannot show because they are all the same in it, and what was done to the tracks.
     left_out : tuple of SearchNote
         A note for each collision, or part of one, that the search did not use.
     interrupted : InterruptedSearch or None
         Set if the search was cut short; it then names nothing.
-    policy : SearchPolicy
-        The thresholds that decided.
+
+    Examples
+    --------
+    >>> import discrepancy
+    >>> found = discrepancy.find("out/results", "painter_behringer")  # doctest: +SKIP
+    >>> found.verdict, found.gap.closure  # doctest: +SKIP
     """
 
     verdict: Verdict

@@ -147,5 +147,5 @@ def test_filmed_collisions_reach_the_search_alike_from_memory_and_from_files(tmp
     other, _ = read_collisions(tmp_path / "results")
     assert len(one) == len(other) == 2
     for a, b in zip(one, other, strict=True):
-        for name in ("clip", "frame", "ball", "xy", "covariance", "launch", "ends", "offset"):
+        for name in ("clip", "frame", "ball", "xy", "covariance", "launch", "slide_ends", "offset"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name), name)

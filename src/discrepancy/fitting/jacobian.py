@@ -137,6 +137,8 @@ def differentiate_launches(
     ----------
     model, launches, clips
         As of `differentiate`.
+    batch : int
+        Clips to predict together, to limit memory.
 
     Returns
     -------

@@ -105,11 +105,15 @@ def _weigh_steps(
 
     Parameters
     ----------
+    fitted_law : FittedLaw
+    x : (n,) array
+        Where the law is wanted.
     counts : (int, int)
         Positions and widths of one grid.
     widths : (float, float)
         The smallest and the largest width of a step's tanh, as shares of the range.
-    max_refinements, min_effective_steps
+    max_refinements : int
+    min_effective_steps : float
         The grid is refined until at least this many steps share the weight, or it no longer halves.
     batch : int
         Steps fitted at once, to limit memory.

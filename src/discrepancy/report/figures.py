@@ -290,6 +290,12 @@ def plot_gap(gap: Gap, ax: Axes | None = None) -> Axes:
     -------
     Axes
         Residuals, rms, each axis, um.
+
+    Examples
+    --------
+    >>> import discrepancy
+    >>> found = discrepancy.find("out/results", "painter_behringer")  # doctest: +SKIP
+    >>> discrepancy.plot_gap(found.gap)  # doctest: +SKIP
     """
     if ax is None:
         import matplotlib.pyplot as plt

@@ -61,7 +61,25 @@ def write(found: SearchResult, folder: Path) -> None:
 
 
 def write_report(found: SearchResult, folder: Path) -> Path:
-    """Write a report and return the path of its page; see `SearchResult.report`."""
+    """Write a report, as `SearchResult.report` does.
+
+    Parameters
+    ----------
+    found : SearchResult
+    folder : Path
+        Made, or replaced if it holds an earlier report.
+
+    Returns
+    -------
+    Path
+        Of ``index.html``.
+
+    Examples
+    --------
+    >>> import discrepancy
+    >>> found = discrepancy.find("out/results", "painter_behringer")  # doctest: +SKIP
+    >>> discrepancy.write_report(found, "out/search")  # doctest: +SKIP
+    """
     with replace_folder(folder, FILES, "a report of an earlier search") as place:
         write(found, place)
     return folder / "index.html"

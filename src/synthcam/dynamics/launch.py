@@ -52,10 +52,12 @@ class Launch:
             Ball 1, the target, and ball 2, the striker.
         time : float
             Of the contact, s.
-        v0, heading : float
-            Speed, m/s, and direction of ball 2 at the contact, rad from x towards y.
+        v0 : float
+            Speed of ball 2 at the contact, m/s.
         b : float
             Impact parameter over the sum of the radii, |b| < 1. With the heading d, b = z . [d x (x2 - x1)]/(R1 + R2).
+        heading : float
+            Direction of ball 2 at the contact, rad from x towards y.
         contact : (2,) array_like
             Position between the balls at the contact, m.
         spin : (3,) array_like

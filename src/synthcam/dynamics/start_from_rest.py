@@ -111,6 +111,9 @@ def solve_start(
 
     Parameters
     ----------
+    model : Model
+    bodies : Bodies
+        2 k balls: those at rest, then the others.
     states : (2 k, 9) array
         At time 0: the balls at rest, then the others.
     lasts : (k,) array

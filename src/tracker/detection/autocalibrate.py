@@ -83,6 +83,9 @@ def _cut_bright_glints(
 
     Parameters
     ----------
+    camera : Camera
+    plate : EmptyPlate
+    frames : sequence of frames
     used_frames : int
         Frames in the middle of the clip.
     first_sigma : float

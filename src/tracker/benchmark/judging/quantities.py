@@ -21,8 +21,10 @@ def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min
     Parameters
     ----------
     suite : Suite
-    tracked : Tracked
-    part : Part
+    tracked : TrackerResults
+    part : SuitePart
+    min_collisions : int
+        Measured collisions from which on a quantity gets a published mean.
 
     Returns
     -------
