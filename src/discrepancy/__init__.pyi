@@ -9,6 +9,8 @@ from .report.search_page import write_report as write_report
 from .results import SearchResult as Finding
 from .results import SearchResult as SearchResult
 from .search import find as find
+from .wording import describe_rejection as describe_rejection
+from .wording import describe_search as describe_search
 
 __version__: str
 __all__ = [

@@ -1,4 +1,4 @@
-"""What a search found: `SearchResult` carries data alone, puts itself into words, and writes its report."""
+"""The result of a search: `SearchResult` holds the data, writes `discrepancy.json` and calls for the report."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pandas as pd
 
 import discrepancy
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.notes import SearchNote, SearchNoteKind
+from discrepancy.data.notes import SearchNote
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
@@ -26,15 +26,6 @@ from discrepancy.select.score_test import CandidateScore
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.gap import Gap, GapFits
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
-from discrepancy.wording import (
-    NO_EFFECT_NAMED_WHEN_SMOOTHED,
-    describe_claim,
-    describe_disagreement,
-    describe_gap,
-    describe_rejection,
-    describe_rejections,
-    describe_slow_noise,
-)
 from synthcam.model import Model
 
 if TYPE_CHECKING:
@@ -58,12 +49,12 @@ class SearchData:
     Attributes
     ----------
     clips, held_out : tuple of MeasuredCollision
-        To fit, and to test on.
+        The collisions to fit, and those to test on.
     noise : Noise
     left_out : tuple of SearchNote
         A note for each collision, or part of one, that is not used.
     is_smoothed : bool
-        Whether somebody has put the tracks through a filter.
+        True if the tracks were smoothed by a filter before the search.
     """
 
     clips: tuple[MeasuredCollision, ...]
@@ -73,14 +64,14 @@ class SearchData:
     is_smoothed: bool = False
 
     def without(self, outliers: Mapping[int, SearchNote]) -> SearchData:
-        """Without some of the clips to fit, by their index, each with a note that says why."""
+        """Remove clips to fit, given by index, each with a note that says why."""
         clips = tuple(c for k, c in enumerate(self.clips) if k not in outliers)
         return dataclasses.replace(self, clips=clips, left_out=(*self.left_out, *outliers.values()))
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class SearchResult:
-    """What a search found missing in a model.
+    """The result of a search for what a model lacks.
 
     Attributes
     ----------
@@ -89,14 +80,14 @@ class SearchResult:
     data : SearchData
         The collisions, and the estimate of their noise.
     base_fit, best_fit : ModelFit
-        The fit of the given model, and the fit with everything that was found.
+        The fit of the given model, and the fit with all claims added.
     model : Model
-        The model with the claimed effects, everything else fitted again; ``model.write(path)`` keeps it. It holds a
-        free law as a table where a model can.
+        The model with the claimed effects, everything else fitted again; ``model.write(path)`` saves it. It holds the
+        free law as a table if the law can be one.
     gap_fits : GapFits
         The gap on held-out collisions, with their fits.
     base_disagreements, disagreements : tuple of Disagreement
-        Where the base model disagrees, and where everything that was found still does.
+        Disagreements of the base model, and those that remain with all claims.
     scores : tuple of CandidateScore
         The score tests of all candidates against the base model, most significant first.
     required_sigma : float
@@ -108,21 +99,21 @@ class SearchResult:
     free_law : FittedLaw or None
         The law outside the library that explains what no effect does.
     law_summary : LawSummary or None
-        Its curve and formula.
+        The curve and the formula of the free law.
     model_holds_law : bool
-        Whether `model` has the free law.
+        True if `model` holds the free law.
     accepted, rejected : tuple of ClaimTest
-        The tests of the claims that passed, and of those that failed.
+        The tests of accepted and of rejected claims.
     undetectable : tuple of str
-        Effects that these collisions cannot show at any realistic size.
+        Effects that these collisions cannot show at a realistic size.
     experiment : str
         The collisions that would distinguish the effects of an alias class.
     uniform, processed : tuple of SearchNote
-        What such clips cannot show because they are all the same in it, and what was done to the tracks.
+        Notes on conditions that are the same in all clips, and on the processing of the tracks.
     left_out : tuple of SearchNote
         A note for each collision, or part of one, that the search did not use.
     interrupted : InterruptedSearch or None
-        Set if the search was cut short; it then names nothing.
+        Set if the search was cut short; it then claims nothing.
 
     Examples
     --------
@@ -162,28 +153,28 @@ class SearchResult:
 
     @property
     def gap(self) -> Gap:
-        """On held-out collisions: before, after and floor (noise alone), chi^2 per point; the same in um."""
+        """The gap on held-out collisions: before, after and floor (noise alone), as chi^2 per point and in um."""
         return self.gap_fits.gap
 
     @property
     def ranking(self) -> pd.DataFrame:
-        """Score of each candidate against the base model alone: effect, sigma."""
+        """The score test of each candidate beside the base model: effect, sigma."""
         return pd.DataFrame([(c.effect, c.sigma) for c in self.scores], columns=["effect", "sigma"])
 
     @property
     def where(self) -> pd.DataFrame:
-        """Where measurement and base model disagree: phase, ball, observable, sigma, against, size (um, rms)."""
+        """Disagreements of the base model: phase, ball, observable, sigma, against, size (um, rms)."""
         names = ["phase", "ball", "observable", "sigma", "against", "size"]
         return pd.DataFrame([[getattr(p, n) for n in names] for p in self.base_disagreements], columns=names)
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing was found beside the base model."""
+        """True if the search added nothing to the base model."""
         return not (self.best_fit.added_names(self.base_fit) or self.free_law)
 
     @property
     def is_complete(self) -> bool:
-        """Whether nothing more is missing: only then do errors of the strengths hold."""
+        """True if nothing more is missing; only then are the errors of the strengths valid."""
         with applied_policy(self.policy):
             return not more_is_missing(self.disagreements, self.rejected)
 
@@ -194,58 +185,11 @@ class SearchResult:
         -------
         str
         """
-        with applied_policy(self.policy):
-            return self._sentence()
-
-    def _sentence(self) -> str:
-        slow, rejected = describe_slow_noise(self.data.noise), describe_rejections(self.rejected)
-        left = self.disagreements
-        worst = f"{describe_disagreement(left[0])} ({left[0].sigma:.0f} sigma)" if is_unexplained(left) else ""
-        if self.interrupted:
-            return self._describe_interruption(self.interrupted)
-        if self.data.is_smoothed:
-            largest = "" if self.verdict is Verdict.NONE else f" The largest disagreement: {worst}."
-            return f"{NO_EFFECT_NAMED_WHEN_SMOOTHED}: {SearchNote(SearchNoteKind.SMOOTHED)}.{largest}{slow}"
-        if self.verdict is Verdict.NONE:
-            return f"Nothing is missing: model and measurement agree to within the noise.{rejected}{slow}"
-        if self.verdict is Verdict.INADEQUATE:
-            largest = f" The largest disagreement: {worst}." if worst else ""
-            return f"Something is missing, and no candidate passes the held-out test.{largest}{rejected}{slow}"
-        base = self.base_fit.model
-        missing = [describe_claim(c, base) for c in self.claims if not c.is_in(base)]
-        wrong = [describe_claim(c, base) for c in self.claims if c.is_in(base)]
-        parts = []
-        if self.free_law and self.law_summary:
-            law = self.law_summary
-            parts.append(
-                f"Missing law: {law.description}, which no effect of the library makes "
-                f"({self.free_law.sigma:.0f} sigma)."
-            )
-        parts += [f"Missing effect: {words}." for words in missing] + [f"Wrong value: {words}." for words in wrong]
-        if self.free_law and self.law_summary:
-            parts.append(f"Proposed formula: {self.law_summary.formula}. {self._where_law_is(self.free_law)}.")
-        elif self.verdict is Verdict.OUTSIDE_LIBRARY:
-            where = f": {worst}" if worst else ""
-            parts.append(f"Something else is missing that neither the library nor a free law explains{where}.")
-        return " ".join([*parts, describe_gap(self.gap)]) + rejected + slow
-
-    def _where_law_is(self, free_law: FittedLaw) -> str:
-        if free_law.law.frees:
-            return f"model.yaml leaves {free_law.law.frees} free"
-        return "model.yaml holds its curve" if self.model_holds_law else "model.yaml cannot hold it"
-
-    def _describe_interruption(self, tried: InterruptedSearch) -> str:
-        base = self.base_fit
-        start = (
-            f"The search was cut short after {tried.seconds / 60:.3g} minutes and names nothing. The base model has "
-            f"chi^2 per point {base.chi2 / base.points:.3g}"
-        )
-        if not tried.effects:
-            return f"{start}; no model tried so far has less."
-        return f"{start}, with {', '.join(tried.effects)} {tried.chi2:.3g}; that was not tested on held-out collisions."
+        sentences: str = discrepancy.describe_search(self)  # lazily: `wording` imports this class
+        return sentences
 
     def document(self) -> dict[str, Any]:
-        """The contents of ``discrepancy.json``: plain values, None for what is not finite.
+        """The contents of ``discrepancy.json``: plain values, None for numbers that are not finite.
 
         Returns
         -------
@@ -268,7 +212,7 @@ class SearchResult:
                 "alike": list(map(str, self.uniform)),
                 "processed": list(map(str, self.processed)),
                 "withdrawn": [
-                    {"claim": t.name, "own_sigma": t.sigma, "why": describe_rejection(t)} | t.document()
+                    {"claim": t.name, "own_sigma": t.sigma, "why": discrepancy.describe_rejection(t)} | t.document()
                     for t in self.rejected
                 ],
                 "gap": dataclasses.asdict(self.gap) | {"by_claim": {t.name: t.document() for t in self.accepted}},
@@ -301,17 +245,17 @@ class SearchResult:
         return f"<p>{self!r}</p>" + (table.to_html(index=False, float_format="{:.3g}".format) if rows else "")
 
     def plot_gap(self, ax: Axes | None = None) -> Axes:
-        """Plot the gap on held-out collisions by phase: with the base model, with what was found, from noise alone.
+        """Plot the gap on held-out collisions by phase: with the base model, with all claims, and from noise alone.
 
         Parameters
         ----------
         ax : Axes, optional
-            Where to draw; default: a new figure.
+            Axes to draw into; default: a new figure.
 
         Returns
         -------
         Axes
-            Residuals, rms, each axis, um.
+            They show the rms residual of each axis, um.
         """
         axes: Axes = discrepancy.plot_gap(self.gap, ax)
         return axes
@@ -322,24 +266,24 @@ class SearchResult:
         Parameters
         ----------
         folder : str or Path
-            Made, or replaced where it holds an earlier report.
+            The folder to write; an earlier report in it is replaced.
 
         Returns
         -------
         Path
-            Of ``index.html``.
+            The path of ``index.html``.
 
         Raises
         ------
         InputError
-            Where the folder holds something else, or cannot be written.
+            The folder holds something else, or cannot be written.
         """
         page: Path = discrepancy.write_report(self, Path(folder))  # lazily: the report package knows this class
         return page
 
 
 def more_is_missing(left: Sequence[Disagreement], rejected: Sequence[ClaimTest]) -> bool:
-    """Whether something is missing beside everything that was found; a rejected free law is a sign of it."""
+    """Tell if more is missing than the claims explain; a rejected significant free law is evidence of that."""
     limit = current_policy().unexplained_sigma
     return is_unexplained(left) or any(t.is_free_law and t.sigma > limit for t in rejected)
 
@@ -358,7 +302,7 @@ def _claim_document(claim: EffectClaim) -> dict[str, Any]:
 
 
 def to_json_values(value: Any) -> Any:
-    """For JSON: no numpy, NaN and infinity as null."""
+    """Convert to values that JSON knows: no numpy, and None for NaN and infinity."""
     if isinstance(value, dict):
         return {k: to_json_values(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

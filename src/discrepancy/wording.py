@@ -1,4 +1,4 @@
-"""Put the results of a search into sentences: claims, rejections, disagreements, the gap and the noise."""
+"""Describe the result of a search in sentences: verdict, claims, rejections, disagreements, gap and noise."""
 
 from __future__ import annotations
 
@@ -6,21 +6,104 @@ import math
 import sys
 from collections.abc import Sequence
 
+from discrepancy.data.notes import SearchNote, SearchNoteKind
+from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import find_parameter
+from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
-from discrepancy.policy import current_policy
+from discrepancy.policy import applied_policy, current_policy
+from discrepancy.results import SearchResult, Verdict
 from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.library_search import InterruptedSearch
 from discrepancy.validate.claim_tests import ClaimTest, Rejection
 from discrepancy.validate.gap import Gap
-from discrepancy.validate.residual_map import Disagreement
+from discrepancy.validate.residual_map import Disagreement, is_unexplained
 from synthcam.library import library
 from synthcam.model import Model
 
 NO_EFFECT_NAMED_WHEN_SMOOTHED = "The search names no effect for smoothed tracks"
 
 
+def describe_search(found: SearchResult) -> str:
+    """Describe the outcome of a search in a few sentences, the most important first.
+
+    Parameters
+    ----------
+    found : SearchResult
+
+    Returns
+    -------
+    str
+    """
+    with applied_policy(found.policy):
+        return _describe_search(found)
+
+
+def _describe_search(found: SearchResult) -> str:
+    slow, rejected = describe_slow_noise(found.data.noise), describe_rejections(found.rejected)
+    remaining = found.disagreements
+    is_left = is_unexplained(remaining)
+    worst = f"{describe_disagreement(remaining[0])} ({remaining[0].sigma:.0f} sigma)" if is_left else ""
+    if found.interrupted:
+        return describe_interruption(found.interrupted, found.base_fit)
+    if found.data.is_smoothed:
+        largest = "" if found.verdict is Verdict.NONE else f" The largest disagreement: {worst}."
+        return f"{NO_EFFECT_NAMED_WHEN_SMOOTHED}: {SearchNote(SearchNoteKind.SMOOTHED)}.{largest}{slow}"
+    if found.verdict is Verdict.NONE:
+        return f"Nothing is missing: model and measurement agree to within the noise.{rejected}{slow}"
+    if found.verdict is Verdict.INADEQUATE:
+        largest = f" The largest disagreement: {worst}." if worst else ""
+        return f"Something is missing, and no candidate passes the held-out test.{largest}{rejected}{slow}"
+    base, law = found.base_fit.model, found.law_summary
+    missing = [describe_claim(c, base) for c in found.claims if not c.is_in(base)]
+    wrong = [describe_claim(c, base) for c in found.claims if c.is_in(base)]
+    parts = []
+    if found.free_law and law:
+        parts.append(
+            f"Missing law: {law.description}, which no effect of the library makes ({found.free_law.sigma:.0f} sigma)."
+        )
+    parts += [f"Missing effect: {words}." for words in missing] + [f"Wrong value: {words}." for words in wrong]
+    if found.free_law and law:
+        where = describe_law_in_model(found.free_law, found.model_holds_law)
+        parts.append(f"Proposed formula: {law.formula}. {where}.")
+    elif found.verdict is Verdict.OUTSIDE_LIBRARY:
+        where = f": {worst}" if worst else ""
+        parts.append(f"Something else is missing. Neither the library nor a free law explains it{where}.")
+    return " ".join([*parts, describe_gap(found.gap)]) + rejected + slow
+
+
+def describe_law_in_model(free_law: FittedLaw, model_holds_law: bool) -> str:
+    """Say what model.yaml keeps of a free law."""
+    if free_law.law.frees:
+        return f"model.yaml leaves {free_law.law.frees} free"
+    return "model.yaml holds its curve" if model_holds_law else "model.yaml cannot hold it"
+
+
+def describe_interruption(interrupted: InterruptedSearch, base: ModelFit) -> str:
+    """Describe how far a search came before its time was over.
+
+    Parameters
+    ----------
+    interrupted : InterruptedSearch
+    base : ModelFit
+        The fit of the base model.
+
+    Returns
+    -------
+    str
+    """
+    start = (
+        f"The search was cut short after {interrupted.seconds / 60:.3g} minutes and names nothing. The base model has "
+        f"chi^2 per point {base.chi2 / base.points:.3g}"
+    )
+    if not interrupted.effects:
+        return f"{start}; no model tried so far has less."
+    effects = ", ".join(interrupted.effects)
+    return f"{start}, with {effects} {interrupted.chi2:.3g}; that was not tested on held-out collisions."
+
+
 def format_with_error(value: float, std: float, digits: int) -> str:
-    """A value as text, to the decimal place of the last of `digits` digits of its error; without one, three digits."""
+    """Format a value to the precision of `digits` digits of its error, or to three digits without an error."""
     if not (math.isfinite(std) and std > 0 and value):
         return f"{value:.3g}"
     places = digits - 1 - math.floor(math.log10(float(f"{std:.{digits - 1}e}")))
@@ -31,7 +114,7 @@ def format_with_error(value: float, std: float, digits: int) -> str:
 
 
 def describe_effect(name: str) -> str:
-    """An effect with the first sentence of its file: "plate_tilt (a plate that is not level)"."""
+    """Describe an effect by the first sentence of its file: "plate_tilt (a plate that is not level)"."""
     kind = library().get(name)  # None: a base parameter
     module = sys.modules.get(kind.__module__) if kind else None
     about = (module.__doc__ or "" if module else "").partition("\n")[0].rstrip(".")
@@ -39,10 +122,10 @@ def describe_effect(name: str) -> str:
 
 
 def describe_claim(claim: EffectClaim, base: Model) -> str:
-    """An effect with its values, errors and significances.
+    """Describe an effect with its values, errors and significances.
 
-    The joint significance stands last. Of several strengths each has its own, its distance from zero in standard
-    errors, so that "(1 sigma)" after an error is not read as the width of an interval.
+    The joint significance comes last. Each of several strengths also gets its own, as a distance from zero in standard
+    errors. A reader could take "(1 sigma)" after an error for the width of an interval.
     """
     rivals = f" or {' or '.join(claim.aliases[1:])}" if len(claim.aliases) > 1 else ""
     joint = f"{claim.sigma:.0f} sigma"
@@ -70,7 +153,7 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
 
 
 def describe_rejection(test: ClaimTest) -> str:
-    """Why a claim is rejected, with the numbers that decided it; empty for a claim that passes."""
+    """Say why a claim is rejected, with the numbers that decided it; empty for a claim that passes."""
     if test.rejection is None:
         return ""
     if test.rejection is Rejection.SCATTERS:
@@ -99,19 +182,19 @@ def describe_rejection(test: ClaimTest) -> str:
 
 
 def describe_rejections(tests: Sequence[ClaimTest]) -> str:
-    """A sentence that lists rejected claims; empty without any."""
+    """List the rejected claims in a sentence; empty without any."""
     return f" Rejected: {'; '.join(f'{t.name} ({describe_rejection(t)})' for t in tests)}." if tests else ""
 
 
 def describe_disagreement(disagreement: Disagreement) -> str:
-    """Where a disagreement lies: "ball 1 sliding, along its motion, changing with the speed"."""
+    """Locate a disagreement: "ball 1 sliding, along its motion, changing with the speed"."""
     phase = {"before": "before the contact", "contact": "at the contact"}.get(disagreement.phase, disagreement.phase)
     changing = f", changing with the {disagreement.against}" if disagreement.against else ""
     return f"{disagreement.ball} {phase}, {disagreement.observable} its motion{changing}"
 
 
 def describe_gap(gap: Gap) -> str:
-    """How the gap on held-out collisions changes."""
+    """Describe how the gap on held-out collisions changes."""
     before, after = f"{gap.before:.3g}", f"{gap.after:.3g}"
     if before == after:
         moved = f"stays at {before}"
@@ -121,7 +204,7 @@ def describe_gap(gap: Gap) -> str:
 
 
 def describe_slow_noise(noise: Noise) -> str:
-    """A sentence if much of what is taken for noise is slow, so that it may hide missing physics; else empty."""
+    """Warn if much of the estimated noise is slow, so that it may hide missing physics; else empty."""
     if noise.whole_phase_scale:
         return (
             f" The noise is {noise.scale:.3g} times the claimed errors within "
@@ -137,7 +220,7 @@ def describe_slow_noise(noise: Noise) -> str:
 
 
 def _describe_distance(errors: float, significant: float = 3.0) -> str:
-    """How far a strength is from zero; significant: below so many standard errors the number would mislead."""
+    """Say how far a strength is from zero; below `significant` standard errors the number would mislead."""
     return f"{errors:.0f} standard errors from zero" if errors >= significant else "not significant"
 
 
