@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "CONTRIBUTING.md"
 BEGIN, END = "<!-- map of the code: python tools/plan.py --write -->", "<!-- end of the map -->"
-PACKAGES = ("synthcam_shared", "synthcam", "tracker", "discrepancy")  # lowest layer first
+FOLDERS = ("src/synthcam_shared", "src/synthcam", "src/tracker", "src/discrepancy", "benchmarks")  # lowest layer first
 PLUGINS = ("effects", "exports", "formats", "detectors", "linkers", "laws")
 WIDTH = 120
 
@@ -24,7 +24,7 @@ WIDTH = 120
 def summary(path: Path) -> str:
     """The first sentence of a module's docstring, without its full stop; empty where there is none."""
     docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return " ".join(docstring.partition("\n\n")[0].split()).rstrip(".")
+    return " ".join(docstring.partition("\n\n")[0].split()).partition(". ")[0].rstrip(".")
 
 
 def folder_lines(folder: Path, depth: int = 0) -> list[str]:
@@ -32,13 +32,14 @@ def folder_lines(folder: Path, depth: int = 0) -> list[str]:
     indent = "  " * depth
     name = folder.relative_to(ROOT) if depth == 0 else folder.name
     files = [p for p in sorted(folder.glob("*.py")) if p.stem not in ("__init__", "__main__")]
-    about = summary(folder / "__init__.py")
+    package = folder / "__init__.py"
+    about = summary(package) if package.is_file() else ""
     lines = entry(f"{indent}{name}/", about)
     if folder.name in PLUGINS:
         return lines + entry(f"{indent}  one file each:", ", ".join(p.stem for p in files))
     for path in files:
         lines += entry(f"{indent}  {path.stem}", summary(path))
-    for inner in sorted(p for p in folder.iterdir() if (p / "__init__.py").is_file()):
+    for inner in sorted(p for p in folder.iterdir() if p.is_dir() and any(p.glob("*.py"))):
         lines += folder_lines(inner, depth + 1)
     return lines
 
@@ -51,7 +52,7 @@ def entry(name: str, about: str) -> list[str]:
 
 def plan() -> str:
     """The whole map, as a block of text."""
-    lines = [line for name in PACKAGES for line in [*folder_lines(ROOT / "src" / name), ""]]
+    lines = [line for name in FOLDERS for line in [*folder_lines(ROOT / name), ""]]
     return "\n".join(["```text", *lines[:-1], "```"])
 
 

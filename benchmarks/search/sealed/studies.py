@@ -1,4 +1,4 @@
-"""The studies, and the round: how many boxes of each make one of all kinds."""
+"""The studies of a blind trial: what is hidden in their boxes, and how many boxes of each make a round."""
 
 from __future__ import annotations
 
