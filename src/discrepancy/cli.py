@@ -109,6 +109,7 @@ def find(
     seconds = time.monotonic() - started
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
     if not as_json:
+        print(f"verdict: {found.verdict}")
         for line in document["processed"]:
             print(f"Tracks: {line}.")
         _print_left_out(document["clips"]["left_out"], len(left_out) > len(clips))

@@ -22,6 +22,7 @@ from synthcam_shared.report.page import PageFigure
 
 # colours of the base model, of the best model, of noise alone, and of all else
 BASE, BEST, NOISE, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
+MAX_RANKED_EFFECTS = 20  # in the chart of candidates
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 
 
@@ -45,15 +46,17 @@ def _draw_all(found: SearchResult) -> list[tuple[str, Figure, str]]:
         (
             f"Mean residuals{compared}",
             _mean_residuals_figure(found),
-            "Mean residuals of the fitted collisions, with standard errors. Time runs from the first frame to the "
-            "contact, through sliding, to the last frame of rolling. Along: along the path of the ball after the "
-            "contact; across: towards the side to which it is deflected.",
+            "Mean residuals of the fitted collisions. Error bars: scatter between collisions, as the standard error of "
+            "the mean. The sigma in the text is larger where a wrong model makes collisions differ, because it "
+            "compares each collision with its measurement noise. Time runs from the first frame to the contact, "
+            "through sliding, to the last frame of rolling. Along: along the path of the ball after the contact; "
+            "across: towards the side to which it is deflected.",
         ),
         (
             f"Size of the residuals{compared}",
             _rms_residuals_figure(found),
-            "Root mean square of the same residuals. It also shows a disagreement whose sign changes between "
-            "collisions.",
+            "Root mean square of the same residuals. Error bars: statistical, for independent residuals of normal "
+            "distribution. It also shows a disagreement whose sign changes between collisions.",
         ),
     ]
     if found.law_summary:
@@ -63,9 +66,8 @@ def _draw_all(found: SearchResult) -> list[tuple[str, Figure, str]]:
             "passed."
         figures.append((f"Free law: {found.law_summary.formula}", _law_figure(found.law_summary), caption))
     if found.scores:
-        caption = "Significance of every effect of the library when it is added alone to the base model (score test)."
-        figures.append(("Significance of each candidate effect", _ranking_figure(found), caption))
-    caption = f"Collisions that entered no fit of the shared parameters; only their launches are fitted.{only}"
+        figures.append(("Significance of each candidate effect", _ranking_figure(found), _caption_ranking(found)))
+    caption = f"Held-out collisions enter no fit of shared parameters; only their launches are fitted.{only}"
     figures.append(("Residuals of held-out collisions by phase", _gap_by_phase_figure(found), caption))
     figures.append(("Residuals of each held-out collision", _gap_by_clip_figure(found), caption))
     return figures
@@ -207,8 +209,17 @@ def _law_map_figure(answer: LawSummary) -> Figure:
     return figure
 
 
+def _caption_ranking(found: SearchResult) -> str:
+    shown, total = len(found.scores[:MAX_RANKED_EFFECTS]), len(found.scores)
+    which = f"The {shown} most significant of {total} effects" if shown < total else f"All {total} effects"
+    return (
+        f"{which}, each added alone to the base model (score test on the {len(found.data.clips)} fitted collisions). "
+        "A wrong base model makes many significant; refits and tests decide."
+    )
+
+
 def _ranking_figure(found: SearchResult) -> Figure:
-    ranking = found.scores[:20][::-1]
+    ranking = found.scores[:MAX_RANKED_EFFECTS][::-1]
     figure, ax = _subplots(figsize=(6, 0.6 + 0.25 * len(ranking)))
     claimed = {n.effect for n in found.claims}
     rivals = {a for n in found.claims for a in n.aliases} - claimed

@@ -19,6 +19,16 @@ def write_story(found: SearchResult) -> list[str]:
     return [_describe_fit(found), _describe_disagreement(found), _describe_gap(found), _describe_open_questions(found)]
 
 
+def format_sigma(sigma: float) -> str:
+    """A significance with one decimal place, or with four digits from 100 on."""
+    return f"{sigma:.1f}" if sigma < 100 else format_number(sigma, 4)
+
+
+def format_chi2(ratio: float) -> str:
+    """chi^2 per point or degree of freedom with at most four digits."""
+    return f"{ratio:.3f}" if ratio < 9.9995 else format_number(ratio, 4)
+
+
 def gain_of_next_step(fit: ModelFit) -> float:
     """Decrease of chi^2 by one more step of all fitted parameters, to first order and within their limits."""
     shared, own = solve_step(fit, 0.0, *fit.step_bounds())
@@ -46,44 +56,46 @@ def _describe_fit(found: SearchResult, converged: float = 0.1) -> str:
 
 def _describe_disagreement(found: SearchResult) -> str:
     base = found.base_fit
-    chi2 = f"The base model has chi^2 per degree of freedom {base.chi2 / (base.points - base.parameters):.3f}"
+    per_degree = format_chi2(base.chi2 / (base.points - base.parameters))
+    fitted = f"On the {len(found.data.clips)} fitted collisions"
+    chi2 = f"{fitted} the base model has chi^2 per degree of freedom {per_degree}"
     worst = found.base_disagreements[0] if found.base_disagreements else None
     if worst is None or worst.sigma == 0:
         return f"{chi2} and no significant disagreement."
     size = f", {format_number(worst.size, 2)} um rms" if np.isfinite(worst.size) else ""
     where = describe_disagreement(worst)
     return (
-        f"{chi2}. Its largest disagreement is {where}: {worst.sigma:.1f} sigma "
+        f"{chi2}. Its largest disagreement is {where}: {format_sigma(worst.sigma)} sigma "
         f"after {len(found.base_disagreements)} trials{size}."
     )
 
 
 def _describe_gap(found: SearchResult) -> str:
-    gap = found.gap
+    gap, where = found.gap, f"On the {len(found.data.held_out)} held-out collisions"
     noise = f"noise alone would leave {gap.floor_um:.2f} um"
     if found.is_empty:
-        return f"On held-out collisions the base model leaves residuals of {gap.before_um:.2f} um rms; {noise}."
-    closed = "the gap is too small to say what share of it is closed"
+        return f"{where} the base model leaves residuals of {gap.before_um:.2f} um rms; {noise}."
+    closed = "The excess of chi^2 over noise is too small to say what share of it the best model removes"
     if np.isfinite(gap.closure):
-        closed = f"{100 * gap.closure:.1f} % of the gap in chi^2 is closed"
+        closed = f"The best model removes {100 * gap.closure:.1f} % of the excess of chi^2 over noise"
     return (
-        f"On held-out collisions the residuals go from {gap.before_um:.2f} um rms with the base model to "
-        f"{gap.after_um:.2f} um; {noise}. So {closed}."
+        f"{where} the residuals go from {gap.before_um:.2f} um rms with the base model to "
+        f"{gap.after_um:.2f} um; {noise}. {closed}."
     )
 
 
 def _describe_open_questions(found: SearchResult) -> str:
-    lines = []
+    lines, fitted = [], f"These {len(found.data.clips)} fitted collisions"
     classes = [_join_words(claim.aliases, "and") for claim in found.claims if len(claim.aliases) > 1]
     if classes:
-        lines.append(f"These collisions cannot distinguish {'; nor '.join(classes)} (see the experiment below).")
+        lines.append(f"{fitted} cannot distinguish {'; nor '.join(classes)} (see the experiment below).")
     if found.law_summary and found.law_summary.formula_rejected:
         lines.append("None of the short formulas that were tried describes the free curve.")
     undetermined = [name for claim in found.claims for name, std in claim.shape_std.items() if not np.isfinite(std)]
     if undetermined:
-        lines.append(f"They do not determine {_join_words(undetermined, 'and')}.")
+        lines.append(f"{fitted} do not determine {_join_words(undetermined, 'and')}.")
     if found.undetectable:
-        lines.append(f"They could not show {_join_words(found.undetectable, 'or')} at a realistic size.")
+        lines.append(f"{fitted} cannot show {_join_words(found.undetectable, 'or')} at a realistic size.")
     if not lines:
         lines.append("Every effect of the library would have been detected at a realistic size.")
     return " ".join(

@@ -9,18 +9,25 @@ from pathlib import Path
 import numpy as np
 
 from discrepancy.fitting.parameters import find_parameter
+from discrepancy.policy import applied_policy
 from discrepancy.report.figures import draw_figures, name_of_best
-from discrepancy.report.narrative import write_story
+from discrepancy.report.narrative import format_chi2, format_sigma, write_story
 from discrepancy.results import SearchResult
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
-from discrepancy.validate.residual_map import Disagreement
+from discrepancy.validate.residual_map import Disagreement, is_unexplained
 from discrepancy.wording import describe_disagreement, describe_rejection, format_with_error
 from synthcam.model import Model, write_model
 from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number
 from synthcam_shared.report.page import Block, PageList, PageTable, Section, write_page
 
+DEFINITIONS = (
+    "Ball 1 is struck, ball 2 strikes. The impact parameter b is in units of the sum of the radii.",
+    "The fitted collisions determine the shared parameters. The held-out collisions enter no fit of shared parameters; "
+    "only their launches are fitted.",
+    "χ² per point: noise alone gives slightly less than 1, because the launches are fitted.",
+)
 FILES = ("discrepancy.json", "index.html", "model.yaml")
 
 
@@ -41,23 +48,22 @@ def write(found: SearchResult, folder: Path) -> None:
     named, base = _named_table(found), found.base_disagreements
     sections = [
         Section("Effects that the model lacks", [named, *_describe_similar(found)] if named else []),
+        Section("How to read this page", [PageList(DEFINITIONS)]),
         Section("Course of the search", [PageList(write_story(found), ordered=True)]),
         Section("Experiment that would distinguish the candidates", [found.experiment] if found.experiment else []),
         *(Section(figure.title, [figure]) for figure in figures),
         Section("Residuals of held-out collisions, in numbers", [_gap_table(found)]),
         Section("Tests of each claim on collisions that did not enter it", _test_table(found)),
-        Section(
-            "Disagreements of the base model",
-            [_disagreement_table(base[:10], len(base))],
-        ),
+        Section("Disagreements of the base model", _list_disagreements(found, base, 10)),
         Section(
             f"Disagreements that remain {name_of_best(found)}",
-            [_disagreement_table(found.disagreements[:5], len(found.disagreements))] if not found.is_empty else [],
+            _list_disagreements(found, found.disagreements, 5, " remains") if not found.is_empty else [],
         ),
         Section("Fitted parameters of the model", [_parameter_table(found)]),
         Section("Collisions and positions that were not used", [PageList(left_out)] if left_out else []),
     ]
-    write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", [found.sentence()])
+    summary = [f"Verdict: {found.verdict}", found.sentence()]
+    write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", summary)
 
 
 def write_report(found: SearchResult, folder: Path) -> Path:
@@ -89,7 +95,8 @@ def _named_table(found: SearchResult) -> PageTable | None:
     """Table of the claims: each parameter with its error and its own significance, and the joint one of the effect."""
     rows = []
     for claim in found.claims:
-        once = claim.effect, f"{claim.sigma:.1f}", ", ".join(claim.aliases[1:])  # on the first line of an effect
+        aliases = ", ".join(claim.aliases[1:]) or "none"
+        once = claim.effect, format_sigma(claim.sigma), aliases  # on the first line of an effect
         for name, value in (claim.values | claim.shapes).items():
             text, own = _format_parameter(found, claim, name, value)
             effect, joint, similar = once
@@ -100,8 +107,9 @@ def _named_table(found: SearchResult) -> PageTable | None:
     heads = ["effect", "parameter", "value ± standard error", "unit"]
     heads += ["significance of the parameter, sigma", "significance of the effect, sigma", "effects that fit as well"]
     note = (
-        "The significance of a parameter is its value over its standard error. The significance of the effect is that "
-        "of all its strengths together. A 95 % interval is 1.96 standard errors wide on either side."
+        f"All values are from the {len(found.data.clips)} fitted collisions. The significance of a parameter is its "
+        "value over its standard error. The significance of the effect is that of all its strengths together. A 95 % "
+        "interval is 1.96 standard errors wide on either side."
     )
     return PageTable(heads, rows, note=note)
 
@@ -116,15 +124,31 @@ def _format_parameter(found: SearchResult, claim: EffectClaim, name: str, value:
         return f"{number}, at the limit of its range", ""
     if not (np.isfinite(std) and std > 0) or not found.is_complete:
         return f"{number}, without an error: more is missing", ""
-    return f"{number} ± {std:.2g}", f"{abs(value) / std:.1f}" if name in claim.values else ""
+    return f"{number} ± {std:.2g}", format_sigma(abs(value) / std) if name in claim.values else ""
 
 
 def _describe_similar(found: SearchResult) -> list[Block]:
+    """The effects with a similar signature, and whether the data exclude them as a replacement of the claim.
+
+    A replacement leaves at least the share 1 - cosine² of the chi^2 that the claim explains, to first order.
+    """
     out: list[Block] = []
     for claim in found.claims:
-        if claim.alike:
-            pairs = ", ".join(f"{' with '.join(names)} (cosine {cosine:.3f})" for names, cosine in claim.alike)
-            out.append(f"Effects whose signatures are nearly that of {claim.effect}: {pairs}.")
+        excluded: list[str] = []
+        others: list[str] = []
+        for names, cosine in claim.alike:
+            is_alias = len(names) == 1 and names[0] in claim.aliases
+            remaining_chi2 = (1 - cosine**2) * claim.sigma**2
+            is_excluded = not is_alias and remaining_chi2 > found.policy.rival_excluded_chi2
+            text = f"{' with '.join(names)} (cosine {cosine:.3f})"
+            (excluded if is_excluded else others).append(text)
+        lines = []
+        if excluded:
+            lines.append(f"The data exclude each of these in its place, so it is no alias: {', '.join(excluded)}.")
+        if others:
+            lines.append(f"The data do not exclude: {', '.join(others)}.")
+        if lines:
+            out.append(" ".join([f"Some effects have signatures similar to that of {claim.effect}.", *lines]))
     return out
 
 
@@ -135,10 +159,10 @@ def _gap_table(found: SearchResult) -> PageTable:
     keys = ["before", *(["after"] if not found.is_empty else []), "floor"]
     rows = []
     for name, part in {**gap.by_phase, "all phases": gap}.items():
-        chi2 = [f"{getattr(part, key):.4g}" for key in keys]
+        chi2 = [format_chi2(getattr(part, key)) for key in keys]
         rms = [format_number(getattr(part, f"{key}_um")) for key in keys]
         rows.append(["before the contact" if name == "before" else name, *chi2, *rms])
-    note = "These collisions entered no fit of the shared parameters. Rms of the residuals in x and y."
+    note = f"The {len(found.data.held_out)} held-out collisions. Rms of the residuals in x and y."
     return PageTable(heads, rows, note=note)
 
 
@@ -150,8 +174,8 @@ def _test_table(found: SearchResult) -> list[Block]:
         "claim",
         *(f"held-out collisions, χ² per point: {which}" for which in ("without it", "with it")),
         "held-out collisions: observed significance, sigma (expected)",
-        *(f"leave one out, χ² per point: {which}" for which in ("without it", "with it")),
-        "leave one out: significance, sigma",
+        *(f"fitted collisions, each left out in turn, χ² per point: {which}" for which in ("without it", "with it")),
+        "fitted collisions, each left out in turn: significance, sigma",
         "result",
     ]
     rows = []
@@ -160,27 +184,46 @@ def _test_table(found: SearchResult) -> list[Block]:
         rows.append(
             (
                 test.name,
-                *(f"{chi2:.4f}" for chi2 in held_out.gap),
-                f"{held_out.sigma:.1f} ({held_out.promised:.1f})",
-                *(f"{chi2:.4f}" for chi2 in each.gap),
-                f"{each.sigma:.1f}",
+                *(format_chi2(chi2) for chi2 in held_out.gap),
+                f"{format_sigma(held_out.sigma)} ({format_sigma(held_out.promised)})",
+                *(format_chi2(chi2) for chi2 in each.gap),
+                format_sigma(each.sigma),
                 f"rejected: {describe_rejection(test)}" if test.rejection else "passed",
             )
         )
     note = (
-        "Two tests of each claim. Held-out collisions entered no fit. In the second test, a fit to all other "
-        "collisions predicts each collision in turn. The expected significance is the one that the claimed strength "
-        "would give."
+        f"Two tests of each claim. The first uses the {len(found.data.held_out)} held-out collisions. The second "
+        f"leaves out each of the {len(found.data.clips)} fitted collisions in turn, and a fit to the others predicts "
+        "it. The expected significance is the one that the claimed strength would give."
     )
     return [PageTable(heads, rows, note=note)]
 
 
-def _disagreement_table(disagreements: Sequence[Disagreement], trials: int) -> PageTable:
+def _list_disagreements(
+    found: SearchResult, disagreements: Sequence[Disagreement], rows_shown: int, remains: str = ""
+) -> list[Block]:
+    """A table of the most significant disagreements; one sentence where none is significant."""
+    with applied_policy(found.policy):
+        if is_unexplained(disagreements):
+            return [_disagreement_table(found, disagreements, rows_shown)]
+    if not disagreements:
+        return []
+    return [
+        f"No significant disagreement{remains} (largest: {format_sigma(disagreements[0].sigma)} sigma after "
+        f"{len(disagreements)} trials; significant is above {found.policy.unexplained_sigma:g}). The test uses the "
+        f"{len(found.data.clips)} fitted collisions."
+    ]
+
+
+def _disagreement_table(found: SearchResult, disagreements: Sequence[Disagreement], rows_shown: int) -> PageTable:
     rows = []
-    for one in disagreements:
+    for one in disagreements[:rows_shown]:
         size = format_number(one.size, 2) if np.isfinite(one.size) and one.size else ""
-        rows.append((describe_disagreement(one), f"{one.sigma:.1f}", size))
-    note = f"The significance is corrected for {trials} trials."
+        rows.append((describe_disagreement(one), format_sigma(one.sigma), size))
+    note = (
+        f"Residuals of the {len(found.data.clips)} fitted collisions. The significance is corrected for "
+        f"{len(disagreements)} trials."
+    )
     return PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)
 
 

@@ -24,9 +24,10 @@ def test_sentences_with_the_numbers(found):
     assert fitted.startswith(f"The search fitted {len(found.data.clips)} collisions together")
     assert f"{len(found.data.held_out)} more collisions were held out" in fitted
     assert "converged" in fitted
-    assert "The base model has chi^2" in where
+    assert f"On the {len(found.data.clips)} fitted collisions the base model has chi^2" in where
     assert f"{found.gap.floor_um:.2f} um" in closed
-    assert still.startswith(("These collisions cannot distinguish", "They could not show", "Every effect", "None of"))
+    these = f"These {len(found.data.clips)} fitted collisions cannot "
+    assert still.startswith((f"{these}distinguish", f"{these}show", "Every effect", "None of"))
 
 
 def test_what_is_missing_is_said_with_its_numbers():
@@ -43,10 +44,11 @@ def test_what_is_missing_is_said_with_its_numbers():
 
 def test_a_share_of_chance_is_not_told():
     found = searched("velocity_restitution")
-    assert "% of the gap in chi^2 is closed." in write_story(found)[2]
+    share = f"{100 * found.gap.closure:.1f} %"
+    assert f"The best model removes {share} of the excess of chi^2 over noise." in write_story(found)[2]
     gap = dataclasses.replace(found.gap, closure=float("nan"))
     none = dataclasses.replace(found, gap_fits=dataclasses.replace(found.gap_fits, gap=gap))
-    assert write_story(none)[2].endswith("the gap is too small to say what share of it is closed.")
+    assert write_story(none)[2].endswith("is too small to say what share of it the best model removes.")
 
 
 def test_a_fit_that_did_not_converge_is_said():

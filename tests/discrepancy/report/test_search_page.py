@@ -56,6 +56,46 @@ def test_the_page_says_the_sentence_and_what_was_left_out(written):
     assert "clip 9: &lt;b&gt;no" in page
 
 
+def test_the_page_gives_the_verdict_and_defines_its_terms(written):
+    page = (written[1] / "index.html").read_text()
+    assert f'<p class="summary">Verdict: {written[0].verdict}</p>' in page
+    assert "Ball 1 is struck, ball 2 strikes." in page
+    assert "noise alone gives slightly less than 1" in page
+
+
+def test_no_table_lists_disagreements_that_are_not_significant(written):
+    found, folder = written
+    page = (folder / "index.html").read_text()
+    left = found.base_disagreements if found.is_empty else found.disagreements
+    remains = "" if found.is_empty else " remains"
+    sentence = f"No significant disagreement{remains} (largest: {left[0].sigma:.1f} sigma after {len(left)} trials;"
+    assert (sentence in page) == (left[0].sigma <= found.policy.unexplained_sigma)
+
+
+def test_the_caption_counts_the_effects(written):
+    total, page = len(written[0].scores), html.unescape((written[1] / "index.html").read_text())
+    which = f"The 20 most significant of {total}" if total > 20 else f"All {total}"
+    assert f"{which} effects, each added alone" in page
+
+
+def test_the_page_distinguishes_a_similar_effect_from_an_alias(tmp_path):
+    """A smaller claim leaves too little chi^2 to exclude the similar effect; the data never exclude an alias."""
+    found = searched("velocity_restitution")
+    (claim,) = found.claims
+
+    def similar(**change):
+        one = dataclasses.replace(claim, alike=((("hop",), 0.98),), **change)
+        report.write(dataclasses.replace(found, claims=(one,)), tmp_path)
+        return (tmp_path / "index.html").read_text()
+
+    alone = (claim.effect,)
+    strong = similar(sigma=100.0, aliases=alone)
+    assert "The data exclude each of these in its place, so it is no alias: hop (cosine 0.980)." in strong
+    assert re.search(r"<td[^>]*>none</td>", strong)
+    assert "The data do not exclude: hop (cosine 0.980)." in similar(sigma=10.0, aliases=alone)
+    assert "The data do not exclude: hop (cosine 0.980)." in similar(sigma=100.0, aliases=(*alone, "hop"))
+
+
 def test_the_model_reads_back_and_is_a_scene(written):
     found, folder = written
     assert read_model(folder / "model.yaml") == found.model
