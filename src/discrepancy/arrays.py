@@ -1,4 +1,4 @@
-"""Arrays by what they hold; shapes stand where they are used."""
+"""Types of arrays by content; each use documents its shape."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""The time that a search may take."""
+"""The time limit of a search."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 
 def check() -> None:
-    """Raises OutOfTime where a deadline counts that is over: asked at each forecast, of which some take a minute."""
+    """Raise OutOfTime if an active deadline is over. Each prediction calls this, since some take a minute."""
     deadline = _running.get()
     if deadline is not None and deadline.over:
         raise OutOfTime
 
 
 class Deadline:
-    """Progress that raises OutOfTime within `limited`, so many seconds after it was made."""
+    """A progress callback that raises OutOfTime inside `limited`, once `seconds` have passed since it was made."""
 
     def __init__(self, progress: Callable[[str], None], seconds: float = math.inf) -> None:
         self.progress, self.seconds = progress, seconds
@@ -41,7 +41,7 @@ class Deadline:
 
     @contextmanager
     def limited(self) -> Iterator[None]:
-        """Where the time counts: what is done with what there is by then is not cut short."""
+        """The context in which the time limit is active; code outside it is never cut short."""
         self.counts, before = True, _running.set(self)
         try:
             yield

@@ -1,4 +1,4 @@
-"""The numbers that decide what a search claims, rejects, takes for noise or leaves out, as one `SearchPolicy`."""
+"""The thresholds by which a search claims, rejects, estimates noise and leaves out clips, as one `SearchPolicy`."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class SearchPolicy(Settings):
 
     effect_preferred_chi2: Positive = 5.0
     """chi^2, costs included, by which a free law must beat a library that explains everything: a known effect is more
-    likely beforehand. Chosen between 9.5 and 5.5 on blind rounds, where a law of no library fell short."""
+    likely in advance. Chosen between 9.5 and 5.5 on blind rounds, where a law of no library fell short."""
 
     # --- Free laws ---
 
@@ -105,9 +105,9 @@ class SearchPolicy(Settings):
     """Most effects that are claimed beside a free law after it was found. Chosen; not derived."""
 
     beside_free_law_sigma: Positive = 20.0
-    """Sigma that an effect needs beside a free law, beside a rejected one, or where the model still leaves something
-    unexplained: a weaker effect may be part of an unknown law. Chosen between, on sealed boxes: true effects beside a
-    free law had 27, 29 and 30 sigma; false ones, which imitated a second unknown law, had 11, 16, 17 and 18."""
+    """Sigma that an effect needs beside a free law, beside a rejected one, or if the model still leaves something
+    unexplained. A weaker effect may be part of an unknown law. Chosen between, on sealed boxes. True effects beside a
+    free law had 27, 29 and 30 sigma. False ones, which imitated a second unknown law, had 11, 16, 17 and 18."""
 
     near_free_law_chi2: Positive = 10.0
     """chi^2, costs included, within which a free law may still overtake the library's model once the noise is better
@@ -150,9 +150,9 @@ class SearchPolicy(Settings):
 
     max_strength_variation: Positive = 0.2
     """Share of a claim's sigma by which its strength may vary with position, heading, speed or clip, if that is more
-    than `unexplained_sigma`. A strength that varies more belongs to another law. Chosen; not derived: in sealed boxes
-    true claims of 9 to 28 sigma varied by 2.7 at most; friction that rises on half a plate, named stribeck at 17, by
-    6.4."""
+    than `unexplained_sigma`. A strength that varies more belongs to another law. Chosen; not derived. In sealed boxes
+    true claims of 9 to 28 sigma varied by 2.7 sigma at most. Friction that rises on half a plate, claimed as stribeck
+    at 17 sigma, varied by 6.4."""
 
     min_gap_sigma: Positive = 3.0
     """Standard deviations of chi^2 per point that a gap must have before a share of it is reported as closed.
@@ -191,7 +191,7 @@ class SearchPolicy(Settings):
     same_impact_parameter: Positive = 0.05
     """Span of the impact parameters below which all clips count as equally oblique. Chosen; not derived."""
 
-    # --- What is taken for noise ---
+    # --- The estimate of the noise ---
 
     min_stretch_positions: Count = 12
     """Positions of a stretch from which the noise is estimated; beside a cubic of 4 numbers a shorter one says little.
@@ -221,14 +221,14 @@ class SearchPolicy(Settings):
 
     max_noise_growth: Positive = 5.0
     """Largest ratio of a ball's own noise over whole phases to that within pieces of 8 positions; a larger one is
-    motion that no cubic follows. Chosen between, on drawn and real tracks: at most 3 for noise correlated by up to
-    0.99 between frames; 9 and more where slides end 0.02 to 0.1 s early, 20 for real pucks, 100 for real billiard
-    balls. A drift of ten times the white noise beside it (5 to 8) counts as motion."""
+    motion that no cubic follows. Chosen between, on drawn and real tracks. Noise correlated by up to 0.99 between
+    frames gave at most 3. Slides that end 0.02 to 0.1 s early gave 9 and more, real pucks 20, real billiard balls 100.
+    A drift of ten times the white noise beside it (5 to 8) counts as motion."""
 
     min_cubic_residual_ratio: Positive = 1.4
-    """Ratio of what cubics leave over whole phases to the noise of the pieces that motion must exceed too: the scale
-    of a noise with a correlation near one says little. Chosen between: 1.04 where a camera shook, 1.7 and 1.8 for real
-    balls and pucks. Not enough by itself: drawn drifts leave up to 1.7 over phases of 80 positions."""
+    """Ratio of the residuals of cubics over whole phases to the noise of the pieces. Motion must exceed this ratio too,
+    because the scale of a noise with a correlation near one says little. Chosen between: 1.04 where a camera shook, 1.7
+    and 1.8 for real balls and pucks. Not enough by itself: drawn drifts leave up to 1.7 over phases of 80 positions."""
 
     max_piece_noise_power: Positive = 3.0
     """Ratio to the median piece's noise power above which a piece of 8 positions holds an event.
@@ -332,9 +332,9 @@ class SearchPolicy(Settings):
     Chosen; not derived: rolling takes 0.1, sliding with a friction of 0.05 takes 0.5."""
 
     spin_p_value: Share = 1e-6
-    """p-value of the tracker's two fits of a clip, with errors as large as the free fit leaves, above which a
-    striker's spin is believed although the clip is a misfit. Chosen between: 1e-4 and more in 25 clips with errors
-    claimed a quarter too small, below 1e-50 where the spin was wrong."""
+    """p-value of the tracker's two fits of a misfit clip above which the search still accepts the striker's spin. The
+    errors are scaled to the residuals of the free fit. Chosen between: 1e-4 and more in 25 clips with errors claimed a
+    quarter too small, below 1e-50 where the spin was wrong."""
 
     spinning_strikers_share: Share = 0.5
     """Share of strikers that spin about the vertical above which every striker is fitted with a spin. Clips that are
@@ -379,8 +379,8 @@ def current_policy() -> SearchPolicy:
 def applied_policy(policy: SearchPolicy) -> Iterator[None]:
     """Within this context `current_policy` is `policy`, as `decimal.localcontext` sets the precision of arithmetic.
 
-    A search passes through some sixty functions that each need one or two fields; so the policy goes with the context
-    and not with each call. It holds for this thread only and ends with the block.
+    Some sixty functions of a search need one or two fields each. So the policy is part of the context and not an
+    argument of each call. It applies to this thread only and ends with the block.
     """
     before = _current.set(policy)
     try:

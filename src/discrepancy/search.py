@@ -61,8 +61,8 @@ def find(
     Parameters
     ----------
     results : sequence of tracker.Result, str or Path
-        What `tracker.track` or `tracker.measure` gave, of several clips of one camera; or a tracker's RESULTS; or, with
-        `camera`, a table of tracks.
+        Results of `tracker.track` or `tracker.measure` for several clips of one camera; or a tracker's RESULTS;
+        or, with `camera`, a table of tracks.
     model : Model, dict, str or Path
         The model to compare with the measurement: a model, its settings, a model or scene file, or the name of a scene
         that comes with synthcam. The search fits its base parameters that are not zero, and those in its ``free``.
@@ -71,7 +71,7 @@ def find(
     progress : callable
         Called with the name of the stage, many times.
     minutes : float
-        After which the search is cut short; it then names nothing, and reports how far it came.
+        Time limit. A search that exceeds it is cut short, claims nothing, and reports how far it came.
     policy : SearchPolicy, optional
         The thresholds that decide; default: ``SearchPolicy()``.
 
@@ -82,7 +82,7 @@ def find(
     Raises
     ------
     InputError
-        One line: the model is none, or clips cannot be used, or there are too few.
+        One line: the model is invalid, clips are unusable, or there are too few.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def search(
     seconds: float = math.inf,
     left_out: Sequence[SearchNote] = (),
 ) -> SearchResult:
-    """Search collisions that `read_collisions` has read; left_out: its notes on what cannot be used.
+    """Search collisions from `read_collisions`; left_out: its notes on unusable collisions.
 
     See `find`. The policy is that of the context (`applied_policy`).
     """
@@ -129,9 +129,9 @@ def search(
 def prepare(clips: Sequence[MeasuredCollision], model: Model, progress: Progress) -> SearchData:
     """Stage 1 and 2: remove outliers, hold some clips out, and estimate the noise of the others.
 
-    The noise is estimated from the smooth parts of the tracks, and again from the residuals of the base model, before
-    anything is claimed: a claim made with too little noise could explain the rest of the noise away. If the tracks were
-    smoothed, the parts that the filter has moved are removed instead.
+    The noise is estimated from the smooth parts of the tracks, and again from the residuals of the base model. That
+    comes before any claim, because a claim could absorb underestimated noise. If the tracks were smoothed, the stage
+    removes the parts that the filter has moved instead.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def prepare(clips: Sequence[MeasuredCollision], model: Model, progress: Progress
 
 
 def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[SearchNote]) -> SearchData:
-    """Of smoothed tracks: the rows that the filter has not moved, of clips that keep enough of them."""
+    """Keep the rows of smoothed tracks that the filter has not moved, in clips that have enough of them."""
     clips = [remove_filtered_rows(clip) for clip in smoothed]
     kept, least = [clip for clip in clips if covers_contact(clip)], current_policy().min_collisions
     if len(kept) < least:
@@ -174,17 +174,17 @@ def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[
 def select_until_stable(
     data: SearchData, model: Model, deadline: Deadline, rounds: int = 4
 ) -> tuple[SearchData, LibrarySearch, Selection]:
-    """Stage 3 and 4: fit the base model and select, again until neither clips nor noise change.
+    """Stage 3 and 4: fit the base model and select, repeated until clips and noise stay the same.
 
     After each round the search leaves out clips that deviate from all others, or else estimates the noise again from
-    the residuals of the best model. Of smoothed tracks only the base model is fitted.
+    the residuals of the best model. For smoothed tracks it fits only the base model.
 
     Parameters
     ----------
     data : SearchData
     model : Model
     deadline : Deadline
-        What it raises within the selection ends the search; the best model so far is then reported.
+        If it raises OutOfTime in the selection, the search ends and reports the best model so far.
     rounds : int
         At most.
 
@@ -205,7 +205,7 @@ def select_until_stable(
             data = data.without(outliers)
             continue
         noise = refit_noise(clips, selection.joint_fit, data.noise)
-        if noise is None and selection.near_law:  # the library's model may take what the free law explains for noise
+        if noise is None and selection.near_law:  # the library's model may count the law's effect as noise
             law = selection.near_law
             noise = refit_noise(law.evidence.clips, law.joint_fit, data.noise)
         if noise is None:
@@ -215,7 +215,7 @@ def select_until_stable(
 
 
 def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[LibrarySearch, Selection]:
-    """Select the effects of the library, and the free law that explains more, if one does.
+    """Select the effects of the library, and a free law if one explains more.
 
     Each larger model of the library competes with the free laws. The library's search ends when a free law beats two of
     its models in a row.
@@ -243,8 +243,8 @@ def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[LibraryS
     except OutOfTime:
         best = min(library.fits, key=library.cost_of)
         effects = tuple(sorted(c.name for c in best))
-        tried = InterruptedSearch(effects, library.fits[best].chi2 / base.points, deadline.seconds)
-        return library, replace(library.select(()), interrupted=tried)
+        interrupted = InterruptedSearch(effects, library.fits[best].chi2 / base.points, deadline.seconds)
+        return library, replace(library.select(()), interrupted=interrupted)
 
 
 def _select_effects_and_law(library: LibrarySearch, contest: FreeLawContest) -> Selection:
@@ -257,14 +257,14 @@ def _select_effects_and_law(library: LibrarySearch, contest: FreeLawContest) -> 
     free_law, contest = contest.outcome(selection.best)
     beside = free_law.significances_of_effects(library.base) if free_law else {}
     again = library.search_from(selection, beside, free_law.model_without_law) if free_law and beside else None
-    if again:  # the free law led to effects that the library's search did not start with
+    if again:  # effects beside the free law gave a better start
         selection, contest = again, contest.against(again.best, library.rivals(again.state))
         free_law, contest = contest.outcome(selection.best)
     return replace(selection, free_law=free_law, near_law=None if free_law else contest.nearly(selection.best))
 
 
 def measure_held_out_gap(data: SearchData, selection: Selection, progress: Progress) -> tuple[SearchData, GapFits]:
-    """Measure the gap on the held-out clips, without those of them that deviate from all others.
+    """Measure the gap on the held-out clips, without clips that deviate from all others.
 
     Returns
     -------
@@ -303,18 +303,18 @@ def summarise(
     gap: GapFits,
     progress: Progress,
 ) -> SearchResult:
-    """Stage 6: put together what the report needs, as data.
+    """Stage 6: collect the data that the report needs.
 
     Parameters
     ----------
     clips : sequence of MeasuredCollision
-        As they were read.
+        All clips, before outliers are removed.
     data : SearchData
     validated : ValidatedSelection
         The claims that passed.
     library : LibrarySearch
     gap : GapFits
-        With the selection before the validation.
+        The gap with the selection before the validation.
     progress : callable
 
     Returns
@@ -376,17 +376,17 @@ def summarise(
 def decide_verdict(
     claims: Sequence[EffectClaim], has_law: bool, left: Sequence[Disagreement], rejected: Sequence[ClaimTest]
 ) -> Verdict:
-    """Decide the verdict from the claims that passed, a free law, what is left, and the claims that failed.
+    """Decide the verdict from accepted claims, a free law, remaining disagreements, and rejected claims.
 
     Parameters
     ----------
     claims : sequence of EffectClaim
     has_law : bool
-        Whether a free law passed.
+        True if a free law passed.
     left : sequence of Disagreement
-        With everything that was found.
+        The disagreements that remain with all claims.
     rejected : sequence of ClaimTest
-        One below `unexplained_sigma` may be chance or a bad clip, and is no sign that something is missing.
+        A test below `unexplained_sigma` may be chance or a bad clip. It does not show that something is missing.
 
     Returns
     -------
@@ -401,7 +401,7 @@ def decide_verdict(
 
 
 def _advise_experiment(selection: Selection, claims: Sequence[EffectClaim], data: SearchData) -> str:
-    """What would separate each claimed effect from its nearest alias."""
+    """Advise on an experiment that separates each claimed effect from its nearest alias."""
     base, best = selection.base, selection.best
     known = candidates_by_name(best.model, base.model, base.names)
     shapes = {c.effect: c.shapes for c in selection.ranking}

@@ -68,7 +68,7 @@ def _describe_search(found: SearchResult) -> str:
         parts.append(f"Proposed formula: {law.formula}. {where}.")
     elif found.verdict is Verdict.OUTSIDE_LIBRARY:
         where = f": {worst}" if worst else ""
-        parts.append(f"Something else is missing. Neither the library nor a free law explains it{where}.")
+        parts.append(f"Something else is missing that no effect of the library and no free law explains{where}.")
     return " ".join([*parts, describe_gap(found.gap)]) + rejected + slow
 
 

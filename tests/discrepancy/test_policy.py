@@ -120,8 +120,8 @@ def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_be
 def test_four_effects_are_named_at_most(monkeypatch):
     """Each in its turn better by far."""
     store = Made(score_tests=len, cost_of=lambda state: -50.0 * len(state))
-    monkeypatch.setattr(LibrarySearch, "_choose_addition", lambda self, state, tests, claim: f"effect {tests}")
-    monkeypatch.setattr(LibrarySearch, "_improve", lambda self, state, claim: state)
+    monkeypatch.setattr(LibrarySearch, "_choose_addition", lambda self, state, tests: f"effect {tests}")
+    monkeypatch.setattr(LibrarySearch, "_improve", lambda self, state: state)
     assert bare_search(**vars(store)).finish(()) == tuple(f"effect {k}" for k in range(4))
 
 
@@ -136,7 +136,7 @@ def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
 
     ranking = [of("leader", 400.0, one), of("rival", 200.0, cosine * one + (1 - cosine**2) ** 0.5 * other)]
     steps = bare_search(evidence=None)
-    found = steps._choose_contenders(Made(sharper=lambda evidence, c: c), ranking, 4.0)
+    found = steps._choose_contenders(Made(sharper=lambda evidence, c: c), ranking)
     assert [c.effect for c in found] == ["leader", "rival"][: 1 + rival]
 
 

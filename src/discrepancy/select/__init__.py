@@ -1,1 +1,1 @@
-"""Which effects are missing: score tests, stepwise search, costs of models, free laws beside the effects."""
+"""Select the missing effects: score tests, stepwise search, costs of models, and free laws."""

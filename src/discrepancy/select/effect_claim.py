@@ -1,4 +1,4 @@
-"""A claim of an effect: its values and errors, and what it may be confused with."""
+"""A claim of an effect: its values, their errors, and the effects that it may be confused with."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class EffectClaim:
     aliases : tuple of str
         The effects that fit as well, itself first.
     shapes, shape_std : dict of str to float
-        The same of its shape parameters; infinite where the data leave one undetermined.
+        The same of its shape parameters; infinite if the data leave one undetermined.
     alike : tuple of (tuple of str, float)
         Effects, or sums of two, with a similar signature, and the cosine.
     limit : dict of str to float
         The detection limits of its strengths.
     naming : dict of str to float
-        The strengths from which on it is distinguished from the most similar effect that is no alias.
+        The least strengths that distinguish it from the most similar effect, aliases aside.
     """
 
     effect: str
@@ -54,17 +54,17 @@ class EffectClaim:
 
     @classmethod
     def of(cls, candidate: Candidate, fit: ModelFit, std: Mapping[str, float], sigma: float) -> EffectClaim:
-        """Name a candidate with the values that a fit gives it.
+        """Claim a candidate with the values that a fit gives it.
 
         Parameters
         ----------
         candidate : Candidate
-        fit : Fit
-            Of a model that has the candidate.
+        fit : ModelFit
+            The fit of a model that has the candidate.
         std : mapping of str to float
-            Standard deviations by dotted name; infinite where one of a strength is missing.
+            Standard deviations by dotted name; infinite if that of a strength is missing.
         sigma : float
-            Significance of what it explains.
+            Significance of the effect.
 
         Returns
         -------
@@ -76,51 +76,51 @@ class EffectClaim:
         return cls(candidate.name, values, own, sigma, (candidate.name,), shapes, bent)
 
     def without_errors(self, sigma: float) -> EffectClaim:
-        """The same without standard deviations, which would hold only if nothing else were missing.
+        """Remove the standard deviations, which are valid only if nothing else is missing.
 
-        sigma: by the scatter of the strength from collision to collision; the lesser sigma is given.
+        sigma: from the scatter of the strength between collisions. The claim gets the smaller of both sigmas.
         """
         none = dict.fromkeys(self.std, np.nan), dict.fromkeys(self.shape_std, np.nan)
         return replace(self, std=none[0], shape_std=none[1], sigma=min(self.sigma, sigma))
 
     def at_limit(self, name: str) -> bool:
-        """Whether a strength is at the end of its allowed range: the best value may lie beyond, so it has no error."""
+        """True if a strength is at an end of its range: the best value may lie beyond, so it has no error."""
         return name in self.values and is_at_limit(name, self.values[name])
 
     def shape_at_limit(self) -> tuple[str, float] | None:
-        """A shape parameter at an end of its range, and its value; None if there is none. Zero is no such end.
+        """Return a shape parameter at an end of its range, and its value, or None. Zero does not count as an end.
 
-        The collisions ask for a value beyond the range: what moves the balls follows another law.
+        The collisions ask for a value beyond the range, so the balls follow another law.
         """
         return next(((n, v) for n, v in self.shapes.items() if v != 0 and is_at_limit(n, v)), None)
 
     def is_in(self, base: Model) -> bool:
-        """Whether the base model has this effect, with another strength."""
+        """True if the base model has this effect, with another strength."""
         return any(base.value(k) != 0 for k in self.values)
 
 
 def is_at_limit(name: str, value: float) -> bool:
-    """Whether a parameter has the least or the greatest value that its effect allows."""
+    """Tell if a parameter has the least or the greatest value that its effect allows."""
     typical = find_parameter(Model(), name).typical
     return any(abs(value - end) < 1e-6 * max(abs(end), typical) for end in parameter_limits(Model(), name))
 
 
 def shape_error(fit: ModelFit, shape: str, std: float) -> float:
-    """The standard deviation of a fitted shape parameter; infinite where it exceeds half of the parameter's size."""
+    """The standard deviation of a fitted shape parameter; infinite if it exceeds half of the parameter's size."""
     p = find_parameter(fit.model, shape)
     size = max(abs(fit.model.value(shape)), p.typical) if p.low >= 0 else (p.high - p.low) / 2
     return std if 0 < std < size / 2 else np.inf
 
 
 def find_similar_pairs(own: Array, ranking: Sequence[CandidateScore]) -> tuple[tuple[tuple[str, ...], float], ...]:
-    """Find pairs of effects whose sum has nearly a given signature, where neither of them has it alone.
+    """Find pairs of effects whose sum has nearly a given signature, though neither has it alone.
 
     Parameters
     ----------
     own : (points, k) array
-        The signature, as of `ScoreTests.signature`.
+        The signature, from `ScoreTests.signature`.
     ranking : sequence of CandidateScore
-        The effects to pair; those of one strength only are paired.
+        The effects to pair. The function pairs only effects of one strength.
 
     Returns
     -------
@@ -143,14 +143,15 @@ def find_similar_pairs(own: Array, ranking: Sequence[CandidateScore]) -> tuple[t
 def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candidate: Candidate) -> dict[str, float]:
     """Standard deviations of a candidate's strengths and shape parameters, by profile likelihood.
 
-    Those of `fit`, or more if likely values lie further: a parabola as wide as chi^2 to first order wherever values are
-    tried, where few are. An effect so strong that first order is far off says nothing of them.
+    They are those of `fit`, or larger if likely values lie further away. If the grid of shape parameters has few
+    values, each value may widen them: a parabola as wide as the first-order chi^2 there gives the standard deviation.
+    If the effect is so strong that first order fails, those of `fit` stay.
 
     Parameters
     ----------
-    evidence : Evidence
-    reduced, fit : Fit
-        Without the candidate and with it.
+    evidence : WhitenedClips
+    reduced, fit : ModelFit
+        The fits without the candidate and with it.
     candidate : Candidate
 
     Returns
@@ -158,15 +159,15 @@ def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candi
     dict of str to float
         By dotted name.
     """
-    max_gain = 2.0  # chi^2 by which other shapes may be better before this fit says nothing of them
-    likely_sigma = 3.0  # less likely values say nothing of an interval of one or two sigma
+    max_gain = 2.0  # chi^2 by which other shapes may be better; beyond, first order fails
+    likely_sigma = 3.0  # less likely values do not tell an interval of one or two sigma
     std = {n: s for n, s in fit.std.items() if n in candidate.strengths + candidate.shapes}
     tries = list(candidate.grid(reduced.model))
     if len(tries) < 2 or (len(tries) >= MIN_SCANNED_VALUES and can_scan(candidate, tries)):
         return std
     found = {s: fit.model.value(s) for s in candidate.shapes}
     plain, here = decouple(reduced.model, reduced.launches, evidence.clips)
-    if len(found) > 1:  # along a valley that runs between the places of a coarse grid
+    if len(found) > 1:  # along a valley that runs between the points of a coarse grid
         near = [found | {s: shapes[s]} for s in found for shapes in tries]
         tries += [shapes for k, shapes in enumerate(near) if shapes not in near[:k]]
     trials = [derive_trial(evidence, plain, reduced.launches, candidate, shapes, here) for shapes in (*tries, found)]
@@ -186,6 +187,6 @@ def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candi
 
 
 def _inside(model: Model, name: str, value: float) -> bool:
-    """Whether a parameter may have a value."""
+    """Tell if a value is within the limits of a parameter."""
     low, high = parameter_limits(model, name)
     return low <= value <= high

@@ -1,7 +1,7 @@
-"""Something that no effect of the library is: a law left free explains it better than any of them.
+"""Compare free laws with the library's models, to find a law that no effect of the library describes.
 
-Every free law is held against the base model, the best model of the library, and each of its effects alone, to first
-order; the leaders are fitted in full. A second library effect is believed only where it beats the free laws.
+A score test, to first order, adds every free law to the base model, to the best model of the library, and to each of
+its effects alone. The best laws are then fitted in full. A second library effect must beat the free laws.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from discrepancy.select.score_test import CandidateScore, ScoreTests
 def fit_each_alone(
     evidence: WhitenedClips, base: ModelFit, best: ModelFit, progress: Callable[[], None] = lambda: None
 ) -> list[ModelFit]:
-    """Fit each effect of the best model alone, where it has several that the base has not."""
+    """Fit each effect of the best model alone, if that model has several beside the base."""
     added = best.added_names(base)
     if len(added) < 2:
         return []
@@ -44,29 +44,31 @@ def fit_each_alone(
 
 @dataclass(frozen=True)
 class FreeLawContest:
-    """Free laws held against the library's models as the search goes from one to the next.
+    """Free laws in competition with the library's models, as the search proceeds from one model to the next.
 
-    A named effect is preferred to a free law in its place: against a model of the library a free law counts only where
-    that model leaves one significant, or needs two effects more than the free law does, or is worse by what an effect
-    is preferred by.
+    A known effect is preferred to a free law. A free law competes with a model of the library only in these cases:
+
+    - the model leaves a free law significant;
+    - the model needs two effects more than the free law does;
+    - the model costs more by `SearchPolicy.effect_preferred_chi2`.
 
     Attributes
     ----------
-    evidence : Evidence
-    base : Fit
+    evidence : WhitenedClips
+    base : ModelFit
     laws : tuple of FreeLaw
     progress : callable
-        Told of progress.
+        Called now and then.
     fitted : tuple of FittedLaw
-        Those that were fitted in full.
-    rivals : tuple of Fit
-        Other models of the library with as many effects as the latest, which may be less simple but fit better.
+        The free laws that were fitted in full.
+    rivals : tuple of ModelFit
+        Other models of the library with as many effects as the latest. They may be less simple but fit better.
     refuted : bool
-        Whether the library's latest model leaves a free law significant.
+        True if the library's latest model leaves a free law significant.
     beaten : int
-        How many of the library's models in a row a free law beside a smaller model has explained more than.
+        The number of the library's latest models in a row that a free law beside a smaller model has beaten.
     asked : (int, CandidateScore or None) or None
-        The place in `fitted` of the free law that was last asked what it lacks, and the answer.
+        The index in `fitted` of the law last tested for a missing effect, and that effect.
     """
 
     evidence: WhitenedClips
@@ -81,30 +83,30 @@ class FreeLawContest:
 
     @classmethod
     def of(cls, evidence: WhitenedClips, base: ModelFit, progress: Callable[[], None] = lambda: None) -> FreeLawContest:
-        """Hold every free law that the clips can show against the base model."""
+        """Compare every free law that the clips can show with the base model."""
         laws = free_laws_over(base.model, base.launches, evidence.clips)
         return cls(evidence, base, laws, progress)._considered([base])
 
     @property
     def ended(self) -> bool:
-        """Whether a free law explained more than the library's latest model and than the one before it.
+        """True if a free law explained more than each of the library's last two models.
 
-        The library has one more effect to answer with.
+        The library thus has one more effect to catch up with the law.
         """
         return self.beaten > 1
 
     def against(self, fit: ModelFit, rivals: Sequence[ModelFit] = ()) -> FreeLawContest:
-        """Hold the free laws against the library's next model.
+        """Compare the free laws with the library's next model.
 
-        A free law may bend so that it imitates two effects of the library. So one that stands alone beats a model of
-        one effect only if it leaves no significant effect beside itself.
+        A free law may imitate two effects of the library. So a law without effects beside it beats a model of one
+        effect only if no effect is significant beside the law.
 
         Parameters
         ----------
-        fit : Fit
+        fit : ModelFit
             The library's next model.
-        rivals : sequence of Fit
-            Its other models with as many effects.
+        rivals : sequence of ModelFit
+            The library's other models with as many effects.
 
         Returns
         -------
@@ -124,9 +126,9 @@ class FreeLawContest:
         return best if best and best.score < self._cost(fit) + current_policy().near_free_law_chi2 else None
 
     def outcome(self, fit: ModelFit) -> tuple[FittedLaw | None, FreeLawContest]:
-        """The free law that explains the clips better than the library's best model, and than chance, if one does.
+        """Find the free law that explains the clips better than the library's best model, and than chance.
 
-        With such library effects beside it as it still needs; and the contest with what was fitted for that.
+        Returns the law with the library effects that it needs beside it, or None, and the contest with all new fits.
         """
         there, best = self, self._best(fit, 0)
         for _ in range(current_policy().max_effects_beside_free_law if best is not None else 0):
@@ -146,7 +148,7 @@ class FreeLawContest:
         return None if best is None else there.fitted[best], there
 
     def _best(self, fit: ModelFit, fewer: int) -> int | None:
-        """The place of the best law, if better, of those beside a model of `fewer` effects less than the latest."""
+        """Index of the best law that beats `fit`, among those with at least `fewer` effects less beside them."""
         cost, most = self._cost(fit), self._count(fit)
         fair = [
             k
@@ -161,7 +163,7 @@ class FreeLawContest:
         return best if best is not None and self.fitted[best].score < cost else None
 
     def _needed(self, fitted_law: FittedLaw) -> bool:
-        """Whether every library effect beside a free law is significant there, and not held by the law as well."""
+        """Tell if every library effect beside a free law is significant there, and not absorbed by the law."""
         return all(
             sigma > current_policy().free_law_sigma for sigma in fitted_law.significances_of_effects(self.base).values()
         )
@@ -174,7 +176,7 @@ class FreeLawContest:
         return len(fit.added_names(self.base))
 
     def _considered(self, fits: Sequence[ModelFit]) -> FreeLawContest:
-        """With those free laws fitted that to first order may be the best beside these models, the latest last."""
+        """Fit the free laws that may be the best, to first order, beside these models; the latest model is last."""
         seen, fitted = [], list(self.fitted)
         for law in self.laws:
             moves = whiten_law_columns(
@@ -184,15 +186,15 @@ class FreeLawContest:
             self.progress()
         leaders = [(test, k) for test, k in seen if test.sigma > current_policy().free_law_sigma]
         leaders.sort(key=lambda pair: pair[0].score(self.base))
-        for test, _ in leaders[:3]:  # are fitted in full
+        for test, _ in leaders[:3]:  # only these are fitted in full
             slack = SCORE_ERROR_CHI2 + 0.01 * (cost_of(test.fit, self.base) - test.score(self.base))
             if all(test.score(self.base) < f.score + slack for f in fitted):
-                with suppress(ValueError):  # a curve on whose way there is no motion
+                with suppress(ValueError):  # on the way to this curve the model has no motion
                     fitted.append(fit_law(self.evidence, test, self.base, self.progress))
         return dataclasses.replace(self, fitted=tuple(fitted), refuted=any(k == 0 for _, k in leaders))
 
     def _asked(self, place: int) -> FreeLawContest:
-        """With the answer which effect of the library is still to be claimed beside a free law."""
+        """Find the effect of the library that is still significant beside a fitted free law, and keep it in `asked`."""
         if self.asked is not None and self.asked[0] == place:
             return self
         known = self.fitted[place]
@@ -213,21 +215,21 @@ def find_replacements(
     base: ModelFit,
     progress: Callable[[], None],
 ) -> list[tuple[str, FittedLaw]]:
-    """Fit other effects beside a free law in the place of one of those beside it.
+    """Fit other effects beside a free law, each instead of one effect that is there.
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : WhitenedClips
     less : FittedLaw
         The free law without that effect.
     named : Candidate
-        The effect.
+        The effect to replace.
     absorbed : collection of str
-        Effects that are no rivals.
-    base : Fit
-        What the cost of effects is counted from.
+        Effects that do not count as rivals.
+    base : ModelFit
+        The base fit, from which the cost of effects is counted.
     progress : callable
-        Told of progress.
+        Called now and then.
 
     Returns
     -------
@@ -239,8 +241,8 @@ def find_replacements(
     if named.name not in ranking:
         return []
     least = (1 - SCORE_ERROR_SHARE) * tests.sharper(less.evidence, ranking.pop(named.name)).gain - SCORE_ERROR_CHI2
-    told = [c for c in ranking.values() if c.identifiable and c.effect not in absorbed and c.gain > least / 2]
-    rivals = [c for c in (tests.sharper(less.evidence, c) for c in told) if c.gain > least]
+    identifiable = [c for c in ranking.values() if c.identifiable and c.effect not in absorbed and c.gain > least / 2]
+    rivals = [c for c in (tests.sharper(less.evidence, c) for c in identifiable) if c.gain > least]
     fitted = []
     for rival in sorted(rivals, key=lambda c: -c.gain)[:MAX_EXCHANGES]:
         try:

@@ -1,4 +1,4 @@
-"""Fit a free law in full, with other library effects beside it, without it, and to clips that it has not seen."""
+"""Fit a free law: in full, with library effects beside it, without it, and to held-out clips."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CONVERGED_CHI2 = 0.05  # a fit has converged if a further step would gain less
 
 @dataclass(frozen=True)
 class LawScore:
-    """A free law held against a fit, to first order."""
+    """The score test of a free law beside a fit, to first order."""
 
     law: FreeLaw
     fit: ModelFit
@@ -39,16 +39,16 @@ class LawScore:
     pull: Array
 
     @cached_property
-    def weight(self) -> CurveEvidence:  # asked of few laws: it takes the longest
+    def weight(self) -> CurveEvidence:  # slow, so only few laws need it
         return maximise_evidence(self.law, self.information, self.pull)
 
     def score(self, base: ModelFit) -> float:
-        """What the model with the law would cost, in chi^2."""
+        """The cost of the model with the law, in chi^2."""
         return cost_of(self.fit, base) + law_choice_cost() - self.weight.gain
 
 
 def whiten_law_columns(evidence: WhitenedClips, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
-    """Whitened derivatives by the coefficients, (2n, J) of each clip."""
+    """Whitened derivatives of each clip by the coefficients of the law, (2n, J)."""
     return evidence.whiten(law.derivatives(model, launches, evidence.clips))
 
 
@@ -64,19 +64,19 @@ def fit_law(
     progress: Callable[[], None] = lambda: None,
     begun: FittedLaw | None = None,
 ) -> FittedLaw:
-    """Fit a free law together with everything that another fit has, the law's prior chosen by the evidence.
+    """Fit a free law together with everything in another fit. The marginal likelihood chooses the prior of the law.
 
     Parameters
     ----------
-    evidence : Evidence
-    test : LawTest
+    evidence : WhitenedClips
+    test : LawScore
         The law, and the fit without it.
-    base : Fit
-        What the cost of effects beside the law is counted from.
+    base : ModelFit
+        The base fit, from which the cost of effects beside the law is counted.
     progress : callable
-        Told of progress.
+        Called now and then.
     begun : FittedLaw, optional
-        The same law to go on from, with all that is to be fitted beside it.
+        An earlier fit of the same law to continue from, with everything to fit beside it.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def fit_law(
     Raises
     ------
     ValueError
-        Where a law on the way has no motion.
+        The model has no motion with a law on the way.
     """
     law = test.law
     if begun is None:
@@ -128,10 +128,10 @@ def _moved(
     coefs: Array,
     step: Array,
 ) -> tuple[WhitenedClips, ModelFit, Model] | None:
-    """Take a step of the coefficients, and with it the step of all else that fits best to first order.
+    """Step the coefficients, and all other parameters by the step that fits best to first order.
 
-    Returns the clips (less what the law moves, where no effect can hold it), the fit there, and its model without the
-    law; None where that has no motion.
+    Returns the clips, the fit there, and its model without the law; None if that model has no motion. If no effect can
+    hold the law, its displacements are subtracted from the clips.
     """
     shared, own = solve_step(fit.subtract(moves, step), 0.0, *fit.step_bounds())
     launches = fit.launches + own
@@ -152,12 +152,12 @@ def _moved(
 def fit_law_with_effect(
     evidence: WhitenedClips, known: FittedLaw, effect: CandidateScore, base: ModelFit, progress: Callable[[], None]
 ) -> tuple[float, FittedLaw]:
-    """Fit a free law again with an effect of the library more beside it. Raises ValueError: without the law no motion.
+    """Fit a free law again with one library effect more. Raises ValueError if there is no motion without the law.
 
     Returns
     -------
     sigma : float
-        Of the law there.
+        Significance of the law beside the effect.
     fitted : FittedLaw
     """
     model, names = (
@@ -189,7 +189,7 @@ def fit_law_with_effect(
 def refit_without_effect(
     evidence: WhitenedClips, fitted_law: FittedLaw, gone: Candidate, base: ModelFit, progress: Callable[[], None]
 ) -> FittedLaw:
-    """Fit a free law again without the effect `gone` beside it. Raises ValueError where that has no motion."""
+    """Fit a free law again without the effect `gone` beside it. Raises ValueError if there is no motion."""
     names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
     start = linearise(evidence, gone.remove_from(fitted_law.model_without_law), names, fitted_law.fit.launches)
     fit = minimise_chi2(evidence, start, progress)
@@ -202,7 +202,7 @@ def refit_without_effect(
 
 
 def fit_without_law(evidence: WhitenedClips, fitted_law: FittedLaw, progress: Callable[[], None]) -> ModelFit:
-    """Fit all else that a fitted law has beside it, without the law. Raises ValueError where that has no motion."""
+    """Fit everything beside a fitted law, without the law. Raises ValueError if there is no motion."""
     return minimise_chi2(
         evidence,
         linearise(evidence, fitted_law.model_without_law, fitted_law.fit.names, fitted_law.fit.launches),
@@ -213,17 +213,17 @@ def fit_without_law(evidence: WhitenedClips, fitted_law: FittedLaw, progress: Ca
 def compare_scatter(
     fitted_law: FittedLaw, clips: Sequence[MeasuredCollision], without: ModelFit, noise: Noise
 ) -> tuple[float, float, float]:
-    """Whether a law that gives each clip a number of its own holds in clips that it was not fitted to.
+    """Test a law of one number for each clip on held-out clips.
 
-    Those clips have numbers of their own; what the law foretells is only how much these scatter. `without` is the fit
-    of these clips without the law.
+    The held-out clips have numbers of their own, so the law predicts only the scatter of these numbers. `without` is
+    the fit of the held-out clips without the law.
 
     Returns
     -------
     gain : float
-        By how much the marginal likelihood with numbers of that size exceeds that without, in chi^2.
+        The increase of 2 log marginal likelihood by numbers of that size.
     expected, std : float
-        The mean of this gain and its standard deviation, were the numbers of that size.
+        The mean and the standard deviation of this gain, if the numbers have that size.
     """
     evidence = WhitenedClips.of(clips, noise)
     law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
@@ -239,21 +239,21 @@ def compare_scatter(
 def fit_unseen_clips(
     fitted_law: FittedLaw, clips: Sequence[MeasuredCollision], before: ModelFit, noise: Noise
 ) -> ModelFit:
-    """Fit the launches of clips that a free law was not fitted to, with the law as it was found.
+    """Fit the launches of held-out clips, with the free law fixed.
 
     Parameters
     ----------
     fitted_law : FittedLaw
-        Where it is a number for each clip, these clips' own numbers are fitted too.
-    clips : sequence of Measured
-    before : Fit
-        Of these clips, without the law.
+        If it is a number for each clip, the numbers of these clips are fitted too.
+    clips : sequence of MeasuredCollision
+    before : ModelFit
+        The fit of these clips without the law.
     noise : Noise
 
     Returns
     -------
-    Fit
-        Its model holds the law; where no effect can hold it, what the law moves is taken out of the clips instead.
+    ModelFit
+        Its model holds the law. If no effect can hold it, its displacements are subtracted from the clips.
     """
     plain = fitted_law.model_without_law
     if fitted_law.law.is_per_clip:

@@ -1,4 +1,4 @@
-"""Search the library: which effects are missing, added, dropped and exchanged until no model is better."""
+"""Search the library for missing effects: add, drop and exchange effects until no model is better."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from synthcam.model import Model
 
 State = tuple[Candidate, ...]
 Key = frozenset[Candidate]
-SCORE_ERROR_CHI2 = 15.0  # a score test is only first order: by so much it may be wrong,
-SCORE_ERROR_SHARE = 0.2  # and by this share of what the effect explains
-MAX_EXCHANGES = 4  # rivals that are fitted in the place of one effect
+SCORE_ERROR_CHI2 = 15.0  # a score test is only of first order: its chi^2 may be wrong by so much,
+SCORE_ERROR_SHARE = 0.2  # plus this share of the chi^2 that the effect explains
+MAX_EXCHANGES = 4  # rivals of one effect that are fitted instead of it
 
 
 @dataclass(frozen=True)
 class InterruptedSearch:
-    """What a search had tried when its time, s, was over: the effects that fit best, and chi^2 per point with them."""
+    """The state of a search when its time, s, was over: the effects that fit best and their chi^2 per point."""
 
     effects: tuple[str, ...]
     chi2: float
@@ -49,7 +49,7 @@ class InterruptedSearch:
 
 @dataclass(frozen=True)
 class Selection:
-    """The effects and the free law that a search selected, and what it chose them by.
+    """The effects and the free law that a search selected, with the numbers behind the choice.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Selection:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing was selected beside the base model."""
+        """True if the search selected nothing beside the base model."""
         return not (self.state or self.free_law)
 
     @property
@@ -93,7 +93,7 @@ class Selection:
 
     @property
     def promising(self) -> bool:
-        """Whether a score test beside the base is as significant as a claim must be."""
+        """True if a score test beside the base is as significant as a claim must be."""
         return any(c.sigma > self.required_sigma for c in self.ranking[:1])
 
     def correct_for_trials(self, effect: str, sigma: float) -> float:
@@ -101,15 +101,15 @@ class Selection:
         return math.sqrt(max(sigma**2 - 2 * math.log(self.trials_factors.get(effect, 1.0)), 0.0))
 
     def explained_clips(self, clips: tuple[MeasuredCollision, ...]) -> tuple[MeasuredCollision, ...]:
-        """The clips, without what a free law moves where no effect can hold it."""
+        """The clips, less the displacements of a free law that no effect can hold."""
         return self.free_law.evidence.clips if self.free_law else clips
 
 
 class LibrarySearch:
     """A stepwise search over models of the library, with each model fitted when it is first asked for.
 
-    Forward selection with exchange: a candidate is added if it is significant, and the model keeps improving by
-    dropping or exchanging effects. Base parameters that the base holds at zero are candidates too. Models are compared
+    This is forward selection with exchange. The search adds a significant candidate, then drops or exchanges effects
+    while the model improves. Base parameters that the base holds at zero are candidates too. The search compares models
     by `model_cost.cost_of`.
 
     Parameters
@@ -132,14 +132,14 @@ class LibrarySearch:
     trials_factors : mapping of str to float
         As of `Selection`.
     absorbed : frozenset of str
-        Effects that move the tracks only as the base fit's own parameters can. They are no rivals, though beside
-        another effect they may seem to be.
+        Effects that move the tracks only as the base fit's own parameters can. They do not count as rivals, even if
+        they seem to be rivals beside another effect.
     """
 
     def __init__(self, evidence: WhitenedClips, base: ModelFit, progress: Callable[[], None]) -> None:
         self.evidence, self.progress = evidence, progress
         self.fits: dict[Key, ModelFit] = {frozenset(): base}
-        self.tests: dict[Key, ScoreTests] = {}  # each holds every candidate's derivatives
+        self.tests: dict[Key, ScoreTests] = {}  # each holds the derivatives of every candidate
         self.large: Key | None = None  # the model whose tests take much memory: dropped before others are made
         self.done: set[Key] = {frozenset()}  # models whose fits have converged
         self.latest: dict[Key, Candidate] = {}  # the candidate that was added after a scan of its shape parameters
@@ -154,7 +154,7 @@ class LibrarySearch:
         return self.fits[frozenset()]
 
     def score_tests(self, state: Sequence[Candidate], max_numbers: int = 8_000_000) -> ScoreTests:
-        """The score tests of all candidates beside those of a model. max_numbers: kept in memory beside the last."""
+        """The score tests of all candidates beside a model. At most `max_numbers` stay in memory beside the last."""
         fit, key = self.fit(state), frozenset(state)
         if key not in self.tests:
             self.forget_large()
@@ -171,7 +171,7 @@ class LibrarySearch:
             self.large = None
 
     def _keep(self, key: Key, fit: ModelFit) -> None:
-        """Keep a fit in place of an earlier one, whose score tests are then those of another."""
+        """Keep a fit instead of an earlier one, and forget the score tests of the earlier one."""
         self.fits[key] = fit
         self.tests.pop(key, None)
 
@@ -187,7 +187,7 @@ class LibrarySearch:
         return self.fits[key]
 
     def fit_exactly(self, state: Sequence[Candidate]) -> ModelFit:
-        """As `fit`, with derivatives that include a force between the balls: errors need them exact."""
+        """Fit as `fit` does, with derivatives that include a force between the balls: errors need them exact."""
         fit, key = self.fit(state), frozenset(state)
         if without_mutual_push(fit.model).effects != fit.model.effects:
             exact = linearise(self.evidence, fit.model, fit.names, fit.launches, exact=True)
@@ -196,7 +196,7 @@ class LibrarySearch:
         return self.fits[key]
 
     def extend(self, key: Key, fit: ModelFit, scored: CandidateScore) -> None:
-        """Fit and keep the model of `key`: that of `fit` with the scored candidate added."""
+        """Fit and keep the model of `key`, which is the model of `fit` with the scored candidate added."""
         self._keep(key, fit_with_candidate(self.evidence, fit, scored, self.progress))
         self.latest[key] = scored.candidate
 
@@ -208,7 +208,7 @@ class LibrarySearch:
             self.done.discard(key)
 
     def _escape_local_minimum(self, state: Iterable[Candidate], fit: ModelFit) -> ModelFit:
-        """The fit, or a better one from other shape parameters: chi^2 may have several minima."""
+        """Return the fit, or a better one from other shape parameters: chi^2 may have several minima."""
         for candidate in state:
             tries = list(candidate.grid(candidate.remove_from(fit.model)))
             if len(tries) < 2:
@@ -227,13 +227,13 @@ class LibrarySearch:
         return fit
 
     def _take_better(self, fit: ModelFit, other: ModelFit) -> ModelFit:
-        """The better of the two, after the other has converged."""
+        """Return the better of the two fits, after the other has converged."""
         if other.chi2 >= fit.chi2:
             return fit
         return min(fit, minimise_chi2(self.evidence, other, self.progress), key=lambda f: f.chi2)
 
     def _start_from_larger(self, state: Sequence[Candidate]) -> ModelFit:
-        """A start for a model: the smallest fitted model that contains it, less what it does not have."""
+        """Start a model from the smallest fitted model that contains it, less the effects that it does not have."""
         larger = min((k for k in self.fits if k > frozenset(state)), key=len)
         fit = self.fits[larger]
         for candidate in larger - frozenset(state):
@@ -241,9 +241,9 @@ class LibrarySearch:
         return fit
 
     def remove(self, fit: ModelFit, candidate: Candidate) -> ModelFit:
-        """Take a candidate out of a fit, all other parameters and the launches as they were; nothing is fitted again.
+        """Remove a candidate from a fit; all other parameters and the launches stay. Nothing is fitted again.
 
-        Where that model has no motion from these launches, the base's parameters and launches take their place.
+        If that model has no motion from these launches, the base fit gives its parameters and launches.
         """
         reduced = fit.drop(candidate.remove_from(fit.model), candidate.strengths + candidate.shapes)
         try:
@@ -257,7 +257,7 @@ class LibrarySearch:
             return linearise(self.evidence, model, reduced.names, base.launches)
 
     def cost_of(self, state: Iterable[Candidate]) -> float:
-        """chi^2 of a fitted model plus the cost of its strengths and shape parameters; see `model_cost.cost_of`."""
+        """The chi^2 of a fitted model plus the cost of its strengths and shape parameters (`model_cost.cost_of`)."""
         return cost_of(self.fits[frozenset(state)], self.base)
 
     def rivals(self, state: Collection[Candidate]) -> list[ModelFit]:
@@ -267,14 +267,14 @@ class LibrarySearch:
     def states(self, state: State = ()) -> Iterator[State]:
         """Yield better and better models until no candidate is significant.
 
-        Each has one effect more than the one before, or other effects. The search ends, too, at the largest number of
-        effects, and where a step would lead back to an earlier model.
+        Each model has one effect more than the one before, or other effects. The search also ends at the largest number
+        of effects, and before a step that leads back to an earlier model.
         """
         while len(state) < current_policy().max_effects:
-            winner = self._choose_addition(state, self.score_tests(state), self.required_sigma)
+            winner = self._choose_addition(state, self.score_tests(state))
             if winner is None:
                 return
-            more = self._improve((*state, winner), self.required_sigma)
+            more = self._improve((*state, winner))
             if len(more) <= len(state) and self.cost_of(more) >= self.cost_of(state):  # back to an earlier model
                 return
             state = more
@@ -312,16 +312,16 @@ class LibrarySearch:
         return again if less > required else None
 
     def finish(self, begun: State) -> State:
-        """The last of the models that follow from one; if none follows, that one without what is not significant."""
+        """Search on from a model to the last one; if none follows, drop the effects that are not significant."""
         state = [begun, *self.states(begun)][-1]
-        return self._improve(state, self.required_sigma) if state == begun else state
+        return self._improve(state) if state == begun else state
 
     def drop(self, found: Selection, candidate: Candidate) -> Selection:
-        """The selection without one of its effects, everything else fitted again."""
+        """Drop an effect from a selection and fit everything else again."""
         return self.select(tuple(s for s in found.state if s != candidate))
 
     def exchange(self, found: Selection, candidate: Candidate, alias: str) -> Selection | None:
-        """The selection with `alias` in the place of one of its effects; None if that model was never fitted."""
+        """Exchange an effect of a selection for `alias`; None if that model was never fitted."""
         rest = frozenset(found.state) - {candidate}
         for key in list(self.fits):
             if len(key) == len(found.state) and key > rest and next(iter(key - rest)).name == alias:
@@ -329,7 +329,7 @@ class LibrarySearch:
         return None
 
     def start_from(self, effects: Iterable[str], model: Model) -> State:
-        """Fit these effects, starting with a model's values, to search on from there. Raises ValueError: no motion."""
+        """Fit these effects from a model's values, as a start for the search. Raises ValueError without a motion."""
         base = self.base
         known = candidates_by_name(model, base.model, base.names)
         state = tuple(known[effect] for effect in effects)
@@ -339,12 +339,12 @@ class LibrarySearch:
         self.offer(frozenset(state), minimise_chi2(self.evidence, start, self.progress))
         return state
 
-    def _improve(self, state: State, claim: float) -> State:
+    def _improve(self, state: State) -> State:
         """Drop and exchange candidates until nothing is better, or a model comes up again."""
         before: set[frozenset[Candidate]] = set()
         while state:
             before.add(frozenset(state))
-            better = self._improve_once(state, self.score_tests(state), claim)
+            better = self._improve_once(state, self.score_tests(state))
             if better is None or frozenset(better) in before:
                 break
             state = better
@@ -359,19 +359,22 @@ class LibrarySearch:
         return tuple(c.effect for c in self.score_tests(state).ranking() if not c.identifiable)
 
     def _sigma(self, chi2: float, candidate: Candidate) -> float:
-        """The sigma of a chi^2 that a candidate explains, corrected by the trials factor of its shape parameters."""
+        """The sigma of a chi^2 that a candidate explains, to compare with `required_sigma`.
+
+        It is corrected by the trials factor of the candidate's shape parameters.
+        """
         return chi2_to_sigma(chi2, len(candidate.strengths), self.trials_factors.get(candidate.name, 1.0))
 
-    def _choose_addition(self, state: State, tests: ScoreTests, claim: float) -> Candidate | None:
-        """The candidate to add. The leader and its rivals are fitted; the simplest that fits as well as the best wins.
+    def _choose_addition(self, state: State, tests: ScoreTests) -> Candidate | None:
+        """Choose the candidate to add: of the leader and its rivals, the simplest that fits as well as the best.
 
-        None if no candidate is significant beyond `claim`, or if much more is missing than any explains.
+        None if no candidate is significant, or if much more is missing than any candidate explains.
         """
-        ranking = tests.leaders(claim)
-        if not ranking or ranking[0].sigma <= claim:
+        ranking = tests.leaders(self.required_sigma)
+        if not ranking or ranking[0].sigma <= self.required_sigma:
             return None
         fit = tests.fit
-        rivals = self._choose_contenders(tests, ranking, claim)
+        rivals = self._choose_contenders(tests, ranking)
         for c in rivals:
             key = frozenset({*state, c.candidate})
             if key not in self.fits:
@@ -381,18 +384,18 @@ class LibrarySearch:
             if self.cost_of(key) < self.cost_of(keys[0]) + SCORE_ERROR_CHI2:
                 self.fit(tuple(key))
         added = {key: next(iter(key - frozenset(state))) for key in keys}
-        significant = [k for k in keys if self._is_significant(fit, self.fits[k], added[k], claim)]
+        significant = [k for k in keys if self._is_significant(fit, self.fits[k], added[k])]
         return added[self._simplest(significant)] if min(keys, key=self.cost_of) in significant else None
 
-    def _is_significant(self, fit: ModelFit, more: ModelFit, candidate: Candidate, claim: float) -> bool:
-        """Whether the fit with one candidate more is better by what a claim needs, and closes enough of the gap."""
-        enough = self._sigma(fit.chi2 - more.chi2, candidate) > claim
+    def _is_significant(self, fit: ModelFit, more: ModelFit, candidate: Candidate) -> bool:
+        """Tell if a candidate improves the fit by the sigma that a claim needs, and closes enough of the gap."""
+        enough = self._sigma(fit.chi2 - more.chi2, candidate) > self.required_sigma
         return enough and not closes_too_little(
             fit.chi2 / fit.points, more.chi2 / more.points, current_policy().min_closed_share
         )
 
     def _simplest(self, keys: Collection[frozenset[Candidate]]) -> frozenset[Candidate]:
-        """The model with the fewest strengths, then shape parameters, of those that fit as well as the best."""
+        """Choose the model with the fewest strengths, then shape parameters, among those as good as the best."""
         near = min(map(self.cost_of, keys)) + current_policy().rival_excluded_chi2
 
         def order(key: frozenset[Candidate]) -> tuple[int, int, float]:
@@ -402,11 +405,11 @@ class LibrarySearch:
         return min((k for k in keys if self.cost_of(k) <= near), key=order)
 
     def _choose_contenders(
-        self, tests: ScoreTests, ranking: Sequence[CandidateScore], claim: float, max_rivals: int = 8
+        self, tests: ScoreTests, ranking: Sequence[CandidateScore], max_rivals: int = 8
     ) -> list[CandidateScore]:
-        """The candidates worth fitting: those that may explain as much as the leader, or have a similar signature.
+        """Choose the candidates to fit: those that may explain as much as the leader, or have a similar signature.
 
-        Their shape parameters are first refined between the tried values; then at most `max_rivals` are kept.
+        Their shape parameters are first refined between the grid values. At most `max_rivals` candidates remain.
         """
         evidence, least = self.evidence, ranking[0].gain / 2 - SCORE_ERROR_CHI2
         chosen = [tests.sharper(evidence, c) if c.gain > least else c for c in ranking if c.gain > 0]
@@ -416,18 +419,18 @@ class LibrarySearch:
             for c in chosen
             if c.gain > (1 - SCORE_ERROR_SHARE) * leader.gain - SCORE_ERROR_CHI2
             or largest_cosine(leader.signature, c.signature) > current_policy().alias_cosine
-            or (c.candidate.kind is None and c.sigma > claim)
+            or (c.candidate.kind is None and c.sigma > self.required_sigma)
         ]
         return sorted(near, key=lambda c: (c.candidate.kind is not None, -c.gain))[:max_rivals]
 
-    def _improve_once(self, state: State, tests: ScoreTests, claim: float) -> State | None:
-        """The model with one effect dropped, or exchanged for a rival, if that is better."""
+    def _improve_once(self, state: State, tests: ScoreTests) -> State | None:
+        """Drop one effect, or exchange it for a rival, if that is better; else return None."""
         fit = tests.fit
         for k, candidate in enumerate(state):
             rest, rise = state[:k] + state[k + 1 :], tests.chi2(candidate) - fit.chi2
-            if self._sigma(rise, candidate) < 2 * claim:
+            if self._sigma(rise, candidate) < 2 * self.required_sigma:
                 kept = self.fit(rest)
-                if self._sigma(kept.chi2 - fit.chi2, candidate) < claim:
+                if self._sigma(kept.chi2 - fit.chi2, candidate) < self.required_sigma:
                     return rest
             reduced, keys = None, {frozenset(state): candidate}
             for c in self._find_rivals(tests, candidate):
@@ -447,7 +450,7 @@ class LibrarySearch:
         return None
 
     def _find_rivals(self, tests: ScoreTests, candidate: Candidate) -> list[CandidateScore]:
-        """Candidates that to first order fit nearly as well in the place of an effect, the best first."""
+        """Find candidates that, to first order, fit nearly as well as an effect does; the best comes first."""
         total = tests.chi2(candidate)
         rise = total - tests.fit.chi2
         near = tests.fit.chi2 + SCORE_ERROR_CHI2 + SCORE_ERROR_SHARE * rise
@@ -466,7 +469,7 @@ class LibrarySearch:
             if p < self.cost_of(state) + current_policy().rival_excluded_chi2
         )
         ranking = tuple(c for c in tests.ranking(candidate) if c.identifiable and c.effect not in self.absorbed)
-        if candidate.kind is None:  # an effect can always bend a law to a constant: no rival to the constant itself
+        if candidate.kind is None:  # any effect can imitate a constant: it does not count as a rival of it
             ranking = tuple(c for c in ranking if c.candidate.kind is None)
             near = [(p, n) for p, n in near if n in {c.effect for c in ranking}]
         aliases = (candidate.name, *(n for _, n in near if n != candidate.name))
@@ -496,7 +499,7 @@ def fit_with_candidate(
     progress: Callable[[], None] = lambda: None,
     min_share: float = 0.5,
 ) -> ModelFit:
-    """Fit a candidate's strengths, then its shape parameters, together with everything that a fit has already.
+    """Fit a candidate's strengths, then its shape parameters, together with all parameters of a fit.
 
     The descent starts where the score test leads. If that gains less than `min_share` of what the test promised, the
     fit starts from realistic sizes as well. For a base parameter held at zero it starts from realistic sizes only.
@@ -505,7 +508,7 @@ def fit_with_candidate(
     ----------
     evidence : WhitenedClips
     fit : ModelFit
-        Without the candidate.
+        The fit without the candidate.
     scored : CandidateScore
         The candidate and its score test beside `fit`.
     progress : callable
@@ -515,7 +518,7 @@ def fit_with_candidate(
     Returns
     -------
     ModelFit
-        The best of those descents, roughly converged; `fit` itself where none can start.
+        The best of those descents, roughly converged; `fit` itself if none can start.
     """
     tries = [] if scored.candidate.kind is None else [_descend_from_score(evidence, fit, scored, progress)]
     if not tries or tries[0].chi2 > fit.chi2 - min_share * scored.gain:
@@ -544,9 +547,9 @@ def _realistic_starts(
     shares: Sequence[float] = (0.1, 0.3, 1.0),
     count: int = 2,
 ) -> list[ModelFit]:
-    """The best starts with the candidate's single strength at shares of a realistic size, all else moved by one step.
+    """The best starts with the candidate's single strength at shares of a realistic size, all else after one step.
 
-    A score test cannot lead to a strength so far that the tracks are no longer linear in it.
+    A score test cannot lead to a strength at which the tracks have stopped being linear in it.
     """
     candidate = scored.candidate
     if len(candidate.strengths) > 1:

@@ -1,4 +1,4 @@
-"""What a model's freedom costs, in chi^2: the same for every effect of the library and every free law."""
+"""The cost of a model's freedom, in chi^2, by one rule for every effect of the library and every free law."""
 
 from __future__ import annotations
 
@@ -15,21 +15,23 @@ from synthcam.library import library
 
 
 def law_choice_cost() -> float:
-    """What it costs to choose one law to be left free, in chi^2."""
+    """The cost of choosing one law to leave free, in chi^2."""
     return cost_of_choice(law_count())
 
 
 def cost_of(fit: ModelFit, base: ModelFit) -> float:
-    """chi^2 plus the cost of each effect that the base lacks, by the same rule as of a free law.
+    """The chi^2 of a fit plus the cost of each effect that the base lacks.
 
-    Each effect costs the choice among the library's effects, and the freedom of its strengths as if its shape
-    parameters were known (`evidence.freedom`). Each shape parameter costs twice the logarithm of the range in which it
-    is looked for over the width of its likelihood. Base parameters cost nothing.
+    The cost of an effect has three parts. Base parameters cost nothing.
+
+    - The choice among the effects of the library.
+    - The freedom of its strengths, with its shape parameters as known (`marginal_likelihood.cost_of_strengths`).
+    - Each shape parameter: twice the logarithm of its search range over the width of its likelihood.
 
     Parameters
     ----------
-    fit, base : Fit
-        The model, and the base that it is held against.
+    fit, base : ModelFit
+        The fit of the model, and the base fit to compare it with.
 
     Returns
     -------
@@ -54,7 +56,7 @@ def cost_of(fit: ModelFit, base: ModelFit) -> float:
 
 
 def _information(fit: ModelFit, names: Sequence[str]) -> NDArray[np.float64]:
-    """The information (k, k) of these parameters, all others being fitted: the inverse of their covariance."""
+    """The information (k, k) on these parameters with all others fitted: the inverse of their covariance."""
     if not names:
         return np.zeros((0, 0))
     rows = fit.columns_of(names)

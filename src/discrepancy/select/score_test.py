@@ -1,4 +1,4 @@
-"""Score tests of all candidates from one fit: what each would explain, were it added or put in another's place."""
+"""Score tests from one fit: the chi^2 that each candidate would explain if added, or exchanged for another."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from synthcam.model import Model
 
 @dataclass(frozen=True)
 class RealisticSizes:
-    """Realistic sizes (k,) of a candidate's strengths, and how many of them its limits allow.
+    """Realistic sizes (k,) of a candidate's strengths, and the largest multiple that its limits allow.
 
-    side: 1 where a single strength stands at its lower limit and can only grow, -1 at its upper, else 0.
+    side: 1 if a single strength is at its lower limit and can only grow, -1 at its upper limit, else 0.
     """
 
     sizes: Array
@@ -32,12 +32,12 @@ class RealisticSizes:
 
     @classmethod
     def of(cls, candidate: Candidate, model: Model) -> RealisticSizes:
-        """Of a candidate beside this model."""
-        ways = [find_parameter(model, s) for s in candidate.strengths]
-        sizes = np.array([p.typical or 1.0 for p in ways])
-        allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(ways, sizes, strict=True))
-        value, p = model.value(candidate.strengths[0]), ways[0]
-        side = int(value <= p.low) - int(value >= p.high) if len(ways) == 1 else 0
+        """Look up the sizes of a candidate beside this model."""
+        parameters = [find_parameter(model, s) for s in candidate.strengths]
+        sizes = np.array([p.typical or 1.0 for p in parameters])
+        allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(parameters, sizes, strict=True))
+        value, p = model.value(candidate.strengths[0]), parameters[0]
+        side = int(value <= p.low) - int(value >= p.high) if len(parameters) == 1 else 0
         return cls(sizes, allowed, side)
 
 
@@ -49,18 +49,18 @@ class CandidateScore:
     ----------
     candidate : Candidate
     shapes : dict of str to float
-        The best values tried of its shape parameters, for whose number sigma is corrected.
+        The best tried values of its shape parameters. Sigma is corrected for the number of trials.
     sigma : float
     gain : float
-        The chi^2 that adding it would take, to first order.
+        The decrease of chi^2 if it is added, to first order.
     limit : float
-        The detection limit, in realistic sizes of the strength that shows best; infinite where the fit absorbs all.
+        The detection limit, in realistic sizes of the strength that shows best; infinite if the fit absorbs all.
     identifiable : bool
-        False where that limit is absurd, or more than the effect allows.
+        False if that limit is unrealistic, or larger than the effect allows.
     signature : (points, m) array
-        The derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions are seen.
+        The derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions remain.
     columns : tuple of (2n, k) arrays
-        The derivative of each clip's whitened forecast, before anything is taken out.
+        The derivative of each clip's whitened prediction, with nothing removed.
     """
 
     candidate: Candidate
@@ -74,7 +74,7 @@ class CandidateScore:
 
     @property
     def absorbed(self) -> bool:
-        """Whether it moves the tracks, but only as the fit's own parameters and launches can."""
+        """True if it moves the tracks, but only as the fit's own parameters and launches can."""
         return self.signature.shape[1] == 0 and any(c.any() for c in self.columns)
 
     @property
@@ -108,11 +108,11 @@ class TrialScore:
 
     @property
     def order(self) -> tuple[bool, float, float]:
-        """The key to sort scores by, the best first."""
+        """The sort key of scores, the best first."""
         return not self.identifiable, -self.sigma, self.limit
 
     def scored(self, signature: Array) -> CandidateScore:
-        """The candidate as scored. signature (points, k): the trial's columns less all that the fit absorbs."""
+        """Make the candidate's score. signature (points, k): the trial's columns less all that the fit absorbs."""
         columns = tuple(np.array(c) for c in self.trial.columns)  # no views, which would keep all trials alive
         return CandidateScore(
             self.trial.candidate,
@@ -132,10 +132,10 @@ class ScoreTests:
 
     Attributes
     ----------
-    fit : Fit
-        What the candidates would be added to.
+    fit : ModelFit
+        The fit to which the candidates would be added.
     trials : tuple of CandidateTrial
-        Every candidate with each value tried of its shape parameters.
+        Every candidate with each tried value of its shape parameters.
     """
 
     fit: ModelFit
@@ -154,15 +154,15 @@ class ScoreTests:
 
         Parameters
         ----------
-        evidence : Evidence
-        fit : Fit
+        evidence : WhitenedClips
+        fit : ModelFit
         progress : callable
-            Told of progress.
+            Called now and then.
         only : sequence of Candidate
             Default: the library's effects and the base parameters held at zero.
         about : Model, optional
-            A model near the fit's to take the derivatives about; default: the fit's. Where balls push each other the
-            motion takes some eight times as long, and derivatives are taken without that push.
+            A model near the fit's, at which to take the derivatives; default: the fit's. If balls push each other, the
+            motion takes some eight times as long to compute. The derivatives are then taken without that push.
 
         Returns
         -------
@@ -180,11 +180,11 @@ class ScoreTests:
 
     @property
     def numbers(self) -> int:
-        """How many numbers all derivatives hold: their memory."""
+        """The count of numbers in all derivatives, as a measure of memory."""
         return sum(c.size for t in self.trials for c in t.columns)
 
     def _stacked(self, columns: Sequence[Array]) -> Array:
-        """Columns of every clip less what the launches absorb, stacked."""
+        """Stack the columns of every clip, less the part that the launches absorb."""
         return np.concatenate(
             [c - q @ (q.T @ c) for q, c in zip(self.fit.linearisation.launch_bases, columns, strict=True)]
         )
@@ -195,19 +195,19 @@ class ScoreTests:
 
     @cached_property
     def _spans(self) -> list[slice]:
-        """Of each trial, its columns among those of all trials."""
+        """The columns of each trial among those of all trials."""
         ends = np.cumsum([t.columns[0].shape[1] for t in self.trials]).tolist()
         return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
     def _every(self) -> Iterator[Array]:
-        """Of each clip the columns of all trials, (2n, K)."""
+        """Yield the columns of all trials, (2n, K), for each clip."""
         return (np.concatenate(c, axis=1) for c in zip(*(t.columns for t in self.trials), strict=True))
 
     @cached_property
     def _products(self) -> tuple[Array, Array, Array]:
-        """Of all trials' columns less what the launches absorb: products (K, K), and some rows; and whole lengths (K,).
+        """Products (K, K) and some rows of all trials' columns less the part of the launches; and full lengths (K,).
 
-        All that is asked of a trial but the best: a second copy of the columns would take more memory than all else.
+        Only the best trial needs more. A second copy of all columns would take more memory than everything else.
         """
         count, step = self._spans[-1].stop, self._step
         gram, squares, rows, first = np.zeros((count, count)), np.zeros(count), [], 0
@@ -221,13 +221,13 @@ class ScoreTests:
 
     @property
     def _step(self) -> int:
-        """Every so many rows count independent trials: some 1500 suffice."""
+        """The step between the rows that count independent trials: some 1500 rows suffice."""
         return 1 + self.fit.points // 1500
 
     def _against(self, absorbed: Array, left: Array) -> tuple[Array, Array, Array]:
         """Products of all trials' signatures with themselves (K, K), with `left` (K,), and of columns with `absorbed`.
 
-        Neither `left` nor what is `absorbed` has a part in the launches' span.
+        `left` and `absorbed` must be orthogonal to the span of the launches.
         """
         cuts = np.cumsum([len(r) for r in self.fit.residuals])[:-1]
         both = np.split(np.column_stack([absorbed, left]), cuts)
@@ -236,7 +236,7 @@ class ScoreTests:
 
     @cached_property
     def _bases(self) -> tuple[Array, list[Array]]:
-        """Products of all trials' signatures, each made an orthonormal basis; and of each basis some rows."""
+        """Make the signature of each trial an orthonormal basis; return their products and some rows of each."""
         left, absorbed = self._left(None)
         _, rows, lengths = self._products
         gram, _, taken = self._against(absorbed, left)
@@ -247,16 +247,16 @@ class ScoreTests:
 
     @cached_property
     def trials_factors(self) -> dict[str, float]:
-        """The trials factor of the shape parameters tried of each candidate, by its name."""
+        """The trials factor of the shape parameters of each candidate, by its name."""
         by_name: dict[str, list[Array]] = {}
         for trial, rows in zip(self.trials, self._bases[1], strict=True):
             by_name.setdefault(trial.candidate.name, []).append(rows)
         return {name: count_trials(every) for name, every in by_name.items()}
 
     def _left(self, without: Candidate | None) -> tuple[Array, Array]:
-        """Residuals (points,) and a basis of what the shared parameters absorb (points, p), launches taken out of both.
+        """Residuals (points,) and a basis of the shared parameters' span (points, p), both less the launches' part.
 
-        As they are, or to first order with a named effect taken away.
+        They are those of the fit or, to first order, of the fit without an effect.
         """
         left = self._stacked([r[:, None] for r in self.fit.residuals])[:, 0]
         names = self.fit.names
@@ -269,12 +269,12 @@ class ScoreTests:
         return left - kept @ (kept.T @ left), kept
 
     def chi2(self, without: Candidate | None = None) -> float:
-        """The chi^2 of the fit, or to first order of the fit again without a named effect."""
+        """The chi^2 of the fit or, to first order, of the fit without an effect."""
         left, _ = self._left(without)
         return float(left @ left)
 
     def signature(self, named: Candidate) -> Array:
-        """The derivatives (points, k) by a named effect's strengths, less all that the rest of the fit absorbs."""
+        """The derivatives (points, k) by an effect's strengths, less all that the rest of the fit absorbs."""
         names = self.fit.names
         own = [names.index(s) for s in named.strengths]
         rest = [k for k, n in enumerate(names) if n not in named.strengths + named.shapes]
@@ -284,15 +284,15 @@ class ScoreTests:
     def sharper(
         self, evidence: WhitenedClips, scored: CandidateScore, without: Candidate | None = None
     ) -> CandidateScore:
-        """Look for better shape parameters of a candidate between those tried.
+        """Search for better shape parameters of a candidate between the grid values.
 
         Parameters
         ----------
-        evidence : Evidence
+        evidence : WhitenedClips
         scored : CandidateScore
-            As of `ranking`.
+            A score from `ranking`.
         without : Candidate, optional
-            A named effect to take away first.
+            An effect of the fit to remove first.
 
         Returns
         -------
@@ -319,13 +319,13 @@ class ScoreTests:
     def ranking(self, without: Candidate | None = None) -> tuple[CandidateScore, ...]:
         """Each candidate with the best of its shape parameters, most significant first.
 
-        Candidates that are not identifiable come last however well they score: what the fit absorbs of them up to first
-        order may leave a remainder that scores by chance.
+        Candidates that are not identifiable come last, however well they score. The fit absorbs them to first order,
+        and the remainder may score by chance.
 
         Parameters
         ----------
         without : Candidate, optional
-            A named effect to take away first: what could take its place?
+            An effect of the fit to remove first. The ranking then shows what could replace it.
 
         Returns
         -------
@@ -350,14 +350,15 @@ class ScoreTests:
     def leaders(self, claim: float) -> tuple[CandidateScore, ...]:
         """The candidates that a search may add, most significant first.
 
-        Weakly identifiable candidates are considered only if no identifiable one is significant: a refit may tell more.
+        Weakly identifiable candidates count only if no identifiable one is significant: a refit may show more.
         """
         ranking = self.ranking()
-        told = tuple(c for c in ranking if c.identifiable)
-        return told if told and told[0].sigma > claim else tuple(sorted(ranking, key=lambda c: -c.sigma))
+        identifiable = tuple(c for c in ranking if c.identifiable)
+        significant = bool(identifiable) and identifiable[0].sigma > claim
+        return identifiable if significant else tuple(sorted(ranking, key=lambda c: -c.sigma))
 
     def estimates(self) -> list[tuple[dict[str, float], float, Array]]:
-        """Of each trial its shape parameters, the chi^2 that it takes, and its strengths (k,), all to first order."""
+        """Shape parameters, decrease of chi^2, and strengths (k,) of each trial, to first order."""
         left, absorbed = self._left(None)
         gram, pulls, _ = self._against(absorbed, left)
         found = []
@@ -368,36 +369,36 @@ class ScoreTests:
         return found
 
     def _score(self, trial: CandidateTrial, gram: Array, pull: Array, length: Array) -> TrialScore:
-        """The score of one trial; directions that the fit absorbs, as it does a wrong clock, count for nothing.
+        """Score one trial. Directions that the fit absorbs do not count, as with a wrong clock.
 
-        gram (k, k), pull (k,): products of its signature with itself and the residuals; length (k,) of its columns. A
-        strength that has one sign scores nothing when the data ask for the other.
+        gram (k, k) and pull (k,) are the products of its signature with itself and with the residuals; length (k,) is
+        that of its columns. A strength of one sign scores zero if the data ask for the other sign.
         """
         axes = detectable_axes(gram, length)
         spread = axes.shape[1]
-        candidate, way = trial.candidate, self._ways[trial.candidate]
+        candidate, realistic = trial.candidate, self._realistic_sizes[trial.candidate]
         chi2 = float(((axes.T @ pull) ** 2).sum())
-        if way.side * pull[0] < 0:
+        if realistic.side * pull[0] < 0:
             chi2 = 0.0
-        seen = float((way.sizes * np.sqrt(np.diag(gram).clip(0))).max())
+        seen = float((realistic.sizes * np.sqrt(np.diag(gram).clip(0))).max())
         limit = current_policy().detection_limit_sigma / max(seen, 1e-300) if spread else np.inf
         sigma = chi2_to_sigma(chi2, spread, self.trials_factors.get(candidate.name, 1.0)) if spread else 0.0
         return TrialScore(
-            trial, sigma, chi2, limit, limit <= min(current_policy().max_detection_limit, way.allowed), axes
+            trial, sigma, chi2, limit, limit <= min(current_policy().max_detection_limit, realistic.allowed), axes
         )
 
     @cached_property
-    def _ways(self) -> dict[Candidate, RealisticSizes]:
+    def _realistic_sizes(self) -> dict[Candidate, RealisticSizes]:
         return {
             candidate: RealisticSizes.of(candidate, self.fit.model) for candidate in {t.candidate for t in self.trials}
         }
 
     def claim(self, level: float | None = None) -> float:
-        """The sigma that the best candidate exceeds by chance in a share of searches, by default that of a claim."""
+        """The sigma that the best candidate exceeds by chance in this share of searches; default: the policy's."""
         if not self.trials:
             return 0.0
         gram, rows = self._bases
-        sides = [self._ways[t.candidate].side for t in self.trials]
+        sides = [self._realistic_sizes[t.candidate].side for t in self.trials]
         signs = np.concatenate([np.full(r.shape[1], side or 1) for r, side in zip(rows, sides, strict=True)])
         trials_factors = [self.trials_factors[t.candidate.name] for t in self.trials]
         sizes = [r.shape[1] for r in rows]
@@ -418,19 +419,19 @@ def derive_trial(
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : WhitenedClips
     model : Model
-        Without the candidate.
+        The model without the candidate.
     launches : (clips, p) array
     candidate : Candidate
     shapes : dict of str to float
     here : sequence of (n, 2) array
-        The forecast of the model for each clip, m.
+        The prediction of the model for each clip, m.
 
     Returns
     -------
     CandidateTrial
-        Its columns whitened.
+        The candidate with its whitened columns.
     """
     bent = model.replace(shapes)
     slopes = [differentiate(bent, launches, evidence.clips, s, here) for s in candidate.strengths]
@@ -449,10 +450,10 @@ def _scanned(
     here: Sequence[Array],
     max_numbers: int = 20_000_000,
 ) -> list[CandidateTrial]:
-    """`tried` at many values of the shape parameters at once, by integrals over the motion (`shape_scan`).
+    """Do `derive_trial` at many values of the shape parameters at once, by integrals over the motion (`shape_scan`).
 
-    Only values at which the strengths move any track are kept, or else the first. With very many clips only some of the
-    values are tried, so that no more than `max_numbers` are held in memory.
+    The function keeps the values at which the strengths move any track, or else the first value. With very many clips
+    it tries only some of the values, so that memory holds at most `max_numbers` numbers.
     """
     numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(candidate.strengths)
     grid = grid[:: 1 + numbers * len(grid) // max_numbers]
@@ -473,7 +474,7 @@ def _lengths(columns: Sequence[Array]) -> Array:
 
 
 def detectable_axes(gram: Array, length: Array, min_share: float = 1e-4) -> Array:
-    """(k, m) that makes an orthonormal basis of the m directions of a signature that are seen; gram: its products."""
+    """(k, m) matrix that makes an orthonormal basis of the m detectable directions; gram: products of the signature."""
     scale = np.where(length > 0, length, 1)
     values, axes = np.linalg.eigh(gram / np.outer(scale, scale))
     seen = values > min_share**2

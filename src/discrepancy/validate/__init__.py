@@ -1,1 +1,1 @@
-"""Where model and data disagree, outlier clips, and what held-out collisions say."""
+"""Validate a selection: disagreements of model and data, outlier clips, and tests on held-out collisions."""

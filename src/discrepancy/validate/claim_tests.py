@@ -1,4 +1,4 @@
-"""Test each claim of a selection, on held-out collisions above all, and reject those that fail."""
+"""Test each claim of a selection, mainly on held-out collisions, and reject those that fail."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ Residuals = Sequence[Array]  # whitened, of each clip
 
 
 class Rejection(Enum):
-    """Why a claim is rejected. `discrepancy.wording` puts it into words."""
+    """The reason why a claim is rejected. `discrepancy.wording` describes it."""
 
     NOT_SIGNIFICANT = auto()  # beside everything else in the final model
-    REPLACED = auto()  # another effect that fits as well passes, or one that fits better takes its place
+    REPLACED = auto()  # another effect fits as well and passes, or fits better
     ABSORBED = auto()  # everything else explains as much without it
-    HELD_OUT_WORSE = auto()  # held-out collisions are predicted worse with it, and ask for less than it promised
+    HELD_OUT_WORSE = auto()  # held-out collisions are predicted worse with it, and support less than it promised
     LEFT_OUT_WORSE = auto()  # collisions, each left out once, are predicted worse with it
-    LEFT_OUT_NOT_SIGNIFICANT = auto()  # collisions, each left out once, do not ask for it beyond chance
+    LEFT_OUT_NOT_SIGNIFICANT = auto()  # collisions, each left out once, do not support it beyond chance
     SCATTERS = auto()  # much more is missing, and the strength scatters from collision to collision
     EXPLAINS_LITTLE = auto()  # much more is missing than it explains
     SHAPE_AT_LIMIT = auto()  # a shape parameter is at the end of its range
@@ -46,25 +46,25 @@ class Rejection(Enum):
 
     @property
     def leaves_nothing_missing(self) -> bool:
-        """Whether something else takes the place of the claim."""
+        """True if something else explains what the claim explains."""
         return self in (Rejection.REPLACED, Rejection.ABSORBED)
 
 
-# --- The test on collisions that had no part in a claim ---
+# --- The test on held-out collisions ---
 
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """How collisions that had no part in a claim support it.
+    """The support that held-out collisions give to a claim.
 
     Attributes
     ----------
     gap : (float, float)
         chi^2 per point, without the claim and with it.
     sigma : float
-        How many sigma of the claim they ask for.
+        The significance of the claim in these collisions.
     promised : float
-        How many the claim promised.
+        The significance that the claim predicts for them.
     """
 
     gap: tuple[float, float]
@@ -82,22 +82,22 @@ class HeldOutTest:
     ) -> HeldOutTest:
         """Compare the residuals of clips without a claim and with it.
 
-        Let y be what is measured, p and q the predictions without the claim and with it, all whitened, and d = q - p.
-        Then y asks for y d / |d| sigma of the claim, which promised |d|. Noise changes that number by about one; the
-        uncertainty of the claim changes it by |d| over its sigma. Where the clips scatter about the claim by more than
-        noise makes them, sigma is smaller by as much.
+        Let r be the whitened residuals without the claim, and d the whitened difference of the two predictions. The
+        clips support the claim with r d / |d| sigma; the claim promised |d|. Noise changes that number by about one;
+        the uncertainty of the claim changes it by |d| over its sigma. If the clips scatter about the claim more than
+        noise does, sigma decreases by the same factor.
 
         Parameters
         ----------
         without, with_ : sequence of (2n,) arrays
             Whitened residuals of each clip, by the model without the claim and with it.
         known : float
-            Sigma of the claim in the clips that were fitted; inf where these are among them.
+            Sigma of the claim in the fitted clips; inf if these clips are among the fitted ones.
         there : ModelFit, optional
             The fit with the claim in these clips, for its derivatives.
         covariance : array, optional
-            Of its shared parameters from the clips that were fitted. Held-out clips may reach beyond what those
-            determine.
+            Covariance of its shared parameters from the fitted clips. Held-out clips may depend on directions that the
+            fitted clips do not determine.
 
         Returns
         -------
@@ -120,20 +120,20 @@ class HeldOutTest:
 
     @property
     def is_worse(self) -> bool:
-        """Whether the claim does not improve the prediction."""
+        """True if the claim does not improve the prediction."""
         return self.gap[1] >= self.gap[0]
 
     def closes_less_than(self, share: float) -> bool:
-        """Whether the model with the claim describes the clips poorly and closes less than this share of the excess."""
+        """Tell if the model with the claim fits the clips poorly and closes less than this share of the excess."""
         return closes_too_little(*self.gap, share)
 
 
 def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Rejection | None:
-    """Why predictions reject a claim; None if they support it.
+    """Judge a claim by its predictions: the reason to reject it, or None if they support it.
 
-    The held-out clips are a quarter of all. They see a claim at the detection limit at some 2.5 sigma, and one in ten
-    true claims makes their gap a little larger. So they reject a claim only if they fall short of what it promised by
-    more than their noise. Besides, all clips, each left out once, must ask for it beyond chance.
+    The held-out clips are a quarter of all. They show a claim at the detection limit with some 2.5 sigma, and one in
+    ten true claims makes their gap a little larger. So they reject a claim only if their sigma falls short of the
+    promise by more than their noise. In addition, all clips, each left out once, must support it beyond chance.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Reje
 
 
 def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> list[Array]:
-    """Whitened residuals of each clip, by the shared parameters of all other clips, to first order.
+    """Predict each clip by the shared parameters of all other clips, to first order; return the whitened residuals.
 
     The clip's own launch is fitted to it. Parameters at a limit stay there. The update is that of leave-one-out
     regression (Cook & Weisberg, Residuals and Influence in Regression, 1982).
@@ -170,9 +170,9 @@ def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> li
     Parameters
     ----------
     fit : ModelFit
-        Of all clips.
+        The fit of all clips.
     precision : (J, J) array, optional
-        The prior's, of the last J parameters: a free law's coefficients.
+        Prior precision of the last J parameters, which are a free law's coefficients.
 
     Returns
     -------
@@ -213,35 +213,35 @@ def leave_one_out_with_law(fitted_law: FittedLaw) -> list[Array]:
 
 @dataclass(frozen=True)
 class StrengthVariation:
-    """What the strengths of an effect change with most, and by how many sigma, corrected for all that was tried."""
+    """The quantity that the strengths of an effect change with most, and the sigma, corrected for all trials."""
 
     against: str
     sigma: float
 
     def rejects(self, own: float) -> bool:
-        """Whether the variation is too large for a claim of `own` sigma."""
+        """Tell if the variation is too large for a claim of `own` sigma."""
         return self.sigma > max(current_policy().unexplained_sigma, current_policy().max_strength_variation * own)
 
 
 def find_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[str]) -> StrengthVariation:
-    """Find what the strengths of an effect change with most: an effect that changes resembles another law.
+    """Find the quantity that the strengths of an effect change with most. A varying effect resembles another law.
 
-    If the strength were another at some positions, clips or times, the residuals would hold its signature times that
-    change, to first order. This is a score test of each such change.
+    If the strength changes with position, clip or time, the residuals contain its signature times that change, to first
+    order. This is a score test of each such change.
 
     Parameters
     ----------
     evidence : WhitenedClips
     fit : ModelFit
-        The whole model, in these clips.
+        The fit of the whole model to these clips.
     strengths : sequence of str
-        Of the effect, dotted names.
+        Dotted names of the strengths of the effect.
 
     Returns
     -------
     StrengthVariation
     """
-    min_information = 1e-8  # of the columns' own size: what the fit absorbs more of shows nothing
+    min_information = 1e-8  # of the columns' own size: with less, the fit absorbs the direction
     features = [_features(*each) for each in zip(evidence.clips, range(len(fit.launches)), fit.launches, strict=True)]
     own = [differentiate(fit.model, fit.launches, evidence.clips, name) for name in strengths]
     moves = [np.stack(each, axis=-1)[..., None] for each in zip(*own, strict=True)]  # (n, 2, strengths, 1)
@@ -263,7 +263,7 @@ def find_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[s
 
 
 def _features(clip: MeasuredCollision, number: int, launch: Array) -> dict[str, Array]:
-    """What a strength may change with: numbers (n, f) of each position of a clip, of order one."""
+    """Quantities that a strength may change with: numbers (n, f) for each position of a clip, of order one."""
     since = np.maximum(clip.frame / clip.fps - launch[T_C], 0) / 0.1  # in units of 0.1 s
     b, is_a = float(launch[B]), (clip.ball == int(clip.striker == "a")).astype(float)
 
@@ -294,16 +294,16 @@ class ClaimTest:
     ----------
     name : str
     sigma : float
-        Significance beside everything else, in the clips that were fitted.
+        Significance beside everything else, in the fitted clips.
     held_out, leave_one_out : HeldOutTest
-        In the held-out clips, and in all clips with each left out in turn.
+        The tests on the held-out clips, and on all clips with each left out in turn.
     rejection : Rejection or None
     is_free_law : bool
         False for an effect of the library.
     shape_at_limit : (str, float) or None
         A shape parameter at the end of its range, and its value.
     variation : StrengthVariation or None
-        What the strength changes with, if that rejects the claim.
+        The change of the strength, if that rejects the claim.
     """
 
     name: str
@@ -335,7 +335,7 @@ class ValidatedSelection:
     Attributes
     ----------
     selection : Selection
-        What remains.
+        The accepted part.
     claims : tuple of EffectClaim
         Its effects, with their numbers.
     accepted, rejected : tuple of ClaimTest
@@ -347,7 +347,7 @@ class ValidatedSelection:
     rejected: tuple[ClaimTest, ...] = ()
 
     def claims_without_errors(self) -> tuple[EffectClaim, ...]:
-        """The claims where more is missing: an error would hold only if nothing else were."""
+        """The claims without errors, which are valid only if nothing more is missing."""
         sigma = {test.name: test.leave_one_out.sigma for test in self.accepted}
         return tuple(claim.without_errors(sigma.get(claim.effect, claim.sigma)) for claim in self.claims)
 
@@ -365,19 +365,23 @@ def validate(
 ) -> ValidatedSelection:
     """Reject claims, the weakest first, until all that remain pass every test.
 
-    After each rejection everything else is fitted and tested again. An effect needs more sigma beside a free law, where
-    a free law was rejected, and where the model leaves something unexplained: it may be a part of an unknown law.
+    After each rejection everything else is fitted and tested again. In three cases an effect needs more sigma, since it
+    may be part of an unknown law:
+
+    - it is claimed beside a free law;
+    - a free law was rejected;
+    - the model leaves something unexplained.
 
     Parameters
     ----------
     selection : Selection
-        Effects and free law that the search selected.
+        The effects and the free law that the search selected.
     library : LibrarySearch
-        The models that were fitted on the way.
+        The search, with all models that it fitted.
     held_out : sequence of MeasuredCollision
         Clips that had no part in the selection.
     before : ModelFit
-        Of the held-out clips, by the base model.
+        The fit of the base model to the held-out clips.
     noise : Noise
     progress : callable
         Called now and then.
@@ -391,7 +395,7 @@ def validate(
 
 @dataclass(frozen=True)
 class Validation:
-    """What all tests of claims need: the clips that were fitted, those held out, and the fits of both."""
+    """The data of all tests of claims: the fitted clips, the held-out clips, and the fits of both."""
 
     library: LibrarySearch
     evidence: WhitenedClips
@@ -413,7 +417,7 @@ class Validation:
             tests, without, claims = self._test_claims(selection, level)
             failed = [test for test in tests if test.rejection]
             if not failed:
-                passed = {test.name for test in tests}  # one that failed beside another may pass in its place
+                passed = {test.name for test in tests}  # a claim that failed beside another may pass without it
                 still = tuple(test for test in rejected if test.name not in passed)
                 return ValidatedSelection(selection, claims, tuple(tests), still)
             worst = min(failed, key=lambda t: (t.rejection is not Rejection.ABSORBED, t.leave_one_out.sigma))
@@ -422,13 +426,16 @@ class Validation:
             selection = without[worst.name]
 
     def _leaves_something(self, selection: Selection) -> bool:
-        """Whether effects were selected and yet something is left unexplained."""
+        """Tell if the search selected effects and the residuals still hold a significant disagreement."""
         return bool(selection.state) and is_unexplained(
             find_disagreements(self.evidence.clips, selection.best, self.noise)
         )
 
     def _test_claims(self, selection: Selection, level: float) -> Tested:
-        """Test each claim; with the selection without it, and the effects. level: the sigma that an effect needs."""
+        """Test each claim. Returns the tests, the selection without each claim, and the claims of effects.
+
+        level: the sigma that an effect needs.
+        """
         if selection.free_law is not None:
             return self._test_beside_law(selection, selection.free_law, level)
         tests, without, every = [], dict[str, Selection](), self.library.claims(selection.state)
@@ -455,7 +462,7 @@ class Validation:
         return tests, without, every
 
     def _test_beside_law(self, selection: Selection, free_law: FittedLaw, level: float) -> Tested:
-        """As `_test_claims`, where a free law is claimed too."""
+        """Do as `_test_claims` does, for a selection with a free law."""
         tests, without, claims = [], dict[str, Selection](), []
         whole, base = free_law.joint_fit, selection.base
         with_, residuals = self._fit_held_out_with_law(free_law), leave_one_out_with_law(free_law)
@@ -489,12 +496,12 @@ class Validation:
     def _find_rivals(
         self, less: FittedLaw, named: Candidate, score: float, base: ModelFit
     ) -> list[tuple[str, FittedLaw]]:
-        """Effects that fit as well in the place of one beside a free law, better ones first. score: with that one."""
+        """Find effects that replace `named` beside a free law and fit as well, best first. score: that with `named`."""
         others = find_replacements(self.evidence, less, named, self.library.absorbed, base, self.progress)
         return [(name, other) for name, other in others if other.score < score + current_policy().rival_excluded_chi2]
 
     def _compare_models(self, own: float, without: ModelFit, with_: ModelFit) -> tuple[HeldOutTest, HeldOutTest]:
-        """The predictions of two models of the library."""
+        """Compare the predictions of two models of the library."""
         fits = self._fit_held_out(without), self._fit_held_out(with_)
         return self._predict(own, fits, (leave_one_out_residuals(without), leave_one_out_residuals(with_)), with_)
 
@@ -526,18 +533,18 @@ class Validation:
         residuals: tuple[Residuals, Residuals],
         fit: ModelFit | None = None,
     ) -> tuple[HeldOutTest, HeldOutTest]:
-        """The tests on held-out clips and on all. A model without motion for the held-out clips fails both.
+        """Make the tests on held-out clips and on all clips. A model without motion for held-out clips fails both.
 
         Parameters
         ----------
         own : float
             Sigma of the claim.
         fits : (ModelFit or None, ModelFit or None)
-            Of the held-out clips, without and with the claim.
+            Fits of the held-out clips, without and with the claim.
         residuals : (sequence, sequence)
             Leave-one-out residuals of the fitted clips, without and with the claim.
         fit : ModelFit, optional
-            With the claim, of the fitted clips, for its covariance.
+            The fit of the fitted clips with the claim, for its covariance.
         """
         without, with_ = fits
         if with_ is None:
@@ -555,7 +562,7 @@ class Validation:
         return HeldOutTest.of(*parts, own, there, covariance), HeldOutTest.of(every[0], every[1], np.inf)
 
     def _fit_held_out(self, fit: ModelFit) -> ModelFit | None:
-        """Fit the launches of the held-out clips by a model of the library; None where it has no motion for them."""
+        """Fit the launches of the held-out clips by a model of the library; None if it has no motion for them."""
         try:
             return fit_model(self.held_out, fit.model, (), self.noise, self.before.launches, self.progress)
         except ValueError:

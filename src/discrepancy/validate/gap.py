@@ -1,4 +1,4 @@
-"""The gap: how far model and measurement differ on held-out collisions, with the base model and with what was found."""
+"""The gap between model and held-out collisions, with the base model and with all claims."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class GapPhase:
     Attributes
     ----------
     before, after : float
-        With the base model, and with everything that was found.
+        The gap with the base model, and with all claims.
     floor : float
-        What noise alone leaves.
+        The gap that noise alone makes.
     before_um, after_um, floor_um : float
         The same as rms of the residuals of each axis, um.
     """
@@ -45,9 +45,9 @@ class Gap(GapPhase):
     Attributes
     ----------
     closure : float
-        The share of the gap between before and floor that is closed; NaN where that gap is within chance.
+        The share of the gap between before and floor that is closed; NaN if that gap is within chance.
     by_phase : dict of str to GapPhase
-        Of the phases before, sliding and rolling.
+        The gap in the phases before, sliding and rolling.
     """
 
     closure: float
@@ -73,20 +73,20 @@ def measure_gap(
 ) -> GapFits:
     """Measure the gap on clips that were held out of both fits; only their launches are fitted.
 
-    chi^2 per point is the mean squared whitened residual (posterior predictive checks use the same: Gelman, Meng &
-    Stern, Statistica Sinica 6 (1996) 733). Noise alone leaves less than one, because each launch absorbs some of it.
+    chi^2 per point is the mean squared whitened residual, as in posterior predictive checks (Gelman, Meng & Stern,
+    Statistica Sinica 6 (1996) 733). Noise alone makes it less than one, because each launch absorbs some noise.
 
     Parameters
     ----------
     clips : sequence of MeasuredCollision
-        Held out.
+        The held-out clips.
     base, best : ModelFit
-        Of the other clips, without and with what was found. Their shared parameters stay as they are.
+        The fits of the other clips, without and with all claims. Their shared parameters are fixed.
     noise : Noise
     progress : callable
         Called now and then.
     fit_law : callable, optional
-        Makes the second fit of these clips from the first, where no model can hold what was found.
+        Makes the second fit of these clips from the first, if no model can hold the free law.
 
     Returns
     -------
@@ -113,16 +113,16 @@ def measure_gap(
 
 
 def closed_share(whole: GapPhase, points: int) -> float:
-    """The share of the gap that is closed; NaN where chance alone makes such a gap."""
+    """The share of the gap that is closed; NaN if chance alone makes such a gap."""
     room = whole.before - whole.floor
     least = current_policy().min_gap_sigma * float(np.sqrt(2 / points))
     return (whole.before - whole.after) / room if room > least else float("nan")
 
 
 def _mean_squares(clip: MeasuredCollision, before: Array, after: Array, launch: Array, noise: Noise) -> Array:
-    """Squared whitened residuals of each row before, after and of noise alone, then the same in m^2: (n, 6).
+    """Squared whitened residuals of each row before, after and from noise alone, then the same in m^2: (n, 6).
 
-    Noise leaves its covariance less the part that the numbers of the launch absorb. Each is a mean over the axes.
+    Those from noise are its covariance less the part that the launch absorbs. Each is a mean over the axes.
     """
     white, q = ClipWhitener.of(clip, noise), orthonormal_basis(launch)
     left = np.eye(len(q)) - q @ q.T

@@ -1,4 +1,4 @@
-"""Find clips that deviate from all others: one bad recording must not make a discovery."""
+"""Find clips that deviate from all others, because one bad recording must not make a discovery."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ def find_outlier_clips(
 ) -> dict[int, SearchNote]:
     """Find the clips to leave out before a search is repeated.
 
-    A clip is an outlier in one of two cases:
+    A clip is an outlier in one of two cases.
 
-    - its chi^2 is far above the others' both in the base fit and in the best fit;
-    - its shared parameters contradict those of all others, and the others agree without it (Chow's test, Econometrica
-      28 (1960) 591).
+    - Its chi^2 is far above that of the others, both in the base fit and in the best fit.
+    - Its shared parameters contradict those of all others, and the others agree without it. This is Chow's test
+      (Econometrica 28 (1960) 591).
 
-    If the others do not agree, or if more clips than one in ten are outliers, the model lacks something and no clip is
-    to blame.
+    If the others do not agree, or if more than one clip in ten is an outlier, the model lacks something. Then no
+    clip is removed.
 
     Parameters
     ----------
     clips : sequence of MeasuredCollision
     base, best : ModelFit
-        Of these clips, without and with what was found.
+        The fits of these clips, without and with all claims.
     removed : int
-        How many clips have been left out already.
+        The number of clips that were left out earlier.
 
     Returns
     -------
     dict of int to SearchNote
-        By the clip's index in `clips`, a note that says why.
+        A note that says why, by the clip's index in `clips`.
     """
     most = max((len(clips) + removed) // current_policy().outlier_clips_one_in, 1) - removed
     out: dict[int, SearchNote] = {}
@@ -61,7 +61,7 @@ def find_outlier_clips(
 
 
 def _deviations(fit: ModelFit) -> Array:
-    """How far the logarithm of each clip's chi^2 per point lies above the median, in spreads of the clips or of chance.
+    """Deviation of the logarithm of each clip's chi^2 per point from the median, in spreads of the clips or of chance.
 
     The logarithm is used because a missing effect makes some clips worse than others by factors.
     """
@@ -84,7 +84,7 @@ def _information_by_clip(fit: ModelFit) -> tuple[Array, Array]:
 def _contradiction(
     information: Array, pulls: Array, k: int, kept: Sequence[int], min_information: float = 1e-9
 ) -> float:
-    """Sigma by which chi^2 falls if clip k has shared parameters of its own; directions with less do not count."""
+    """Sigma of the decrease of chi^2 if clip k has its own shared parameters; directions with less do not count."""
     rest = [i for i in kept if i != k]
     chi2, freedom = 0.0, 0
     for sign, group in ((1, [k]), (1, rest), (-1, [*rest, k])):

@@ -1,4 +1,4 @@
-"""Where model and measurement disagree: in which phase, for which ball and direction, and what it changes with."""
+"""Locate disagreements of model and measurement: the phase, the ball, the direction, and the trend."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class Disagreement:
     sigma : float
         Corrected for the number of tests.
     against : str
-        What the disagreement changes with from clip to clip; "" for any.
+        The quantity that the disagreement changes with between clips; "" for a test without a trend.
     size : float
-        rms of the disagreement in that phase, noise subtracted, um. NaN where the terms of the test nearly cancel, as
+        rms of the disagreement in that phase, noise subtracted, um. NaN if the terms of the test nearly cancel, as
         with a model that is wrong throughout.
     """
 
@@ -58,7 +58,7 @@ class Disagreement:
 
 
 # Displacement of a term in each stage: factor and power of the time since the stage began (before: until the contact).
-# A velocity that a sliding ball is given is 5/7 of it once the ball rolls, whatever the friction in between.
+# A velocity that a sliding ball gets decreases to 5/7 of it once the ball rolls, for any friction in between.
 TERMS: dict[str, dict[Stage, tuple[float, int]]] = {
     **{f"before {power}": {Stage.BEFORE: (1.0, power)} for power in (1, 2, 3)},
     "offset": {Stage.SLIDING: (1.0, 0)},
@@ -70,8 +70,8 @@ TERMS: dict[str, dict[Stage, tuple[float, int]]] = {
     "roll's bend": {Stage.ROLLING: (1.0, 2)},
     "roll's twist": {Stage.ROLLING: (1.0, 3)},
 }
-# Of each phase the terms that are tested, the terms that are free beside them, and how many powers of time the reported
-# size leaves out. A ball at rest has one power less.
+# For each phase: the tested terms, the terms that are free beside them, and the powers of time that the reported size
+# leaves out. A ball at rest has one power less.
 PHASE_TESTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
     "before": (("before 1", "before 2", "before 3"), tuple(TERMS)[3:], 2),
     "contact": (("offset", "drift"), ("slide's bend", "roll's offset", "roll's bend"), 0),
@@ -92,10 +92,10 @@ def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise:
     """Test where the residuals of a fit disagree with noise.
 
     In each clip, along and across each ball's motion, the residual is a polynomial of time in each stage. An offset
-    and a drift right after the contact belong to the contact; in sliding and rolling only the bend and what bends more
-    count. Each test leaves the terms of all other phases free, and the shared parameters too. So a wrong contact is
-    not blamed on the rolling that follows. Each test gives a chi^2, over all clips and as a trend with speed, impact
-    parameter, heading or position. Sigma is corrected for the number of tests (Bonferroni).
+    and a drift right after the contact belong to the contact. In sliding and rolling only quadratic and higher terms
+    count. Each test leaves the terms of all other phases free, and the shared parameters too. So it does not attribute
+    a wrong contact to the rolling that follows. Each test gives a chi^2 over all clips, and one for a trend with speed,
+    impact parameter, heading or position. Sigma is corrected for the number of tests (Bonferroni).
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise:
 
 
 def is_unexplained(disagreements: Sequence[Disagreement]) -> bool:
-    """Whether the largest disagreement exceeds what chance makes."""
+    """Tell if the largest disagreement exceeds what chance makes."""
     return bool(disagreements) and disagreements[0].sigma > current_policy().unexplained_sigma
 
 
@@ -146,7 +146,7 @@ def examine_phases(
 def _phase_amplitudes(
     clip: MeasuredCollision, path: Array, fit: ModelFit, k: int, noise: Noise
 ) -> Iterator[tuple[Where, ClipAmplitudes]]:
-    """The amplitudes of one clip in every test."""
+    """Yield the amplitudes of one clip in every test."""
     stage, time = stages(clip)
     motion = directions(clip, stage, path)
     white, size = ClipWhitener.of(clip, noise), np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
@@ -192,13 +192,13 @@ def _phase_amplitudes(
 
 
 def _remove_powers(columns: Array, time: Array, powers: int) -> Array:
-    """Columns (n, k) less a polynomial of so many powers of time."""
+    """Subtract from columns (n, k) a polynomial with this number of powers of time."""
     q, _ = np.linalg.qr(np.vander(time, powers))
     return np.asarray(columns - q @ (q.T @ columns))
 
 
 def _column(term: Term, stage: Ints, ball: Ints, time: Array, motion: Array) -> Array:
-    """Displacement (n, 2) for a metre of a term."""
+    """The displacement (n, 2) by one metre of a term."""
     name, b, a = term
     size = np.zeros(len(stage))
     for s, (factor, power) in TERMS[name].items():
@@ -207,7 +207,7 @@ def _column(term: Term, stage: Ints, ball: Ints, time: Array, motion: Array) -> 
 
 
 def _features(launch: Array, position: Array, direction: Array, scale_m: float = 0.02) -> dict[str, Array]:
-    """What a clip's amplitude may change with. A force of the position counts by its part along the direction."""
+    """Quantities that a clip's amplitude may change with. A force field counts by its part along the direction."""
     speed, heading, b = launch[[V0, HEADING, B]]
     x, y = position / scale_m
     field = np.array([1, x, y, x * x, x * y, y * y])
@@ -226,7 +226,7 @@ def _corrected_sigma(chi2: float, dof: int, tests: int) -> float:
     return float(-ndtri(p / 2)) if p > 1e-250 else chi2_to_sigma(chi2, dof)
 
 
-# --- Ripples with a ball's turns ---
+# --- Ripples at the period of a ball's rotation ---
 
 
 def examine_ripples(
@@ -234,9 +234,9 @@ def examine_ripples(
 ) -> Iterator[tuple[Where, PhaseResult]]:
     """Test whether residuals ripple once or twice a turn of a ball.
 
-    Such a ball is out of round or loaded, or the tracker follows a mark on it. A ball that rolls turns once over pi
-    times its diameter. Its orientation at the start is unknown, so each stretch of rolling, before the contact and
-    after the slide, has a phase of its own. Cubics of time are free beside the ripple.
+    A ball makes ripples if it is out of round or loaded, or if the tracker follows a mark on it. A rolling ball turns
+    once over pi times its diameter. Its initial orientation is unknown. So the ripple has a free phase in each stretch
+    of rolling, before the contact and after the slide. Cubics of time are free beside the ripple.
 
     Parameters
     ----------
@@ -282,16 +282,17 @@ def examine_ripples(
                     )
                 )
     for where, parts in found.items():
-        for result in combine_clips(parts):  # none where the shared parameters can make them all
+        for result in combine_clips(parts):  # none if the shared parameters can make them all
             yield where, result
 
 
 def _ripple_terms(
     clip: MeasuredCollision, path: Array, times: int, min_periods: float = 1.0, order: int = 3
 ) -> tuple[list[tuple[int, int] | None], Array]:
-    """Ball and axis of each term, None of a stretch's polynomials; displacements (n, 2, terms) for a metre of each.
+    """Ball and axis of each term, None for a stretch's polynomials; displacements (n, 2, terms) by a metre of each.
 
-    A stretch of fewer periods cannot be told from a bend. Polynomials of this order are free beside the ripple.
+    A stretch of fewer periods looks like a bend, so it does not count. Polynomials of this order are free beside
+    the ripple.
     """
     stage, _ = stages(clip)
     motion = directions(clip, stage, path)
@@ -317,7 +318,7 @@ def _ripple_terms(
 
 
 def _turned_angle(clip: MeasuredCollision, rows: Ints, path: Array) -> Array:
-    """Angle by which a ball has turned since the first of these rows, rad."""
+    """The angle by which a ball has turned since the first of these rows, rad."""
     steps = np.hypot(*np.diff(path[rows], axis=0).T)
     return np.concatenate([[0.0], np.cumsum(steps)]) / (clip.camera.ball_diameter / 2)
 
@@ -326,7 +327,7 @@ def _turned_angle(clip: MeasuredCollision, rows: Ints, path: Array) -> Array:
 
 
 def stages(clip: MeasuredCollision, unit_s: float = 0.05) -> tuple[Ints, Array]:
-    """Stage (n,) and time (n,) of each row, in units from where the stage begins (before: until the contact).
+    """Stage (n,) and time (n,) of each row, in units since the start of the stage (before: until the contact).
 
     Exposures that hold an event count as sliding.
     """
@@ -339,7 +340,7 @@ def stages(clip: MeasuredCollision, unit_s: float = 0.05) -> tuple[Ints, Array]:
 
 
 def directions(clip: MeasuredCollision, stage: Ints, path: Array, min_move_m: float = 1e-5) -> Array:
-    """Unit vectors along and across each ball's motion in each stage, (n, 2, 2); at rest along the heading."""
+    """Unit vectors along and across each ball's motion in each stage, (n, 2, 2); for a ball at rest, the heading."""
     heading = clip.launch[HEADING]
     along = np.tile([np.cos(heading), np.sin(heading)], (len(path), 1))
     for s in Stage:
@@ -369,14 +370,14 @@ class ClipAmplitudes:
     shared : (m, S) array
         Pulls that a unit of each shared parameter makes.
     information, pull : (S, S) and (S,) array
-        Of the shared parameters in what the terms leave of the clip.
+        Of the shared parameters, in the residuals that the terms leave.
     products : (P, P) array
         Products of the terms, m^2, summed over the rows.
     rows : int
     residual_squares : float
         Sum of squares of the residuals in these rows, m^2.
     features : dict of str to (f,) array
-        What the amplitude may change with, and this clip's values of it.
+        The quantities that the amplitude may change with, and their values in this clip.
     """
 
     pulls: Array
@@ -394,7 +395,7 @@ class ClipAmplitudes:
 class ClipSolution:
     """Least squares of one clip: amplitudes of unit-length terms, their covariance, and slopes of shared parameters.
 
-    information (S, S) and pull (S,): of the shared parameters in what the terms leave.
+    `information` (S, S) and `pull` (S,) belong to the shared parameters, in the residuals that the terms leave.
     """
 
     kept: NDArray[np.bool_]
@@ -407,7 +408,7 @@ class ClipSolution:
 
     @classmethod
     def of(cls, launch: Array, columns: Array, residual: Array, shared: Array, min_share: float = 1e-5) -> ClipSolution:
-        """Fit the columns (2n, T) of the terms, the launch being free beside them. All are whitened.
+        """Fit the whitened columns (2n, T) of the terms, with the launch free beside them.
 
         A term counts if the terms before it leave this share of its length.
         """
@@ -435,15 +436,15 @@ class ClipSolution:
         )
 
     def group(self, rows: list[int]) -> tuple[Array, Array, Array]:
-        """Pulls of unit variance of some terms, all others free; the same for a metre and for shared parameters."""
+        """Pulls of unit variance of some terms, with all others free; the same by a metre and by shared parameters."""
         root = np.linalg.inv(np.linalg.cholesky(self.covariance[np.ix_(rows, rows)]))
         return root @ self.amplitude[rows], root * self.length[rows], root @ self.shared[rows]
 
 
 def combine_clips(parts: Sequence[ClipAmplitudes], min_shared: float = 1e-6) -> Iterator[PhaseResult]:
-    """Test the amplitudes of all clips together, the shared parameters being free.
+    """Test the amplitudes of all clips together, with the shared parameters free.
 
-    The clips constrain the shared parameters outside the test too; that enters as a few rows more. Directions of the
+    The clips also constrain the shared parameters outside the test. A few additional rows hold that. Directions of the
     shared parameters with less than `min_shared` of the largest information do not count.
 
     Parameters
@@ -454,7 +455,7 @@ def combine_clips(parts: Sequence[ClipAmplitudes], min_shared: float = 1e-6) -> 
     Yields
     ------
     tuple
-        What the amplitude changes with ("" for any amplitude), chi^2, degrees of freedom, rms size in um.
+        The quantity that the amplitude changes with ("" without a trend), chi^2, degrees of freedom, rms size in um.
     """
     values, axes = np.linalg.eigh(sum(g.information for g in parts))
     seen = values > min_shared * values.max(initial=0)
@@ -478,12 +479,12 @@ def combine_clips(parts: Sequence[ClipAmplitudes], min_shared: float = 1e-6) -> 
 
 
 def _stack_clips(columns: Sequence[Array], rest: int) -> Array:
-    """Columns of all clips, with zeros in the `rest` rows that belong to the shared parameters only."""
+    """Stack the columns of all clips, with zeros in the `rest` rows that belong only to the shared parameters."""
     return np.concatenate([*columns, np.zeros((rest, columns[0].shape[1]))])
 
 
 def _span(columns: Array, besides: Array | None = None, min_share: float = 1e-3) -> Array:
-    """An orthonormal basis of the span of columns, less the span of `besides`, which is orthonormal.
+    """An orthonormal basis of the span of columns, less the span of the orthonormal `besides`.
 
     A column counts if the others leave this share of its length.
     """
@@ -496,9 +497,9 @@ def _span(columns: Array, besides: Array | None = None, min_share: float = 1e-3)
 
 
 def _rms_size(parts: Sequence[ClipAmplitudes], pulls: Array, noisy: float) -> float:
-    """rms displacement, um, that makes these pulls, less the noise in the share `noisy` of their directions.
+    """The rms displacement, um, that makes these pulls, less the noise in the share `noisy` of their directions.
 
-    NaN where it is so much larger than the residuals that the terms of this test and those beside it nearly cancel.
+    NaN if it exceeds the residuals so far that the terms of this test and those beside it nearly cancel.
     """
     total, rows, first = 0.0, 0, 0
     for g in parts:

@@ -80,9 +80,9 @@ def standing(truth, *state):
 def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
     few(monkeypatch)
     steps, state = standing(Model().replace({"velocity_restitution.e": 0.01}), "spin_transfer_velocity")
-    better = steps._improve_once(state, steps.score_tests(state), current_policy().min_claim_sigma)
+    better = steps._improve_once(state, steps.score_tests(state))
     assert [s.name for s in better] == ["velocity_restitution"]
-    assert steps._improve_once(better, steps.score_tests(better), current_policy().min_claim_sigma) is None
+    assert steps._improve_once(better, steps.score_tests(better)) is None
 
 
 def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
@@ -90,7 +90,7 @@ def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     steps, state = standing(
         Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution"
     )
-    better = steps._improve_once(state, steps.score_tests(state), current_policy().min_claim_sigma)
+    better = steps._improve_once(state, steps.score_tests(state))
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
