@@ -36,7 +36,7 @@ def reports(tmp_path_factory):
     """By free law, a folder with the report of a search that found it."""
     folder = tmp_path_factory.mktemp("reports")
     for law in OUTSIDERS:
-        search_page.write(outsider(law), folder / law, [])
+        search_page.write(outsider(law), folder / law)
     return folder
 
 
