@@ -105,7 +105,7 @@ def test_three_balls_are_three_tracks_and_the_hit_is_still_measured():
     ("pixels", "said"),
     [
         (np.zeros((1, 32, 32), np.uint8), "one frame only"),
-        (np.full((5, 32, 32), np.nan, np.float32), "NaN has no place"),
+        (np.full((5, 32, 32), np.nan, np.float32), "cannot hold NaN"),
         (np.zeros((5, 32, 32), np.int32), "expected uint8 or uint16"),
         (np.zeros((0, 32, 32), np.uint8), "truncated or damaged"),
     ],

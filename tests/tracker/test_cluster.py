@@ -91,7 +91,7 @@ def test_a_cluster_gives_the_same_bytes(tmp_path):
 
 @needs_dask
 def test_a_suite_made_run_and_scored_by_a_cluster_is_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr("tracker.benchmark.contest.write_page", lambda *words: None)
+    monkeypatch.setattr("tracker.benchmark.contest.write_report", lambda *words: None)
     made, whole = suite(), tmp_path / "whole"  # films and truth in one folder, as `tracker score` takes them
     shutil.copytree(made.film("axes"), whole)
     shutil.copytree(made.truth / "axes", whole, dirs_exist_ok=True)
