@@ -153,7 +153,16 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
 
 
 def describe_rejection(test: ClaimTest) -> str:
-    """Say why a claim is rejected, with the numbers that decided it; empty for a claim that passes."""
+    """Say why a claim is rejected, with the numbers that decided it; empty for a claim that passes.
+
+    Parameters
+    ----------
+    test : ClaimTest
+
+    Returns
+    -------
+    str
+    """
     if test.rejection is None:
         return ""
     if test.rejection is Rejection.SCATTERS:

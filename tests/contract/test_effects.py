@@ -112,7 +112,7 @@ def test_it_survives_yaml_and_back(kind, tmp_path):
     write_model(model, tmp_path / "m.yaml")
     assert read_model(tmp_path / "m.yaml") == model
     if defect(kind):
-        line = rf"^here: effects\.{kind.name()}: a defect of trackers; expected none in a scene$"
+        line = rf"^here: effects\.{kind.name()}: a defect of trackers, expected none in a scene$"
         with pytest.raises(InputError, match=line):
             check_scene(settings_of(model), "here")
     else:

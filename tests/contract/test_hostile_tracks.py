@@ -69,7 +69,7 @@ START = linearise(WhitenedClips.of(CLIPS, NOISE), Model(), BASE_PARAMETERS, np.a
 def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
     """Whatever it is that fails, and wherever on the way."""
     calls = 0
-    true = WhitenedClips.left
+    true = WhitenedClips.whitened_residuals
 
     def failing(self, model, launches):
         nonlocal calls
@@ -78,7 +78,7 @@ def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
             raise error("no motion")
         return true(self, model, launches)
 
-    monkeypatch.setattr(WhitenedClips, "left", failing)
+    monkeypatch.setattr(WhitenedClips, "whitened_residuals", failing)
     fit = minimise_chi2(WhitenedClips.of(CLIPS, NOISE), START)
     assert calls > 1
     assert fit.chi2 <= START.chi2

@@ -26,7 +26,8 @@ mpl.use("Agg")
 PACKAGES = ("synthcam", "tracker", "discrepancy")
 NAMES = [(p, n) for p in (*PACKAGES, "tracker.benchmark") for n in import_module(p).__all__ if n != "__version__"]
 PUBLIC = [(p, n) for p, n in NAMES if not inspect.ismodule(getattr(import_module(p), n))]
-SILENT = {"NoGL", "InputError", "Finding", "Plan", "run", "TrackerRun"}  # without an example of their own
+# without an example of their own
+SILENT = {"NoGL", "InputError", "Finding", "Plan", "run", "TrackerRun", "describe_rejection", "describe_search"}
 HEAVY = ("numpy", "pandas", "cv2", "scipy", "matplotlib", "pydantic", "OpenGL")
 
 

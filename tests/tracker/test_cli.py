@@ -109,10 +109,10 @@ def test_workers_and_truth_change_nothing(dataset, tracked, tmp_path):
 def test_an_interrupted_run_goes_on_to_the_same_bytes(dataset, tracked, tmp_path, monkeypatch):
     real = recording.track_clip
 
-    def stop_at_second(clip, name):
+    def stop_at_second(clip, *rest):
         if clip.number == 1:
             raise KeyboardInterrupt
-        return real(clip, name)
+        return real(clip, *rest)
 
     monkeypatch.setattr(recording, "track_clip", stop_at_second)
     output = tmp_path / "results"
@@ -129,7 +129,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(dataset, tracked, tmp_path
 
 
 def test_interrupted_it_says_how_to_go_on(dataset, tmp_path, monkeypatch, capsys):
-    def stop(clip, name):
+    def stop(*given):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(recording, "track_clip", stop)

@@ -16,10 +16,10 @@ from tracker.settings import TrackerSettings
     [
         ("lnk: {}", "lnk: unknown key; did you mean link?"),
         ("link: {max_gap: 3}", "link.max_gap: unknown key; did you mean link.max_gap_frames?"),
-        ("link: {max_gap_frames: 1.5}", "link.max_gap_frames: input should be a valid integer, found 1.5"),
-        ("link: {max_gap_frames: '3'}", "link.max_gap_frames: input should be a valid integer, found '3'"),
-        ("detection: {candidate_sigma: -1}", "detection.candidate_sigma: input should be greater than 0, found -1"),
-        ("detection: {glint_sigma: .nan}", "detection.glint_sigma: input should be a finite number, found nan"),
+        ("link: {max_gap_frames: 1.5}", "link.max_gap_frames: expected a whole number, found 1.5"),
+        ("link: {max_gap_frames: '3'}", "link.max_gap_frames: expected a whole number, found '3'"),
+        ("detection: {candidate_sigma: -1}", "detection.candidate_sigma: expected a number above 0, found -1"),
+        ("detection: {glint_sigma: .nan}", "detection.glint_sigma: expected a finite number, found nan"),
         ("link: 3", "link: "),
     ],
 )

@@ -203,7 +203,7 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
     timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
     for effect in model.effects:
         if effect.active and "measure" in effect.laws:
-            raise InputError(f"{where}: effects.{effect.name()}: is a defect of trackers; expected none in a scene")
+            raise InputError(f"{where}: effects.{effect.name()}: a defect of trackers, expected none in a scene")
     if timing["exposure"] > 1 / timing["fps"]:
         raise InputError(f"{where}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
     if camera["height"] <= 2 * model.ball.diameter:

@@ -150,5 +150,5 @@ def test_three_wrong_places_make_no_discovery(monkeypatch):
     found = search([*wrong, *CLIPS[3:]], Model())
     assert found.verdict == "none"
     assert found.data.noise.scale == pytest.approx(1, abs=0.1)
-    lines = sorted(line.partition(",")[0] for line in found.data.left_out)
+    lines = sorted(str(note).partition(",")[0] for note in found.data.left_out)
     assert lines == [f"clip {k}: 1 of 160 positions" for k in range(3)]

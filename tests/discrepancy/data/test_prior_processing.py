@@ -91,7 +91,7 @@ def near(clip, frames):
 def test_of_smoothed_tracks_nothing_is_named_and_it_is_said():
     """A filter washes out the hit: effects of the library would be named for it."""
     found = search(smoothed(), Model())
-    assert found.data.smoothed
+    assert found.data.is_smoothed
     assert found.verdict in ("none", "inadequate")
     assert not found.named
     assert found.law_summary is None
@@ -103,7 +103,7 @@ def test_a_smoothed_collision_of_which_too_little_is_left_has_no_part():
     """12 frames on either side, less 5 at either end: 2 are left."""
     clips = smoothed()
     found = search([*clips[:3], near(clips[3], 12), *clips[4:]], Model())
-    assert [line for line in found.data.left_out if line.startswith(f"clip {clips[3].clip}: too few positions")]
+    assert [n for n in found.data.left_out if str(n).startswith(f"clip {clips[3].clip}: too few positions")]
     assert clips[3].clip not in {clip.clip for clip in (*found.data.clips, *found.data.held_out)}
 
 

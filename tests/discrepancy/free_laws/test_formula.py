@@ -26,7 +26,7 @@ def numbers(text):
 
 def test_waves_of_friction():
     """0.232 (1 + 0.02 sin(x / 3 mm))"""
-    formula = outsider("friction_place").answer.formula
+    formula = outsider("friction_place").law_summary.formula
     mean, one, depth, length, phase = numbers(formula)[:5]
     assert formula.startswith("mu = ")
     assert "sin(x / " in formula
@@ -44,7 +44,7 @@ def test_a_sine_and_a_cosine_are_one_sine_of_a_field_too():
 
 def test_a_step():
     """0.903 - 0.004 (1 + tanh((v - 0.2) / 0.03)) / 2"""
-    formula = outsider("restitution_speed").answer.formula
+    formula = outsider("restitution_speed").law_summary.formula
     found = re.fullmatch(r"r = (.+) \(1 - (.+) \(1 \+ tanh\(\(v_n - (.+)\) / (.+)\)\) / 2\), v_n in m/s", formula)
     mean, drop, at, width = map(float, found.groups())
     assert mean == pytest.approx(0.903, abs=1e-3)
@@ -53,7 +53,7 @@ def test_a_step():
 
 
 def test_a_resonance():
-    formula = outsider("spin_transfer_speed").answer.formula
+    formula = outsider("spin_transfer_speed").law_summary.formula
     mean, one, size, at, *_, width, _ = numbers(formula)
     assert "exp(-(v - " in formula
     assert mean * size == pytest.approx(0.01, rel=0.1)
@@ -63,7 +63,7 @@ def test_a_resonance():
 
 def test_a_power():
     """-0.015 v^0.5"""
-    formula = outsider("force_speed").answer.formula
+    formula = outsider("force_speed").law_summary.formula
     size, power = numbers(formula)[:2]
     assert "= - " in formula
     assert "m/s^2" in formula

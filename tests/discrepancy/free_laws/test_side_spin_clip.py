@@ -37,7 +37,7 @@ def test_it_is_found_and_its_model_leaves_nothing(monkeypatch):
     assert found.gap.after < 1.2 < 1.5 < found.gap.before
     again = search(hidden, found.model)
     assert again.verdict == "none"
-    spun = np.array(again.base.launches)[:, SIDE]
+    spun = np.array(again.base_fit.launches)[:, SIDE]
     assert np.std(spun - SPINS[[c.clip for c in again.data.clips]]) < 0.1 * SIZE
 
 

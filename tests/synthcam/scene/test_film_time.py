@@ -117,7 +117,7 @@ def test_means_are_split_at_every_kink(effects):
 @pytest.mark.parametrize("name", ["glint_parallax", "pixel_locking"])
 def test_a_trackers_defect_is_refused_in_one_line(name):
     values = {"share": 1.0} if name == "glint_parallax" else {"amplitude": 0.05}
-    with pytest.raises(ValueError, match=rf"^x: effects\.{name}: is a defect of trackers; expected none in a scene$"):
+    with pytest.raises(ValueError, match=rf"^x: effects\.{name}: a defect of trackers, expected none in a scene$"):
         clip_of(**{name: values})
     clip_of(**{name: dict.fromkeys(values, 0.0)})  # absent
 

@@ -17,7 +17,7 @@ from tracker.cli import main
 @pytest.fixture(autouse=True)
 def drawn(monkeypatch):
     """No pictures, which take seconds: test_contest.py looks at the page."""
-    monkeypatch.setattr("tracker.benchmark.contest.write_page", lambda *words: None)
+    monkeypatch.setattr("tracker.benchmark.contest.write_report", lambda *words: None)
 
 
 def tables(folder, clips=range(4), change=noisy, **form):
