@@ -29,16 +29,7 @@ def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[Me
     """Check that there are enough clips, that all have one camera, and that their ball is the model's.
 
     A ball of another size or another camera would otherwise look like a missing effect. Frame rates and exposures may
-    differ.
-
-    Returns
-    -------
-    sequence of MeasuredCollision
-        With a side spin of each striker where the model's `free` lists it.
-
-    Raises
-    ------
-    InputError
+    differ. The returned clips have a side spin of each striker where the model's `free` lists it. Raises InputError.
     """
     if len(clips) < current_policy().min_collisions:
         least = current_policy().min_collisions
@@ -72,26 +63,10 @@ def fit_base_model(
     """Fit the model's base parameters that are not zero, and those in `model.free`.
 
     The fit starts from the model's values. If it ends with chi^2 per degree of freedom above `poor`, it starts again
-    from the friction that the slides' durations give. The rolling loss is scaled too, as a wrong clock would do it.
+    from the friction that the slides' durations give. The rolling loss is scaled too, as a wrong clock would do it. The
+    default of `poor` is far beyond any misfit of a start near the minimum.
 
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-    model : Model
-    noise : Noise
-    progress : callable
-        Called with "fit" at each step.
-    poor : float
-        100 is far beyond any misfit of a start near the minimum.
-
-    Returns
-    -------
-    ModelFit
-
-    Raises
-    ------
-    InputError
-        The model has no motion for these collisions.
+    progress: called with "fit" at each step. Raises InputError where the model has no motion for these collisions.
     """
     names = names_to_fit(model)
     try:
@@ -110,17 +85,7 @@ def remove_outliers_beside_model(
 ) -> tuple[list[MeasuredCollision], list[MeasuredCollision]]:
     """Remove positions that are outliers relative to the base model, so that they do not count as noise.
 
-    Parameters
-    ----------
-    clips, kept_out : sequence of MeasuredCollision
-        The base model is fitted to `clips`; of the held-out clips only the launches are fitted.
-    model : Model
-    progress : callable
-
-    Returns
-    -------
-    (list of MeasuredCollision, list of MeasuredCollision)
-        Both lists without outliers.
+    The base model is fitted to `clips`; of the held-out clips only the launches are fitted. Returns both lists.
     """
     base = fit_base_model(clips, model, CLAIMED_NOISE, progress)
     every, places = [*clips, *kept_out], base.launches

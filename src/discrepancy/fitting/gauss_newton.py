@@ -40,27 +40,11 @@ def fit_model(
 ) -> ModelFit:
     """Fit shared parameters and every launch by Gauss-Newton, with Marquardt's damping when a step fails.
 
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-    model : Model
-        Its values are the start of the fit.
-    names : sequence of str
-        The shared parameters; with none only the launches are fitted.
-    noise : Noise
-    launches : (clips, p) array, optional
-        Start of the launches; by default the clips' own first guesses.
-    progress : callable
-        Called at every step.
-
-    Returns
-    -------
-    ModelFit
-
-    Raises
-    ------
-    ValueError
-        The model has no motion for one of the first launches.
+    model: its values are the start of the fit.
+    names: the shared parameters; with none only the launches are fitted.
+    launches: start of the launches, (clips, p); by default the clips' own first guesses.
+    progress: called at every step.
+    Raises ValueError where the model has no motion for one of the first launches.
     """
     whitened = WhitenedClips.of(clips, noise)
     places = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
@@ -76,19 +60,8 @@ def minimise_chi2(
     fail, a few clips may be at fault: their launches are damped (`_find_failing_clips`), else all parameters. New
     derivatives are taken when chi^2 falls by 20 % more or less than the old ones predict.
 
-    Parameters
-    ----------
-    whitened : WhitenedClips
-    fit : ModelFit
-    progress : callable
-        Called at every step.
-    rough : bool
-        Stop about 0.1 above the least chi^2, with derivatives of a point nearby: enough to rank models. Else the
-        tolerance is 1e-3, with derivatives at the minimum.
-
-    Returns
-    -------
-    ModelFit
+    rough: stop about 0.1 above the least chi^2, with derivatives of a point nearby, which is enough to rank models.
+    Else the tolerance is 1e-3, with derivatives at the minimum.
     """
     damping, tolerance, last = 0.0, 0.1 if rough else 1e-3, False
     held = np.zeros(len(fit.residuals))  # damping of single launches
@@ -141,8 +114,8 @@ def _reduce_damping(damping: Array | float) -> Array | np.float64:
 def _find_failing_clips(fit: ModelFit, moved: ModelFit | None, held: Array) -> NDArray[np.bool_]:
     """Clips that alone made a step fail, if they are few; only their launches are then damped.
 
-    These are the clips whose chi^2 rises by more than a tenth of the largest rise. They must be at most a fifth of the
-    clips, and in the others chi^2 must fall.
+    Their chi^2 rises by more than a tenth of the largest rise. They are at most a fifth of the clips, and in the others
+    chi^2 falls.
     """
     none = np.zeros(len(fit.residuals), dtype=bool)
     if moved is None or not fit.is_linearised_here:
@@ -172,24 +145,8 @@ def linearise(
 ) -> ModelFit:
     """Compute the residuals of a model and their derivatives, at given values and launches, without a fit.
 
-    Parameters
-    ----------
-    whitened : WhitenedClips
-    model : Model
-    names : tuple of str
-        The shared parameters whose derivatives are taken.
-    launches : (clips, p) array
-    exact : bool
-        Count the push between balls in all derivatives; see `jacobian.derivatives`.
-
-    Returns
-    -------
-    ModelFit
-
-    Raises
-    ------
-    ValueError
-        The model has no motion for a launch.
+    exact: count the push between balls in all derivatives; see `jacobian.differentiate_all`.
+    Raises ValueError where the model has no motion for a launch.
     """
     expected, own = differentiate_launches(model, launches, whitened.clips)
     shared = differentiate_all(model, launches, whitened.clips, names, expected, exact)
@@ -204,22 +161,10 @@ def linearise(
 
 
 def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Set to zero the derivatives by shape parameters that are not identifiable.
+    """Set to zero the whitened derivatives (2n, S) by shape parameters that are not identifiable.
 
     Such a parameter moves the tracks by less than one sigma over its whole range. Without derivatives no step carries
     it away; a dropped frame, for example, may be anywhere between two frames.
-
-    Parameters
-    ----------
-    model : Model
-    names : sequence of str
-        The parameters; an effect's are dotted.
-    slopes : tuple of (2n, S) array
-        Whitened derivatives of each clip by these.
-
-    Returns
-    -------
-    tuple of (2n, S) array
     """
     shapes = [find_parameter(model, n) if "." in n else None for n in names]
     spans = np.array(
@@ -233,19 +178,10 @@ def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple
 
 
 def zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Set to zero the derivatives by spins that move the tracks by less than one sigma, however large they may be.
+    """Set to zero the derivatives (2n, p) by spins that move the tracks by less than one sigma, however large they may
+    be.
 
     Without friction and spin transfer the tracks do not depend on a striker's spin; its derivative is rounding.
-
-    Parameters
-    ----------
-    launches : (clips, p) array
-    slopes : tuple of (2n, p) array
-        Whitened derivatives of each clip by its launch.
-
-    Returns
-    -------
-    tuple of (2n, p) array
     """
     if launches.shape[1] != WITH_SPIN:
         return slopes
@@ -257,10 +193,7 @@ def zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tup
 def take_one_step(whitened: WhitenedClips, fit: ModelFit, model: Model) -> ModelFit | None:
     """Take one Gauss-Newton step of all fitted parameters from another model than the fit's.
 
-    Returns
-    -------
-    ModelFit or None
-        Without the step if it does not lower chi^2; None where that model has no motion.
+    Returns the fit without the step if it does not lower chi^2; None where that model has no motion.
     """
     there = _apply_step(whitened, dataclasses.replace(fit, model=model), {}, np.zeros_like(fit.launches))
     if there is None:
@@ -277,10 +210,7 @@ def choose_most_likely(
 ) -> Mapping[str, float] | None:
     """Choose those values of the same parameters that fit best when everything else is fitted to first order.
 
-    Returns
-    -------
-    mapping of str to float, or None
-        None where the model has no motion for any of them.
+    Returns None where the model has no motion for any of them.
     """
     names = tuple(tries[0])
     kept, (here, *there) = fit.drop(fit.model, names), _predict_trials(fit, whitened.clips, names, [{}, *tries])
@@ -338,24 +268,11 @@ def _step(fit: ModelFit, damping: float, held: Array | float = 0.0) -> tuple[dic
 def solve_step(
     fit: ModelFit, damping: float, least: Array, most: Array, held: Array | float = 0.0
 ) -> tuple[Array, Array]:
-    """Solve for the Gauss-Newton step of a fit, with the launches eliminated clip by clip.
+    """Solve for the Gauss-Newton step: changes of the shared parameters, (S,), and of the launches, (clips, p).
 
-    Parameters
-    ----------
-    fit : ModelFit
-    damping : float
-        Marquardt's damping, as a share of each diagonal element.
-    least, most : (S,) array
-        Bounds of the shared parameters' changes.
-    held : (clips,) array, optional
-        Additional damping of each clip's launch.
-
-    Returns
-    -------
-    shared : (S,) array
-        Changes of the shared parameters.
-    own_steps : (clips, p) array
-        Changes of the launches.
+    The launches are eliminated clip by clip.
+    damping: Marquardt's, as a share of each diagonal element; held: further damping of each clip's launch.
+    least, most: bounds (S,) of the shared parameters' changes.
     """
     size = len(fit.names)
     matrix, right, blocks = np.zeros((size, size)), np.zeros(size), []

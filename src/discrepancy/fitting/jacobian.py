@@ -22,26 +22,12 @@ LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
 def differentiate(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], name: str, here: Sequence[Array] | None = None
 ) -> list[Array]:
-    """Differentiate the predicted tracks by a shared parameter.
+    """Differentiate the predicted tracks by a shared parameter: (n, 2) of each clip, m over the parameter's unit.
 
     The difference is central, or one-sided if the parameter is at a limit or the model has no motion on the other side,
     as when a tilt would set the resting ball rolling. It is zero if no motion exists on either side.
 
-    Parameters
-    ----------
-    model : Model
-    launches : (clips, p) array
-        Columns as in `discrepancy.data.launch`.
-    clips : sequence of MeasuredCollision
-    name : str
-        Dotted name of the parameter.
-    here : sequence of (n, 2) array, optional
-        The predicted tracks, if known; a short forward difference from them is then taken where possible.
-
-    Returns
-    -------
-    list of (n, 2) array
-        Of each clip, m over the parameter's unit.
+    here: the predicted tracks, if known; a short forward difference from them is then taken where possible.
     """
     value, step, (low, high) = model.value(name), difference_step(model, name), parameter_limits(model, name)
     short = 0.1 * step
@@ -69,25 +55,11 @@ def differentiate_all(
     here: Sequence[Array],
     exact: bool = False,
 ) -> list[list[Array]]:
-    """`differentiate` by each of several parameters.
+    """`differentiate` by each of several parameters; the result is by name, then by clip.
 
     The motion of balls that push each other takes about eight times as long to compute, and other parameters act on it
-    nearly as they do without the push. Their derivatives are therefore taken without it, if that motion exists.
-
-    Parameters
-    ----------
-    model, launches, clips
-        As of `differentiate`.
-    names : sequence of str
-    here : sequence of (n, 2) array
-        The predicted tracks.
-    exact : bool
-        Take all derivatives with the push.
-
-    Returns
-    -------
-    list of list of (n, 2) array
-        By name, then by clip.
+    nearly as they do without the push. Their derivatives are therefore taken without it, if that motion exists, unless
+    `exact` is set. here: the predicted tracks.
     """
     plain, there = (model, here) if exact else decouple(model, launches, clips, here)
     pushing = coupling_effects(model, plain)
@@ -104,14 +76,8 @@ def decouple(
 ) -> tuple[Model, Sequence[Array]]:
     """The model without the push between balls, which is faster to compute, and its predicted tracks.
 
-    It returns the model itself if it has no such push, or if a ball would not have rested without it.
-
-    Parameters
-    ----------
-    model, launches, clips
-        As of `differentiate`.
-    here : sequence of (n, 2) array, optional
-        The model's own predicted tracks, if known.
+    It returns the model itself if it has no such push, or if a ball would not have rested without it. here: the model's
+    own predicted tracks, if known.
     """
     plain = without_mutual_push(model)
     if plain.effects != model.effects:
@@ -128,24 +94,11 @@ def coupling_effects(model: Model, plain: Model) -> set[str]:
 def differentiate_launches(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], batch: int = 64
 ) -> tuple[list[Array], list[Array]]:
-    """Predict tracks and differentiate them by each clip's own launch, `batch` clips at a time.
+    """Predict tracks (n, 2), m, and differentiate them by each clip's own launch, (n, 2, p).
 
-    The difference is taken to one side if a motion exists only there, as at the limit of a ball's rest. A
-    derivative is zero where neither side has one.
-
-    Parameters
-    ----------
-    model, launches, clips
-        As of `differentiate`.
-    batch : int
-        Clips to predict together, to limit memory.
-
-    Returns
-    -------
-    here : list of (n, 2) array
-        Of each clip, m.
-    slopes : list of (n, 2, p) array
-        By the columns of `discrepancy.data.launch`; zero for those that are not free.
+    The difference is taken to one side if a motion exists only there, as at the limit of a ball's rest. A derivative is
+    zero where neither side has one, and for columns of the launch that are not free. batch: clips to predict together,
+    to limit memory.
     """
     here: list[Array] = []
     slopes: list[Array] = []

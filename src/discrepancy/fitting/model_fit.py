@@ -41,25 +41,13 @@ class WhitenedClips:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Whitened derivatives of each clip's predicted track.
-
-    Attributes
-    ----------
-    model : Model
-    names : tuple of str
-    launches : (clips, p) array
-        The model, the shared parameters and the launches at which the derivatives were taken.
-    slopes : tuple of (2n, S) arrays
-        Derivatives by the shared parameters.
-    launch_slopes : tuple of (2n, p) arrays
-        Derivatives by the clip's own launch.
-    """
+    """Whitened derivatives of each clip's predicted track, taken at this model and these launches."""
 
     model: Model
-    names: tuple[str, ...]
-    launches: Array
-    slopes: tuple[Array, ...]
-    launch_slopes: tuple[Array, ...]
+    names: tuple[str, ...]  # the shared parameters
+    launches: Array  # (clips, p)
+    slopes: tuple[Array, ...]  # (2n, S): by the shared parameters
+    launch_slopes: tuple[Array, ...]  # (2n, p): by the clip's own launch
 
     @cached_property
     def launch_bases(self) -> tuple[Array, ...]:
@@ -81,26 +69,13 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class ModelFit:
-    """A fitted model.
-
-    Attributes
-    ----------
-    model : Model
-    names : tuple of str
-        The shared parameters fitted.
-    launches : (clips, p) array
-        Columns as in `discrepancy.data.launch`.
-    residuals : tuple of (2n,) arrays
-        Whitened, of each clip.
-    linearisation : Tangent
-        The derivatives that it was found with.
-    """
+    """A fitted model."""
 
     model: Model
-    names: tuple[str, ...]
-    launches: Array
-    residuals: tuple[Array, ...]
-    linearisation: Linearisation
+    names: tuple[str, ...]  # the shared parameters fitted
+    launches: Array  # (clips, p), columns as in `discrepancy.data.launch`
+    residuals: tuple[Array, ...]  # (2n,) of each clip, whitened
+    linearisation: Linearisation  # the derivatives that it was found with
 
     @property
     def slopes(self) -> tuple[Array, ...]:
@@ -179,22 +154,11 @@ class ModelFit:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def information(self, columns: Sequence[Array]) -> tuple[Array, Array]:
-        """Fisher information of further parameters, and their gradient, for a first-order fit.
+        """Fisher information (k, k) of further parameters, and their gradient (k,), for a first-order fit.
 
-        The columns are first projected off the fit's own parameters and launches. That is done clip by clip, to save
-        memory.
-
-        Parameters
-        ----------
-        columns : sequence of (2n, k) array
-            Whitened derivatives of each clip's predicted track by the further parameters.
-
-        Returns
-        -------
-        gram : (k, k) array
-            The information: products of the projected columns with themselves.
-        pull : (k,) array
-            Products of the projected columns with the residuals.
+        The columns, whitened derivatives (2n, k) of each clip's track by these parameters, are first projected off the
+        fit's own parameters and launches. Information and gradient are their products with themselves and with the
+        residuals. All is done clip by clip, to save memory.
         """
         shared, launches = self.linearisation.parameter_bases, self.linearisation.launch_bases
         taken = np.asarray(sum(q.T @ c for q, c in zip(shared, columns, strict=True)))  # q is off the launches already
@@ -208,14 +172,7 @@ class ModelFit:
     def extend(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> ModelFit:
         """The fit with further shared parameters, before it is fitted again; `is_linearised_here` is then False.
 
-        Parameters
-        ----------
-        model : Model
-            With the further parameters at their start values.
-        names : sequence of str
-            Names of these parameters.
-        columns : sequence of (2n, k) array
-            Whitened derivatives of each clip by these parameters.
+        The model has them at their start values. columns: whitened derivatives (2n, k) of each clip by them.
         """
         slopes = tuple(np.concatenate(both, axis=1) for both in zip(self.slopes, columns, strict=True))
         linearisation = dataclasses.replace(self.linearisation, slopes=slopes)

@@ -41,26 +41,16 @@ def refit_noise(
 ) -> Noise | None:
     """Estimate the noise from the residuals of a fit that was made with `noise`.
 
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-    fit : ModelFit
-    noise : Noise
-    explained : bool
-        Whether the fit contains every known effect. If not, a missing effect may move both balls as a shaking camera
-        does; then only each ball's own noise is estimated.
-    max_clips : int
-        Clips that are used, evenly spread; 12 determine the noise well enough.
+    explained: whether the fit contains every known effect. If not, a missing effect may move both balls as a shaking
+    camera does; then only each ball's own noise is estimated.
+    max_clips: clips that are used, evenly spread; 12 determine the noise well enough.
 
-    Returns
-    -------
-    Noise or None
-        None if one of these holds:
+    Returns None if one of these holds:
 
-        - the gain in likelihood is below `SearchPolicy`'s;
-        - the phases of motion exclude it;
-        - already the noise of whole phases contained motion;
-        - the shared noise grows much over whole clips, since a tilted table moves both balls in the same way.
+    - the gain in likelihood is below `SearchPolicy`'s;
+    - the phases of motion exclude it;
+    - already the noise of whole phases contained motion;
+    - the shared noise grows much over whole clips, since a tilted table moves both balls in the same way.
     """
     if (noise.shared and not explained) or noise.whole_phase_scale:
         return None

@@ -22,24 +22,13 @@ BASE_PARAMETERS = ("restitution", "sliding_friction", "spin_transfer", "rolling_
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect that a model may lack, or a base parameter that is zero in it.
-
-    Attributes
-    ----------
-    name : str
-    strengths, shapes : tuple of str
-        Dotted names of its strength parameters and of its shape parameters.
-    kind : type of Effect, or None
-        None for a base parameter.
-    held : tuple of float
-        Values of the strengths and shapes where the given model has the effect.
-    """
+    """An effect that a model may lack, or a base parameter that is zero in it."""
 
     name: str
-    strengths: tuple[str, ...]
-    shapes: tuple[str, ...] = ()
-    kind: type[Effect] | None = None
-    held: tuple[float, ...] = ()
+    strengths: tuple[str, ...]  # dotted names of its strength parameters
+    shapes: tuple[str, ...] = ()  # and of its shape parameters
+    kind: type[Effect] | None = None  # None for a base parameter
+    held: tuple[float, ...] = ()  # values of strengths and shapes where the given model has the effect
 
     def remove_from(self, model: Model) -> Model:
         """The model without the candidate: its parameters at the values of the given model, or zero."""
@@ -83,20 +72,9 @@ def tried_range(p: Parameter) -> float:
 
 
 def refine_tried_values(p: Parameter, value: float, closer: int) -> list[float]:
-    """Values of a shape parameter on either side of a tried one.
+    """Values of a shape parameter on either side of a tried one, within the parameter's limits.
 
-    Parameters
-    ----------
-    p : Parameter
-    value : float
-        The tried value.
-    closer : int
-        0 for thirds of the distance to the next tried value; each further step divides the distance by three again.
-
-    Returns
-    -------
-    list of float
-        Within the parameter's limits.
+    closer: 0 for thirds of the distance to the next tried value; each further step divides the distance by three again.
     """
     tries = _tries(p, 5)
     steps = [k / 3 / 3**closer for k in (-2, -1, 1, 2)]
@@ -109,17 +87,8 @@ def refine_tried_values(p: Parameter, value: float, closer: int) -> list[float]:
 def list_candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
     """List what a model may lack: base parameters that are zero in it, and the library's effects.
 
-    Effects on sliding friction are left out where the model has none.
-
-    Parameters
-    ----------
-    model : Model
-    fitted : sequence of str
-        Dotted names of parameters that are fitted already and so are not candidates.
-
-    Returns
-    -------
-    tuple of Candidate
+    Effects on sliding friction are left out where the model has none. Parameters that are fitted already are no
+    candidates.
     """
     multiply_friction = {"friction", "normal_load", "drilling"}
     found = [Candidate(n, (n,)) for n in BASE_PARAMETERS if n not in fitted and model.value(n) == 0]

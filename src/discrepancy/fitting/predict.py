@@ -19,27 +19,11 @@ from tracker.camera.camera import Camera, LampSettings
 
 
 def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
-    """Predict where each clip's balls are seen.
+    """Predict where each clip's balls are seen: centres (n_k, 2), m, where the clip has measurements.
 
-    Parameters
-    ----------
-    model : Model
-    launches : (clips, p) array
-        Columns as in `discrepancy.data.launch`.
-    clips : sequence of MeasuredCollision
-        All of one camera, at any frame rates.
-
-    Returns
-    -------
-    list of (n_k, 2) arrays
-        Centres, m, where each clip has measurements.
-
-    Raises
-    ------
-    ValueError
-        The model has no motion for a launch, or one whose positions overflow.
-    OutOfTime
-        The time of the search is over.
+    launches: (clips, p), with columns as in `discrepancy.data.launch`. The clips are of one camera, at any frame rates.
+    Raises ValueError where the model has no motion for a launch or the positions overflow; OutOfTime when the time of
+    the search is over.
     """
     farthest = 1e9  # m; squares of such residuals are still finite
     deadline.check()
@@ -55,15 +39,7 @@ def map_by_frame_rate(
 ) -> list[Array]:
     """Apply a function to the clips of each frame rate and exposure, and collect the results in the clips' order.
 
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-    of : callable
-        (indices of some clips, these clips) -> an array for each.
-
-    Returns
-    -------
-    list of array
+    of: takes indices of some clips and these clips; returns an array for each.
     """
     rates: dict[tuple[str, str], list[int]] = {}
     for k, clip in enumerate(clips):

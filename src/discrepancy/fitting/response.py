@@ -75,21 +75,11 @@ class ResponseSegment:
 def compute_responses(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], changes: Mapping[str, LawChange], size: int
 ) -> list[Array]:
-    """Differentiate the tracks by many changes of the laws at once.
+    """Differentiate the tracks by many changes of the laws at once: (n, 2, size) for each clip, m for a change of one
+    unit.
 
-    Parameters
-    ----------
-    model : Model
-    launches : (clips, p) array
-    clips : sequence of MeasuredCollision
-    changes : mapping of str to callable
-        For "friction", "rolling" or "push", what `size` changes add to the law on a segment: `LawChange`.
-    size : int
-
-    Returns
-    -------
-    list of (n, 2, size) array
-        For each clip, m for a change of one unit; zero where it overflows.
+    changes: for "friction", "rolling" or "push", what `size` changes add to the law on a segment. Responses that
+    overflow are zero.
     """
     batch = 32  # clips
 

@@ -47,23 +47,10 @@ def scan_shapes(
 ) -> list[Array]:
     """Differentiate the tracks by a candidate's strengths, at many values of its shape parameters at once.
 
-    Parameters
-    ----------
-    model : Model
-        Without the candidate.
-    launches : (clips, p) array
-    clips : sequence of MeasuredCollision
-    candidate : Candidate
-        For which `can_scan` holds.
-    tries : sequence of dict of str to float
-        Values of its shape parameters by dotted name.
-    here : sequence of (n, 2) array
-        The forecast of the model, m.
-
-    Returns
-    -------
-    list of (n, 2, tries, strengths) array
-        For each clip, m over the strength's unit.
+    Returns (n, 2, tries, strengths) for each clip, m over the strength's unit.
+    model: without the candidate, for which `can_scan` holds.
+    tries: values of its shape parameters by dotted name.
+    here: the predicted tracks (n, 2) of the model, m.
     """
     batch = 64  # columns, for memory
     kind = candidate.kind

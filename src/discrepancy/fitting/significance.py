@@ -13,21 +13,10 @@ from discrepancy.policy import current_policy
 
 
 def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
-    """Convert a chi^2 to the |z| of a normal variable with the same p-value.
+    """Convert a chi^2 to the |z| of a normal variable with the same p-value; 0 where it is as large by chance.
 
-    Parameters
-    ----------
-    chi2 : float
-    dof : int
-        Its degrees of freedom.
-    trials_factor : float
-        The number of independent trials of which it is the best (look-elsewhere effect). Twice its logarithm is
-        subtracted from sigma squared, the leading term for rare events.
-
-    Returns
-    -------
-    float
-        Sigma; 0 where it is as large by chance.
+    trials_factor: the number of independent trials of which it is the best (look-elsewhere effect). Twice its logarithm
+    is subtracted from sigma squared, the leading term for rare events.
     """
     if trials_factor > 1:
         return math.sqrt(max(chi2_to_sigma(chi2, dof) ** 2 - 2 * math.log(trials_factor), 0.0))
@@ -45,12 +34,8 @@ def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
 def closes_too_little(without: float, with_: float, share: float) -> bool:
     """True if far more is missing than a claim explains.
 
-    Parameters
-    ----------
-    without, with_ : float
-        chi^2 per point without and with the claim.
-    share : float
-        The share of the excess of chi^2 per point over one that the claim must remove.
+    without, with_: chi^2 per point without and with the claim. share: of the excess of chi^2 per point over one that
+    the claim must remove.
     """
     return with_ > current_policy().poor_chi2_per_point and without - with_ < share * (without - 1)
 
@@ -80,23 +65,12 @@ def chance_threshold(
     The products of the candidates' signatures with white noise are Gaussian with covariance `gram`. 40,000 draws of
     them, with a fixed seed, give the level to a sixth of itself and its sigma to 1 %.
 
-    Parameters
-    ----------
-    gram : (K, K) array
-        Products of the axes of all candidates. A candidate's axes are an orthonormal basis of its signature after
-        projection off everything that the fit absorbs.
-    sizes : sequence of int
-        How many axes each candidate has; their sum is K.
-    one_sided : sequence of bool
-        Which candidates have a single strength that can have one sign only.
-    level : float, optional
-        That share; by default `SearchPolicy.significance_level`.
-    trials_factors : sequence of float
-        One for each candidate; by default 1.
-
-    Returns
-    -------
-    float
+    gram: (K, K), products of the axes of all candidates. A candidate's axes are an orthonormal basis of its signature
+    after projection off everything that the fit absorbs.
+    sizes: how many axes each candidate has; their sum is K.
+    one_sided: which candidates have a single strength that can have one sign only.
+    level: that share; by default `SearchPolicy.significance_level`.
+    trials_factors: one for each candidate; by default 1.
     """
     draws, batch, seed = 40_000, 4_000, 20_260
     if not sum(sizes):

@@ -13,21 +13,9 @@ from synthcam.model import Ball
 
 
 def size_exponent(unit: str) -> float:
-    """The exponent with which a quantity scales with the ball's diameter.
+    """The exponent with which a quantity scales with the ball's diameter: 0.5 for "m/s", -1 for "1/m".
 
-    Parameters
-    ----------
-    unit : str
-        A product of powers of m, s, rad and px, as "m/s^2"; "1" for a pure number.
-
-    Returns
-    -------
-    float
-
-    Examples
-    --------
-    >>> power_of("m/s"), power_of("m/s^2"), power_of("1/m")
-    (0.5, 0.0, -1.0)
+    unit: a product of powers of m, s, rad and px, as "m/s^2"; "1" for a pure number.
     """
     exponents, total = {"m": 1.0, "s": 0.5, "rad": 0.0, "px": 0.0, "1": 0.0}, 0.0
     for sign, part in zip((1, -1), unit.split("/"), strict=False):

@@ -12,31 +12,20 @@ from discrepancy.arrays import Array
 
 @dataclass(frozen=True)
 class Axis:
-    """The quantity that a free law depends on, with the series over it.
+    """The quantity that a free law depends on, with the series over it: smooth terms, as the integration of motion
+    requires.
 
-    All terms are smooth, as the integration of motion requires.
-
-    Attributes
-    ----------
-    name, unit : str
-    low, high : float
-        Ends of the covered range.
-    count : int
-        Coefficients.
-    kind : str
-        "line": cosines over 1.2 times the range, so that the slope at its ends is free. "circle": sines and cosines of
-        an angle, rad. "set": a number for each clip.
-    letter : str
-        For formulas.
+    kind: "line", cosines over 1.2 times the range, so that the slope at its ends is free; "circle", sines and cosines
+    of an angle, rad; "set", a number for each clip.
     """
 
     name: str
     unit: str
-    low: float
+    low: float  # end of the covered range, as is high
     high: float
-    count: int
+    count: int  # coefficients
     kind: str = "line"
-    letter: str = ""
+    letter: str = ""  # for formulas
 
     @property
     def _waves(self) -> Array:

@@ -28,17 +28,10 @@ MIN_WEIGHT = 1e-6  # components of a smaller weight are dropped
 
 @dataclass(frozen=True)
 class NormalMixture:
-    """The posterior of a law at n points, as a mixture of normal distributions.
+    """The posterior of a law at n points, as a mixture of k normal distributions."""
 
-    Attributes
-    ----------
-    weight : (k,) array
-        They add up to one.
-    mean, std : (k, n, parts) array
-    """
-
-    weight: Array
-    mean: Array
+    weight: Array  # (k,), which add up to one
+    mean: Array  # (k, n, parts), as is the std
     std: Array
 
     @classmethod
@@ -103,27 +96,7 @@ def _weigh_steps(
 ) -> tuple[Array, Array, Array]:
     """Weigh a grid of steps against the smooth curve; refine the grid where the weight is.
 
-    Parameters
-    ----------
-    fitted_law : FittedLaw
-    x : (n,) array
-        Where the law is wanted.
-    counts : (int, int)
-        Positions and widths of one grid.
-    widths : (float, float)
-        The smallest and the largest width of a step's tanh, as shares of the range.
-    max_refinements : int
-    min_effective_steps : float
-        The grid is refined until at least this many steps share the weight, or it no longer halves.
-    batch : int
-        Steps fitted at once, to limit memory.
-
-    Returns
-    -------
-    log_odds : (k,) array
-        Of each step against the smooth curve.
-    mean, std : (k, n, 1) array
-        The law at x, given each step.
+    Returns log odds (k,) of each step against the smooth curve, and mean and std (k, n, 1) of the law at x given each.
     """
     bare = replace(fitted_law, fit=fitted_law.fit.subtract(fitted_law.slopes, -fitted_law.coefs))  # without curve
     smooth = maximise_evidence(fitted_law.law, *_reduce_to_columns(bare, fitted_law.slopes)[:2]).gain

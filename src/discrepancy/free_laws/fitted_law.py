@@ -19,33 +19,18 @@ from synthcam.model import Model
 class FittedLaw:
     """A free law fitted together with all other parameters.
 
-    Attributes
-    ----------
-    law : FreeLaw
-    coefs : (size,) array
-    prior : Prior
-    fit : ModelFit
-        The fit of all other parameters. Its model has the law as an effect, if an effect can express it.
-    model_without_law : Model
-    evidence : WhitenedClips
-        The clips. If no effect can express the law, what it moves is subtracted from the tracks.
-    slopes : tuple of (2n, size) arrays
-        Whitened derivatives by the coefficients, for each clip.
-    sigma : float
-        Significance of the law against the fit without it.
-    score : float
-        chi^2 plus the cost of all freedom.
+    Its model has the law as an effect. If no effect can express it, what the law moves is subtracted from the tracks.
     """
 
     law: FreeLaw
-    coefs: Array
+    coefs: Array  # (size,)
     prior: Prior
-    fit: ModelFit
+    fit: ModelFit  # of all other parameters
     model_without_law: Model
-    evidence: WhitenedClips
-    slopes: tuple[Array, ...]
-    sigma: float
-    score: float
+    evidence: WhitenedClips  # the clips
+    slopes: tuple[Array, ...]  # (2n, size) of each clip: whitened derivatives by the coefficients
+    sigma: float  # significance of the law against the fit without it
+    score: float  # chi^2 plus the cost of all freedom
 
     @property
     def joint_fit(self) -> ModelFit:

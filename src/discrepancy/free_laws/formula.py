@@ -22,31 +22,16 @@ from discrepancy.policy import current_policy
 
 @dataclass(frozen=True)
 class Formula:
-    """A short formula for a free law.
+    """A short formula for a free law."""
 
-    Attributes
-    ----------
-    text : str
-        With numbers and units.
-    chi2 : float
-        By how much chi^2 exceeds that of the free curve.
-    parameters : int
-        Fitted numbers.
-    is_rejected : bool
-        Whether the data reject it against the free curve.
-    factors, numbers : dict of str to float
-        Of the terms and of the shape, by name; empty if the shape has no code.
-    shape : str
-        Its name.
-    """
-
-    text: str
-    chi2: float
-    parameters: int
-    is_rejected: bool
+    text: str  # with numbers and units
+    chi2: float  # by how much it exceeds that of the free curve
+    parameters: int  # fitted numbers
+    is_rejected: bool  # whether the data reject it against the free curve
+    # of the terms by name; empty if the shape has no code, as are the numbers
     factors: dict[str, float] = field(default_factory=dict)
     numbers: dict[str, float] = field(default_factory=dict)
-    shape: str = ""
+    shape: str = ""  # its name
 
 
 def propose_formula(fitted_law: FittedLaw) -> Formula:

@@ -183,19 +183,10 @@ class FreeLaw(ABC):
         return np.tile(out, self.parts)
 
     def coordinates(self, what: Any) -> tuple[Array, ...]:
-        """Map what the law depends on to its axes.
+        """Map what the law depends on, (...) or a vector (..., 2), to its axes: (...) for each.
 
         A vector gives its two components on two axes, its direction on a circle and its length on a line. A subclass
         whose axis is something else overrides this.
-
-        Parameters
-        ----------
-        what : (...) or (..., 2) array
-
-        Returns
-        -------
-        tuple of (...) array
-            One for each axis.
         """
         if len(self.axes) == 2:
             return what[..., 0], what[..., 1]
@@ -207,12 +198,10 @@ class FreeLaw(ABC):
     def factors(self, what: Any, speed: Any) -> Array | None:
         """The factor of each part, as for the tables of a model (`synthcam.tabulated_law.Kind.parts`).
 
-        Returns
-        -------
-        array or None
-            For a force (..., 2, parts): the unit vectors of a map, the velocity and its normal over an angle, so that a
-            ball at rest feels none, or the direction of motion. For a rolling loss of two terms (..., parts): 1 and
-            the speed over REFERENCE_SPEED_M_S. None for any other law.
+        - Of a force, (..., 2, parts): the unit vectors of a map; over an angle, the velocity and its normal, so that a
+          ball at rest feels none; else the direction of motion.
+        - Of a rolling loss of two terms, (..., parts): 1 and the speed over REFERENCE_SPEED_M_S.
+        - None for any other law.
         """
         if self.has_speed_term:
             return np.stack([np.ones_like(speed), speed / REFERENCE_SPEED_M_S], axis=-1)

@@ -16,39 +16,18 @@ from discrepancy.free_laws.law_kinds import FreeLaw
 
 @dataclass(frozen=True)
 class LawSummary:
-    """A fitted free law as a curve or map, for pages and files.
-
-    Attributes
-    ----------
-    law : FreeLaw
-    description : str
-        As "mu that depends on the slip speed".
-    x : tuple of (n,) arrays
-        Coordinates, an array for each axis.
-    curve : (n, parts) array
-    bands : dict of str to (n, parts, 2) array
-        Lower and upper ends, by name: "band68" and "band" (95 %).
-    formula : str
-    formula_rejected : bool
-        Whether the data reject the formula against the free curve.
-    sigma : float
-        Significance of the law.
-    covariance : (n, n) array or None
-        Of a smooth curve of one part; None for others.
-    formula_parts : Formula or None
-        The formula's shape, and its numbers by name.
-    """
+    """A fitted free law as a curve or map, for pages and files."""
 
     law: FreeLaw
-    description: str
-    x: tuple[Array, ...]
-    curve: Array
-    bands: dict[str, Array]
+    description: str  # as "mu that depends on the slip speed"
+    x: tuple[Array, ...]  # (n,) for each axis
+    curve: Array  # (n, parts)
+    bands: dict[str, Array]  # (n, parts, 2), lower and upper ends, by name: "band68" and "band" (95 %)
     formula: str
-    formula_rejected: bool
-    sigma: float
-    covariance: Array | None = None
-    formula_parts: Formula | None = None
+    formula_rejected: bool  # whether the data reject it against the free curve
+    sigma: float  # significance of the law
+    covariance: Array | None = None  # (n, n) of a smooth curve of one part
+    formula_parts: Formula | None = None  # the formula's shape, and its numbers by name
 
     @classmethod
     def of(cls, fitted_law: FittedLaw) -> LawSummary:

@@ -21,10 +21,7 @@ from synthcam_shared.errors import PluginError
 def library() -> tuple[FreeLaw, ...]:
     """Every free law, sorted by name, without axes yet.
 
-    Raises
-    ------
-    PluginError
-        A module of `laws` has no tuple LAWS of free laws, or two laws have one name.
+    Raises PluginError where a module of `laws` has no tuple LAWS of free laws, or two laws have one name.
     """
     found: dict[str, FreeLaw] = {}
     for info in pkgutil.iter_modules(laws.__path__):
@@ -45,20 +42,8 @@ def law_count() -> int:
 
 
 def free_laws_over(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> tuple[FreeLaw, ...]:
-    """Set the axes of every free law to the ranges that a fit's motion covers.
-
-    Parameters
-    ----------
-    model : Model
-        The fitted model; its motion gives the ranges.
-    launches : (clips, p) array
-        Columns as in `discrepancy.data.launch`.
-    clips : sequence of MeasuredCollision
-
-    Returns
-    -------
-    tuple of FreeLaw
-        Sorted by name, without the laws that the clips do not cover.
+    """Set the axes of every free law to the ranges that a fit's motion covers: sorted by name, without laws not
+    covered.
     """
     covered, found = compute_ranges(model, launches, clips), []
     for law in library():

@@ -28,24 +28,12 @@ IDLE_VARIANCE = 1e-9  # prior variance of a part that does not act, relative to 
 
 @dataclass(frozen=True)
 class Prior:
-    """A Gaussian prior of independent coefficients.
+    """A Gaussian prior of independent coefficients."""
 
-    Attributes
-    ----------
-    length : float
-        Over which its curves change, as a share of the range.
-    size : float
-        The standard deviation of its curves.
-    spread : (J,) array
-        The coefficients' variances at size one.
-    cost : float
-        Of choosing this prior among all, in chi^2.
-    """
-
-    length: float
-    size: float
-    spread: Array
-    cost: float = 0.0
+    length: float  # over which its curves change, as a share of the range
+    size: float  # the standard deviation of its curves
+    spread: Array  # (J,): the coefficients' variances at size one
+    cost: float = 0.0  # of choosing this prior among all, in chi^2
 
     @property
     def precision(self) -> Array:
@@ -55,20 +43,11 @@ class Prior:
 
 @dataclass(frozen=True)
 class CurveEvidence:
-    """The best prior of a free law, and how much the law then explains.
+    """The best prior of a free law, and how much the law then explains."""
 
-    Attributes
-    ----------
-    gain : float
-        In chi^2 over no law, freedom subtracted; positive is better than no law.
-    prior : Prior
-    coefs : (J,) array
-        The most probable coefficients.
-    """
-
-    gain: float
+    gain: float  # in chi^2 over no law, freedom subtracted; positive is better than no law
     prior: Prior
-    coefs: Array
+    coefs: Array  # (J,): the most probable ones
 
 
 def cost_of_choice(count: int) -> float:
@@ -77,21 +56,10 @@ def cost_of_choice(count: int) -> float:
 
 
 def cost_of_strengths(information: Array, found: Array) -> float:
-    """The cost of an effect's free strengths, by the same rule as for a free law's coefficients.
+    """The cost in chi^2 of an effect's free strengths, by the same rule as for a free law's coefficients.
 
-    Either all strengths may differ from zero or one of them alone, whichever has the larger marginal likelihood.
-
-    Parameters
-    ----------
-    information : (k, k) array
-        In units in which realistic strengths are one.
-    found : (k,) array
-        The fitted strengths, in the same units.
-
-    Returns
-    -------
-    float
-        In chi^2.
+    Either all strengths may differ from zero or one of them alone, whichever has the larger marginal likelihood. The
+    information (k, k) and the fitted strengths (k,) are in units in which realistic strengths are one.
     """
     pull, one = information @ found, cost_of_choice(1 + len(found))
     subsets = [(np.arange(len(found)), 0.0)] + [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
@@ -136,17 +104,8 @@ def maximise_evidence(law: FreeLaw, information: Array, pull: Array) -> CurveEvi
     """Choose the prior of a free law that maximises the marginal likelihood, and its most probable coefficients.
 
     All lengths have the same prior probability, so the gain is that of their mean likelihood. The difference from the
-    best length is the cost of choosing it.
-
-    Parameters
-    ----------
-    law : FreeLaw
-    information, pull : (J, J) array, (J,) array
-        Of its J coefficients, as `ModelFit.information` gives them.
-
-    Returns
-    -------
-    CurveEvidence
+    best length is the cost of choosing it. information, pull: (J, J) and (J,), of its J coefficients, from
+    `ModelFit.information`.
     """
     best: CurveEvidence | None = None
     gains = dict.fromkeys(PRIOR_LENGTHS, -math.inf)
@@ -172,18 +131,11 @@ def maximise_evidence(law: FreeLaw, information: Array, pull: Array) -> CurveEvi
 
 
 def compute_significance(law: FreeLaw, information: Array, pull: Array, length: float = 0.35) -> float:
-    """Compute the significance of a free law, in sigma.
+    """Compute the significance of a free law, in sigma, from information and pull as for `maximise_evidence`.
 
     It is the largest significance of chi^2 in the first 1, 2, 4, ... directions, corrected for these trials. The
     directions are ordered by how well a smooth curve would be detected along them. Without a hidden law the pulls along
-    them are independent and of unit variance.
-
-    Parameters
-    ----------
-    law, information, pull
-        As for `maximise_evidence`.
-    length : float
-        Over which smooth curves change, as a share of the range.
+    them are independent and of unit variance. length: over which smooth curves change, as a share of the range.
     """
     root = np.sqrt(law.prior_variances(length))
     values, axes = np.linalg.eigh(root[:, None] * information * root)

@@ -18,32 +18,17 @@ from synthcam.model import Model
 
 @dataclass(frozen=True)
 class CoveredRanges:
-    """The motion of a fit, sampled and flattened over clips and instants, of both balls or of one ball.
+    """The motion of a fit, sampled and flattened over clips and instants, of both balls or of one ball; m and m/s."""
 
-    Attributes
-    ----------
-    launches : (clips, p) array
-        Columns as in `discrepancy.data.launch`.
-    clips : sequence of MeasuredCollision
-    slips : (m,) array
-        Contact speeds while sliding, m/s.
-    slip_places : (m, 2) array
-        Positions while sliding, m.
-    places, velocities, speeds : (p, 2), (p, 2) and (p,) arrays
-        Of moving balls, m and m/s.
-    roll_speeds, roll_places : (q,) and (q, 2) arrays
-        While rolling, m/s and m.
-    """
-
-    launches: Array
+    launches: Array  # (clips, p), columns as in `discrepancy.data.launch`
     clips: Sequence[MeasuredCollision]
-    slips: Array
-    slip_places: Array
-    places: Array
+    slips: Array  # (m,): contact speeds while sliding
+    slip_places: Array  # (m, 2)
+    places: Array  # (p, 2), of moving balls; velocities and speeds too
     velocities: Array
-    speeds: Array
-    roll_speeds: Array
-    roll_places: Array
+    speeds: Array  # (p,)
+    roll_speeds: Array  # (q,): while rolling
+    roll_places: Array  # (q, 2)
 
 
 def compute_ranges(
@@ -53,23 +38,10 @@ def compute_ranges(
     samples: int = 300,
     min_speed: float = 1e-5,
 ) -> dict[str, CoveredRanges]:
-    """Sample the motion of a fit.
+    """Sample the motion of a fit, by ball: "" for both together, "a" and "b".
 
-    Parameters
-    ----------
-    model : Model
-    launches : (clips, p) array
-        Columns as in `discrepancy.data.launch`.
-    clips : sequence of MeasuredCollision
-    samples : int
-        Instants, evenly spaced over the longest clip.
-    min_speed : float
-        m/s; a ball that is slower rests, and one whose contact point is slower rolls.
-
-    Returns
-    -------
-    dict of str to CoveredRanges
-        By ball: "" for both together, "a" and "b".
+    samples: instants, evenly spaced over the longest clip. min_speed: m/s; a ball that is slower rests, and one whose
+    contact point is slower rolls.
     """
     first, last = min(c.frame.min() / c.fps for c in clips), max((c.frame.max() + 1) / c.fps for c in clips)
     times = np.linspace(min(first, launches[:, T_C].min()), last, samples)

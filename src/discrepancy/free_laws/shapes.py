@@ -15,27 +15,13 @@ from synthcam.tabulated_law import REFERENCE_SPEED_M_S
 
 
 class Term(NamedTuple):
-    """A term of a sum, without its factor.
+    """A term of a sum, without its factor. Only terms of curves have a name, code and a power."""
 
-    Attributes
-    ----------
-    text : str
-        For people, with its numbers.
-    column : (n,) or (n, 2) array
-        Its values on the grid.
-    name : str
-        Of its factor; for curves only, as are `code` and `power`.
-    code : str
-        Python code with {x} and the shape's numbers.
-    power : float
-        The power of {x} in its unit.
-    """
-
-    text: str
-    column: Array
-    name: str = ""
-    code: str = ""
-    power: float = 0.0
+    text: str  # for people, with its numbers
+    column: Array  # its values on the grid, (n,) or (n, 2)
+    name: str = ""  # of its factor
+    code: str = ""  # Python code with {x} and the shape's numbers
+    power: float = 0.0  # of {x}, in the unit of the factor
 
 
 Terms = list[Term]
@@ -44,24 +30,13 @@ CONSTANT = "constant"
 
 @dataclass(frozen=True)
 class LawShape:
-    """A sum of terms with fitted factors.
+    """A sum of terms with fitted factors."""
 
-    Attributes
-    ----------
-    terms : callable
-        Takes the shape's numbers and returns its terms.
-    tries : tuple of arrays
-        Starting values of each number.
-    numbers : tuple of (str, float)
-        Names of the numbers, as in the terms' code, each with the power of x in its unit.
-    name : str
-        Identifies a shape with numbers in files.
-    """
-
-    terms: Callable[..., Terms]
-    tries: tuple[Array, ...] = ()
+    terms: Callable[..., Terms]  # takes the shape's numbers
+    tries: tuple[Array, ...] = ()  # starting values of each number
+    # names of the numbers, as in the terms' code, each with the power of x in its unit
     numbers: tuple[tuple[str, float], ...] = ()
-    name: str = ""
+    name: str = ""  # identifies a shape with numbers in files
 
 
 def _over(k: float) -> str:

@@ -20,18 +20,8 @@ from synthcam.tabulated_law import TabulatedLaw, kind_of
 def tabulate_and_refit(fitted_law: FittedLaw, progress: Callable[[], None] = lambda: None) -> ModelFit | None:
     """Put a free law into the model as a table, and fit all other parameters again.
 
-    The table is the smooth curve or the curve that may have a step, whichever leaves the smaller chi^2.
-
-    Parameters
-    ----------
-    fitted_law : FittedLaw
-    progress : callable
-        Called now and then.
-
-    Returns
-    -------
-    ModelFit or None
-        None if no model can hold such a law, or if no motion exists with it.
+    The table is the smooth curve or the curve that may have a step, whichever leaves the smaller chi^2. Returns None if
+    no model can hold such a law, or if no motion exists with it.
     """
     law, found = fitted_law.law, []
     try:

@@ -24,14 +24,9 @@ ChangedExperiment = tuple[str, Experiment]  # the change in words, and the exper
 class DesignChange:
     """A change of an experiment.
 
-    Attributes
-    ----------
-    name : str
-    make : callable
-        Takes an experiment and random numbers; returns the change in words and the changed experiment, not yet
-        observed, or None if the change is impossible.
-    launches : bool
-        True if only the launches change, so that it can be combined with all others of that kind.
+    make: takes an experiment and random numbers; returns the change in words and the changed experiment, not yet
+    observed, or None if the change is impossible.
+    launches: True if only the launches change, so that it can be combined with all others of that kind.
     """
 
     name: str

@@ -29,29 +29,18 @@ class ChangeLimits:
 
 @dataclass(frozen=True)
 class ChangeGain:
-    """The gain of a change.
-
-    Attributes
-    ----------
-    name, words : str
-        Of the change.
-    limit, naming : float
-        By which factor limits and naming limits fall: the geometric mean over the strengths that are detectable with
-        and without the change.
-    parts, joins : tuple of (str, str)
-        Pairs of effects that only the change makes distinguishable, and that it makes indistinguishable.
-    shows, hides : tuple of str
-        Strengths that are detectable only with it, and only without it.
+    """The gain of a change. limit, naming: by which factor limits and naming limits fall, the geometric mean over the
+    strengths that are detectable with and without it.
     """
 
     name: str
     words: str
     limit: float
     naming: float
-    parts: tuple[Pair, ...]
-    joins: tuple[Pair, ...]
-    shows: tuple[str, ...]
-    hides: tuple[str, ...]
+    parts: tuple[Pair, ...]  # pairs of effects that only the change makes distinguishable
+    joins: tuple[Pair, ...]  # pairs that it makes indistinguishable
+    shows: tuple[str, ...]  # strengths that are detectable only with it
+    hides: tuple[str, ...]  # strengths that are detectable only without it
 
 
 def limits_with_changes(
@@ -59,18 +48,8 @@ def limits_with_changes(
 ) -> tuple[Limits, tuple[ChangeLimits, ...]]:
     """Compute the limits of all effects for the given experiment, and with every possible change.
 
-    A large experiment is thinned out first, and the limits are those of the remaining collisions.
-
-    Parameters
-    ----------
-    experiment : Experiment
-    progress : callable
-        Called after each.
-
-    Returns
-    -------
-    before : tuple of Limit
-    after : tuple of Tried
+    A large experiment is thinned out first, and the limits are those of the remaining collisions. progress: called
+    after each change.
     """
     part = experiment.thin_out()
     before, after = Signatures.of(part).limits(), []
@@ -138,22 +117,15 @@ def indistinguishable_pairs(limits: Limits, of: Sequence[str]) -> tuple[Pair, ..
 class CollisionsNeeded:
     """The collisions that a wanted limit takes.
 
-    Attributes
-    ----------
-    strength : str
-    limit : float
-        The wanted limit.
-    clips, clips_to_name : int or None
-        Collisions to record for a detection limit, and for a naming limit, of that size; None if no number suffices.
-    at : dict of int to float
-        The detection limit at some numbers of collisions.
+    clips, clips_to_name: collisions to record for a detection limit, and for a naming limit, of that size; None if no
+    number suffices.
     """
 
     strength: str
-    limit: float
+    limit: float  # the wanted one
     clips: int | None
     clips_to_name: int | None
-    at: dict[int, float]
+    at: dict[int, float]  # the detection limit at some numbers of collisions
 
     def sentence(self) -> str:
         """How many collisions detect the strength, and how many name it."""
@@ -173,21 +145,7 @@ def count_collisions_needed(
     which the limit is computed once more unless the number exceeds `most`. From there the limit falls as one over the
     square root of the number.
 
-    Parameters
-    ----------
-    strength : str
-    wanted : float
-    here : Limit
-        For `count` collisions.
-    count : int
-    limit_at : callable
-        Takes a number of collisions; returns their limit.
-    most : int
-        Collisions for which the limit may still be computed.
-
-    Returns
-    -------
-    Wanted
+    here: the limit for `count` collisions; limit_at: takes a number of collisions and returns their limit.
     """
     if not math.isfinite(here.limit):
         return CollisionsNeeded(strength, wanted, None, None, {})

@@ -39,39 +39,19 @@ class StatedErrors:
 
 @dataclass(frozen=True)
 class GlintErrors:
-    """Errors of glints, predicted from the light that reaches the sensor.
+    """Errors of glints, predicted from the light that reaches the sensor."""
 
-    Attributes
-    ----------
-    peak : float
-        Counts above black at the peak of a resting ball's glint, before clipping.
-    room : float
-        Light of the room that a ball reflects, over that peak.
-    """
-
-    peak: float
-    room: float = 0.0
+    peak: float  # counts above black at the peak of a resting ball's glint, before clipping
+    room: float = 0.0  # light of the room that a ball reflects, over that peak
 
     def covariances(self, camera: Camera, glints: Array, blur: Array) -> tuple[Array, Array]:
-        """Predict the covariances of positions.
+        """Predict the covariances (n, 2, 2) of positions, px^2, and the part that is the same in every frame of a ball
+        at rest.
 
-        Parameters
-        ----------
-        camera : Camera
-        glints : (n, 2) array
-            Positions of the glints, px.
-        blur : (n, 2) array
-            Their motion in an exposure, px.
+        glints, blur: (n, 2), positions of the glints and their motion in an exposure, px.
 
-        Returns
-        -------
-        covariance, fixed : (n, 2, 2) array
-            px^2. The second is the part of the first that is the same in every frame of a ball at rest.
-
-        References
-        ----------
-        `tracker.detection.likelihood.cramer_rao.localisation_bound`: position, flux and background free, the sensor's
-        noise by EMVA 1288, with clipping. `make bench-localisation` compares the tracker with it.
+        The bound is `tracker.detection.likelihood.cramer_rao.localisation_bound`: position, flux and background free,
+        the sensor's noise by EMVA 1288, with clipping. `make bench-localisation` compares the tracker with it.
         """
         if camera.sigma is None:
             raise ValueError("the bound needs psf.sigma_px")
@@ -91,33 +71,15 @@ Errors = StatedErrors | GlintErrors
 
 @dataclass(frozen=True)
 class Experiment:
-    """Collisions as a search would fit them.
+    """Collisions as a search would fit them."""
 
-    Attributes
-    ----------
-    model : Model
-        Makes the tracks.
-    names : tuple of str
-        The shared parameters that a search would fit.
-    clips : tuple of Measured
-        The visible positions and their errors; all of one camera.
-    launches : (clips, p) array
-        Columns as in `discrepancy.data.launch`.
-    films : tuple of range
-        The frames of each clip's film, with or without a ball in view.
-    errors : Errors
-        The errors that positions would have.
-    noise : Noise
-        Of positions, in units of those errors.
-    """
-
-    model: Model
-    names: tuple[str, ...]
-    clips: tuple[MeasuredCollision, ...]
-    launches: Array
-    films: tuple[range, ...]
-    errors: Errors
-    noise: Noise = CLAIMED_NOISE
+    model: Model  # makes the tracks
+    names: tuple[str, ...]  # the shared parameters that a search would fit
+    clips: tuple[MeasuredCollision, ...]  # the visible positions and their errors; all of one camera
+    launches: Array  # (clips, p), columns as in `discrepancy.data.launch`
+    films: tuple[range, ...]  # the frames of each clip's film, with or without a ball in view
+    errors: Errors  # that positions would have
+    noise: Noise = CLAIMED_NOISE  # of positions, in units of those errors
 
     @property
     def camera(self) -> Camera:
@@ -157,17 +119,8 @@ class Experiment:
     def observe(self) -> Experiment:
         """Predict the positions in every frame that shows a whole ball, with their errors there.
 
-        Collisions with too few frames before or after the contact are left out.
-
-        Returns
-        -------
-        Experiment
-            It may have no collision at all.
-
-        Raises
-        ------
-        ValueError
-            If the model has no motion for these launches.
+        Collisions with too few frames before or after the contact are left out; none may be left. Raises ValueError if
+        the model has no motion for these launches.
         """
         blank = [_make_blank_clip(*each) for each in zip(self.clips, self.launches, self.films, strict=True)]
         places, speeds = (f(self.model, self.launches, blank) for f in (predict_tracks, predict_velocities))

@@ -24,45 +24,19 @@ from tracker.camera.same_view import first_difference
 
 @dataclass(frozen=True)
 class DesignedExperiment:
-    """The experiment of a scene.
+    """The experiment of a scene."""
 
-    Attributes
-    ----------
-    experiment : Experiment
-        The collisions that a search would fit; it holds out a quarter of them.
-    drawn, usable : int
-        Collisions drawn, and those with enough frames in view.
-    notes : tuple of str
-        Influences that the errors do not include.
-    """
-
-    experiment: Experiment
-    drawn: int
-    usable: int
-    notes: tuple[str, ...]
+    experiment: Experiment  # the collisions that a search would fit; it holds out a quarter of them
+    drawn: int  # collisions that were drawn
+    usable: int  # collisions with enough frames in view
+    notes: tuple[str, ...]  # influences that the errors do not include
 
 
 def design_experiment(scene: Scene, count: int, noise_px: float | None = None, seed: int = 0) -> DesignedExperiment:
     """Draw the collisions of a scene and predict what its camera would see of them.
 
-    Parameters
-    ----------
-    scene : Scene
-    count : int
-        Collisions to record.
-    noise_px : float, optional
-        Error of a position, each axis; default: the limit of the scene's camera and lamp.
-    seed : int
-        Of all random numbers.
-
-    Returns
-    -------
-    DesignedExperiment
-
-    Raises
-    ------
-    InputError
-        If no search is possible with such clips.
+    count: collisions to record. noise_px: error of a position, each axis; default: the limit of the scene's camera and
+    lamp. seed: of all random numbers. Raises InputError if no search is possible with such clips.
     """
     least = current_policy().min_collisions
     if count < least:

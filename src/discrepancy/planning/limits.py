@@ -36,39 +36,23 @@ class Rival:
 class Limit:
     """The limits of one strength in an experiment.
 
-    Attributes
-    ----------
-    effect, strength : str
-        The strength's name is dotted: "plate_tilt.x".
-    unit : str
-    typical : float
-        A realistic size.
-    shapes : dict of str to float
-        The effect's shape parameters, by dotted name, for which the limits hold.
-    limit : float
-        The strength that half of such experiments detect at more than `SearchPolicy.detection_limit_sigma`; infinite
-        where the fit absorbs it.
-    naming_limit : float
-        The strength at which half of them distinguish it from its most similar rival as well.
-    shows : bool
-        Whether the limit is small enough for a search to consider, and is a size that the effect allows.
-    rivals : tuple of Rival
-        The most similar first.
-    best, worst : float
-        The smallest and largest limit over all shapes that a search tries.
-    scatter : (float, float)
-        The smallest and largest limit over several draws of the experiment.
+    limit: the strength that half of such experiments detect at more than `SearchPolicy.detection_limit_sigma`; infinite
+    where the fit absorbs it.
+    naming_limit: the strength at which half of them distinguish it from its most similar rival as well.
+    shows: whether the limit is small enough for a search to consider, and is a size that the effect allows.
+    best, worst: the smallest and largest limit over all shapes that a search tries.
+    scatter: the smallest and largest limit over several draws of the experiment.
     """
 
     effect: str
-    strength: str
+    strength: str  # dotted: "plate_tilt.x"
     unit: str
-    typical: float
-    shapes: dict[str, float]
+    typical: float  # a realistic size
+    shapes: dict[str, float]  # the effect's shape parameters, by dotted name, for which the limits hold
     limit: float
     naming_limit: float
     shows: bool
-    rivals: tuple[Rival, ...]
+    rivals: tuple[Rival, ...]  # the most similar first
     best: float
     worst: float
     scatter: tuple[float, float]
@@ -81,32 +65,18 @@ class Limit:
 
 @dataclass(frozen=True)
 class Signatures:
-    """The signatures of effects in an experiment, as `find` scores them.
-
-    Attributes
-    ----------
-    model : Model
-    trials : tuple of Trial
-        Every candidate with each value tried of its shape parameters.
-    gram : (K, K) array
-        Products of all trials' columns, less all that shared parameters and launches absorb.
-    trials_factors : mapping of str to float
-        By the candidate's name.
-    """
+    """The signatures of effects in an experiment, as `find` scores them."""
 
     model: Model
-    trials: tuple[CandidateTrial, ...]
-    gram: Array
-    trials_factors: Mapping[str, float]
+    trials: tuple[CandidateTrial, ...]  # every candidate with each value tried of its shape parameters
+    gram: Array  # (K, K): products of all trials' columns, less all that shared parameters and launches absorb
+    trials_factors: Mapping[str, float]  # by the candidate's name
 
     @classmethod
     def of(cls, experiment: Experiment, only: Sequence[str] = ()) -> Signatures:
         """Compute the signatures of all candidates, or of those named in `only`.
 
-        Raises
-        ------
-        ValueError
-            If the model has no motion for these launches.
+        Raises ValueError if the model has no motion for these launches.
         """
         every = list_candidates(experiment.model, experiment.names)
         chosen = [c for c in every if not only or c.name in only]
@@ -240,14 +210,7 @@ def count_draws(clips: int) -> int:
 def median_limits(draws: Sequence[tuple[Limit, ...]]) -> tuple[Limit, ...]:
     """The median over draws of each strength's limits, and of its cosine with each other effect.
 
-    Parameters
-    ----------
-    draws : sequence of tuple of Limit
-        Of the same scene, in the same order.
-
-    Returns
-    -------
-    tuple of Limit
+    draws: of the same scene, in the same order.
     """
     return tuple(_median(rows) for rows in zip(*draws, strict=True))
 

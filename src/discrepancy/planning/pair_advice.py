@@ -39,23 +39,9 @@ def compare_designs(
 ) -> tuple[ComparedDesign, ...]:
     """Compute the cosine of two effects' signatures in the filmed collisions and in others that could be filmed.
 
-    Both effects have zero strength; all other parameters have their fitted values.
-
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-        The filmed collisions; `Experiment.thin_out` selects some of them.
-    noise : Noise
-    fit : ModelFit
-        Of these clips.
-    one, other : (Candidate, dict of str to float)
-        The effects, each with values of its shape parameters.
-
-    Returns
-    -------
-    tuple of ComparedDesign
-        First the collisions as they are, then with each possible change of `changes.CHANGES`, then with all changes of
-        launches at once.
+    Both effects have zero strength; all other parameters have their fitted values. First come the collisions as they
+    are (`Experiment.thin_out` selects some), then those with each possible change of `changes.CHANGES`, then those with
+    all changes of launches at once.
     """
     for candidate, _ in (one, other):
         fit = fit.drop(candidate.remove_from(fit.model), candidate.strengths + candidate.shapes)
@@ -100,13 +86,8 @@ def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
 def advise(one: Candidate, other: Candidate, found: Sequence[ComparedDesign]) -> str:
     """Advise, in a sentence, on the design that distinguishes two effects best.
 
-    A single change is preferred to all changes at once, unless these lower the cosine much more.
-
-    Parameters
-    ----------
-    one, other : Candidate
-    found : sequence of ComparedDesign
-        As from `compare_designs`.
+    A single change is preferred to all changes at once, unless these lower the cosine much more. found: from
+    `compare_designs`.
     """
     as_filmed, *proposed = found
     policy = current_policy()

@@ -36,34 +36,15 @@ class BestChange:
 
 @dataclass(frozen=True)
 class PlanResult:
-    """The effects that an experiment could detect and name, and the changes that help.
+    """The effects that an experiment could detect and name, and the changes that help."""
 
-    Attributes
-    ----------
-    name : str
-        Of the scene.
-    designed : Designed
-        The collisions, and the errors that their positions would have.
-    limits : tuple of Limit
-        Of the requested effects.
-    pairs : tuple of AlikePair
-        Of effects that the experiment could not distinguish.
-    before : tuple of Limit
-        Limits of all effects, for the collisions that changes were applied to.
-    tried : tuple of Tried
-        Each change of these collisions, with the limits of all effects.
-    gains : tuple of Gain
-        The gain of each change, the best first.
-    wanted : tuple of Wanted
-    """
-
-    name: str
-    designed: DesignedExperiment
-    limits: tuple[Limit, ...]
-    pairs: tuple[IndistinguishablePair, ...]
-    before: tuple[Limit, ...]
-    tried: tuple[ChangeLimits, ...]
-    gains: tuple[ChangeGain, ...]
+    name: str  # of the scene
+    designed: DesignedExperiment  # the collisions, and the errors that their positions would have
+    limits: tuple[Limit, ...]  # of the requested effects
+    pairs: tuple[IndistinguishablePair, ...]  # of effects that the experiment could not distinguish
+    before: tuple[Limit, ...]  # of all effects, for the collisions that changes were applied to
+    tried: tuple[ChangeLimits, ...]  # each change of these collisions, with the limits of all effects
+    gains: tuple[ChangeGain, ...]  # of each change, the best first
     wanted: tuple[CollisionsNeeded, ...]
 
     @property

@@ -61,31 +61,20 @@ MAX_GROUP = 400  # balls that are integrated together: more leave the processor'
 
 @dataclass
 class CollisionBatch:
-    """The motion of n collisions from `start` to `end`, s. Balls 0..n-1 are the targets, n..2n-1 the strikers.
-
-    Attributes
-    ----------
-    start, end : float
-    segments : list of Segment
-    breaks : (2n, e) array
-        Times at which the motion of a ball has a kink, padded with infinity.
-    slide_ends : (2n,) array
-        When each ball stops sliding; its t_c if it never slid.
-    restarting : set of int
-        Collisions in which a ball stops and starts again; `solve` takes them over.
-    recontact_candidates : (k,) array
-        Collisions whose balls may meet again.
-    radius : (2n,) array
-    """
+    """The motion of n collisions from `start` to `end`, s. Balls 0..n-1 are the targets, n..2n-1 the strikers."""
 
     start: float
     end: float
     segments: list[Segment] = field(default_factory=list)
+    # (2n, e): times at which the motion of a ball has a kink, padded with infinity
     breaks: Array = field(default_factory=lambda: np.empty((0, 0)))
+    # (2n,): when each ball stops sliding; its t_c if it never slid
     slide_ends: Array = field(default_factory=lambda: np.empty(0))
+    # collisions in which a ball stops and starts again; `solve` takes them over
     restarting: set[int] = field(default_factory=set)
+    # (k,): collisions whose balls may meet again
     recontact_candidates: Ints = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-    radius: Array = field(default_factory=lambda: np.empty(0))
+    radius: Array = field(default_factory=lambda: np.empty(0))  # (2n,)
 
     @property
     def size(self) -> int:
@@ -148,26 +137,10 @@ class CollisionBatch:
 def solve_collisions(
     model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False
 ) -> CollisionBatch:
-    """Solve many collisions at once.
+    """Solve many collisions at once. Raises ValueError as `solve` does.
 
-    Parameters
-    ----------
-    model : Model
-    launches : (n, 6) or (n, 9) array
-        Columns LAUNCH_COLUMNS and, of strikers that do not roll, `SPIN_COLUMNS` of `launch`.
-    start, end : float
-        s.
-    striker_is_a : (n,) bool array or bool
-        Whether the striker is ball a of the experimenter.
-
-    Returns
-    -------
-    CollisionBatch
-
-    Raises
-    ------
-    ValueError
-        As `solve` does.
+    launches: (n, 6) or (n, 9), columns LAUNCH_COLUMNS and, of strikers that do not roll, `SPIN_COLUMNS` of `launch`.
+    start, end: s. striker_is_a: whether the striker is ball a of the experimenter, (n,) or one for all.
     """
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))
     one = model.bodies(["b" if a else "a" for a in is_a])

@@ -131,33 +131,16 @@ def integrate(
 ) -> Pieces:
     """Solve y' = right(x, y) from the first knot to the last, piece by piece.
 
-    Parameters
-    ----------
-    right : callable
-        See `Right` above.
-    knots : sequence of float
-        Where pieces meet; they may fall.
-    start : (c, problems) array
-        y at the first knot.
-    guess : callable, optional
-        Maps x (n,) to a first guess of y, (c, problems, n).
-    max_halvings : int
-        How often a piece may be halved.
-    few : int
-        Nodes to try first.
-    feed : int, optional
-        How many of the groups that `right` yields, the first ones, it uses itself; default: all. The others are
-        integrated once these are known.
+    right: see `Right` above.
+    knots: where pieces meet; they may fall.
+    start: (c, problems), y at the first knot.
+    guess: maps x (n,) to a first guess of y, (c, problems, n).
+    max_halvings: how often a piece may be halved.
+    few: nodes to try first.
+    feed: how many of the groups that `right` yields, the first ones, it uses itself; default: all. The others are
+    integrated once these are known.
 
-    Returns
-    -------
-    list of (x, y)
-        For each piece.
-
-    Raises
-    ------
-    ValueError
-        If a law of motion is not smooth: a piece is still too long after `max_halvings`.
+    Raises ValueError if a law of motion is not smooth: a piece is still too long after `max_halvings`.
     """
     y = np.asarray(start, dtype=float)
     begin, pieces = float(knots[0]), Pieces()

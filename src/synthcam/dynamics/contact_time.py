@@ -16,26 +16,9 @@ STAYING = "stay in contact from {:.6g} s on: only separate impacts are modelled"
 def first_contact(
     legs: Sequence[Leg], radius: Sequence[float], t: float, horizon: float
 ) -> tuple[float, int, int] | None:
-    """Find the first contact between any two balls.
+    """Find the first contact between any two balls, from t to the horizon, s: its time and the two balls, or None.
 
-    Parameters
-    ----------
-    legs : sequence of Leg
-        How each ball moves.
-    radius : sequence of float
-        Of each, m.
-    t, horizon : float
-        The search begins at t and ends at the horizon, s.
-
-    Returns
-    -------
-    (time, i, j) or None
-        Time, s, and the indices of the two balls in `legs`.
-
-    Raises
-    ------
-    ValueError
-        If balls overlap, or touch and do not part.
+    radius: of each ball, m. Raises ValueError if balls overlap, or touch and do not part.
     """
     first = None
     for i, j in itertools.combinations(range(len(legs)), 2):

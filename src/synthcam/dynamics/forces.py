@@ -56,29 +56,15 @@ class Forces:
     def act_on_sliding(self, slip: Array, hat: Array, spin: Any, place: Array, v: Array, other: Any) -> tuple[Any, ...]:
         """Evaluate the forces on m sliding balls at n instants each.
 
-        Parameters
-        ----------
-        slip : (m, n) array
-            Slip speeds, m/s.
-        hat : (2, m, n) array
-            Their directions.
-        spin : array
-            About the vertical, rad/s.
-        place, v : (2, m, n) array
-            m and m/s.
-        other : array
-            Position of the other ball relative to this one, m.
+        slip, hat: (m, n) slip speeds, m/s, and their directions (2, m, n). spin: about the vertical, rad/s. place, v:
+        (2, m, n), m and m/s. other: position of the other ball relative to this one, m.
 
         Returns
-        -------
-        slowing : (m, n) array
-            Rate at which the slip speed falls, m/s^2.
-        across : (m, n) array or 0
-            Component of the push across the slip, hat x push.
-        push : (2, m, n) array or 0
-            m/s^2.
-        twist : array or 0
-            Rate of change of the spin about the vertical, rad/s^2.
+
+        - slowing (m, n): the rate at which the slip speed falls, m/s^2;
+        - across (m, n) or 0: the component of the push across the slip, hat x push;
+        - push (2, m, n) or 0, m/s^2;
+        - twist: the rate of change of the spin about the vertical, rad/s^2.
         """
         laws = self.model.laws
         instant = self.constants | dict(
@@ -163,24 +149,13 @@ class BallStates:
 
 
 def find_ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NOWHERE) -> Array:
-    """Find the slips at which slides beside a drilling spin are over (see the head of this file).
+    """Find the slips (k,), m/s, at which slides beside a drilling spin are over (see the head of this file).
 
     That is c sqrt(0.1^2 + (2 p/(F - p))^2): small compared with the drilling, and at least twice the steady slip that
-    the push p keeps up. It is no less than END_SLIP_SHARE of the first slip.
+    the push p keeps up. It is no less than END_SLIP_SHARE of the first slip, and infinite where the first slip is
+    smaller.
 
-    Parameters
-    ----------
-    model : Model
-    state : (k, 9) array
-        States at the beginning of the slides.
-    bodies : Bodies
-    other : (k, 1, 2) array, optional
-        Positions of the other balls relative to these, m.
-
-    Returns
-    -------
-    (k,) array
-        m/s; infinite where the first slip is smaller.
+    state: (k, 9), at the beginning of the slides. other: (k, 1, 2), positions of the other balls relative to these, m.
     """
     probe = 1e-9  # m/s: so slow a slip shows how far the spin makes friction fade
     small = 0.1  # of c: with so small a slip, friction is a tenth and the slide is over

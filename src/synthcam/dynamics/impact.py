@@ -16,17 +16,12 @@ MIN_BOUNCE_SPEED_M_S = 1e-7  # a lower bounce, some 10 ns, and all that follow i
 
 @dataclass(frozen=True)
 class Impact:
-    """The outcome of k collisions.
+    """The outcome of k collisions."""
 
-    target, striker : (k, 9) states just after.
-    n : (k, 3) unit vectors from striker to target.
-    impulse_n, impulse_t : (k,) impulses on the target, N s.
-    """
-
-    target: Array
+    target: Array  # (k, 9) states just after
     striker: Array
-    n: Array
-    impulse_n: Array
+    n: Array  # (k, 3) unit vectors from striker to target
+    impulse_n: Array  # (k,) impulses on the target, N s
     impulse_t: Array
 
 
@@ -41,7 +36,7 @@ def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodie
 def strike(
     model: Model, target: State, striker: State, one: tuple[Real, Real], two: tuple[Real, Real]
 ) -> tuple[State, State, tuple[Real, Real, Real], Real, Real]:
-    """Let two balls that touch collide.
+    """Let two balls that touch collide, by the laws `restitution`, `spin_transfer` and `loft` of the model.
 
     With the reduced mass m:
 
@@ -57,23 +52,8 @@ def strike(
 
     The law of r and C is that of Painter & Behringer, Phys. Rev. E 62 (2000) 2380.
 
-    Parameters
-    ----------
-    model : Model
-        For the laws `restitution`, `spin_transfer` and `loft`.
-    target, striker : tuple of 9 floats, or of 9 arrays
-        States at the contact, in the order of `kinematics`.
-    one, two : (radius, mass)
-        Of target and striker, m and kg.
-
-    Returns
-    -------
-    target, striker : tuple
-        States just after.
-    normal : tuple of 3
-        Unit vector from striker to target.
-    along_n, along_t : float or array
-        Impulses on the target along n and along z x n, N s.
+    one, two: radius, m, and mass, kg, of target and striker. Returns the states just after, the unit vector from
+    striker to target, and the impulses on the target along n and along z x n, N s.
     """
     (r1, m1), (r2, m2) = one, two
     nx, ny, nz = target[0] - striker[0], target[1] - striker[1], target[2] - striker[2]

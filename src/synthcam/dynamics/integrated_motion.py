@@ -26,28 +26,17 @@ Pieces = Sequence[tuple[Array, Array]]
 class IntegratedMotion:
     """Motion of m balls from the times `begins` (m,) for `durations` (m,), s, which may be negative.
 
-    Attributes
-    ----------
-    begins, durations : (m,) array
-    states : (m, 9) array
-        At the beginning.
-    radius : (m,) array
-    gravity : float
-    pieces : sequence of (times, y)
-        Times since `begins` (m, n), smooth images of n Chebyshev nodes, and y (c, m, n) there: x, y, qx, qy and, where
-        a ball slides, ux, uy, wz.
-    power : int
-        Of the root in w; 0 where the nodes are even in time.
-    airborne : (m,) bool array
+    pieces: times since `begins` (m, n), smooth images of n Chebyshev nodes, and y (c, m, n) there: x, y, qx, qy and,
+    where a ball slides, ux, uy, wz.
     """
 
     begins: Array
     durations: Array
-    states: Array
+    states: Array  # (m, 9), at the beginning
     radius: Array
     gravity: float
     pieces: Pieces
-    power: int
+    power: int  # of the root in w; 0 where the nodes are even in time
     airborne: Flags
 
     def __getitem__(self, rows: Ints) -> IntegratedMotion:

@@ -191,20 +191,10 @@ def fly(state: Array, gravity: float, elapsed: Array) -> Array:
 
 
 def interpolate_hermite(ends: Array, wide: Array, shares: Array) -> Array:
-    """Interpolate positions between knots by cubic Hermite polynomials.
+    """Interpolate positions between knots by cubic Hermite polynomials: (k, n - 1, m, 2).
 
-    Parameters
-    ----------
-    ends : (k, n, 4) array
-        x, y, vx, vy at the n knots of each of k balls.
-    wide : (k, n - 1) array
-        Times between the knots, s.
-    shares : (m,) array
-        Where to evaluate, as a share of each interval, 0 to 1.
-
-    Returns
-    -------
-    (k, n - 1, m, 2) array
+    ends: (k, n, 4), x, y, vx, vy at the n knots of each of k balls. wide: (k, n - 1), times between the knots, s.
+    shares: (m,), where to evaluate, as a share of each interval, 0 to 1.
     """
     s, h = shares[:, None], wide[..., None, None]
     a, b = ends[:, :-1, None], ends[:, 1:, None]

@@ -44,25 +44,14 @@ class Launch:
         contact: ArrayLike,
         spin: ArrayLike = NO_SPIN,
     ) -> Launch:
-        """Launch ball 2 so that it touches ball 1, at rest, at `time`.
+        """Launch ball 2 so that it touches ball 1, at rest, at `time`, s.
 
-        Parameters
-        ----------
-        bodies : Bodies
-            Ball 1, the target, and ball 2, the striker.
-        time : float
-            Of the contact, s.
-        v0 : float
-            Speed of ball 2 at the contact, m/s.
-        b : float
-            Impact parameter over the sum of the radii, |b| < 1. With the heading d, b = z . [d x (x2 - x1)]/(R1 + R2).
-        heading : float
-            Direction of ball 2 at the contact, rad from x towards y.
-        contact : (2,) array_like
-            Position between the balls at the contact, m.
-        spin : (3,) array_like
-            Of ball 2, m/s: the velocity of its lowest point along the heading and to the left of it, both zero where
-            it rolls; and R times its spin about the vertical.
+        v0: speed of ball 2 at the contact, m/s.
+        b: impact parameter over the sum of the radii, |b| < 1. With the heading d, b = z . [d x (x2 - x1)]/(R1 + R2).
+        heading: direction of ball 2 at the contact, rad from x towards y.
+        contact: position (2,) between the balls at the contact, m.
+        spin: (3,) of ball 2, m/s: the velocity of its lowest point along the heading and to the left of it, both zero
+        where it rolls; and R times its spin about the vertical.
         """
         numbers = np.array([v0]), np.array([b]), np.array([heading])
         states = touching(bodies[:1], bodies[1:], *numbers, np.array([contact]), np.array([spin], dtype=float))
@@ -78,28 +67,12 @@ class Launch:
 def touching(
     one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, contact: Array, spin: Array | None = None
 ) -> tuple[Array, Array]:
-    """Set balls at their contacts: targets at rest, and strikers that touch them.
+    """Set balls at their contacts: the states (k, 9) of targets at rest, and of strikers that touch them.
 
-    Parameters
-    ----------
-    one, two : Bodies
-        Of targets and strikers.
-    v0, b, heading : (k,) array
-        The strikers' speed, m/s, impact parameter over the sum of radii, and heading, rad.
-    contact : (k, 2) array
-        Position of the contact, between the balls, m.
-    spin : (k, 3) array, optional
-        Of the strikers, as in `Launch.pair`; without it they roll.
-
-    Returns
-    -------
-    target, striker : (k, 9) array
-        States.
-
-    Raises
-    ------
-    ValueError
-        If balls of these sizes pass each other without touching.
+    one, two: of targets and strikers. v0, b, heading: (k,), the strikers' speed, m/s, impact parameter over the sum of
+    radii, and heading, rad. contact: (k, 2), the position between the balls, m. spin: (k, 3) of the strikers, as in
+    `Launch.pair`; without it they roll.
+    Raises ValueError if balls of these sizes pass each other without touching.
     """
     d = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     apart = 2 * np.sqrt(one.radius * two.radius)  # of the centres, seen from above

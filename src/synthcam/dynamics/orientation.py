@@ -14,17 +14,8 @@ Array = NDArray[np.float64]
 class OrientationHistory:
     """Rotations from the axes of each ball to those of the world.
 
-    Parameters
-    ----------
-    motion : Trajectory
-    first : (balls, 4) array
-        Orientations at the start of the motion, as quaternions x, y, z, w.
-    max_step : float
-        Largest rotation between two knots, rad.
-
-    References
-    ----------
-    Blanes, Casas, Oteo & Ros, Physics Reports 470 (2009) 151.
+    first: orientations (balls, 4) at the start of the motion, as quaternions x, y, z, w. max_step: largest rotation
+    between two knots, rad. Method: Blanes, Casas, Oteo & Ros, Physics Reports 470 (2009) 151.
     """
 
     def __init__(self, motion: Trajectory, first: Array, max_step: float = 0.1) -> None:

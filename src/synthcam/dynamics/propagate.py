@@ -50,20 +50,13 @@ FLOOR_TOLERANCE = 1e-9  # of the slip at which a spin no longer drills
 
 @dataclass(frozen=True)
 class IntegrationStep:
-    """One step of m balls from time 0.
-
-    motion : the motion during the step.
-    final_states : (m, 9) at the end.
-    durations : (m,) s.
-    ended : (m,) whether the slide, roll or flight of the ball ended with the step.
-    valid : (m,) whether the step is a solution for the ball.
-    """
+    """One step of m balls from time 0."""
 
     motion: IntegratedMotion
-    final_states: Array
-    durations: Array
-    ended: Flags
-    valid: Flags
+    final_states: Array  # (m, 9)
+    durations: Array  # (m,) s
+    ended: Flags  # (m,) whether the slide, roll or flight of the ball ended with the step
+    valid: Flags  # (m,) whether the step is a solution for the ball
 
     def __getitem__(self, rows: Ints) -> IntegrationStep:
         return IntegrationStep(
@@ -306,14 +299,8 @@ Steps = Iterator[tuple[Ints, IntegrationStep]]
 def propagate(balls: BallStates, goal: Array) -> Steps:
     """Integrate the next step of k units towards `goal`, s from now (k,), which may be negative.
 
-    A step ends at the latest with the first slide, roll or flight of a unit that ends.
-
-    Yields
-    ------
-    units : array
-        Numbers of the units that make this step.
-    step : IntegrationStep
-        Of their balls.
+    A step ends at the latest with the first slide, roll or flight of a unit that ends. Yields the numbers of the units
+    that make a step, and the step of their balls.
     """
     k = len(balls)
     spans, ender, drills, stops = (

@@ -32,28 +32,13 @@ MAX_PAIR_TIME_S = 60.0  # balls that push each other are integrated in small ste
 
 
 def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0, finish_slides: bool = True) -> Trajectory:
-    """Solve the motion of a launch.
+    """Solve the motion of a launch from `start` to `end`, s; with `finish_slides` beyond, until the last slide has
+    ended.
 
     Legs are closed forms where no active effect changes their laws, and numerical solutions elsewhere.
 
-    Parameters
-    ----------
-    model : Model
-    launch : Launch
-    start, end : float
-        s.
-    finish_slides : bool
-        Continue beyond the end until the last slide has ended.
-
-    Returns
-    -------
-    Trajectory
-
-    Raises
-    ------
-    ValueError
-        If a ball that should be at rest cannot stay there, if balls overlap, if a slide or the motion does not end, and
-        beyond times of MAX_TIME_S or speeds of MAX_SPEED_M_S.
+    Raises ValueError if a ball that should be at rest cannot stay there, if balls overlap, if a slide or the motion
+    does not end, and beyond times of MAX_TIME_S or speeds of MAX_SPEED_M_S.
     """
     for what, t in (("its launch", launch.time), ("its start", start), ("its end", end)):
         if not abs(t) <= MAX_TIME_S:

@@ -53,31 +53,14 @@ def solve_approach(
     """Solve the past of k contacts at time 0 between a ball that rested and a ball that rolls towards it.
 
     A ball at rest starts where the push on it overcomes what holds it, but not before the other ball is within 8
-    distances of touching.
+    distances of touching. Raises ValueError if there is no such past.
 
-    Parameters
-    ----------
-    model : Model
-    bodies : Bodies
-        The k balls that rested, then the k rolling ones.
-    touching : (2 k, 9) array
-        States at the contacts; the velocities of the first balls are not used.
-    lasted : (k,) array
-        How far to go back, s; further where a ball started earlier.
+    bodies: the k balls that rested, then the k rolling ones.
+    touching: (2 k, 9), states at the contacts; the velocities of the first balls are not used.
+    lasted: (k,), how far to go back, s; further where a ball started earlier.
 
-    Returns
-    -------
-    states : (2 k, 9) array
-        At the contacts, with the velocities that the first balls have then.
-    motions : list of (units, IntegratedMotion)
-        Back from the contacts.
-    onset : (k,) array
-        When the balls at rest started, s.
-
-    Raises
-    ------
-    ValueError
-        If there is no such past.
+    Returns the states at the contacts, with the velocities that the first balls have then; the motions of units back
+    from the contacts; and when the balls at rest started, (k,), s.
     """
     k = len(lasted)
     hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Ints, IntegratedMotion]]()
@@ -107,29 +90,14 @@ def solve_approach(
 def solve_start(
     model: Model, bodies: Bodies, states: Array, lasts: Array, anchor: int, onset: Flags, size: int
 ) -> tuple[IntegratedMotion, Flags]:
-    """Solve k balls that start from rest together with the balls that pull them.
+    """Solve k balls that start from rest together with the balls that pull them; also return whether that is a
+    solution.
 
-    Parameters
-    ----------
-    model : Model
-    bodies : Bodies
-        2 k balls: those at rest, then the others.
-    states : (2 k, 9) array
-        At time 0: the balls at rest, then the others.
-    lasts : (k,) array
-        Length of the motion, s; negative: back in time.
-    anchor : {0, -1}
-        0: the balls start at time 0; -1: they started `lasts` (negative) from then.
-    onset : (k,) bool array
-        Whether the start is to be found where the pull overcomes what holds the ball.
-    size : int
-        Number of nodes.
-
-    Returns
-    -------
-    motion : IntegratedMotion
-    good : (k,) bool array
-        For which units it is the solution.
+    bodies, states: 2 k balls at time 0: those at rest, then the others.
+    lasts: (k,), length of the motion, s; negative: back in time.
+    anchor: 0: the balls start at time 0; -1: they started `lasts` (negative) from then.
+    onset: (k,), whether the start is to be found where the pull overcomes what holds the ball.
+    size: number of nodes.
     """
     iterations, whole_steps = 120, 5  # the start moves in whole steps at first, then in half steps
     converged = 2e-13  # m/s, of the change of an iteration

@@ -167,32 +167,18 @@ class Numeric(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happens to one ball, or to two, at one instant.
+    """Something that happens to one ball, or to two, at one instant."""
 
-    Attributes
-    ----------
-    t : float
-        s.
-    kind : str
-    i, j : int
-        The balls; j is -1 where the event has one ball.
-    before, after : array
-        States (2, 9) of i and j, or (1, 9) of i alone.
-    n : tuple of 2
-        At a contact: horizontal part of the unit vector from the centre of ball j to that of ball i.
-    impulse_n, impulse_t : float
-        At a contact: impulses on ball i along n and along t = z x n, N s.
-    """
-
-    t: float
+    t: float  # s
     kind: Literal["contact", "slide_end", "stop", "start", "land"]
-    i: int
-    j: int = -1
-    before: Array | None = None
+    i: int  # the ball, or the first of two
+    j: int = -1  # the second; -1 where the event has one ball
+    before: Array | None = None  # states (2, 9) of i and j, or (1, 9) of i alone
     after: Array | None = None
+    # at a contact: horizontal part of the unit vector from the centre of ball j to that of ball i
     n: tuple[float, float] = (np.nan, np.nan)
-    impulse_n: float = np.nan
-    impulse_t: float = np.nan
+    impulse_n: float = np.nan  # at a contact: on ball i along n, N s
+    impulse_t: float = np.nan  # at a contact: on ball i along t = z x n, N s
 
 
 @dataclass(frozen=True)
@@ -251,20 +237,8 @@ def average_over_spans(
 ) -> Array:
     """Average a function of the states over time spans by Gauss quadrature, split where the motion has a kink.
 
-    Parameters
-    ----------
-    at : callable
-        Maps times (m,) to states (balls, m, 9).
-    breaks : (e,) array
-        Times of the kinks, rising.
-    spans : (n, 2) array
-        Begin and end of each span, s.
-    of : callable
-        Maps states (balls, m, 9) to (balls, m, k).
-
-    Returns
-    -------
-    (balls, n, k) array
+    at: maps times (m,) to states (balls, m, 9). breaks: (e,), times of the kinks, rising. spans: (n, 2), begins and
+    ends, s. of: maps states (balls, m, 9) to (balls, m, k). Returns (balls, n, k).
     """
     after = 2 * spans[:, 1] - spans[:, 0]
     near = np.searchsorted(breaks, spans[:, 0], "right") < np.searchsorted(breaks, after, "left")
