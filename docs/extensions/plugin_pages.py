@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from myst_text import paragraphs, plain, table
-from synthcam.dataset.sketch import sketch, typical
+from synthcam.dataset.effect_drawing import draw_effect, with_typical_values
 
 from discrepancy.free_laws.library import library as free_laws
 from synthcam.library import library as effects
@@ -79,7 +79,7 @@ def drawn(effect: Any) -> tuple[bytes, float]:
     """The sketch of `synthcam effects NAME -o FILE`, and by how many micrometres the effect moves things."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "sketch.png"
-        most = sketch(typical(effect), path)
+        most = draw_effect(with_typical_values(effect), path)
         return path.read_bytes(), most
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import lzma
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -15,7 +16,9 @@ from benchmarks.search.sealed import analysis, drawing, page, rounds
 from benchmarks.search.sealed.boxes import Study
 from benchmarks.search.sealed.ledger import Broken, Ledger
 from benchmarks.search.sealed.studies import STUDIES
+from discrepancy.data.notes import SearchNote, SearchNoteKind
 from synthcam.library import library
+from synthcam.model import Model, write_model
 
 TRUTH = {"kind": "one", "hidden": {"stribeck.rise": 0.1}}
 ANSWER = {"verdict": "none", "named": []}
@@ -282,3 +285,14 @@ def test_a_box_from_sealing_to_opening(study, tmp_path, monkeypatch):
         assert row.source == ("video" if study.filmed else "integrator")
     with pytest.raises(Broken, match="opened before"):
         blind.trial(study, 0, tmp_path, "s")
+
+
+def test_an_answer_holds_the_notes_on_clips_as_text(tmp_path, monkeypatch):
+    """The search gives typed notes; the ledger is JSON."""
+    note = SearchNote(SearchNoteKind.SMOOTHED, 3)
+    monkeypatch.setattr(analysis, "read_collisions", lambda *_: ([], [note]))
+    monkeypatch.setattr(analysis, "search", lambda *_, **__: SimpleNamespace(data=SimpleNamespace(held_out=())))
+    monkeypatch.setattr(analysis, "answer", lambda _: {"verdict": "none"})
+    write_model(Model(), tmp_path / "model.yaml")
+    answer = analysis.analyse(Path("tracks.csv"), None, tmp_path / "model.yaml", tmp_path)
+    assert json.loads(json.dumps(answer))["left_out"] == [str(note)]

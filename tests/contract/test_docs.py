@@ -162,3 +162,24 @@ def test_the_free_law_of_the_page_is_found_and_a_model_holds_it(tmp_path, monkey
     found = bend(np.full((1, 3), 0.2), np.array([[[0.03, 0.0], [0.0, -0.03], [0.01, 0.02]]]))[0]
     assert found[0] == pytest.approx(found[1], abs=1e-15)
     assert abs(found[2] - found[0]) > 1e-6
+
+
+def imports_of(path):
+    """The names that a file imports from our packages, as (module, name)."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module.partition(".")[0] in (*NAMES, "synthcam_shared"):
+            yield from ((node.module, alias.name) for alias in node.names)
+
+
+@pytest.mark.parametrize("folder", ["docs/extensions", "tools"])
+def test_imports_of_the_site_and_the_tools_exist(folder):
+    found = [entry for path in sorted((ROOT / folder).glob("*.py")) for entry in imports_of(path)]
+    missing = [f"{module}.{name}" for module, name in found if not hasattr(import_module(module), name)]
+    assert not missing
+    assert folder == "tools" or len(found) > 3  # the site documents our packages
+
+
+def test_files_in_blocks_have_a_language_that_is_run():
+    """A block of text is output that nobody runs: a file in it would never be written."""
+    assert not [b.where for b in BLOCKS if b.language == "text" and (b.asked("file") or b.asked("after"))]

@@ -62,7 +62,7 @@ def analyse(measured: Path, camera: Path | None, model: Path, folder: Path) -> d
         found = search(clips, given, seconds=LONGEST)
         said = answer(found) | {"seconds": time.monotonic() - began, "cpu": time.process_time() - spent}
         keep(found.data.held_out, folder / "kept_out.npz")
-        return dict(plain(said | {"clips_used": len(clips), "left_out": left_out}))
+        return dict(plain(said | {"clips_used": len(clips), "left_out": list(map(str, left_out))}))
     except InputError as e:
         return {"verdict": "refused", "why": str(e)}
     except Exception as e:  # the study goes on, and the page says so
