@@ -17,7 +17,7 @@ import tracker
 from discrepancy import cli
 from discrepancy.data.reading import read_collisions
 from synthcam.model import Model, read_model
-from tracker.camera.same_view import first_difference
+from tracker.camera.views import first_difference
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from discrepancy.noise.model import Noise, NoiseComponent, estimate
 from discrepancy.policy import current_policy
 from synthcam.model import LAUNCH_SPIN, Model
 from synthcam_shared.errors import InputError
-from tracker.camera.same_view import first_difference
+from tracker.camera.views import first_difference
 
 CLAIMED_NOISE = Noise(NoiseComponent(1.0))  # white noise of the claimed size
 Progress = Callable[[str], None]

@@ -19,7 +19,7 @@ from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.camera.same_view import first_difference
+from tracker.camera.views import first_difference
 
 
 @dataclass(frozen=True)

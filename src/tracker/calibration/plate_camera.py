@@ -15,7 +15,7 @@ from tracker.calibration.calibrate import check_output, keys_from_options
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points, size_of
 from tracker.calibration.plate_view import PlateView, fit_view
 from tracker.camera.camera import Camera
-from tracker.camera.view_errors import perturb_view, scale_at
+from tracker.camera.views import perturb_view, scale_at
 from tracker.results import write_json
 
 

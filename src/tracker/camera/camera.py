@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_json import STANDARD_ERRORS, HasCameraJson, LampSettings, parse, read_keys, read_source
+from tracker.camera.camera_json import STANDARD_ERRORS, HasCameraJson, LampSettings, parse, read_source
 from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import SensorSpec
@@ -30,10 +30,9 @@ class Camera:
 
     Attributes
     ----------
-    K : ndarray of shape (3, 3)
-        Camera matrix, px.
-    dist : ndarray of shape (5,)
-        Lens distortion k1, k2, p1, p2, k3, as OpenCV defines it.
+    K, dist : ndarray of shape (3, 3), ndarray of shape (5,)
+        Camera matrix, px; lens distortion k1, k2, p1, p2, k3. "Camera calibration and 3D reconstruction" of OpenCV 4
+        defines both.
     R, t : ndarray of shape (3, 3), ndarray of shape (3,)
         World to camera, x_cam = R x_world + t, m.
     size : tuple of int
@@ -66,10 +65,6 @@ class Camera:
         The change of K, dist, R and t by each of n independent standard errors; see `perturb_view`.
     matte : bool
         Whether the balls are matte: they show no glint and are seen whole.
-
-    References
-    ----------
-    OpenCV 4, "Camera calibration and 3D reconstruction".
 
     Examples
     --------
@@ -208,7 +203,7 @@ class Camera:
         return np.asarray(self.position[:2] + depth * ray[..., :2], dtype=np.float64), straight, bend, depth
 
     def glint_of_centre(self, centres: ArrayLike) -> Array:
-        """Find the pixels at which balls mirror the centre of the lamp.
+        """Find the pixels at which balls mirror the centre of the lamp. An InputError says that the lamp is unknown.
 
         Parameters
         ----------
@@ -218,16 +213,10 @@ class Camera:
         Returns
         -------
         ndarray of shape (..., 2)
-
-        Raises
-        ------
-        InputError
-            If the position of the lamp is unknown.
         """
         if self.lamp is None:
             raise InputError("camera: lamp is missing, expected its position for the position of a glint")
-        xy = np.asarray(centres, dtype=np.float64)
-        middle = self._at_ball_height(xy)
+        middle = self._at_ball_height(np.asarray(centres, dtype=np.float64))
         light = np.array(self.lamp.position)
         return self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, light))
 
@@ -266,24 +255,20 @@ class Camera:
         ndarray of shape (..., 3)
             In the world, m.
         """
-        return self._at_ball_height(self._centre_position(np.asarray(glints, dtype=np.float64)))
-
-    def _at_ball_height(self, at: Array) -> Array:
-        return np.concatenate([at, np.full_like(at[..., :1], self.radius)], axis=-1)
-
-    def _centre_position(self, seen: Array) -> Array:
-        target = self._on_plane(seen, self.radius)[0]
-        at = target
+        at = target = self._on_plane(glints, self.radius)[0]
         for _ in range(12):  # contracts by about R/height, .003, a step
             miss = target - self._on_plane(self.glint_of_centre(at), self.radius)[0]
             at = at + miss
             if np.max(np.abs(miss)) < 1e-12:
                 break
-        return at
+        return self._at_ball_height(at)
+
+    def _at_ball_height(self, at: Array) -> Array:
+        return np.concatenate([at, np.full_like(at[..., :1], self.radius)], axis=-1)
 
     @staticmethod
     def of(given: CameraSource) -> Camera:
-        """A camera from whatever describes one.
+        """Make a camera from whatever describes one. An InputError names the file and the key.
 
         Parameters
         ----------
@@ -294,11 +279,6 @@ class Camera:
         Returns
         -------
         Camera
-
-        Raises
-        ------
-        InputError
-            One line, with file and key.
         """
         if isinstance(given, Camera):
             return given
@@ -306,7 +286,7 @@ class Camera:
 
     @staticmethod
     def read(path: Path | str) -> Camera:
-        """Read a camera file.
+        """Read a camera file. An InputError names the file and the key.
 
         Parameters
         ----------
@@ -315,17 +295,12 @@ class Camera:
         Returns
         -------
         Camera
-
-        Raises
-        ------
-        InputError
-            One line, with file and key.
         """
-        return Camera.from_dict(read_keys(Path(path)), str(Path(path)))
+        return Camera.of(Path(path))
 
     @staticmethod
     def from_dict(data: Any, where: str = "camera") -> Camera:
-        """A camera of the keys of camera.json.
+        """Make a camera from the keys of camera.json. An InputError names the key.
 
         Parameters
         ----------
@@ -337,11 +312,6 @@ class Camera:
         Returns
         -------
         Camera
-
-        Raises
-        ------
-        InputError
-            One line, with the key.
         """
         camera = Camera(**parse(data, where))
         if camera.position[2] <= camera.radius:
@@ -370,14 +340,12 @@ class Camera:
 
     @staticmethod
     def unknown(size: tuple[int, int], bits: int) -> Camera:
-        """A camera without a file: lengths in pixels, times in frames.
+        """Make a camera without a file: lengths in pixels, times in frames.
 
         Parameters
         ----------
-        size : tuple of int
-            Width and height, px.
-        bits : int
-            Of the sensor.
+        size, bits : tuple of int, int
+            Width and height, px; bits of the sensor.
 
         Returns
         -------
@@ -387,7 +355,7 @@ class Camera:
         return replace(guess, sensor=replace(guess.sensor, bits=bits), metric=False, assumed=("camera", *guess.assumed))
 
     def to_dict(self) -> dict[str, Any]:
-        """The keys of camera.json, `assumed` and `metric`.
+        """Give the keys of camera.json, `assumed` and `metric`.
 
         Returns
         -------
@@ -401,22 +369,17 @@ class Camera:
             "size": list(self.size), "fps": self.fps, "exposure": self.exposure, "scale": self.scale,
             "striker": self.striker, "sensor": sensor, "assumed": list(self.assumed), "metric": self.metric,
         }  # fmt: skip
-        if self.knows_diameter:
-            out["ball_diameter"] = self.ball_diameter
-        out |= {key: getattr(self, key) for key in STANDARD_ERRORS if getattr(self, key) > 0}
-        if len(self.view_errors):
-            out["view_errors"] = self.view_errors.tolist()
-        if self.lamp is not None:
-            out["lamp"] = self.lamp.to_dict()
-        if self.psf_sigma is not None:
-            out["psf"] = {"sigma_px": self.psf_sigma}
-        if self.line_time:
-            out["shutter"] = {"kind": "rolling", "line_time": self.line_time}
-        if self.matte:
-            out["ball"] = {"finish": "matte"}
-        if self.exposure_from_blur is not None:
-            out["exposure_seen_s"] = self.exposure_from_blur
-        return out
+        optional = {
+            "ball_diameter": self.ball_diameter if self.knows_diameter else None,
+            **{key: getattr(self, key) or None for key in STANDARD_ERRORS},
+            "view_errors": self.view_errors.tolist() or None,
+            "lamp": None if self.lamp is None else self.lamp.to_dict(),
+            "psf": None if self.psf_sigma is None else {"sigma_px": self.psf_sigma},
+            "shutter": {"kind": "rolling", "line_time": self.line_time} if self.line_time else None,
+            "ball": {"finish": "matte"} if self.matte else None,
+            "exposure_seen_s": self.exposure_from_blur,
+        }
+        return out | {key: value for key, value in optional.items() if value is not None}
 
 
 CameraSource: TypeAlias = Camera | Mapping[str, Any] | str | Path | HasCameraJson

@@ -7,7 +7,7 @@ Missing keys are assumed and listed in ``assumed``. Keys that the tracker cannot
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Protocol, runtime_checkable
@@ -23,18 +23,6 @@ from tracker.camera.sensor import SensorSpec
 STANDARD_ERRORS = ("scale_std", "fps_std", "ball_diameter_std")
 
 
-def read_keys(path: Path) -> Any:
-    """The content of a camera file. Raises InputError if it is not JSON."""
-    try:
-        return read_json(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file, expected a camera.json") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: a folder, expected a camera.json") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON ({error})") from None
-
-
 @runtime_checkable
 class HasCameraJson(Protocol):
     """An object that knows the keys of its camera file, such as a clip of synthcam and its camera."""
@@ -46,15 +34,22 @@ class HasCameraJson(Protocol):
 
 def read_source(given: Mapping[str, Any] | str | Path | HasCameraJson) -> Any:
     """The keys of camera.json from a path, or from an object that holds them. Raises InputError."""
-    if isinstance(given, str | Path):
-        return read_keys(Path(given))
     if isinstance(given, Mapping):
         return given
-    keys = given.camera_json if isinstance(given, HasCameraJson) else None
-    if not keys:
+    if not isinstance(given, str | Path):
+        if keys := getattr(given, "camera_json", None):
+            return keys
         kind = type(given).__name__
         raise InputError(f"camera: of type {kind}, expected the keys of camera.json, a path to it, or a tracker.Camera")
-    return keys
+    path = Path(given)
+    try:
+        return read_json(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file, expected a camera.json") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: a folder, expected a camera.json") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as JSON ({error})") from None
 
 
 @dataclass(frozen=True)
@@ -75,13 +70,15 @@ class LampSettings:
 # --- narrow enough for the arithmetic.
 
 
-def _number(low: float, high: float) -> PlainValidator:
+def _number(low: float, high: float, whole: bool = False) -> PlainValidator:
     """A number within limits, both included."""
 
     def check(value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:  # nor NaN
             raise ValueError(f"a number from {low:g} to {high:g}, not {format_value(value)}")
-        return float(value)
+        if whole and value != int(value):
+            raise ValueError(f"a whole number from {low:g} to {high:g}, not {format_value(value)}")
+        return int(value) if whole else float(value)
 
     return PlainValidator(check)
 
@@ -103,15 +100,30 @@ def _check_array(given: Any, low: float, high: float, shape: tuple[int, ...]) ->
     return value.astype(np.float64)
 
 
-def _choice(*words: str) -> PlainValidator:
-    """One of a few words."""
+def _check_rows(value: Any) -> Array:
+    if not isinstance(value, list) or len(value) > NUMBERS:
+        raise ValueError(f"at most {NUMBERS} rows of {NUMBERS} numbers, not {format_value(value)}")
+    return _check_array(value, -1e3, 1e3, (len(value), NUMBERS)) if value else np.zeros((0, NUMBERS))
+
+
+def _anything_that(is_right: Callable[[Any], bool], expected: str) -> PlainValidator:
+    """A value that passes a test; `expected` says in messages what does."""
 
     def check(value: Any) -> Any:
-        if value not in words:
-            raise ValueError(f"{', '.join(words[:-1])} or {words[-1]}, not {format_value(value)}")
+        if not is_right(value):
+            raise ValueError(f"{expected}, not {format_value(value)}")
         return value
 
     return PlainValidator(check)
+
+
+def _choice(*words: str) -> PlainValidator:
+    """One of a few words."""
+    return _anything_that(lambda value: value in words, f"{', '.join(words[:-1])} or {words[-1]}")
+
+
+def _is_list_of_names(value: Any) -> bool:
+    return isinstance(value, list | tuple) and all(isinstance(name, str) for name in value)
 
 
 def _check_size(value: Any) -> tuple[int, int]:
@@ -124,37 +136,11 @@ def _check_size(value: Any) -> tuple[int, int]:
     return int(value[0]), int(value[1])
 
 
-def _check_bits(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value <= 16:
-        raise ValueError(f"a number from 1 to 16, not {format_value(value)}")
-    if value != int(value):
-        raise ValueError(f"a whole number from 1 to 16, not {format_value(value)}")
-    return int(value)
-
-
-def _check_rows(value: Any) -> Array:
-    if not isinstance(value, list) or len(value) > NUMBERS:
-        raise ValueError(f"at most {NUMBERS} rows of {NUMBERS} numbers, not {format_value(value)}")
-    return _check_array(value, -1e3, 1e3, (len(value), NUMBERS)) if value else np.zeros((0, NUMBERS))
-
-
-def _check_names(value: Any) -> list[str]:
-    if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
-        raise ValueError(f"a list of names of keys, not {format_value(value)}")
-    return list(value)
-
-
-def _check_flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"true or false, not {format_value(value)}")
-    return value
-
-
-# --- The sections. A key of type Any is known, but the tracker does not use it.
+# --- The sections: the keys that the tracker uses. _KNOWN_KEYS lists the others too.
 
 
 class _Section(BaseModel):
-    """A table of keys and values; unknown keys are listed by `describe_unknown_keys`."""
+    """A table of keys and values; unknown keys are listed by `_describe_unknown_keys`."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, arbitrary_types_allowed=True)
 
@@ -170,10 +156,6 @@ class _Lamp(_Section):
     length: Annotated[float, _number(0.0, 100.0)] = 0.0
     width: Annotated[float, _number(0.0, 100.0)] = 0.0
     second: Any = None
-    angle: Any = None
-    facing: Any = None
-    flicker: Any = None
-    radiance: Any = None
 
     def equivalent_radius(self) -> float:
         """Radius of the disc whose image has the same mean square width."""
@@ -188,14 +170,12 @@ class _Psf(_Section):
     sigma_px: Annotated[float | None, _number(0.01, 100.0)] = None
     defocus_px: Annotated[float, _number(0.0, 1e3)] = 0.0
     f_number: Annotated[float, _number(0.0, 1e3)] = 0.0
-    pixel_pitch: Any = None
-    wavelength: Any = None
 
 
 class _Sensor(_Section):
-    """The sensor by EMVA 1288, with the units of `SensorSpec`. The last three used keys have no estimate."""
+    """The sensor by EMVA 1288, with the units of `SensorSpec`. The last three keys have no estimate."""
 
-    bits: Annotated[int | None, PlainValidator(_check_bits)] = None
+    bits: Annotated[int | None, _number(1, 16, whole=True)] = None
     gain: Annotated[float | None, _number(1e-6, 1e6)] = None
     read_noise: Annotated[float | None, _number(0.0, 1e6)] = None
     dark: Annotated[float | None, _number(0.0, 1e12)] = None
@@ -205,8 +185,6 @@ class _Sensor(_Section):
     full_well: Annotated[float | None, _number(1e-6, 1e12)] = None
     codec_noise: Annotated[float | None, _number(0.0, 65535.0)] = None
     gamma: Annotated[float | None, _number(0.2, 5.0)] = None
-    hot_pixels: Any = None
-    hot_dark: Any = None
 
 
 class _Shutter(_Section):
@@ -221,34 +199,10 @@ class _Surface(_Section):
 
     roughness: Annotated[float, _number(0.0, 1e3)] = 0.0
     scratches: Annotated[float, _number(0.0, 1e3)] = 0.0
-    steel: Any = None
-    scratch_slope: Any = None
-    plate_gloss: Any = None
-    plate_roughness: Any = None
-    plate_texture: Any = None
-    plate_grain: Any = None
-    plate_shadow: Any = None
-
-
-class _Lens(_Section):
-    vignetting: Any = None
-
-
-class _Ball(_Section):
-    finish: Any = None
-    colour: Any = None
-
-
-class _Video(_Section):
-    codec: Any = None
-    crf: Any = None
-    q: Any = None
-    gamma: Any = None
-    chroma: Any = None
 
 
 class _CameraFile(_Section):
-    """All keys of camera.json; docs/format.md describes them."""
+    """All keys of camera.json; docs/format.md describes them. The tracker does not use those of type Any."""
 
     size: Annotated[tuple[int, int], PlainValidator(_check_size)] = Field(description="[width, height] in pixels")
     fps: Annotated[float, _number(1e-6, 1e9)] = Field(description="frames per second, it is missing")
@@ -266,38 +220,39 @@ class _CameraFile(_Section):
     lamp: _Lamp = _Lamp()
     psf: _Psf = _Psf()
     sensor: _Sensor = _Sensor()
-    metric: Annotated[bool, PlainValidator(_check_flag)] = True
+    metric: Annotated[bool, _anything_that(lambda value: isinstance(value, bool), "true or false")] = True
     shutter: _Shutter = _Shutter()
-    lens: _Lens = _Lens()
+    lens: dict[Any, Any] = {}
     surface: _Surface = _Surface()
-    ball: _Ball = _Ball()
+    ball: dict[Any, Any] = {}
     video: Any = None
     view_errors: Annotated[Array, PlainValidator(_check_rows)] = Field(default_factory=lambda: np.zeros((0, NUMBERS)))
-    assumed: Annotated[list[str], PlainValidator(_check_names)] = Field(default_factory=list)
+    assumed: Annotated[Sequence[str], _anything_that(_is_list_of_names, "a list of names of keys")] = ()
     exposure_seen_s: Any = None
     calibration: Any = None
 
 
-_SECTIONS: dict[str, type[_Section]] = {
-    "": _CameraFile,
-    "lamp": _Lamp,
-    "psf": _Psf,
-    "sensor": _Sensor,
-    "shutter": _Shutter,
-    "lens": _Lens,
-    "ball": _Ball,
-    "video": _Video,
-    "surface": _Surface,
+_SURFACE_OF_RENDERER = "steel scratch_slope plate_gloss plate_roughness plate_texture plate_grain plate_shadow"
+_KNOWN_KEYS = {
+    "": [*_CameraFile.model_fields],
+    "lamp": [*_Lamp.model_fields, "angle", "facing", "flicker", "radiance"],
+    "psf": [*_Psf.model_fields, "pixel_pitch", "wavelength"],
+    "sensor": [*_Sensor.model_fields, "hot_pixels", "hot_dark"],
+    "shutter": [*_Shutter.model_fields],
+    "lens": ["vignetting"],
+    "ball": ["finish", "colour"],
+    "video": ["codec", "crf", "q", "gamma", "chroma"],
+    "surface": [*_Surface.model_fields, *_SURFACE_OF_RENDERER.split()],
 }
 
 
-def describe_unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
+def _describe_unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
     """A line for each key of camera.json that nothing reads, with the key that may have been meant."""
-    known = {key: f"{section}.{key}".lstrip(".") for section, model in _SECTIONS.items() for key in model.model_fields}
-    for section, model in _SECTIONS.items():
+    known = {key: f"{section}.{key}".lstrip(".") for section, keys in _KNOWN_KEYS.items() for key in keys}
+    for section, keys in _KNOWN_KEYS.items():
         table = data.get(section) if section else data
         for key in table if isinstance(table, Mapping) else ():
-            if key not in model.model_fields:
+            if key not in keys:
                 hint = did_you_mean(str(key), known)
                 yield f"{format_value(f'{section}.{key}'.lstrip('.'), quoted=False)}: not a key of camera.json{hint}"
 
@@ -309,24 +264,17 @@ def parse(data: Any, where: str) -> dict[str, Any]:
     try:
         file = _CameraFile.model_validate({key: value for key, value in data.items() if isinstance(key, str)})
     except ValidationError as error:
-        raise _first_problem(error, where) from None
+        first = error.errors()[0]
+        key, expected = ".".join(map(str, first["loc"])), "a table of keys and values"
+        if first["type"] == "value_error":
+            expected = str(first["ctx"]["error"])
+        elif first["type"] == "missing":
+            expected = str(_CameraFile.model_fields[key].description)
+        raise InputError(f"{where}: {key}: expected {expected}") from None
     try:
-        return _camera_fields(file, list(describe_unknown_keys(data)))
+        return _camera_fields(file, list(_describe_unknown_keys(data)))
     except _KeyProblem as problem:
         raise InputError(f"{where}: {problem}") from None
-
-
-def _first_problem(error: ValidationError, where: str) -> InputError:
-    """The first complaint of pydantic as one line: file, key, what was expected."""
-    first = error.errors()[0]
-    key = ".".join(map(str, first["loc"]))
-    if first["type"] == "value_error":
-        expected = str(first["ctx"]["error"])
-    elif first["type"] == "missing":
-        expected = str(_CameraFile.model_fields[key].description)
-    else:
-        expected = "a table of keys and values"
-    return InputError(f"{where}: {key}: expected {expected}")
 
 
 class _KeyProblem(ValueError):
@@ -356,28 +304,23 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
     psf_sigma = _psf_sigma(file, assumed, unmodelled)
     if file.shutter.kind == "rolling" and file.shutter.line_time is None:
         raise _KeyProblem("shutter.line_time", "seconds from row to row of a rolling shutter; it is missing")
-    fields: dict[str, Any] = dict(
+    plain = ("R", "size", "fps", "striker", "metric", "view_errors", *STANDARD_ERRORS)
+    fields: dict[str, Any] = {key: getattr(file, key) for key in plain} | dict(
         K=matrix,
         dist=np.zeros(5) if file.dist is None else file.dist,
-        R=file.R,
         t=shift,
-        size=file.size,
-        fps=file.fps,
         exposure=exposure,
         scale=scale,
         ball_diameter=diameter,
-        striker=file.striker,
         lamp=lamp,
         psf_sigma=psf_sigma,
         sensor=_sensor(file.sensor, assumed),
-        metric=file.metric,
         line_time=file.shutter.line_time if file.shutter.kind == "rolling" else 0.0,
-        view_errors=file.view_errors,
-        matte=file.ball.finish == "matte",
+        matte=file.ball.get("finish") == "matte",
     )
     for key in STANDARD_ERRORS:
         name = key.removesuffix("_std")
-        fields[key] = error = getattr(file, key)
+        error = fields[key]
         if error > 0 and not error <= 0.5 * fields[name]:  # nor NaN; with larger errors it is not known at all
             raise _KeyProblem(key, f"the standard error of {name}, at most 0.5 of what that is")
     assumed += file.assumed

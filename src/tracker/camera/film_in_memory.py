@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,12 @@ def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     An object with a length and an index is read frame by frame, when needed. The pictures of an iterator are kept.
     Raises InputError, naming the frame, for what is no film.
     """
-    pictures: Any = film if isinstance(film, np.ndarray | Sequence) or _is_indexed(film) else list(_each(film))
+    indexed = hasattr(film, "__len__") and hasattr(film, "__getitem__")
+    if not indexed and not isinstance(film, Iterable):
+        raise InputError(
+            f"{FILM}: of type {type(film).__name__}, expected an array (frames, height, width), frames or a path"
+        )
+    pictures: Any = film if indexed else list(film)
     if not len(pictures):
         raise InputError(f"{FILM}: no frames, expected at least two to follow a ball")
     first = _picture(pictures, 0)
@@ -40,18 +45,6 @@ def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     frames = make_grey_frames(FILM, len(pictures), first.shape, first.dtype, fetch)
     check_two_frames(FILM, frames)
     return frames
-
-
-def _is_indexed(film: Any) -> bool:
-    return hasattr(film, "__len__") and hasattr(film, "__getitem__")
-
-
-def _each(film: Any) -> Iterable[Any]:
-    if not isinstance(film, Iterable):
-        raise InputError(
-            f"{FILM}: of type {type(film).__name__}, expected an array (frames, height, width), frames or a path"
-        )
-    return film
 
 
 def _picture(pictures: Any, k: int) -> NDArray[Any]:

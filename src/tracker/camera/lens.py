@@ -27,9 +27,7 @@ def mirror_normal(centres: Array, radius: float, eye: Array, light: Array) -> Ar
 
 
 def distort(straight: Array, dist: Array) -> tuple[Array, Array]:
-    """OpenCV's lens model on normalised coordinates (..., 2): bent ones, and
-    d bent / d straight (..., 2, 2).
-    """
+    """OpenCV's lens model on normalised coordinates (..., 2): bent ones, and d bent / d straight (..., 2, 2)."""
     if not dist.any():
         return straight, np.broadcast_to(np.eye(2), (*straight.shape, 2))
     k1, k2, p1, p2, k3 = dist
@@ -37,22 +35,13 @@ def distort(straight: Array, dist: Array) -> tuple[Array, Array]:
     q = x * x + y * y
     radial = 1 + q * (k1 + q * (k2 + q * k3))
     slope = k1 + q * (2 * k2 + q * 3 * k3)  # d radial / d q
-    bent = np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (q + 2 * x * x),
-            y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=-1,
-    )
+    bent_x = x * radial + 2 * p1 * x * y + p2 * (q + 2 * x * x)
+    bent_y = y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y
+    across = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+    down = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
     cross = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-    jacobian = np.stack(
-        [
-            np.stack([radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x, cross], axis=-1),
-            np.stack([cross, radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x], axis=-1),
-        ],
-        axis=-2,
-    )
-    return bent, jacobian
+    jacobian = np.stack([across, cross, cross, down], axis=-1).reshape(*straight.shape, 2)
+    return np.stack([bent_x, bent_y], axis=-1), jacobian
 
 
 def undistort(bent: Array, dist: Array) -> tuple[Array, Array]:

@@ -5,29 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array, mirror_normal, pair_normal
 
 
 def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Array:
-    """Locate points on the line from the image of a ball's centre to where the ball mirrors the zenith.
+    """Locate points (n, 2), px, on the line from the image of a ball's centre to where the ball mirrors the zenith.
 
     The image of a room that is the same in all directions is symmetric about that line.
 
-    Parameters
-    ----------
-    camera : Camera
-        Without a lamp the glints themselves are returned.
-    glints : (n, 2) array
-        Of the balls, px.
-    share : float
-        Of the way to the zenith's image.
-
-    Returns
-    -------
-    (n, 2) array
-        px.
+    camera: without a lamp the glints themselves are returned; glints: (n, 2), px; share: of the way to the zenith's
+    image.
     """
     seen = np.asarray(glints, dtype=np.float64)
     if not camera.corrects_glint or seen.size == 0:
@@ -40,26 +28,12 @@ def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Arra
 
 
 def locate_secondary_glints(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
-    """Locate the lamp in balls as their neighbours mirror it.
+    """Locate (n, 2), px, the lamp in balls as their neighbours mirror it. InputError without a lamp in the camera.
 
-    Parameters
-    ----------
-    camera : Camera
-    glints, others : (n, 2) array
-        Primary glints of the balls, and of a neighbour of each, px.
-
-    Returns
-    -------
-    (n, 2) array
-        px.
-
-    Raises
-    ------
-    InputError
-        Without a lamp in the camera.
+    glints, others: (n, 2), px, primary glints of the balls, and of a neighbour of each.
     """
-    middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
-    normal = pair_normal(middle, other, camera.radius, camera.position, _lamp_position(camera))
+    middle, other, lamp = _find_pairs(camera, glints, others)
+    normal = pair_normal(middle, other, camera.radius, camera.position, lamp)
     return camera.project(middle + camera.radius * normal)
 
 
@@ -69,8 +43,7 @@ def secondary_flux_ratio(camera: Camera, glints: ArrayLike, others: ArrayLike) -
     The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's position. Arguments
     as of `locate_secondary_glints`.
     """
-    middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
-    lamp = _lamp_position(camera)
+    middle, other, lamp = _find_pairs(camera, glints, others)
     moved = [lamp, *(lamp + 0.03 * lamp[2] * axis for axis in np.eye(3)[:2])]
     areas = []
     for normals in (
@@ -82,7 +55,8 @@ def secondary_flux_ratio(camera: Camera, glints: ArrayLike, others: ArrayLike) -
     return np.asarray(areas[0] / areas[1], dtype=np.float64)
 
 
-def _lamp_position(camera: Camera) -> Array:
-    if camera.lamp is None:
-        raise InputError("camera: lamp is missing, expected its position for the position of a glint")
-    return np.array(camera.lamp.position, dtype=np.float64)
+def _find_pairs(camera: Camera, glints: ArrayLike, others: ArrayLike) -> tuple[Array, Array, Array]:
+    """Centres (n, 3) of balls and of their neighbours, and the position (3,) of the lamp, m."""
+    middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
+    assert camera.lamp is not None  # `ball_of_glint` refuses a camera without one
+    return middle, other, np.array(camera.lamp.position, dtype=np.float64)

@@ -53,7 +53,7 @@ class RecordingSource:
     def open_clip(self, index: int) -> Recording:
         """Opens clip ``index`` (its index in the source, not its number)."""
         location = self.clips[index][1]
-        own = location.parent / "camera.json" if location.is_file() else location / "camera.json"
+        own = _camera_beside(location)
         chosen = self.camera if self.camera is not None else own if own.is_file() else None
         if chosen is None and self.dataset:
             raise InputError(f"{own}: no such file, expected the clip's camera.json")
@@ -70,11 +70,14 @@ class RecordingSource:
         """The camera file of each clip, where there is one."""
         if self.camera is not None:
             return [self.camera]
-        files = [(p.parent if p.is_file() else p) / "camera.json" for _, p in self.clips]
-        return [f for f in files if f.is_file()]
+        return [file for _, location in self.clips if (file := _camera_beside(location)).is_file()]
 
 
-def make_recording(number: int, frames: Frames, camera: Camera | None, names: tuple[str, str]) -> Recording:
+def _camera_beside(location: Path) -> Path:
+    return (location.parent if location.is_file() else location) / "camera.json"
+
+
+def make_recording(number: int, frames: Frames, camera: Camera | None, names: tuple[str, str] = ("", "")) -> Recording:
     """Frames and their camera as one clip. names: of film and camera, for the InputError where their sizes differ."""
     size, bits = (frames.shape[2], frames.shape[1]), 8 * frames.dtype.itemsize
     notes = [] if frames.colours is None else [COLOUR_TO_GREY]

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 import struct
+import sys
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from logging.handlers import BufferingHandler
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +36,9 @@ def read_tiff_stack(path: Path) -> Frames:
     count = int(np.prod(shape[: len(shape) - len(plane)], dtype=np.int64))
     check_pixel_type(path, dtype)
     if offset is not None:
-        fetch: Callable[[int], Any] = _ContiguousFrames(path, offset, count, plane, dtype.newbyteorder(order))
+        fetch = _read_by_offset(path, offset, count, plane, dtype.newbyteorder(order))
     else:
-        fetch = _TiffPages(path, plane)
+        fetch = _read_pages(path, plane)
         try:
             fetch(count - 1)
         except InputError:
@@ -45,7 +49,8 @@ def read_tiff_stack(path: Path) -> Frames:
 @contextmanager
 def _raise_logged_errors(path: Path) -> Iterator[None]:
     """Raise an error where tifffile only logs a broken chain of pages and goes on with the pages it has."""
-    heard, logger = _LogCollector(logging.ERROR), logging.getLogger("tifffile")
+    heard, logger = BufferingHandler(sys.maxsize), logging.getLogger("tifffile")
+    heard.setLevel(logging.ERROR)
     passed_on = logger.propagate
     logger.addHandler(heard)
     logger.propagate = False
@@ -54,19 +59,9 @@ def _raise_logged_errors(path: Path) -> Iterator[None]:
     finally:
         logger.propagate = passed_on
         logger.removeHandler(heard)
-    if heard.messages:
-        raise InputError(f"{path}: truncated or damaged ({heard.messages[0].splitlines()[0][:120]})")
-
-
-class _LogCollector(logging.Handler):
-    """Keeps what is logged."""
-
-    def __init__(self, level: int) -> None:
-        super().__init__(level)
-        self.messages: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.messages.append(record.getMessage())
+    if heard.buffer:
+        message = heard.buffer[0].getMessage()
+        raise InputError(f"{path}: truncated or damaged ({message.splitlines()[0][:120]})")
 
 
 def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, bool, int | None]:
@@ -82,42 +77,34 @@ def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, b
     return shape, dtype, colour, None if offset is None else int(offset)
 
 
-class _ContiguousFrames:
-    """Frames that lie one after the other: read by their offset in the file, so that no more than one is held."""
+def _read_by_offset(path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any) -> Callable[[int], Any]:
+    """A reader of frames that lie one after the other: by their offset in the file, so that no more than one is held."""
+    pixels = math.prod(plane)
+    missing = offset + count * pixels * dtype.itemsize - path.stat().st_size
+    if missing > 0:
+        raise InputError(f"{path}: truncated, {missing} bytes short of {count} frames")
+    file = path.open("rb", buffering=0)
 
-    def __init__(self, path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any) -> None:
-        self.path, self.offset, self.count, self.plane, self.dtype = path, offset, count, plane, dtype
-        self.pixels = int(np.prod(plane))
-        missing = offset + count * self.pixels * dtype.itemsize - path.stat().st_size
-        if missing > 0:
-            raise InputError(f"{path}: truncated, {missing} bytes short of {count} frames")
-        self.file = path.open("rb", buffering=0)
+    def fetch(k: int) -> Any:
+        flat = np.empty(pixels, dtype=dtype)
+        file.seek(offset + k * flat.nbytes)
+        if file.readinto(flat.view(np.uint8).data) < flat.nbytes:
+            raise InputError(f"{path}: truncated, frame {k} of {count} cannot be read")
+        return flat.reshape(plane).astype(dtype.newbyteorder("="), copy=False)
 
-    def __call__(self, k: int) -> Any:
-        flat = np.empty(self.pixels, dtype=self.dtype)
-        self.file.seek(self.offset + k * flat.nbytes)
-        if self.file.readinto(flat.view(np.uint8).data) < flat.nbytes:
-            raise InputError(f"{self.path}: truncated, frame {k} of {self.count} cannot be read")
-        return flat.reshape(self.plane).astype(self.dtype.newbyteorder("="), copy=False)
-
-    def __del__(self) -> None:
-        if hasattr(self, "file"):
-            self.file.close()
+    weakref.finalize(fetch, file.close)
+    return fetch
 
 
-class _TiffPages:
-    """Compressed frames or frames apart: one page of the file each; the file stays open between them."""
+def _read_pages(path: Path, plane: tuple[int, ...]) -> Callable[[int], Any]:
+    """A reader of frames that are compressed or apart, one page of the file each; the file stays open between them."""
+    file = tifffile.TiffFile(path)
 
-    def __init__(self, path: Path, plane: tuple[int, ...]) -> None:
-        self.path, self.plane = path, plane
-        self.file = tifffile.TiffFile(path)
-
-    def __call__(self, k: int) -> Any:
+    def fetch(k: int) -> Any:
         try:
-            return np.asarray(self.file.pages[k].asarray()).reshape(self.plane)
+            return np.asarray(file.pages[k].asarray()).reshape(plane)
         except Exception as error:  # decoders raise their own kinds
-            raise InputError(f"{self.path}: frame {k} cannot be read ({first_line(error)})") from None
+            raise InputError(f"{path}: frame {k} cannot be read ({first_line(error)})") from None
 
-    def __del__(self) -> None:
-        if hasattr(self, "file"):
-            self.file.close()
+    weakref.finalize(fetch, file.close)
+    return fetch

@@ -105,19 +105,16 @@ def _scan_video(path: Path) -> _VideoContents | None:
         for frame in _decode(container, stream, lambda: damaged.append(len(times))):
             if found is None:
                 check_frame_size(path, (frame.height, frame.width))
-                ratio = stream.sample_aspect_ratio
-                rate = stream.average_rate or stream.guessed_rate
-                tick, name = float(stream.time_base or 0), stream.codec_context.name
                 found = _VideoContents(
-                    frame,
-                    name,
-                    times,
-                    keys,
-                    damaged,
-                    tick,
-                    float(rate or 0),
-                    _count_promised_frames(stream),
-                    ratio in (None, 0, 1),
+                    first=frame,
+                    codec=stream.codec_context.name,
+                    times=times,
+                    keys=keys,
+                    damaged=damaged,
+                    tick=float(stream.time_base or 0),
+                    fps=float(stream.average_rate or stream.guessed_rate or 0),
+                    promised=_count_promised_frames(stream),
+                    square=stream.sample_aspect_ratio in (None, 0, 1),
                 )
             elif (frame.width, frame.height) != (found.first.width, found.first.height):
                 has, wants = (f"{f.width}x{f.height}" for f in (frame, found.first))
@@ -205,7 +202,8 @@ class _VideoReader:
         return None
 
     def _open(self) -> None:
-        self.close()
+        if self.source is not None:
+            self.source[0].close()
         self.source = _open_stream(self.path)
         self.numbered, self.next = self._numbers(_decode(*self.source)), 0
 
@@ -217,14 +215,9 @@ class _VideoReader:
             if frame.pts in self.at:
                 yield self.at[frame.pts], frame
 
-    def close(self) -> None:
-        """Closes the file."""
+    def __del__(self) -> None:
         if self.source is not None:
             self.source[0].close()
-            self.source = None
-
-    def __del__(self) -> None:
-        self.close()
 
 
 def _choose_conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, bool]:

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.camera.view_errors import perturb_view, scale_at
+from tracker.camera.views import perturb_view, scale_at
 from tracker.measurement.collision.derived import DerivedValues, derive_from_free, derive_from_tied
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.positions import BallTrack

@@ -16,7 +16,7 @@ from tracker.calibration.plate_camera import calibrate_plate
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points
 from tracker.calibration.plate_view import fit_view
 from tracker.camera.camera import Camera
-from tracker.camera.view_errors import perturb_view
+from tracker.camera.views import perturb_view
 
 SIZE = (640, 480)
 DIAMETER = 2.38e-3

@@ -15,7 +15,7 @@ from tracker_film import CAMERA
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.mirror_images import locate_secondary_glints, locate_zenith_point
-from tracker.camera.same_view import first_difference
+from tracker.camera.views import first_difference
 
 
 def bent_camera(tilt=(0.05, -0.03), dist=(-0.2, 0.1, 1e-3, -2e-3, 0.05)):

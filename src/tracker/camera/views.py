@@ -1,12 +1,31 @@
-"""Compares two cameras: the first key by which they see the same balls at other pixels."""
+"""Compares the views of two cameras, and changes the view of one by its standard errors."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from tracker.camera.camera import Camera
+from tracker.camera.lens import Array
+
+
+def perturb_view(camera: Camera, change: Array) -> Camera:
+    """The camera with focal length, lens and pose changed by a row (11,) of ``view_errors``."""
+    matrix = camera.K.copy()
+    matrix[:2, :2] *= 1 + change[0]
+    matrix[:2, 2] += change[1:3]
+    dist = camera.dist + np.array([change[3], change[4], 0.0, 0.0, 0.0])
+    turned = cv2.Rodrigues(change[5:8])[0] @ camera.R
+    return replace(camera, K=matrix, dist=dist, R=turned, t=camera.t + change[8:])
+
+
+def scale_at(camera: Camera) -> float:
+    """m/px in the picture's middle, at the height of the balls' centres."""
+    middle = (np.array(camera.size) - 1) / 2
+    return float(np.sqrt(np.abs(np.linalg.det(camera.unproject(middle)[1]))))
 
 
 def first_difference(camera: Camera, other: Camera, besides: Collection[str] = ()) -> str:
