@@ -239,7 +239,7 @@ def calibrate(
     Example: tracker calibrate film.mp4 --points corners.csv --diameter 0.0525 --fps 240 -o camera.json
     """
     from tracker.calibration.calibrate import calibrate as calibrate_camera
-    from tracker.calibration.calibrate import check_output, summary, summary_json
+    from tracker.calibration.calibrate import check_output, summary
 
     check_output(output)
     if points is not None or board:
@@ -255,7 +255,8 @@ def calibrate(
     with progress_bar("calibrate") as progress:
         result = calibrate_camera(video, diameter, fps, exposure, gamma, 0, progress)
     result.write(output)
-    print(summary_json(result, output) if as_json else "\n".join([*summary(result), f"{output}"]))
+    keys = {"camera": str(output), **result.to_dict()["calibration"], "scale": result.camera.scale}
+    print(json.dumps(keys) if as_json else "\n".join([*summary(result), f"{output}"]))
 
 
 def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:

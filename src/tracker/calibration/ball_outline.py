@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,31 +17,22 @@ from scipy.special import ndtr
 
 from tracker.camera.lens import Array
 from tracker.detection.candidates import EmptyPlate
+from tracker.detection.detector import OutlineRadius
 from tracker.detection.glints import Glints
 
 HALF_WINDOW_PX = 36  # px, of the mean picture
 FIRST_RADII_PX = (2.5, 4, 5.5, 7.5, 10, 14, 19, 25)  # px, first guesses of the radius
 
 
-@dataclass(frozen=True)
-class Outline:
-    """Radius of the ball, px, and its standard error."""
-
-    radius: float
-    std: float
-
-
-def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, sigma: float) -> Outline | None:
+def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, sigma: float) -> OutlineRadius | None:
     """The radius that the mean picture shows; None where the ball is too dark to be seen, or not round."""
     stack = _mean(frames, plate, glints, sigma)
     if stack is None:
         return None
     picture, weight = stack
     blur = math.sqrt(sigma**2 + 1.0 / 12.0)  # windows are centred on the nearest pixel
-    fits = sorted(
-        (_fit(picture, weight, blur, float(size)) for size in FIRST_RADII_PX), key=lambda fit: float(fit.cost)
-    )
-    best = fits[0]
+    fits = [_fit(picture, weight, blur, float(size)) for size in FIRST_RADII_PX]
+    best = min(fits, key=lambda fit: float(fit.cost))
     freedom = max(int(np.count_nonzero(weight)) - 6, 1)
     try:
         cov = np.linalg.inv(best.jac.T @ best.jac) * (2.0 * best.cost / freedom)
@@ -60,34 +50,26 @@ def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, si
     if not inside or not std < radius / 20.0 or not _is_ball_needed(picture, weight, best.cost, freedom):
         return None
     # 1 % of the radius: rooms are uneven, and balls are not ideal mirrors
-    return Outline(radius, math.hypot(std, 0.01 * radius))
+    return OutlineRadius(radius, math.hypot(std, 0.01 * radius))
 
 
 def _mean(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, sigma: float) -> tuple[Array, Array] | None:
     """Mean over the plate (s, s) about single glints, and the root of each pixel's weight, 1/counts."""
     h, w = plate.level.shape
+    half = HALF_WINDOW_PX
     column, row = np.rint(glints.x).astype(np.int64), np.rint(glints.y).astype(np.int64)
-    clear = (
-        (column >= HALF_WINDOW_PX)
-        & (column < w - HALF_WINDOW_PX)
-        & (row >= HALF_WINDOW_PX)
-        & (row < h - HALF_WINDOW_PX)
-        & _is_only_glint(glints)
-    )
-    chosen = np.flatnonzero(clear)
+    inside = (column >= half) & (column < w - half) & (row >= half) & (row < h - half)
+    chosen = np.flatnonzero(inside & _is_only_glint(glints))
     if len(chosen) < 20:
         return None
     # more windows do not make the mean better
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, 400).round().astype(np.int64))]
-    total = np.zeros((2 * HALF_WINDOW_PX + 1, 2 * HALF_WINDOW_PX + 1))
+    total = np.zeros((2 * half + 1, 2 * half + 1))
     for k in chosen.tolist():
-        part = (
-            slice(row[k] - HALF_WINDOW_PX, row[k] + HALF_WINDOW_PX + 1),
-            slice(column[k] - HALF_WINDOW_PX, column[k] + HALF_WINDOW_PX + 1),
-        )
+        part = slice(row[k] - half, row[k] + half + 1), slice(column[k] - half, column[k] + half + 1)
         total += frames[int(glints.frame[k])][part].astype(np.float64)
         total -= float(np.median(plate.level[part]))
-    offsets = np.arange(-HALF_WINDOW_PX, HALF_WINDOW_PX + 1.0)
+    offsets = np.arange(-half, half + 1.0)
     # the glint itself, 3.6 of its widths about its centre, is left out
     core = offsets[:, None] ** 2 + offsets**2 < (3.6 * sigma + 1.0) ** 2
     return total / len(chosen), np.where(core, 0.0, math.sqrt(len(chosen)) / plate.noise)
@@ -113,11 +95,9 @@ def _fit(picture: Array, weight: Array, blur: float, size: float) -> Any:
         height = np.linalg.solve(flat.T @ flat + 1e-9 * np.eye(flat.shape[1]), flat.T @ wanted)
         return np.asarray(wanted - flat @ height, dtype=np.float64)
 
-    low, high = (
-        [math.log(2.0), -0.5 * size - 1.0, -0.5 * size - 1.0],
-        [math.log(HALF_WINDOW_PX), 0.5 * size + 1.0, 0.5 * size + 1.0],
-    )
-    return least_squares(misfit, [math.log(size), 0.0, 0.0], bounds=(low, high), x_scale=[0.1, 1.0, 1.0], max_nfev=30)
+    aside = 0.5 * size + 1.0
+    bounds = [math.log(2.0), -aside, -aside], [math.log(HALF_WINDOW_PX), aside, aside]
+    return least_squares(misfit, [math.log(size), 0.0, 0.0], bounds=bounds, x_scale=[0.1, 1.0, 1.0], max_nfev=30)
 
 
 def _parts(radius: float, x: float, y: float, blur: float) -> Array:

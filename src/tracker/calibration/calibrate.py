@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,75 +27,52 @@ MAX_ROUGH_CLIPS = 12  # clips at most, from which scale, glint width and noise a
 
 @dataclass(frozen=True)
 class Calibration:
-    """The result of a calibration.
-
-    Attributes
-    ----------
-    camera : Camera
-    scale_std : float
-        m/px.
-    scale_from : str
-        "contact", "outline", or "" without a scale.
-    ways : dict
-        Scale and its standard error, m/px, by each of these methods.
-    missing : tuple of str
-        A line for each thing that the video does not show.
-    discs : bool
-        Whether balls are seen as discs, which show nothing of the sensor.
-    """
+    """The result of a calibration."""
 
     camera: Camera
-    scale_std: float
-    scale_from: str
-    ways: dict[str, tuple[float, float]]
-    missing: tuple[str, ...]
-    discs: bool = False
+    scale_std: float  # m/px
+    scale_from: str  # "contact", "outline", or "" without a scale
+    ways: dict[str, tuple[float, float]]  # scale and its standard error, m/px, by each of these methods
+    missing: tuple[str, ...]  # a line for each thing that the video does not show
+    discs: bool = False  # whether balls are seen as discs, which show nothing of the sensor
 
     def to_dict(self) -> dict[str, Any]:
         """camera.json, with a key ``calibration`` that says how good it is."""
         whole = self.camera.to_dict()
-        unknown = set(self.camera.assumed)
-        kept = {
-            k: whole[k] for k in ("scale", "size", "fps", "ball_diameter") if not (k == "scale" and not self.scale_from)
-        }
-        if "exposure" not in unknown:
-            kept["exposure"] = whole["exposure"]
+        timed = () if "exposure" in self.camera.assumed else ("exposure",)
+        kept = {key: whole[key] for key in ("scale", "size", "fps", "ball_diameter", *timed)}
         if not self.discs:
             kept |= _sensor_keys(self.camera)
         elif self.camera.sensor.gamma != 1:
             kept["sensor"] = {"gamma": self.camera.sensor.gamma}
-        if self.scale_from:
-            kept["scale_std"] = self.scale_std
-        kept["calibration"] = {
-            "scale_std": self.scale_std,
-            "scale_from": self.scale_from,
-            "ways": {name: {"scale": value, "std": std} for name, (value, std) in self.ways.items()},
-            "not_found": list(self.missing),
-        }
-        return kept
+        ways = {name: {"scale": value, "std": std} for name, (value, std) in self.ways.items()}
+        found = {"scale_std": self.scale_std, "scale_from": self.scale_from, "ways": ways}
+        return kept | {"scale_std": self.scale_std, "calibration": found | {"not_found": list(self.missing)}}
 
     def write(self, path: Path) -> None:
         """The camera file, written aside and moved into place. InputError where no scale was found."""
         if not self.scale_from:
             raise InputError(f"{path}: not written, for no scale was found: {self.missing[0]}")
-        check_output(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with as_input_error(path):
-            write_json(path, self.to_dict())
+        write_camera_file(path, self.to_dict())
+
+
+def write_camera_file(path: Path, keys: dict[str, Any]) -> None:
+    """The camera file, written aside and moved into place."""
+    check_output(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with as_input_error(path):
+        write_json(path, keys)
 
 
 def check_output(path: Path) -> None:
     """Raises InputError where a camera file cannot be written, or would take another file's place."""
-    if path.exists() and not _is_calibration(path):
+    try:
+        ours = not path.exists() or "calibration" in read_json(path)
+    except (OSError, ValueError, TypeError):
+        ours = False
+    if not ours:
         raise InputError(f"{path}: exists and was not made by tracker calibrate, expected a new file")
     check_writable(path)
-
-
-def _is_calibration(path: Path) -> bool:
-    try:
-        return "calibration" in read_json(path)
-    except (OSError, ValueError, TypeError):
-        return False
 
 
 def keys_from_options(diameter: float, fps: float, exposure: float | None, gamma: float) -> dict[str, Any]:
@@ -126,31 +102,12 @@ def calibrate(
 ) -> Calibration:
     """Find scale, glint width and noise from a video of balls of known diameter.
 
-    Parameters
-    ----------
-    video : Path
-        A video, stack, folder of pictures, clip or dataset.
-    diameter : float
-        Of the balls, m.
-    fps : float
-        Frames a second.
-    exposure : float, optional
-        Of a frame, s; separates motion blur from the glint's width.
-    gamma : float
-        Counts are light to the power of 1/gamma.
-    workers : int
-        Processes; 0: one a core, where so many are quicker.
-    progress : callable
-        Takes clips done and clips in all; those that are looked at twice count twice.
+    video: a video, stack, folder of pictures, clip or dataset; diameter: of the balls, m; fps: frames a second;
+    exposure: of a frame, s, which separates motion blur from the glint's width; gamma: counts are light to the power
+    of 1/gamma; workers: processes, or 0 for one a core, where so many are quicker; progress: takes clips done and clips
+    in all, of which those that are looked at twice count twice.
 
-    Returns
-    -------
-    Calibration
-
-    Raises
-    ------
-    InputError
-        For what cannot be read, or has no glints.
+    Raises InputError for what cannot be read, or has no glints.
     """
     given = keys_from_options(diameter, fps, exposure, gamma)
     source = open_source(video)
@@ -173,7 +130,7 @@ def calibrate(
         return sorted(found, key=lambda one: one.index)
 
     first_by, then_by = "centroid", GLINTS
-    first = without_scale(make_recording(number, frames, Camera.from_dict(given), ("", "")))
+    first = without_scale(make_recording(number, frames, Camera.from_dict(given)))
     if choose_detector((coloured := select_channel(first, None)[0]).frames, first.camera)[0] == DISCS:
         source, first_by, then_by = replace(source, channel=coloured.channel), DISCS, DISCS
     for detector in (first_by, then_by):  # the second time with the size of the balls known
@@ -237,18 +194,13 @@ def _combine(
     found, discs = sum(s.balls for s in seen), detector == DISCS
     # fewer balls show nothing reliable
     if found < 10:
-        what = (
-            "discs found, expected balls on a still background"
-            if discs
-            else "glints found, expected balls with a bright glint on a darker ground, or seen whole on a still one"
-        )
-        raise InputError(f"{video}: {found} {what}")
+        what = "glints found, expected balls with a bright glint on a darker ground, or seen whole on a still one"
+        raise InputError(f"{video}: {found} {'discs found, expected balls on a still background' if discs else what}")
     best = min(ways, key=lambda name: ways[name][1]) if ways else ""
     missing = [*_of_scale(seen, ways, best, discs)]
     if not timed:
-        missing.append(
-            "exposure: a video does not show it" + "; the glint's width includes the motion blur" * (not discs)
-        )
+        blurred = "" if discs else "; the glint's width includes the motion blur"
+        missing.append(f"exposure: a video does not show it{blurred}")
     missing += [] if discs else ["lamp: its position is not known; tracks will be those of glints, not of centres"]
     missing.append("height: the camera's is not known; it is assumed straight above, without distortion")
     missing += [] if discs else ["sensor: prnu, dsnu and dark current cannot be separated from the noise"]
@@ -278,20 +230,14 @@ def _of_scale(
 
 def summary(result: Calibration) -> list[str]:
     """Lines for people."""
-    sensor, camera = result.camera.sensor, result.camera
+    sensor = result.camera.sensor
     lines = [
         f"{name}: scale {value:.6g} m/px +- {100 * std / value:.2g} %" for name, (value, std) in result.ways.items()
     ]
-    if result.discs:
-        return lines + [f"not found - {line}" for line in result.missing]
-    lines.append(f"glint: sigma {camera.sigma or math.nan:.3g} px")
-    noise = math.sqrt(float(sensor.variance(np.array(sensor.black_level))))
-    lines.append(
-        f"noise: {noise:.3g} counts on black at {sensor.black_level:.3g}, gain about {sensor.gain:.3g} e-/count"
-    )
+    if not result.discs:
+        lines.append(f"glint: sigma {result.camera.sigma or math.nan:.3g} px")
+        noise = math.sqrt(float(sensor.variance(np.array(sensor.black_level))))
+        lines.append(
+            f"noise: {noise:.3g} counts on black at {sensor.black_level:.3g}, gain about {sensor.gain:.3g} e-/count"
+        )
     return lines + [f"not found - {line}" for line in result.missing]
-
-
-def summary_json(result: Calibration, path: Path) -> str:
-    """One line for machines."""
-    return json.dumps({"camera": str(path), **result.to_dict()["calibration"], "scale": result.camera.scale})

@@ -86,6 +86,7 @@ def _touch(frame: NDArray[np.int64], gap: Array, cov: Array, fixed: Array, k: in
 def _meet(
     frame: NDArray[np.int64], gap: Array, cov: Array, before: Any, after: Any, origin: float
 ) -> tuple[ContactDistance, float] | None:
+    """The contact where parabolas through the rows `before` and `after` meet, and their chi^2 per degree of freedom."""
     sides, chi2, freedom = [], 0.0, 0
     for rows in (before, after):
         t = frame[rows] - origin
@@ -100,12 +101,9 @@ def _meet(
     # px per frame, by which the relative velocity changes in a hit
     if np.hypot(*(late[1] - early[1])) < 0.3:
         return None
-    times = np.linspace(-1.5, 0.5, 401)
-    powers = np.vander(times, 3, increasing=True)
-    apart = powers @ (late - early)
-    best = int(np.argmin(np.sum(apart**2, axis=1)))
-    instant = times[best]
-    row = powers[best]
+    powers = np.vander(np.linspace(-1.5, 0.5, 401), 3, increasing=True)
+    row = powers[int(np.argmin(np.sum((powers @ (late - early)) ** 2, axis=1)))]
+    instant = row[1]
     kick = (late[1] - early[1]) + 2.0 * instant * (late[2] - early[2])
     velocity_early, velocity_late = (side[1] + 2.0 * instant * side[2] for side in (early, late))
     position = row @ (early + late) / 2.0
@@ -116,5 +114,4 @@ def _meet(
     drift = float(normal @ (velocity_early + velocity_late) / 2.0)
     of_early, of_late = normal / 2.0 + drift * pull, normal / 2.0 - drift * pull
     std = float(np.sqrt(sizes[0] * (of_early @ of_early) + sizes[1] * (of_late @ of_late)))
-    total = chi2 / max(freedom, 1)
-    return ContactDistance(float(np.hypot(*position)), std, origin + float(instant)), total
+    return ContactDistance(float(np.hypot(*position)), std, origin + float(instant)), chi2 / max(freedom, 1)

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error
-from tracker.calibration.calibrate import check_output, keys_from_options
+from tracker.calibration.calibrate import keys_from_options, write_camera_file
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points, size_of
 from tracker.calibration.plate_view import PlateView, fit_view
 from tracker.camera.camera import Camera
 from tracker.camera.views import perturb_view, scale_at
-from tracker.results import write_json
 
 
 @dataclass(frozen=True)
@@ -51,17 +49,12 @@ class PlateCalibration:
     def missing(self) -> list[str]:
         """What the points do not tell."""
         lens = "lens: taken as straight; eight points or more, up to the picture's rim, show its distortion"
-        return [
-            *([lens] if self.view.lens == 0 else []),
-            "lamp: its position is not known; glints are not taken to centres",
-        ]
+        lamp = "lamp: its position is not known; glints are not taken to centres"
+        return [lamp] if self.view.lens else [lens, lamp]
 
     def write(self, path: Path) -> None:
         """The camera file, written aside and moved into place."""
-        check_output(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with as_input_error(path):
-            write_json(path, self.to_dict())
+        write_camera_file(path, self.to_dict())
 
     def summary(self) -> list[str]:
         """Lines for people."""
@@ -97,30 +90,11 @@ def calibrate_plate(
     error: float | None = None,
     height: float | None = None,
 ) -> PlateCalibration:
-    """Find perspective and lens from points that are known.
+    """Find perspective and lens from points that are known. Raises InputError.
 
-    Parameters
-    ----------
-    source : Path
-        A film or a picture by the same camera in the same place; of a board, one that shows it.
-    said : tuple
-        What `calibrate.given_keys` takes: diameter, fps, exposure, gamma.
-    points : Path or None
-        A table of points.
-    board : str
-        Where there is none, what lies on the plate instead.
-    error : float, optional
-        Standard error of the points, px.
-    height : float, optional
-        Of the camera above the plate, m.
-
-    Returns
-    -------
-    PlateCalibration
-
-    Raises
-    ------
-    InputError
+    source: a film or a picture by the same camera in the same place, of a board one that shows it; said: diameter, fps,
+    exposure and gamma, as `keys_from_options` takes them; points: a table of points; board: where there is none, what
+    lies on the plate instead; error: standard error of the points, px; height: of the camera above the plate, m.
     """
     given = keys_from_options(*said)
     if points is not None and board:

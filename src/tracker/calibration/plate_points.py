@@ -33,10 +33,7 @@ class PlatePoints:
 
 
 def read_points(path: Path) -> PlatePoints:
-    """Points of a table with the columns x_px, y_px (pixel centres at whole numbers), x, y (m on the plate).
-
-    Raises InputError.
-    """
+    """Points of a table with x_px, y_px (pixel centres at whole numbers), x, y (m on the plate). Raises InputError."""
     content = Content.of(path)
     table = content.cells()
     if missing := [name for name in POINT_COLUMNS if name not in table]:
@@ -60,18 +57,9 @@ def size_of(source: Path) -> tuple[int, int]:
 
 
 def find_board(source: Path, board: str) -> PlatePoints:
-    """The corners of a board that lies on the plate, in the first picture in which it is found.
+    """The corners of a board that lies on the plate, in the first picture, of a film too, in which it is found.
 
-    Parameters
-    ----------
-    source : Path
-        A picture or a film.
-    board : str
-        As BOARD_SYNTAX says; a chessboard, a ChArUco board, or one ArUco marker.
-
-    Raises
-    ------
-    InputError
+    board: as BOARD_SYNTAX says, a chessboard, a ChArUco board, or one ArUco marker. Raises InputError.
     """
     kind, sizes = _board(board)
     for picture in _pictures(source):
@@ -107,9 +95,9 @@ def _board(board: str) -> tuple[str, dict[str, Any]]:
             sizes["dict"] = value.upper().removeprefix("DICT_")
         else:
             raise InputError(f"--board: {format_value(part)}: {BOARD_SYNTAX}")
-    names = {n.removeprefix("DICT_"): n.removeprefix("DICT_") for n in dir(cv2.aruco) if n.startswith("DICT_")}
-    if sizes["dict"] not in names:
-        hint = did_you_mean(sizes["dict"], {n.lower(): n for n in names})
+    names = {n.lower(): n for n in (n.removeprefix("DICT_") for n in dir(cv2.aruco) if n.startswith("DICT_"))}
+    if sizes["dict"] not in names.values():
+        hint = did_you_mean(sizes["dict"], names)
         raise InputError(
             f"--board: dict={format_value(sizes['dict'], quoted=False)}: no such dictionary of OpenCV{hint}"
         )

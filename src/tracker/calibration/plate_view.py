@@ -31,29 +31,13 @@ class PlateView:
 
 
 def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: float | None = None) -> PlateView:
-    """Fit focal length, lens and pose to points of the plate.
+    """Fit focal length, lens and pose to points of the plate. Raises InputError where they do not determine a view.
 
     A view from straight above does not determine the focal length and the height separately. Priors from usual cameras,
     or a measured height with its error, then decide.
 
-    Parameters
-    ----------
-    points : PlatePoints
-    size : tuple of int
-        Width and height of the picture.
-    error : float
-        Standard error of the points' pixels.
-    height : float, optional
-        Of the camera above the plate, m, known to 2 %.
-
-    Returns
-    -------
-    PlateView
-
-    Raises
-    ------
-    InputError
-        One line, for points that do not determine a view.
+    size: width and height of the picture; error: standard error of the points' pixels; height: of the camera above the
+    plate, m, known to 2 %.
     """
     _check(points, size)
     # from 8 points on k1 is fitted, from 20 points on k2 too
@@ -61,9 +45,8 @@ def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: f
     problem = _Problem(points, size, error, height, lens)
     tried = (_fit(problem, turn, begin, 30) for turn, begin in _starts(problem))
     turn, x, _, _ = min(tried, key=lambda fit: float(fit[2] @ fit[2]))
-    turn, x, residual, slope = _fit(
-        problem, problem.rotate(turn, x), problem.without_rotation(x)
-    )  # its rotation vector is 0
+    around = np.concatenate([x[:-6], np.zeros(3), x[-3:]])  # x without its rotation vector
+    turn, x, residual, slope = _fit(problem, problem.rotate(turn, x), around)
     left = residual[: points.pixels.size].reshape(-1, 2) * error
     _judge(points, residual, len(residual) - len(x), left)
     values, vectors = np.linalg.eigh(np.linalg.inv(slope.T @ slope))
@@ -96,20 +79,13 @@ class _Problem:
         """The rotation from world to camera."""
         return np.asarray(cv2.Rodrigues(x[-6:-3])[0] @ turn)
 
-    def without_rotation(self, x: Array) -> Array:
-        """x without its rotation vector."""
-        return np.concatenate([x[:-6], np.zeros(3), x[-3:]])
-
     def view(self, x: Array) -> tuple[Array, Array, Array]:
         """K, dist and t."""
         focal, dist = math.exp(x[0]), np.zeros(5)
         dist[: self.lens] = x[3 : 3 + self.lens]
-        (width, height) = self.size
-        return (
-            np.array([[focal, 0, (width - 1) / 2 + x[1]], [0, focal, (height - 1) / 2 + x[2]], [0, 0, 1.0]]),
-            dist,
-            x[-3:],
-        )
+        middle_x, middle_y = ((side - 1) / 2 for side in self.size)
+        matrix = np.array([[focal, 0, middle_x + x[1]], [0, focal, middle_y + x[2]], [0, 0, 1.0]])
+        return matrix, dist, x[-3:]
 
     def residual(self, x: Array, turn: Array) -> Array:
         """Residuals of the pixels and of the priors, in standard errors."""
@@ -146,8 +122,7 @@ def _starts(problem: _Problem) -> Iterator[tuple[Array, Array]]:
         _, turns, shifts, _ = cv2.solvePnPGeneric(plate, points.pixels, matrix, dist, flags=cv2.SOLVEPNP_IPPE)
         for turn, shift in zip(turns, shifts, strict=True):
             rotation = np.asarray(cv2.Rodrigues(turn)[0], np.float64)
-            above = -(rotation.T @ shift)[2, 0] > 0 and (plate @ rotation.T + shift.ravel())[:, 2].min() > 0
-            if above:
+            if -(rotation.T @ shift)[2, 0] > 0 and (plate @ rotation.T + shift.ravel())[:, 2].min() > 0:
                 found = True
                 yield rotation, np.concatenate([x[:-3], shift.ravel()])
     if not found:
@@ -164,10 +139,8 @@ def _check(points: PlatePoints, size: tuple[int, int]) -> None:
         x, y = points.pixels[outside][0]
         raise InputError(f"{where}: {x:g}, {y:g} px lies outside the picture of {size[0]} x {size[1]}")
     rows = []
-    spread = []
-    for values in (points.pixels, points.metres):
-        centred = values - values.mean(axis=0)
-        spread.append(centred / max(float(np.sqrt((centred**2).sum(axis=1).mean())), 1e-300))
+    centred = [values - values.mean(axis=0) for values in (points.pixels, points.metres)]
+    spread = [values / max(float(np.sqrt((values**2).sum(axis=1).mean())), 1e-300) for values in centred]
     for (u, v), (x, y) in zip(*spread, strict=True):
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y, -u], [0, 0, 0, x, y, 1, -v * x, -v * y, -v]]
     strength = np.linalg.svd(np.array(rows), compute_uv=False)

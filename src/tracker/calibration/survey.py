@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from synthcam_shared.jobs import use_one_thread
-from tracker.calibration.ball_outline import Outline, measure_outline
+from tracker.calibration.ball_outline import measure_outline
 from tracker.calibration.contact_distance import ContactDistance, contact_distances
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import Recording, RecordingSource, make_recording
@@ -19,26 +19,14 @@ from tracker.detection.link import link
 
 @dataclass(frozen=True)
 class BallSighting:
-    """One clip's part: balls found in all frames together, and how large they are seen.
-
-    Attributes
-    ----------
-    index : int
-    camera : Camera
-        Completed from the clip, as far as its detector does.
-    balls : int
-    contact_distances : list of ContactDistance
-    outline : Outline or None
-    encoded : bool
-        Video encoded with loss.
-    """
+    """One clip's part: balls found in all frames together, and how large they are seen."""
 
     index: int
-    camera: Camera
+    camera: Camera  # completed from the clip, as far as its detector does
     balls: int
     contact_distances: list[ContactDistance]
-    outline: Outline | None
-    encoded: bool
+    outline: OutlineRadius | None
+    encoded: bool  # with loss
 
 
 def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: bool, index: int) -> BallSighting:
@@ -47,9 +35,8 @@ def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: boo
     known: keys of camera.json; sized: whether the scale among them is more than a guess.
     """
     use_one_thread()
-    number, frames = source.open_film(index)
-    clip = make_recording(number, frames, Camera.from_dict(known), ("", "")).select_channel(source.channel)
-    return _discs(clip, index, sized) if name == DISCS else _glints(clip, name, index)
+    clip = make_recording(*source.open_film(index), Camera.from_dict(known)).select_channel(source.channel)
+    return _survey_discs(clip, index, sized) if name == DISCS else _survey_glints(clip, name, index)
 
 
 def without_scale(clip: Recording) -> Recording:
@@ -58,7 +45,7 @@ def without_scale(clip: Recording) -> Recording:
     return replace(clip, camera=replace(bare, sensor=clip.camera.sensor))
 
 
-def _glints(clip: Recording, name: str, index: int) -> BallSighting:
+def _survey_glints(clip: Recording, name: str, index: int) -> BallSighting:
     view = make_view(clip)
     glints = detect(clip, view, name).glints
     tracks = link(glints, view.camera)
@@ -70,7 +57,7 @@ def _glints(clip: Recording, name: str, index: int) -> BallSighting:
     return BallSighting(index, view.camera, len(tracks), contact_distances(tracks), seen, encoded)
 
 
-def _discs(clip: Recording, index: int, sized: bool) -> BallSighting:
+def _survey_discs(clip: Recording, index: int, sized: bool) -> BallSighting:
     looked_at = clip if sized else without_scale(clip)
     view = make_view(looked_at, DISCS)
     found = detect(looked_at, view, DISCS)
@@ -79,9 +66,8 @@ def _discs(clip: Recording, index: int, sized: bool) -> BallSighting:
     tracks = link(found.glints, view.camera, detected_point(DISCS, view.camera), takes)
     # px, of a contact in lossy video: read from ten drawn films of discs at H.264, crf 28
     contacts = [replace(c, std=math.hypot(c.std, 0.3 * lossy)) for c in contact_distances(tracks)]
-    return BallSighting(index, clip.camera, len(tracks), contacts, _outline(found.outline_radius), lossy)
-
-
-def _outline(found: OutlineRadius | None) -> Outline | None:
-    # 2 % of the radius: a ball is darker at its limb, and encoders move edges
-    return Outline(found.radius, math.hypot(found.std, 0.02 * found.radius)) if found else None
+    outline = found.outline_radius
+    if outline is not None:
+        # 2 % of the radius: a ball is darker at its limb, and encoders move edges
+        outline = replace(outline, std=math.hypot(outline.std, 0.02 * outline.radius))
+    return BallSighting(index, clip.camera, len(tracks), contacts, outline, lossy)

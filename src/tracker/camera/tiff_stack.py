@@ -78,7 +78,7 @@ def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, b
 
 
 def _read_by_offset(path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any) -> Callable[[int], Any]:
-    """A reader of frames that lie one after the other: by their offset in the file, so that no more than one is held."""
+    """A reader of frames that lie one after the other, by their offset in the file; no more than one is held."""
     pixels = math.prod(plane)
     missing = offset + count * pixels * dtype.itemsize - path.stat().st_size
     if missing > 0:
