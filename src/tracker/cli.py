@@ -60,13 +60,13 @@ def track(
 
     Example: tracker track out/benchmark -o out/results
     """
+    from tracker.camera.recordings import open_source
     from tracker.pipeline import run as track_all
 
     started = time.monotonic()
     with progress_bar("clips") as progress:
-        outcome = track_all(
-            source, output, camera, detector, workers or 0, progress, channel, scheduler=scheduler, settings=settings
-        )
+        films = open_source(source, camera)
+        outcome = track_all(films, output, detector, workers or 0, progress, channel, scheduler, settings)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:
@@ -289,13 +289,16 @@ def _typed() -> str:
 
 def _pages(outcome: ClipOutcome, output: Path, given: Path, workers: int) -> str:
     """Write the pages of results; where the first one is."""
-    from tracker.pipeline import write_pages
+    from synthcam_shared.jobs import run_all_jobs
     from tracker.report.pages import PAGE, ResultPages
 
     numbers = [int(n) for n in outcome.estimates["clip"].unique()]
     with progress_bar("pages") as progress:
         pages = ResultPages(output, numbers, outcome.source, given.name, list(outcome.notes), _typed())
-        write_pages(pages, outcome.estimates, workers, progress)
+        todo = pages.missing()
+        for done, _ in enumerate(run_all_jobs(pages.write, todo, workers, output), 1):
+            progress(done, len(todo))
+        pages.write_overview(outcome.estimates)
     return str(output / PAGE)
 
 

@@ -6,11 +6,10 @@ import functools
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import pandas as pd
@@ -29,123 +28,68 @@ from tracker.recording import measure_tracks, track_and_measure
 from tracker.settings import SettingsSource, TrackerSettings
 from tracker.tables.read import read_tracks
 
-if TYPE_CHECKING:
-    from tracker.report.pages import ResultPages
-
-
-@dataclass(frozen=True)
-class ClipDone:
-    """The report of a worker on a clip: its number of frames, and notes."""
-
-    frames: int
-    notes: tuple[Note, ...]
-
 
 @dataclass(frozen=True)
 class ClipOutcome:
-    """The result of a run over many clips.
-
-    Attributes
-    ----------
-    estimates : DataFrame
-    clips, fresh : int
-        Number of clips, and of those done in this run.
-    frames : int
-        Number of frames tracked in this run.
-    notes : dict
-        Number of clips by note.
-    source : RecordingSource or None
-        The films.
-    """
+    """The result of a run over many clips."""
 
     estimates: pd.DataFrame
     clips: int
-    fresh: int
-    frames: int
-    notes: dict[Note, int] = field(default_factory=dict)
-    source: RecordingSource | None = None
+    fresh: int  # clips done in this run
+    frames: int  # tracked in this run
+    notes: dict[Note, int] = field(default_factory=dict)  # number of clips by note
+    source: RecordingSource | None = None  # the films
 
 
 def run(
-    path: Path,
+    source: Path | RecordingSource,
     output: Path,
-    camera: Path | None,
-    name: str | None,
+    detector: str | None,
     workers: int,
     progress: Progress = lambda done, of: None,
     channel: str | None = None,
-    only: Collection[int] | None = None,
     scheduler: str = "",
     settings: SettingsSource | None = None,
 ) -> ClipOutcome:
     """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
 
-    Parameters
-    ----------
-    path : Path
-        A dataset, clip, stack, video or folder of pictures.
-    output : Path
-        RESULTS.
-    camera : Path or None
-        A camera file in place of the source's own.
-    name : str or None
-        Of the detector; None: what the first clip asks for.
-    workers : int
-        Processes; 0: one a core, where so many are quicker.
-    progress : callable
-        Takes clips done and clips in all.
-    channel : str or None
-        Of films in colour; None: what the first clip asks for.
-    only : collection of int, optional
-        The clips wanted, by number; default: all.
-    scheduler : str
-        Address of a Dask scheduler, whose workers see the same folders.
-    settings : TrackerSettings, dict, str or Path, optional
-
-    Returns
-    -------
-    ClipOutcome
-
-    Raises
-    ------
-    InputError
+    source: a dataset, clip, stack, video or folder of pictures; output: RESULTS; detector: None is what the first clip
+    asks for; workers: processes, or 0 for one a core, where so many are quicker; progress: takes clips done and clips
+    in all; channel: of films in colour, None is what the first clip asks for; scheduler: address of a Dask scheduler,
+    whose workers see the same folders. Raises InputError.
     """
     chosen = TrackerSettings.of(settings)
-    if name is not None:
-        load_detector(name)
-    source = open_source(path, camera)
-    if only is not None:
-        source = replace(source, clips=tuple(clip for clip in source.clips if clip[0] in only))
+    if detector is not None:
+        load_detector(detector)
+    films = open_source(source) if isinstance(source, Path) else source
     output = output.resolve()
-    if source.path.resolve() in output.parents:
-        raise InputError(f"{output}: lies in {source.path}, expected a folder outside it")
+    if films.path.resolve() in output.parents:
+        raise InputError(f"{output}: lies in {films.path}, expected a folder outside it")
     if not output.exists():
         check_writable(output)
-    first, why = select_channel(source.open_clip(0), channel)
-    if name is not None:
-        load_linker(name, first.camera)
-    source, said = replace(source, channel=first.channel), note_all(NoteKind.CHANNEL, [why])
-    if name is None:
-        name, why = choose_detector(first.frames, first.camera)
+    first, why = select_channel(films.open_clip(0), channel)
+    if detector is not None:
+        load_linker(detector, first.camera)
+    films, said = replace(films, channel=first.channel), note_all(NoteKind.CHANNEL, [why])
+    if detector is None:
+        detector, why = choose_detector(first.frames, first.camera)
         said += note_all(NoteKind.DETECTOR, [why])
-    plan = _plan(source, name, chosen)
-    numbers = [number for number, _ in source.clips]
-    if output.exists():
-        _same_or_refuse(output, plan)
-        return ClipOutcome(results.gather(output, numbers), len(source), 0, 0, source=source)
-    frames, notes = 0, Counter[Note]({note: len(source) for note in said})
-    with _partial(output, plan) as partial:
-        todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
-        progress(len(source) - len(todo), len(source))
-        work = functools.partial(
-            _track_clip, _resolve_paths(source) if scheduler else source, partial=partial, name=name, settings=chosen
-        )
-        for done, clip in enumerate(run_all_jobs(work, todo, workers, source.path, scheduler), 1):
-            frames += clip.frames
-            notes.update(clip.notes)
-            progress(len(source) - len(todo) + done, len(source))
-        table = results.finish(partial, output, numbers)
-    return ClipOutcome(table, len(source), len(todo), frames, dict(notes), source)
+    clips, frames, notes = len(films), 0, Counter[Note]()
+
+    def track(partial: Path, todo: list[int]) -> None:
+        nonlocal frames
+        notes.update(dict.fromkeys(said, clips))
+        progress(clips - len(todo), clips)
+        sent = _resolve_paths(films) if scheduler else films
+        work = functools.partial(_track_clip, sent, partial=partial, name=detector, settings=chosen)
+        for done, (more, new) in enumerate(run_all_jobs(work, todo, workers, films.path, scheduler), 1):
+            frames += more
+            notes.update(new)
+            progress(clips - len(todo) + done, clips)
+
+    plan = _plan(films, detector)
+    table, fresh = _fill_results(output, plan, chosen, [number for number, _ in films.clips], track)
+    return ClipOutcome(table, clips, fresh, frames, dict(notes), films)
 
 
 def measure_tables(
@@ -157,85 +101,54 @@ def measure_tables(
     unit: str = "",
     settings: SettingsSource | None = None,
 ) -> ClipOutcome:
-    """Measure tracks that any program made, as `run` does its own.
+    """Measure tracks that any program made, as `run` does its own. Raises InputError.
 
-    Parameters
-    ----------
-    path : Path
-        CSV or Parquet: clip, frame, particle, x, y; or a file of another program.
-    output : Path
-        RESULTS.
-    camera : Path
-        The camera file of the tracks.
-    point : {"centre", "glint"}
-        What x and y are.
-    columns, unit : str
-        As `read_tracks` takes them.
-    settings : TrackerSettings, dict, str or Path, optional
-
-    Returns
-    -------
-    ClipOutcome
-
-    Raises
-    ------
-    InputError
+    path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program; output: RESULTS; camera: the
+    camera file of the tracks; point: what x and y are, "centre" or "glint"; columns, unit: as `read_tracks` takes them.
     """
     chosen = TrackerSettings.of(settings)
     given = read_tracks(path, camera, columns, unit)
-    base, tables = given.camera, given.clips
     digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + f"{point}{columns}{unit}".encode()).hexdigest()
-    plan = {"made_by": "tracker measure", "input": digest, **_settings_entry(chosen)}
-    numbers = sorted(tables)
-    output = output.resolve()
+    numbers, notes = sorted(given.clips), dict[Note, int]()
+
+    def measure(partial: Path, todo: list[int]) -> None:
+        said = (*given.notes, *describe_camera_gaps(given.camera))
+        notes.update({note: len(numbers) for note in said if note.kind is not NoteKind.ASSUMED})
+        for number in (numbers[i] for i in todo):
+            tracks, striker = given.clips[number]
+            own = replace(given.camera, striker=striker or given.camera.striker)
+            result = measure_tracks(tracks, own, number, point, chosen.fit)
+            results.write_clip(partial, number, result.found, result.motion, result.rows, own)
+
+    plan = {"made_by": "tracker measure", "input": digest}
+    table, fresh = _fill_results(output.resolve(), plan, chosen, numbers, measure)
+    return ClipOutcome(table, len(numbers), fresh, 0, notes)
+
+
+def _fill_results(
+    output: Path,
+    plan: dict[str, Any],
+    settings: TrackerSettings,
+    numbers: list[int],
+    make: Callable[[Path, list[int]], None],
+) -> tuple[pd.DataFrame, int]:
+    """Fill RESULTS, or what the same command left of it, with the clips that it lacks: all estimates, clips made now.
+
+    plan: entries of run.json; make: writes the clips of these indices of `numbers` into a folder.
+    """
+    if settings.changed():
+        plan = plan | {"settings": settings.changed()}
     if output.exists():
         _same_or_refuse(output, plan)
-        return ClipOutcome(results.gather(output, numbers), len(numbers), 0, 0)
-    with _partial(output, plan) as partial:
-        todo = [n for n in numbers if not results.is_done(partial, n)]
-        for number in todo:
-            tracks, striker = tables[number]
-            own = replace(base, striker=striker) if striker is not None else base
-            result = measure_tracks(tracks, own, number, point, chosen)
-            results.write_clip(partial, number, result.found, result.motion, result.rows, own)
-        table = results.finish(partial, output, numbers)
-    said = (*given.notes, *describe_camera_gaps(base))
-    notes = {note: len(numbers) for note in said if note.kind is not NoteKind.ASSUMED}
-    return ClipOutcome(table, len(numbers), len(todo), 0, notes)
-
-
-def write_pages(pages: ResultPages, estimates: pd.DataFrame, workers: int, progress: Progress) -> None:
-    """Write the pages of RESULTS that are not there yet.
-
-    Parameters
-    ----------
-    pages : Pages
-    estimates : DataFrame
-        Of all its recordings.
-    workers : int
-        Processes; 0: one a core, where so many are quicker.
-    progress : callable
-        Takes pages done and pages in all.
-
-    Raises
-    ------
-    InputError
-    """
-    todo = pages.missing()
-    for done, _ in enumerate(run_all_jobs(pages.write, todo, workers, pages.output), 1):
-        progress(done, len(todo))
-    pages.write_overview(estimates)
-
-
-@contextmanager
-def _partial(output: Path, plan: dict[str, Any]) -> Iterator[Path]:
-    """Open the folder in which results are gathered: a new one, or the one that the same command left behind."""
+        return results.gather(output, numbers), 0
     check_writable(output)
     partial = output.with_name(output.name + ".partial")
     if partial.is_dir() and any(partial.iterdir()):
         _same_or_refuse(partial, plan)
     with resume_folder(partial, results.RUN, json.dumps(plan, indent=1) + "\n"):
-        yield partial
+        todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
+        make(partial, todo)
+        return results.finish(partial, output, numbers), len(todo)
 
 
 def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
@@ -248,12 +161,7 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
         raise InputError(f"{folder}: holds the results of another run, expected a new folder for the results")
 
 
-def _settings_entry(settings: TrackerSettings) -> dict[str, Any]:
-    """The entry of run.json for settings that differ from the defaults; none where none does."""
-    return {"settings": settings.changed()} if settings.changed() else {}
-
-
-def _plan(source: RecordingSource, name: str, settings: TrackerSettings) -> dict[str, Any]:
+def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
     """The entries of run.json that distinguish one run from another, without paths or times."""
     mark = hashlib.sha256()
     for number, location in source.clips:
@@ -270,15 +178,17 @@ def _plan(source: RecordingSource, name: str, settings: TrackerSettings) -> dict
     for file in source.camera_files():
         mark.update(file.read_bytes())
     colour = {} if source.channel == GREY else {"channel": source.channel}
-    run = {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()}
-    return run | colour | _settings_entry(settings)
+    run = {"made_by": "tracker track", "detector": detector, "clips": len(source), "input": mark.hexdigest()}
+    return run | colour
 
 
-def _track_clip(source: RecordingSource, index: int, partial: Path, name: str, settings: TrackerSettings) -> ClipDone:
-    """Track one clip in a worker. A clip that a lost worker had finished is done."""
+def _track_clip(
+    source: RecordingSource, index: int, partial: Path, name: str, settings: TrackerSettings
+) -> tuple[int, tuple[Note, ...]]:
+    """Track one clip in a worker: its number of frames, and notes. A clip that a lost worker had finished is done."""
     number, path = source.clips[index]
     if results.is_done(partial, number):
-        return ClipDone(frames=0, notes=())
+        return 0, ()
     use_one_thread()
     clip = source.open_clip(index)
     try:
@@ -289,7 +199,7 @@ def _track_clip(source: RecordingSource, index: int, partial: Path, name: str, s
         asked = " x ".join(map(str, clip.frames.shape))
         raise InputError(f"{path}: not enough memory for its {asked} pixels") from None
     results.write_clip(partial, result.number, result.found, result.motion, result.rows, result.camera)
-    return ClipDone(frames=result.frames, notes=result.notes)
+    return result.frames, result.notes
 
 
 def _resolve_paths(source: RecordingSource) -> RecordingSource:

@@ -130,18 +130,15 @@ class Result:
                 parts.append(f"<p>{title}</p>")
                 continue
             kinds = {"tied fit": "", "free fit": "_free", "as the paper": "_paper"}
-            table = pd.DataFrame(
-                {
-                    k: [format_with_error(row[n + s], row[f"{n}{s}_std"]) for n in QUANTITY_NAMES]
-                    for k, s in kinds.items()
-                },
-                index=pd.Index([f"{n} ({units[n]})" if n in units else n for n in QUANTITY_NAMES]),
-            )
+            columns = {
+                k: [format_with_error(row[n + s], row[f"{n}{s}_std"]) for n in QUANTITY_NAMES] for k, s in kinds.items()
+            }
+            table = pd.DataFrame(columns, index=[f"{n} ({units[n]})" if n in units else n for n in QUANTITY_NAMES])
             parts.append(f"<p>{title}</p>{table.to_html()}")
         return "".join(parts)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Plot the tracks as they lie in the picture.
+        """Plot the tracks as they lie in the picture: x and y in px, y downwards.
 
         Parameters
         ----------
@@ -151,18 +148,14 @@ class Result:
         Returns
         -------
         Axes
-            x and y in px, y downwards as in the picture.
         """
         if ax is None:
             import matplotlib.pyplot as plt
 
             ax = plt.subplots(layout="constrained")[1]
         for k, (particle, rows) in enumerate(self.tracks.groupby("particle")):
-            style: dict[str, Any] = {
-                "color": ("#2166ac", "#b2182b", "#4d9221", "#7b3294")[k % 4],
-                "label": f"particle {particle}",
-            }
-            ax.plot(rows["x"], rows["y"], ".-", lw=0.8, ms=3, **style)
+            colour = ("#2166ac", "#b2182b", "#4d9221", "#7b3294")[k % 4]
+            ax.plot(rows["x"], rows["y"], ".-", lw=0.8, ms=3, color=colour, label=f"particle {particle}")
         width, height = self.camera.size
         ax.set(xlabel="x (px)", ylabel="y (px)", xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
         if len(self.found):
@@ -179,7 +172,7 @@ def track(
     number: int | None = None,
     settings: SettingsSource | None = None,
 ) -> Result:
-    """Find, follow and measure the balls of one recording.
+    """Find, follow and measure the balls of one recording. An InputError says why a film or a camera cannot be used.
 
     Parameters
     ----------
@@ -202,11 +195,6 @@ def track(
     -------
     Result
         The same numbers as ``tracker track`` writes for the same film and camera.
-
-    Raises
-    ------
-    InputError
-        One line, for a film or a camera that cannot be used.
 
     Examples
     --------
@@ -252,6 +240,8 @@ def measure(
 ) -> Result:
     """Measure the collisions in tracks that any program made.
 
+    An InputError refuses what is no such table, and tables of several clips.
+
     Parameters
     ----------
     tracks : DataFrame, str or Path
@@ -272,11 +262,6 @@ def measure(
     -------
     Result
         As `track` gives it; `tracks` holds the balls' centres.
-
-    Raises
-    ------
-    InputError
-        One line, for what is no such table, and for tables of several clips.
 
     Examples
     --------
@@ -300,7 +285,7 @@ def measure(
         raise InputError(f"tracks: {clips} clips, expected one; give them one by one, as of groupby('clip')")
     ((number, (found, striker)),) = given.clips.items()
     known = given.camera if striker is None else replace(given.camera, striker=striker)
-    result = measure_tracks(found, known, number, point, TrackerSettings.of(settings))
+    result = measure_tracks(found, known, number, point, TrackerSettings.of(settings).fit)
     return replace(result, notes=(*given.notes, *result.notes))
 
 
@@ -309,15 +294,13 @@ def track_and_measure(
 ) -> Result:
     """Track and measure one recording, by the detector `name` or the one that its film asks for."""
     settings = settings or TrackerSettings()
-    why, other = "", ""
-    if name is None:
-        name, why = choose_detector(clip.frames, clip.camera)
-        other = GLINTS if name == DISCS else DISCS
-    tracks, camera, reason, said = track_clip(clip, name, settings)
-    if reason and other:
+    chosen, why = choose_detector(clip.frames, clip.camera) if name is None else (name, "")
+    tracks, camera, reason, said = track_clip(clip, chosen, settings)
+    if reason and name is None:
+        other = GLINTS if chosen == DISCS else DISCS
         second = track_clip(clip, other, settings)
         if not second[2] and len(second[0]) >= MIN_DETECTIONS:
-            why = f"detector: {other}, because {name} finds nothing ({reason}); --detector overrides this"
+            why = f"detector: {other}, because {chosen} finds nothing ({reason}); --detector overrides this"
             tracks, camera, reason, said = second
     rows, motion = measure_clip(tracks, camera, settings.fit)
     if reason:
@@ -334,12 +317,12 @@ def track_and_measure(
 
 
 def measure_tracks(
-    tracks: Tracks, camera: Camera, number: int, point: str, settings: TrackerSettings | None = None
+    tracks: Tracks, camera: Camera, number: int, point: str, settings: FitSettings | None = None
 ) -> Result:
     """Measure tracks made elsewhere as `track_and_measure` does its own."""
     if point == "glint":
         tracks = results.to_centres(tracks, camera)
-    rows, motion = measure_clip(tracks, camera, (settings or TrackerSettings()).fit)
+    rows, motion = measure_clip(tracks, camera, settings)
     notes = tuple(note for note in describe_camera_gaps(camera) if note.kind is not NoteKind.ASSUMED)
     return Result(number, camera, tracks, tuple(rows), motion, notes)
 

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.csv
 import pyarrow.parquet
 
 from synthcam_shared.errors import InputError
@@ -28,10 +27,10 @@ from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
-from tracker.tables.rows import check_columns, to_tracks, tracks_table
+from tracker.tables.rows import check_columns, to_csv, to_tracks, tracks_table
 
 RUN = "run.json"
-SEEN = "exposure_seen_s"  # of clips whose motion blur is not as long as the camera file's exposure makes it
+SEEN = "exposure_seen_s"  # by clip, where the motion blur is not as long as the camera file's exposure makes it, s
 
 
 def clip_folder(results: Path, number: int) -> Path:
@@ -45,12 +44,7 @@ def is_done(results: Path, number: int) -> bool:
 
 
 def write_clip(
-    results: Path,
-    number: int,
-    tracks: Tracks,
-    motion: pd.DataFrame,
-    rows: Sequence[Mapping[str, Any]],
-    camera: Camera,
+    results: Path, number: int, tracks: Tracks, motion: pd.DataFrame, rows: Sequence[Mapping[str, Any]], camera: Camera
 ) -> None:
     """Writes one clip's folder aside and moves it into place."""
     final = clip_folder(results, number)
@@ -61,9 +55,7 @@ def write_clip(
     columns = {name: pa.array(motion[name].to_numpy(), from_pandas=True) for name in motion.columns}
     try:
         _write_parquet(aside / "tracks.parquet", table)
-        with BytesIO() as text:
-            pyarrow.csv.write_csv(table, text, pyarrow.csv.WriteOptions(quoting_style="needed"))
-            write_atomically(aside / "tracks.csv", text.getvalue())
+        write_atomically(aside / "tracks.csv", to_csv(table))
         _write_parquet(aside / "motion.parquet", pa.table(columns))
         write_json(aside / "estimates.json", list(rows))
         write_json(aside / "camera.json", camera.to_dict())
@@ -79,21 +71,16 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
 
     order = sorted(numbers)
     table = gather(partial, order)
-    _write_parquet(partial / "estimates.parquet", _plain(table))
+    # without pandas' own metadata, which names the versions of libraries
+    plain = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None)
+    _write_parquet(partial / "estimates.parquet", plain)
     write_json(partial / "fit.json", fit_all(table))
-    _note_exposures(partial, order)
+    cameras = {n: load_json(clip_folder(partial, n) / "camera.json") for n in order}
+    if seen := {n: camera[SEEN] for n, camera in cameras.items() if SEEN in camera}:
+        write_json(partial / RUN, load_json(partial / RUN) | {SEEN: seen})
     write_atomically(partial / "camera.json", (clip_folder(partial, order[0]) / "camera.json").read_bytes())
     os.replace(partial, final)
     return table
-
-
-def _note_exposures(results: Path, numbers: Sequence[int]) -> None:
-    """Adds to run.json the clips' exposures that are not the camera file's, s by clip."""
-    cameras = {n: load_json(clip_folder(results, n) / "camera.json") for n in numbers}
-    seen = {n: camera[SEEN] for n, camera in cameras.items() if SEEN in camera}
-    if seen:
-        note = results / RUN
-        write_json(note, load_json(note) | {SEEN: seen})
 
 
 def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
@@ -151,11 +138,6 @@ def finite(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     return value
-
-
-def _plain(table: pd.DataFrame) -> pa.Table:
-    """Without pandas' own metadata, which names the versions of libraries."""
-    return pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None)
 
 
 def read_clip(results: Path, number: int) -> tuple[Tracks, Camera]:

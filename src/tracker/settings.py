@@ -159,18 +159,19 @@ class TrackerSettings(Settings):
     """How tracks are measured."""
 
     def changed(self) -> dict[str, Any]:
-        """List the sections and keys that differ from their defaults.
+        """List the keys and values, by section, that differ from their defaults.
 
         Returns
         -------
         dict
-            Keys and values by section.
         """
         return self.model_dump(exclude_defaults=True)
 
     @staticmethod
     def of(given: SettingsSource | None) -> TrackerSettings:
         """Make settings from an object, from keys and values, or from a YAML file; None gives the defaults.
+
+        An InputError names the file and the key that is unknown, of a wrong type or out of range.
 
         Parameters
         ----------
@@ -179,11 +180,6 @@ class TrackerSettings(Settings):
         Returns
         -------
         TrackerSettings
-
-        Raises
-        ------
-        InputError
-            One line that names the file and the key, for an unknown key, a wrong type or a value out of range.
         """
         if given is None:
             return TrackerSettings()

@@ -22,7 +22,7 @@ SHAPE = (160, 200)
 def status(tmp_path, frames, camera=CAMERA):
     """What `track` answers to the frames, by its table of estimates."""
     write_clip(tmp_path / "clip", frames, camera)
-    outcome = pipeline.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
+    outcome = pipeline.run(tmp_path / "clip", tmp_path / "out", "maximum_likelihood", 1)
     return outcome.estimates["status"].tolist()
 
 
@@ -183,7 +183,7 @@ def test_memory_does_not_grow_with_the_length_of_a_clip(tmp_path):
 
 def test_reasons_reach_the_files(tmp_path):
     write_clip(tmp_path / "clip", noisy(np.random.default_rng(9), np.full(SHAPE, 0.5)))
-    pipeline.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
+    pipeline.run(tmp_path / "clip", tmp_path / "out", "maximum_likelihood", 1)
     table = pd.read_parquet(tmp_path / "out" / "estimates.parquet")
     assert table["status"].tolist() == ["no balls: nothing is brighter than the plate"]
     rows = json.loads((tmp_path / "out/clips/000000/estimates.json").read_text())

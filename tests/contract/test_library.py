@@ -142,7 +142,7 @@ def test_filmed_collisions_reach_the_search_alike_from_memory_and_from_files(tmp
     small = {"camera": {"size": [200, 160], "scale": 3e-4}, "timing": {"frames": 60, "contact_frame": 20}}
     scene = synthcam.Scene.read("painter_behringer", **small)
     generate_dataset(GenerationPlan((scene,), 2, 3), tmp_path / "data", 1, lambda done, of: None)
-    pipeline.run(tmp_path / "data", tmp_path / "results", None, "maximum_likelihood", 1)
+    pipeline.run(tmp_path / "data", tmp_path / "results", "maximum_likelihood", 1)
     clips = [scene.draw(k, 3) for k in range(2)]
     one, _ = read_collisions([tracker.track(c.film(), c.camera_json) for c in clips])
     other, _ = read_collisions(tmp_path / "results")

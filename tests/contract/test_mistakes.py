@@ -51,7 +51,7 @@ def bench(tmp_path_factory):
     """A folder with a dataset, its results, tables, cameras and scenes, right and wrong."""
     folder = tmp_path_factory.mktemp("bench")
     write_dataset(folder / "dataset", np.random.default_rng(0), clips=1)
-    pipeline.run(folder / "dataset", folder / "results", None, "maximum_likelihood", 1)
+    pipeline.run(folder / "dataset", folder / "results", "maximum_likelihood", 1)
     table = pd.read_parquet(folder / "results/clips/000000/tracks.parquet")[["frame", "particle", "x", "y"]]
     table.insert(0, "clip", 0)
     table.to_csv(folder / "tracks.csv", index=False)

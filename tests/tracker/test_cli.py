@@ -45,7 +45,7 @@ def dataset(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tracked(dataset, tmp_path_factory):
     output = tmp_path_factory.mktemp("out") / "results"
-    pipeline.run(dataset, output, None, "maximum_likelihood", 1)
+    pipeline.run(dataset, output, "maximum_likelihood", 1)
     return output
 
 
@@ -102,7 +102,7 @@ def test_workers_and_truth_change_nothing(dataset, tracked, tmp_path):
     shutil.copytree(dataset, copy)
     for truth in list(copy.rglob("truth")):
         shutil.rmtree(truth)
-    pipeline.run(copy, tmp_path / "two", None, "maximum_likelihood", 2)
+    pipeline.run(copy, tmp_path / "two", "maximum_likelihood", 2)
     assert contents(tmp_path / "two") == contents(tracked)
 
 
@@ -117,15 +117,15 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(dataset, tracked, tmp_path
     monkeypatch.setattr(recording, "track_clip", stop_at_second)
     output = tmp_path / "results"
     with pytest.raises(KeyboardInterrupt):
-        pipeline.run(dataset, output, None, "maximum_likelihood", 1)
+        pipeline.run(dataset, output, "maximum_likelihood", 1)
     assert not output.exists()
     (tmp_path / "results.partial/clips/000001.tmp").mkdir()
     monkeypatch.setattr(recording, "track_clip", real)
-    outcome = pipeline.run(dataset, output, None, "maximum_likelihood", 1)
+    outcome = pipeline.run(dataset, output, "maximum_likelihood", 1)
     assert (outcome.clips, outcome.fresh) == (2, 1)
     assert contents(output) == contents(tracked)
     assert not (tmp_path / "results.partial").exists()
-    assert pipeline.run(dataset, output, None, "maximum_likelihood", 1).fresh == 0
+    assert pipeline.run(dataset, output, "maximum_likelihood", 1).fresh == 0
 
 
 def test_interrupted_it_says_how_to_go_on(dataset, tmp_path, monkeypatch, capsys):
@@ -143,11 +143,11 @@ def test_interrupted_it_says_how_to_go_on(dataset, tmp_path, monkeypatch, capsys
 
 def test_results_of_anything_else_are_refused(dataset, tracked, tmp_path):
     with pytest.raises(InputError, match="another run"):
-        pipeline.run(dataset, tracked, None, "centroid", 1)
+        pipeline.run(dataset, tracked, "centroid", 1)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("precious")
     with pytest.raises(InputError, match="something else"):
-        pipeline.run(dataset, tmp_path / "mine", None, "maximum_likelihood", 1)
+        pipeline.run(dataset, tmp_path / "mine", "maximum_likelihood", 1)
     assert (tmp_path / "mine" / "thesis.tex").read_text() == "precious"
 
 
@@ -245,7 +245,7 @@ def test_bad_input_by_command(tmp_path, words, said, monkeypatch, capsys):
 def test_a_stack_without_a_camera_is_tracked_in_pixels(tmp_path):
     frames = film(np.random.default_rng(1), collision(20, contact=9.3, speed=4.0))
     tifffile.imwrite(tmp_path / "stack.tif", frames, imagej=True)
-    outcome = pipeline.run(tmp_path / "stack.tif", tmp_path / "out", None, "maximum_likelihood", 1)
+    outcome = pipeline.run(tmp_path / "stack.tif", tmp_path / "out", "maximum_likelihood", 1)
     table = pd.read_parquet(tmp_path / "out/clips/000000/tracks.parquet")
     assert len(table) == 40
     assert all("glint" in words for words in table["flags"])

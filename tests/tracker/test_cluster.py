@@ -32,7 +32,7 @@ if __name__ == "__main__":
                 killed.append(next(iter(cluster.workers.values())).pid)
                 os.kill(killed[0], signal.SIGKILL)
         address = cluster.scheduler_address
-        outcome = run(Path(sys.argv[1]), Path(sys.argv[2]), None, "centroid", 0, tick, scheduler=address)
+        outcome = run(Path(sys.argv[1]), Path(sys.argv[2]), "centroid", 0, tick, scheduler=address)
     print(outcome.clips, len(killed))
 """
 SUITE_SCRIPT = """
@@ -84,7 +84,7 @@ def by_cluster(folder, script, *words):
 @needs_dask
 def test_a_cluster_gives_the_same_bytes(tmp_path):
     film = suite().film("axes")
-    run(film, tmp_path / "one", None, "centroid", 1)
+    run(film, tmp_path / "one", "centroid", 1)
     assert by_cluster(tmp_path, SCRIPT, str(film), "many") == "4 1\n"
     assert same_files(tmp_path / "one", tmp_path / "many") > 4 * 4
 
@@ -113,5 +113,5 @@ def test_a_suite_made_run_and_scored_by_a_cluster_is_the_same(tmp_path, monkeypa
 def test_an_address_without_a_scheduler(tmp_path, monkeypatch):
     monkeypatch.setattr(Cluster, "__init__", functools.partialmethod(Cluster.__init__, timeout=0.5))
     with pytest.raises(InputError, match="--scheduler nonsense: expected a Dask scheduler's address"):
-        run(suite().film("axes"), tmp_path / "d", None, "centroid", 0, scheduler="nonsense")
+        run(suite().film("axes"), tmp_path / "d", "centroid", 0, scheduler="nonsense")
     assert not list(tmp_path.iterdir())

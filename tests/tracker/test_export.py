@@ -26,9 +26,9 @@ WRITTEN = sorted(name for name, one in formats().items() if hasattr(one, "write"
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("export")
     write_dataset(folder / "data", np.random.default_rng(0))
-    pipeline.run(folder / "data", folder / "results", None, "maximum_likelihood", 1)
+    pipeline.run(folder / "data", folder / "results", "maximum_likelihood", 1)
     write_dataset(folder / "one", np.random.default_rng(0), clips=1)
-    pipeline.run(folder / "one", folder / "single", None, "maximum_likelihood", 1)
+    pipeline.run(folder / "one", folder / "single", "maximum_likelihood", 1)
     return folder
 
 
@@ -118,7 +118,7 @@ def test_trackeval_takes_its_boxes(truth, tmp_path):
     """TrackEval's own readers of both sides and its HOTA; it brings an OpenCV of its own, so it is in no extra."""
     trackeval = pytest.importorskip("trackeval")
     truth_export.export(truth, "mot", tmp_path / "gt", lambda done, of: None)
-    pipeline.run(truth, tmp_path / "results", None, "maximum_likelihood", 1)
+    pipeline.run(truth, tmp_path / "results", "maximum_likelihood", 1)
     (tmp_path / "trackers/own/data").mkdir(parents=True)
     export(tmp_path / "results", "mot", tmp_path / "trackers/own/data/clip-000000.txt")
     folders = {"GT_FOLDER": str(tmp_path / "gt"), "TRACKERS_FOLDER": str(tmp_path / "trackers"), "SKIP_SPLIT_FOL": True}

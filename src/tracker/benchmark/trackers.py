@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +90,9 @@ def run_tracker(
     for number, film in enumerate(films):
         only = one.sample.of_film(suite.parts.values(), film)
         if only:
-            run(suite.film(film), folder / film, None, one.detector, workers, only=only, scheduler=scheduler)
+            source = open_source(suite.film(film))
+            wanted = tuple(clip for clip in source.clips if clip[0] in only)
+            run(replace(source, clips=wanted), folder / film, one.detector, workers, scheduler=scheduler)
         progress(number + 1, len(films))
     if not (folder / "pace.json").is_file():
         write_json(folder / "pace.json", {"ms_per_frame": time_frame(suite, one)})

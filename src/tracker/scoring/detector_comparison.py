@@ -87,7 +87,7 @@ def _report_progress(progress: Progress, k: int, of: int, done: int, clips: int)
 def _track_and_score(dataset: Path, name: str, report: Path, progress: Progress) -> DetectorScore:
     folder = report / "results" / name
     started = time.perf_counter()
-    outcome = run(dataset, folder, None, name, 1, progress)
+    outcome = run(dataset, folder, name, 1, progress)
     if outcome.frames:
         note = {"ms_per_frame": 1e3 * (time.perf_counter() - started) / outcome.frames}
         results.write_json(report / "results" / f"{name}.times.json", note)

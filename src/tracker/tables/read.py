@@ -43,35 +43,19 @@ def formats() -> dict[str, Any]:
 
 
 def read_tracks(path: Path, camera: CameraSource, columns: str = "", unit: str = "") -> ClipTracks:
-    """Read a file of tracks.
+    """Read a file of tracks. Raises InputError.
 
-    Parameters
-    ----------
-    path : Path
-        CSV or Parquet with frame, particle, x, y; or a file of one of the formats.
-    camera : Camera, dict, str or Path
-        Of the tracks.
-    columns : str
-        The table's own names of columns: x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID.
-    unit : str
-        Of lengths; default: what the file says, or px.
-
-    Returns
-    -------
-    TrackTable
-
-    Raises
-    ------
-    InputError
+    path: CSV or Parquet with frame, particle, x, y, or a file of one of the formats; camera: of the tracks; columns:
+    the table's own names of columns, x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID; unit: of lengths, "" for what the file
+    says, or px.
     """
     if path.suffix.lower() in (".xlsx", ".xls", ".ods") and path.is_file():
         raise InputError(f"{path}: a spreadsheet, expected a table of tracks; save it as CSV")
     content = Content.of(path)
     if content.data.startswith(b"PK\3\4"):
         raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
-    return to_pixels(
-        _pick_columns(content, columns) if columns else recognise_format(content), path.name, camera, unit, str(path)
-    )
+    table = _pick_columns(content, columns) if columns else recognise_format(content)
+    return to_pixels(table, path.name, camera, unit, str(path))
 
 
 def recognise_format(content: Content) -> TrackTable:
@@ -150,9 +134,8 @@ def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camer
     named = f"{given}" if isinstance(given, str | Path) else "camera"
     if metres is not None and isinstance(keys, dict):
         check_columns(metres.rows, where)
-        reach = max(
-            float(np.nanmax(np.abs(to_numbers(metres.rows[axis], axis, where)), initial=0.0)) for axis in ("x", "y")
-        )
+        positions = [to_numbers(metres.rows[axis], axis, where) for axis in ("x", "y")]
+        reach = float(np.nanmax(np.abs(positions), initial=0.0))
         if not 0 < reach < 1e3:
             raise InputError(
                 f"{where}: x, y: up to {reach:g} m, expected positions on a plate; --unit says what they are"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.csv
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import format_value
@@ -40,6 +42,13 @@ def tracks_table(tracks: Tracks) -> pa.Table:
             **times,
         }
     )
+
+
+def to_csv(table: pa.Table) -> bytes:
+    """A table as CSV, with quotes only where they are needed."""
+    with BytesIO() as text:
+        pyarrow.csv.write_csv(table, text, pyarrow.csv.WriteOptions(quoting_style="needed"))
+        return text.getvalue()
 
 
 def split_tracks(table: pd.DataFrame, where: str, metres: bool = False) -> dict[int, tuple[Tracks, str | None]]:
@@ -84,16 +93,11 @@ def check_columns(table: pd.DataFrame, where: str, more: str = "") -> None:
 
 def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
     """Rows of one clip as tracks."""
-    frame, particle = (
-        to_whole_numbers(table["frame"], "frame", where),
-        to_whole_numbers(table["particle"], "particle", where),
-    )
+    frame, particle = (to_whole_numbers(table[name], name, where) for name in ("frame", "particle"))
     x, y = to_numbers(table["x"], "x", where), to_numbers(table["y"], "y", where)
     for name, values in (("x", x), ("y", y)):
-        if np.any(np.abs(values) > MAX_POSITION_PX):
-            raise InputError(
-                f"{where}: {name}: expected positions in px, not {values[np.abs(values) > MAX_POSITION_PX][0]:g}"
-            )
+        if len(far := values[np.abs(values) > MAX_POSITION_PX]):
+            raise InputError(f"{where}: {name}: expected positions in px, not {far[0]:g}")
     kept = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     kept = kept[np.lexsort((frame[kept], particle[kept]))]
     twice = (np.diff(frame[kept]) == 0) & (np.diff(particle[kept]) == 0)

@@ -28,26 +28,15 @@ AREA_COLUMNS = ("cov_xy", "cov_xy_fixed")
 
 @dataclass(frozen=True)
 class TrackTable:
-    """Rows with the columns of docs/format.md: frame, particle, x, y, and what else there is.
-
-    Attributes
-    ----------
-    rows : DataFrame
-    format : str
-        What made it, for messages; "" for this project's own columns.
-    unit : str
-        Of lengths, a key of SPELT; "" where nothing says it.
-    up : bool
-        Whether lengths are on the plate, y upwards; else in the picture, y downwards from the top left pixel's centre.
-    fps : float
-        Frame rate that the file claims; NaN where it does not.
-    """
+    """Rows with the columns of docs/format.md: frame, particle, x, y, and what else there is."""
 
     rows: pd.DataFrame
-    format: str = ""
-    unit: str = ""
-    up: bool = False
-    fps: float = math.nan
+    format: str = ""  # what made it, for messages; "" for this project's own columns
+    unit: str = ""  # of lengths, a key of LENGTH_UNITS; "" where nothing says it
+    up: bool = (
+        False  # lengths are on the plate, y upwards; else in the picture, y down from the top left pixel's centre
+    )
+    fps: float = math.nan  # frame rate that the file claims; NaN where it does not
 
     def scale_lengths(self, factor: float, where: str) -> TrackTable:
         """The same with lengths of another unit."""

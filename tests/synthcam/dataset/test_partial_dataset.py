@@ -269,7 +269,7 @@ def test_verify_sees_a_gap_in_a_challenge(tmp_path, monkeypatch):
 def test_the_tracker_is_held_to_withheld_truth(tmp_path, monkeypatch):
     whole = make(tmp_path / "whole", monkeypatch, clips=1)
     out = make(tmp_path / "d", monkeypatch, tmp_path / "t", clips=1)
-    tracked(out, tmp_path / "r", None, DEFAULT, 1)
+    tracked(out, tmp_path / "r", DEFAULT, 1)
     apart, together = (score(tmp_path / "r", position).to_dict() for position in (tmp_path / "t", whole))
     assert apart == together
     assert apart["detectors"]["default"]["localisation"]["n"] > 10

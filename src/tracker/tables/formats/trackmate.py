@@ -26,7 +26,7 @@ def read(content: Content) -> TrackTable | None:
     if root.tag == "Tracks":
         interval = content.number(root, "frameInterval") if "frameInterval" in root.attrib else np.nan
         fps, unit = per_second(interval, root.get("timeUnits", "")), content.attribute(root, "spaceUnits")
-        rows = pd.DataFrame(list(_particles(content, root)), columns=["frame", "particle", "x", "y"])
+        spots = _particles(content, root)
     else:
         model, image = root.find("Model"), root.find("Settings/ImageData")
         if model is None:
@@ -34,7 +34,8 @@ def read(content: Content) -> TrackTable | None:
         unit = content.attribute(model, "spatialunits")
         interval = content.number(image, "timeinterval") if image is not None else np.nan
         fps = per_second(interval, model.get("timeunits", ""))
-        rows = pd.DataFrame(list(_spots(content, model)), columns=["frame", "particle", "x", "y"])
+        spots = _spots(content, model)
+    rows = pd.DataFrame(list(spots), columns=["frame", "particle", "x", "y"])
     return TrackTable(rows, NAME, unit_of(unit, content.where), fps=fps)
 
 
