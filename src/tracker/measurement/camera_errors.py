@@ -34,20 +34,11 @@ class CameraError:
     """The standard error of a key of the camera file, and what changes with that key.
 
     Each method returns a quantity as it would be with the key larger by `by` of its standard errors.
-
-    Attributes
-    ----------
-    key : str
-        Of KEYS_WITH_ERRORS.
-    value : float
-        In the file.
-    share : float
-        The standard error over the value.
     """
 
     key: str
-    value: float
-    share: float
+    value: float  # in the file
+    share: float  # the standard error over the value
 
     def move_track(self, track: BallTrack, by: float, fps: float) -> BallTrack:
         """A ball's positions and times."""
@@ -136,44 +127,24 @@ def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
 def add_camera_errors(
     fit: CollisionFit, values: DerivedValues, tied: bool, camera: Camera
 ) -> tuple[CollisionFit, DerivedValues]:
-    """Add the errors of the camera file to a fit and its quantities.
+    """Add the errors of the camera file to a tied or free fit and its quantities.
 
-    The parameters keep their values: the errors of the camera are not estimated.
-
-    Parameters
-    ----------
-    fit : Fit
-    values : Values
-        Its quantities.
-    tied : bool
-        Which motion was fitted.
-    camera : Camera
-
-    Returns
-    -------
-    Fit
-        Its chi^2 is that by a covariance of the positions to which the camera's errors are added.
-    Values
-        Their covariance holds the camera's errors, and `shared` what each of these does.
+    The parameters keep their values: the errors of the camera are not estimated. The new chi^2 is that by a covariance
+    of the positions to which the camera's errors are added. The covariance of the quantities holds the camera's errors,
+    and their `shared` is the effect of each.
     """
     errors, pair = camera_errors(camera), fit.pair
     if not errors:
         return fit, values
-    problem = WhitenedResiduals(pair, tied)
-    x, kept = fit.parameters[problem.index], np.ix_(problem.index, problem.index)
-    perturb_view = differentiate(
-        errors, lambda error, by: WhitenedResiduals(error.pair(pair, by, camera.fps), tied).residual(x)
-    )
-    fitted, explained = linear_response(*problem(x), fit.cov[kept], perturb_view)
+    index, residual, rows, disturbed = _disturb(fit, tied, errors, camera)
+    fitted, explained = linear_response(residual, rows, fit.cov[np.ix_(index, index)], disturbed)
     shift = np.zeros((len(fit.parameters), len(errors)))
-    shift[problem.index] = fitted
+    shift[index] = fitted
 
     def quantities(at: Floats, diameter: float) -> DerivedValues:
-        return (
-            derive_from_tied(at, fit.cov, diameter, pair.spin)
-            if tied
-            else derive_from_free(at, fit.cov, diameter, shift)
-        )
+        if tied:
+            return derive_from_tied(at, fit.cov, diameter, pair.spin)
+        return derive_from_free(at, fit.cov, diameter, shift)
 
     def changed(error: CameraError, by: float) -> Floats:
         at = fit.parameters + by * shift[:, errors.index(error)]
@@ -186,28 +157,29 @@ def add_camera_errors(
 def measure_contact_distance(free: CollisionFit, camera: Camera) -> tuple[float, float]:
     """Measure the distance of the balls' centres at the contact from their tracks alone.
 
-    Parameters
-    ----------
-    free : Fit
-        The free fit, which assumes that they touch at one diameter.
-    camera : Camera
-
-    Returns
-    -------
-    distance, std : float
-        In diameters, and its standard error with those of scale and diameter.
+    The free fit assumes that they touch at one diameter. Returns the distance in diameters, and its standard error with
+    those of scale and diameter.
     """
-    problem, unit = WhitenedResiduals(free.pair, False), CameraError("ball_diameter", camera.ball_diameter, 0.01)
-    x, kept = free.parameters[problem.index], np.ix_(problem.index, problem.index)
-    residual, rows = problem(x)
-    perturb_view = differentiate(
-        [unit], lambda error, by: WhitenedResiduals(error.pair(free.pair, by, camera.fps), False).residual(x)
-    )
-    left = (perturb_view + rows @ linear_response(residual, rows, free.cov[kept], perturb_view)[0])[:, 0]
+    unit = CameraError("ball_diameter", camera.ball_diameter, 0.01)
+    index, residual, rows, disturbed = _disturb(free, False, [unit], camera)
+    shift, _ = linear_response(residual, rows, free.cov[np.ix_(index, index)], disturbed)
+    left = (disturbed + rows @ shift)[:, 0]
     square = max(float(left @ left), 1e-300)
     off, worse = -float(left @ residual) / square, (free.chi2 - float(left @ residual) ** 2 / square) / max(free.dof, 1)
     known = [error.share for error in camera_errors(camera) if error.key != "fps"]
     return 1 + off * unit.share, float(np.linalg.norm([unit.share * np.sqrt(max(worse, 1.0) / square), *known]))
+
+
+def _disturb(
+    fit: CollisionFit, tied: bool, errors: Sequence[CameraError], camera: Camera
+) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+    """The fitted parameters, and the residuals at the minimum with their derivatives by these and by the errors."""
+    problem = WhitenedResiduals(fit.pair, tied)
+    x = fit.parameters[problem.index]
+    disturbed = differentiate(
+        errors, lambda error, by: WhitenedResiduals(error.pair(fit.pair, by, camera.fps), tied).residual(x)
+    )
+    return problem.index, *problem(x), disturbed
 
 
 def differentiate(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
@@ -225,14 +197,14 @@ def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> 
 
     Parameters
     ----------
-    residual, rows, cov : ndarray of shape (m,), ndarray of shape (m, p), ndarray of shape (p, p)
+    residual, rows, cov : (m,), (m, p) and (p, p) array
         At the minimum, with the derivatives by the parameters, and the parameters' covariance.
-    by : ndarray of shape (m, k)
+    by : (m, k) array
         Derivative of the residuals by the disturbances.
 
     Returns
     -------
-    shift : ndarray of shape (p, k)
+    shift : (p, k) array
         Derivative of the parameters by the disturbances.
     explained : float
         Reduction of chi^2 when the disturbances are part of the covariance of the residuals.
@@ -246,43 +218,20 @@ def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> 
 def effects_to_json(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]:
     """Make the entry "shared" of `cov` in estimates.parquet; see docs/format.md.
 
-    Parameters
-    ----------
-    camera : Camera
-    blocks : dict of str to (n, k) array
-        By fit, the effect of one standard error of each of the camera's k keys on its n quantities.
-
-    Returns
-    -------
-    dict
-        By key of the camera file: its value, and the columns of the blocks.
+    blocks: by fit, the effect of one standard error of each of the camera's k keys on its n quantities, (n, k).
     """
     return {
-        error.key: {"of": error.value} | {fit: _plain(block[:, k]) for fit, block in blocks.items()}
+        error.key: {"of": error.value}
+        | {fit: [float(v) if np.isfinite(v) else None for v in block[:, k]] for fit, block in blocks.items()}
         for k, error in enumerate(camera_errors(camera))
     }
 
 
-def _plain(numbers: Floats) -> list[float | None]:
-    return [float(v) if np.isfinite(v) else None for v in numbers]
-
-
 def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floats:
-    """Collect the effects of camera errors that several rows share on their quantities.
+    """Collect the effects of camera errors that several rows of estimates.parquet share: (rows, names, errors).
 
-    Parameters
-    ----------
-    rows : DataFrame
-        Of estimates.parquet. They share an error where the file's value is the same to the last digit.
-    names : sequence of str
-        The quantities.
-    *fits : str
-        The blocks of `cov` to read them from, the first that a row has.
-
-    Returns
-    -------
-    (rows, names, errors) array
-        Per standard error; 0 in rows that do not have that error.
+    They are per standard error, and 0 in rows that do not have that error. Rows share an error where the file's value
+    is the same to the last digit. The first of `fits` that is in a row's `cov` gives its effects.
     """
     found: dict[tuple[str, float], dict[int, Floats]] = {}
     for i, text in enumerate(rows.get("cov", ())):

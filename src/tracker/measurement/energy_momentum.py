@@ -27,9 +27,8 @@ def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.D
 
     Parameters
     ----------
-    tracks : Tracks
-    camera : Camera
-    row : dict
+    tracks, camera
+    row : mapping
         A row of `measure`: the collision whose directions of slip count.
 
     Returns
@@ -42,7 +41,7 @@ def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.D
     slips = slip_directions(row)
     balls = [c for c in to_ball_tracks(tracks, camera) if len(c) >= 2] if camera.metric else []
     empty = [np.empty(0, np.int64 if name == "particle" else float) for name in COLUMNS]
-    parts = [empty, *(_of_ball(track, slips.get(track.particle)) for track in balls)]
+    parts = [empty, *(_differentiate_track(track, slips.get(track.particle)) for track in balls)]
     whole = map(np.concatenate, zip(*parts, strict=True))
     return pd.DataFrame(dict(zip(COLUMNS, whole, strict=True)))
 
@@ -56,26 +55,17 @@ def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
     before = [float(np.nan_to_num(row.get(name, 0.0))) for name in BEFORE]
     tied = np.array([0, 0, 0, heading, np.arcsin(np.clip(b, -1, 1)), v0, 0, 0, r, 0, c, *before])
     free = np.asarray(tied_to_free(tied), dtype=np.float64)
-    out = {}
-    for ball, at in AFTER.items():
-        lost = free[at : at + 2] - free[at + 2 : at + 4]
-        out[int(row[f"particle{ball}"])] = lost / max(float(np.hypot(*lost)), 1e-300)
-    return out
+    slips = {int(row[f"particle{ball}"]): free[at : at + 2] - free[at + 2 : at + 4] for ball, at in AFTER.items()}
+    return {particle: slip / max(float(np.hypot(*slip)), 1e-300) for particle, slip in slips.items()}
 
 
-def differences(track: BallTrack) -> tuple[Floats, Floats]:
-    """Velocity (n, 2) m/s at each frame from its neighbours, and what noise adds to v^2 (n,)."""
+def _differentiate_track(track: BallTrack, slip: Floats | None) -> list[NDArray[Any]]:
+    """The columns of one ball: velocities are differences between the neighbouring frames."""
     last = len(track) - 1
     ahead, behind = np.minimum(np.arange(last + 1) + 1, last), np.maximum(np.arange(last + 1) - 1, 0)
     span = (track.start[ahead] - track.start[behind])[:, None]
     velocity = (track.position[ahead] - track.position[behind]) / span
-    noise = np.trace(track.cov[ahead] + track.cov[behind], axis1=1, axis2=2) / span[:, 0] ** 2
-    return velocity, noise
-
-
-def _of_ball(track: BallTrack, slip: Floats | None) -> list[NDArray[Any]]:
-    """The columns of one ball."""
-    velocity, noise = differences(track)
+    noise = np.trace(track.cov[ahead] + track.cov[behind], axis1=1, axis2=2) / span[:, 0] ** 2  # in v^2
     along = np.full(2, np.nan) if slip is None else slip
     across = np.array([-along[1], along[0]])
     values = [track.time, np.full(len(track), track.particle), velocity[:, 0], velocity[:, 1]]

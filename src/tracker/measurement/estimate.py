@@ -20,13 +20,7 @@ from numpy.typing import NDArray
 
 from tracker.measurement import painter_behringer
 from tracker.measurement.camera_errors import add_camera_errors, effects_to_json, measure_contact_distance
-from tracker.measurement.collision.adequacy import (
-    MEASURED,
-    MISFIT,
-    Flag,
-    flag_contact_distance,
-    p_free,
-)
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT, Flag, flag_contact_distance, p_free
 from tracker.measurement.collision.collision_fit import CollisionFits, fit_collision
 from tracker.measurement.collision.collision_model import FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import ContactCandidate, EarlierHit, find_contacts, prepare_contact
@@ -54,24 +48,14 @@ _SPINS_FROM_LAWS = ("w1n", "w1t", "w2n", "w2t")  # the free fit infers spins by 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a fit of what is no collision may lead anywhere
 def measure(tracks: Tracks, camera: Camera, settings: FitSettings | None = None) -> list[dict[str, Any]]:
-    """Measure the collisions of a clip.
+    """Measure the collisions of a clip: a row for each, never empty, as estimates.parquet without `clip`, in SI units.
 
-    Parameters
-    ----------
-    tracks : Tracks
-    camera : Camera
-    settings : FitSettings, optional
+    The `status` of a row is
 
-    Returns
-    -------
-    list of dict
-        One row for each collision, never empty, in the columns of estimates.parquet without `clip`, in SI units.
-        Its `status` is
-
-        - "ok";
-        - "misfit": the data reject the tied fit or its values are impossible, and NAME has no error;
-        - "no_collision": v0, drag and decel are those of the ball that rolls;
-        - or the reason why nothing can be measured.
+    - "ok";
+    - "misfit": the data reject the tied fit or its values are impossible, and NAME has no error;
+    - "no_collision": v0, drag and decel are those of the ball that rolls;
+    - or the reason why nothing can be measured.
     """
     settings = settings or FitSettings()
     if not camera.metric:
@@ -173,21 +157,19 @@ def _measure_collision(
     read = fit_collision(contact)
     if isinstance(read, str):
         return row | {"status": read}, unknown
-    read = _with_camera_errors(read, camera)
-    row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
-    row |= _judge(read, flag_contact_distance(*measure_contact_distance(read.free, camera), settings))
-    row |= painter_behringer.paper_columns(contact, camera)
-    if row["status"] == MISFIT:  # differences show some quantities whatever the balls do after the hit
-        lost = [name for name in QUANTITY_NAMES if name not in ("t_c", "v0", "b", "r", "s")]
-        row |= {f"{name}_paper_std": np.nan for name in lost}
-    return (row, unknown) if row["status"] == MISFIT else (row, _earlier_hits(read, earlier))
-
-
-def _with_camera_errors(read: CollisionFits, camera: Camera) -> CollisionFits:
-    """The same with the errors of the camera file in both fits."""
     tied, tied_values = add_camera_errors(read.tied, read.tied_values, True, camera)
     free, free_values = add_camera_errors(read.free, read.free_values, False, camera)
-    return replace(read, tied=tied, free=free, tied_values=tied_values, free_values=free_values)
+    read = replace(read, tied=tied, free=free, tied_values=tied_values, free_values=free_values)
+    flags = flag_contact_distance(*measure_contact_distance(free, camera), settings)
+    row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
+    row |= {"adequate": read.p_tied, "adequate_free": read.p_free, "agree": read.p_agree}
+    row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
+    row |= painter_behringer.paper_columns(contact, camera)
+    if not read.is_misfit:
+        return row | {"status": "ok"}, _earlier_hits(read, earlier)
+    # differences show these quantities whatever the balls do after the hit
+    lost = [name for name in QUANTITY_NAMES if name not in ("t_c", "v0", "b", "r", "s")]
+    return row | {"status": MISFIT} | {f"{name}_paper_std": np.nan for name in lost}, unknown
 
 
 def _value_columns(read: CollisionFits, camera: Camera) -> dict[str, Any]:
@@ -208,17 +190,6 @@ def _value_columns(read: CollisionFits, camera: Camera) -> dict[str, Any]:
     return row
 
 
-def _judge(read: CollisionFits, flags: list[Flag]) -> dict[str, Any]:
-    """Status, p-values and flags of a collision; `flags` are those known of its contact."""
-    return {
-        "status": MISFIT if read.is_misfit else "ok",
-        "adequate": read.p_tied,
-        "adequate_free": read.p_free,
-        "agree": read.p_agree,
-        "flags": "|".join([*read.flags, *flags, *read.impossible_values]),
-    }
-
-
 def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[int, EarlierHit]:
     """The state of both balls after the hit: until when they slide, by the later of both fits, and their spin."""
     pair, tied = read.contact.pair, read.tied.parameters
@@ -228,19 +199,16 @@ def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[i
     beta, v0, c = (tied[TIED.index(name)] for name in ("beta", "v0", "C"))
     side = tied[TIED.index("side")]
     turn = -c * (v0 * np.sin(beta) + pair.spin + side)  # R dw = (5/2) n x J/m, the same for both
-    particles, own = [track.particle for _, track in pair.balls], (0.0, side)
     return {
-        p: EarlierHit(float(end), earlier.get(p, EarlierHit()).spin + float(turn + spin))
-        for p, end, spin in zip(particles, late, own, strict=True)
+        ball.particle: EarlierHit(float(end), earlier.get(ball.particle, EarlierHit()).spin + float(turn + spin))
+        for ball, end, spin in zip((pair.struck, pair.striker), late, (0.0, side), strict=True)
     }
 
 
 def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
-    """Select what each fit may claim: NaN where the clip does not show it, no errors where the data reject the fit.
+    """Select what each fit, tied and free, may claim.
 
-    Returns
-    -------
-    tied, free : DerivedValues
+    A value is NaN where the clip does not show it; it has no error where the data reject the fit.
     """
     settings = read.settings
     # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed
@@ -298,11 +266,12 @@ def _lone_ball(balls: list[BallTrack], camera: Camera, settings: FitSettings) ->
     fits = [f for f in map(fit_lone_ball, balls) if f is not None]
     if not fits:
         return {}
-    best, common = add_camera_errors_to_lone_ball(max(fits, key=lambda f: f.speed), camera)
+    best, common = add_camera_errors_to_lone_ball(max(fits, key=lambda f: float(f.parameters[3])), camera)
     if best.chi2 > best.dof + settings.lone_ball_sigma * np.sqrt(2 * best.dof):
         return {"status": "no collision in view, and no ball rolls freely", "chi2": best.chi2, "dof": best.dof}
-    out: dict[str, Any] = {"particle2": best.particle, "chi2": best.chi2, "dof": best.dof}
-    for name, value, std in best.table():
+    out: dict[str, Any] = {"particle2": best.track.particle, "chi2": best.chi2, "dof": best.dof}
+    for i in (3, 4, 5):
+        name, value, std = PARAMETERS[i], float(best.parameters[i]), float(np.sqrt(best.cov[i, i]))
         within = std <= _LARGEST_ERRORS.get(name, np.inf)
         out[name], out[f"{name}_std"] = (value, std) if within else (np.nan, np.nan)
     out["cov"] = _covariances_to_json({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:], common)
@@ -320,9 +289,8 @@ def empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
     row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
     row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
     row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}
-    for suffix in ("", "_free"):
-        row |= {f"chi2{suffix}": np.nan, f"dof{suffix}": 0, f"dropped{suffix}": 0}
-    return row
+    row |= {"chi2": np.nan, "dof": 0, "dropped": 0}
+    return row | {"chi2_free": np.nan, "dof_free": 0, "dropped_free": 0}
 
 
 def _covariances_to_json(blocks: dict[str, Floats], names: tuple[str, ...], shared: dict[str, Any]) -> str:

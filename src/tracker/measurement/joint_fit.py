@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,32 +24,22 @@ MIN_EIGENVALUE = 1e-12  # of a correlation matrix that is positive definite beyo
 
 
 def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
-    """Fit all clips together.
+    """Fit all clips of estimates.parquet together: the contents of fit.json.
 
-    Parameters
-    ----------
-    estimates : DataFrame
-        With the columns of estimates.parquet. Misfits do not enter. A clip whose covariance is not positive definite is
-        left out of the sums that need it.
+    Misfits do not enter. A clip whose covariance is not positive definite is left out of the sums that need it.
 
-    Returns
-    -------
-    dict
-        The contents of fit.json:
-
-        - chi2: r, mu_k and C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, given v0
-          and b, for any b. Errors follow from its curvature, times sqrt(chi2/dof) where that exceeds one.
-        - scatter: the weighted mean of the tied fits, and the standard deviation between clips beyond their own errors.
-        - rolling: drag and decel together, because one clip determines their sum far better than either. Clips without
-          a collision count here too.
-        - shared_std: the part of an error that comes from the errors of the camera file. More clips of one camera do
-          not lessen it.
+    - chi2: r, mu_k and C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, given v0 and b,
+      for any b. Errors follow from its curvature, times sqrt(chi2/dof) where that exceeds one.
+    - scatter: the weighted mean of the tied fits, and the standard deviation between clips beyond their own errors.
+    - rolling: drag and decel together, because one clip determines their sum far better than either. Clips without a
+      collision count here too.
+    - shared_std: the part of an error that comes from the errors of the camera file. More clips of one camera do not
+      lessen it.
     """
     ok = estimates[estimates["status"] == "ok"] if len(estimates) else estimates
     roll = estimates[estimates["status"].isin(["ok", "no_collision"])] if len(estimates) else estimates
-    scatter = {name: _mean_and_scatter(ok, name) for name in SHARED} | {
-        name: _mean_and_scatter(roll, name) for name in ROLLING
-    }
+    scatter = {name: _mean_and_scatter(ok, name) for name in SHARED}
+    scatter |= {name: _mean_and_scatter(roll, name) for name in ROLLING}
     return {"clips": len(ok), "chi2": _paper_chi2(ok), "scatter": scatter, "rolling": _rolling(roll)}
 
 
@@ -71,20 +62,18 @@ def predict(v0: Floats, b: Floats, shared: Floats) -> Floats:
 def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
     columns = [f"{name}_free{end}" for name in (*OBSERVED, *GIVEN) for end in ("", "_std")]
     rows = ok.dropna(subset=columns) if set(columns) <= set(ok.columns) else ok.iloc[:0]
-    nothing = dict.fromkeys(SHARED) | {f"{name}_std": None for name in SHARED}
-    if not len(rows):
-        return {**nothing, "chi2": None, "dof": 0}
+    covs = [_covariance_of_observed(row) for _, row in rows.iterrows()]
+    good = np.array([_positive(cov) for cov in covs], dtype=bool)
+    if not good.any():
+        return dict.fromkeys([*SHARED, *(f"{name}_std" for name in SHARED), "chi2"]) | {"dof": 0}
+    rows = rows[good]
     seen = np.column_stack([rows[f"{n}_free"] for n in OBSERVED]).astype(float)
     v0, b = (rows[f"{n}_free"].to_numpy(float) for n in GIVEN)
-    start, steepest = np.array([0.8, 0.2, 0.2]), 0.9999  # |b/2R|: the formulas need its neighbourhood
-    weights = np.stack([_weight(row) for _, row in rows.iterrows()])
-    good = np.array([_positive(cov) for cov in weights])
-    if not good.any():
-        return {**nothing, "chi2": None, "dof": 0}
-    common = shared_effects(rows[good], (*OBSERVED, *GIVEN), "free")  # what each shared error adds to seen, v0 and b
-    weights, seen, v0, b = weights[good], seen[good], v0[good], np.clip(b[good], -steepest, steepest)
-    weights = weights - covariance_of_shared(common)
-    start = np.append(start, np.zeros(common.shape[2]))
+    steepest = 0.9999  # |b/2R|: the formulas need its neighbourhood
+    b = np.clip(b, -steepest, steepest)
+    common = shared_effects(rows, (*OBSERVED, *GIVEN), "free")  # what each shared error adds to seen, v0 and b
+    weights = np.stack(covs)[good] - covariance_of_shared(common)
+    start = np.append([0.8, 0.2, 0.2], np.zeros(common.shape[2]))
     for _ in range(3):  # the errors of v0 and b count too, and how much depends on r, mu_k, C
         whiten = _whiten(weights, v0, b, start[:3])
 
@@ -95,32 +84,37 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
 
         found = least_squares(residual, start, method="lm", x_scale="jac")
         start = np.asarray(found.x, dtype=np.float64)
-    dof = max(seen.size - 3, 1)
-    chi2 = float(2 * found.cost)
-    slope = np.asarray(found.jac)
+    dof, chi2, slope = seen.size - 3, float(2 * found.cost), np.asarray(found.jac)
     own = np.diag(covariance(slope[: seen.size, :3]))
     together = np.diag(covariance(slope))[:3] - own
-    std = np.sqrt(own * max(1.0, chi2 / dof) + together)
+    std = np.sqrt(own * max(1.0, chi2 / max(dof, 1)) + together)
     values = {name: float(v) for name, v in zip(SHARED, start[:3], strict=True)}
     errors = {f"{name}_std": float(s) for name, s in zip(SHARED, std, strict=True)}
     part = dict(zip(SHARED, map(_root, together), strict=True))
-    return {**values, **errors, "chi2": chi2, "dof": seen.size - 3} | ({"shared_std": part} if common.size else {})
+    return {**values, **errors, "chi2": chi2, "dof": dof} | ({"shared_std": part} if common.size else {})
 
 
 def _root(square: float) -> float:
     return float(np.sqrt(max(square, 0.0)))
 
 
-def _weight(row: pd.Series) -> Floats:
+def _read_covariance(row: pd.Series, names: Sequence[str], *fits: str) -> Floats | None:
+    """Covariance of these quantities in one clip, from the first of `fits` that its column `cov` has."""
+    table = json.loads(row["cov"]) if isinstance(row.get("cov"), str) else {}
+    block = next((table[fit] for fit in fits if fit in table), None)
+    if block is None:
+        return None
+    pick = [table["names"].index(name) for name in names]
+    return np.array(block, dtype=np.float64)[np.ix_(pick, pick)]
+
+
+def _covariance_of_observed(row: pd.Series) -> Floats:
     """Covariance (6, 6) of OBSERVED and GIVEN in one clip; diagonal where the row carries no matrix."""
     names = (*OBSERVED, *GIVEN)
-    diagonal = np.diag([float(row[f"{n}_free_std"]) ** 2 for n in names])
-    table = json.loads(row["cov"]) if isinstance(row.get("cov"), str) else {}
-    if "free" not in table:
-        return diagonal
-    pick = [table["names"].index(n) for n in names]
-    cov = np.array(table["free"], dtype=np.float64)[np.ix_(pick, pick)]
-    return cov if np.isfinite(cov).all() and _positive(cov) else diagonal
+    cov = _read_covariance(row, names, "free")
+    if cov is not None and _positive(cov):
+        return cov
+    return np.diag([float(row[f"{n}_free_std"]) ** 2 for n in names])
 
 
 def _positive(cov: Floats) -> bool:
@@ -151,12 +145,10 @@ def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
     information, pull, n = np.diag([0.0, 0.0, *np.ones(errors)]), np.zeros(2 + errors), 0
     for (_, row), effect in zip(rows.iterrows(), common, strict=True):
         value = np.array([row[name] for name in ROLLING], dtype=np.float64)
-        table = json.loads(row["cov"]) if isinstance(row.get("cov"), str) else {}
-        block = table.get("tied", table.get("rolling"))
-        if block is None:
+        cov = _read_covariance(row, ROLLING, "tied", "rolling")
+        if cov is None:
             continue
-        pick = [table["names"].index(name) for name in ROLLING]
-        cov = np.array(block, dtype=np.float64)[np.ix_(pick, pick)] - covariance_of_shared(effect)
+        cov = cov - covariance_of_shared(effect)
         if np.isfinite(value).all() and _positive(cov):
             design = np.column_stack([np.eye(2), effect])
             weight = design.T @ np.linalg.inv(cov)
@@ -182,10 +174,9 @@ def _mean_and_scatter(rows: pd.DataFrame, name: str) -> dict[str, Any]:
         return {"mean": None, "std": None, "scatter": None, "n": 0}
     effects = shared_effects(kept, (name,), "tied", "rolling")
     common = effects[:, 0]
-    x, s2 = (
-        kept[name].to_numpy(float),
-        kept[f"{name}_std"].to_numpy(float) ** 2 - covariance_of_shared(effects)[:, 0, 0],
-    )
+    x, std = (kept[column].to_numpy(float) for column in columns)
+    tiny, wide = float(np.finfo(float).tiny), float(np.var(x) * len(x))
+    s2 = np.maximum(std**2 - covariance_of_shared(effects)[:, 0, 0], tiny)
 
     def weighed(spread: float) -> tuple[float, float, float, float]:
         """Weighted mean, the weights' sum without and with the shared errors, chi^2."""
@@ -199,8 +190,6 @@ def _mean_and_scatter(rows: pd.DataFrame, name: str) -> dict[str, Any]:
     def excess(spread: float) -> float:
         return weighed(spread)[3] - (len(x) - 1)
 
-    tiny, wide = float(np.finfo(float).tiny), float(np.var(x) * len(x))
-    s2 = np.maximum(s2, tiny)
     spread = float(brentq(excess, 0.0, wide)) if len(x) > 1 and wide > tiny and excess(0.0) > 0 else 0.0
     mean, own, whole, _ = weighed(spread)
     part = {"shared_std": _root(1 / whole - 1 / own)} if common.size else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -30,21 +29,6 @@ class LoneBallFit:
     cov: Floats
     chi2: float
     dof: int
-
-    @property
-    def particle(self) -> int:
-        """The ball's number."""
-        return self.track.particle
-
-    @property
-    def speed(self) -> float:
-        """Speed at the start of the first exposure, m/s."""
-        return float(self.parameters[3])
-
-    def table(self) -> Iterator[tuple[str, float, float]]:
-        """(name, value, standard error) of v0, drag and decel."""
-        for i in (3, 4, 5):
-            yield PARAMETERS[i], float(self.parameters[i]), float(np.sqrt(self.cov[i, i]))
 
 
 class _Rolling:

@@ -34,28 +34,17 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
 }
 
 
-def list_messages(estimates: pd.DataFrame, results: str = "RESULTS", rejection_level: float = 1e-6) -> list[Note]:
-    """List what the reader of the estimates has to know.
+def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Note]:
+    """List what the reader of estimates.parquet has to know.
 
-    Parameters
-    ----------
-    estimates : DataFrame
-        With the columns of estimates.parquet.
-    results : str
-        The folder that the messages name.
-    rejection_level : float
-        p-value below which the data rejected a fit; other misfits have impossible values, which their flags say.
-
-    Returns
-    -------
-    list of Note
-        Misfits first, then flags, then errors of the positions that differ from the claimed ones.
+    Misfits come first, then flags, then errors of the positions that differ from the claimed ones. The messages name
+    the folder `results`.
     """
     if "flags" not in estimates:  # results of an older version
         return []
     notes = []
     p_values = estimates[["adequate", "adequate_free", "agree"]].min(axis=1)
-    rejected = estimates[(estimates["status"] == MISFIT) & (p_values < rejection_level)]
+    rejected = estimates[(estimates["status"] == MISFIT) & (p_values < 1e-6)]  # the flags tell of the other misfits
     if len(rejected):
         measured = int(estimates["status"].isin(MEASURED).sum())
         median = float((rejected["chi2"] / rejected["dof"]).median())

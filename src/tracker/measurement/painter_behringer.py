@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tracker.measurement.camera_errors import camera_errors
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import Contact
-from tracker.measurement.collision.derived import QUANTITY_NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES, cross, dot
 from tracker.measurement.positions import BallTrack
 
 if TYPE_CHECKING:
@@ -32,12 +32,9 @@ def paper_columns(contact: Contact, camera: Camera) -> dict[str, float]:
     table = read_differences(contact, camera.fps)
     square = {name: std**2 for name, (_, std) in table.items()}
     for error in camera_errors(camera):
-        high, low = (
-            read_differences(
-                replace(contact, pair=error.pair(contact.pair, sign, camera.fps)), error.rate(camera.fps, sign)
-            )
-            for sign in (1, -1)
-        )
+        fps = camera.fps
+        pairs = ((sign, error.pair(contact.pair, sign, fps)) for sign in (1, -1))
+        high, low = (read_differences(replace(contact, pair=p), error.rate(fps, sign)) for sign, p in pairs)
         for name in table:
             square[name] += ((high[name][0] - low[name][0]) / 2) ** 2
     values = {f"{name}_paper": value for name, (value, _) in table.items()}
@@ -94,17 +91,15 @@ def rolling_loss(
     balls: tuple[BallTrack, BallTrack], contact: int, ends: list[int | None], fps: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """drag and decel, each with its error: a straight line through acceleration against speed while rolling."""
+    stretches = [(track, track.frame > end) for track, end in zip(balls, ends, strict=True) if end is not None]
+    stretches.append((balls[1], balls[1].frame < contact))
     speed, loss = [], []
-    for track, end, start in zip(balls, ends, (contact, -1), strict=True):
-        stretches = [track.frame > end] if end is not None else []
-        if start < 0:
-            stretches.append(track.frame < contact)
-        for rows in stretches:
-            v = np.diff(track.position[rows], axis=0) * fps / np.diff(track.frame[rows])[:, None]
-            size = np.hypot(v[:, 0], v[:, 1])
-            speed.append((size[1:] + size[:-1]) / 2)
-            loss.append(np.diff(size) * fps)
-    x, y = np.concatenate([*speed, np.empty(0)]), np.concatenate([*loss, np.empty(0)])
+    for track, rows in stretches:
+        v = np.diff(track.position[rows], axis=0) * fps / np.diff(track.frame[rows])[:, None]
+        size = np.hypot(v[:, 0], v[:, 1])
+        speed.append((size[1:] + size[:-1]) / 2)
+        loss.append(np.diff(size) * fps)
+    x, y = np.concatenate(speed), np.concatenate(loss)
     if len(x) < 4 or np.ptp(x) == 0:
         return (np.nan, np.nan), (np.nan, np.nan)
     columns = np.column_stack([x, np.ones_like(x)])
@@ -118,11 +113,10 @@ def _sample(track: BallTrack, contact: int, end: int | None) -> tuple[Floats, Fl
     """Positions (7, 2) and covariances at the seven frames that are differenced; NaN where there is none."""
     wanted = [contact + k for k in (-3, -1, 0, 1, 3)]
     wanted += [-1, -1] if end is None else [end + k for k in (1, 3)]
-    row = {int(f): i for i, f in enumerate(track.frame)}
     position, cov = np.full((7, 2), np.nan), np.full((7, 2, 2), np.nan)
     for i, frame in enumerate(wanted):
-        if frame in row:
-            position[i], cov[i] = track.position[row[frame]], track.cov[row[frame]]
+        for row in np.flatnonzero(track.frame == frame):
+            position[i], cov[i] = track.position[row], track.cov[row]
     return position, cov
 
 
@@ -141,27 +135,18 @@ def _read(sample: Floats, taus: Floats, diameter: float, fps: float, moving: boo
     n, d = apart / np.hypot(apart[:, 0], apart[:, 1])[:, None], launch / v0[:, None]
     t = np.column_stack([-n[:, 1], n[:, 0]])
     carried = (7 * final - 5 * after) / 2  # R w x z just after the impact
-    w_n, w_t = -_dot(carried, t[:, None]) / (diameter / 2), _dot(carried, n[:, None]) / (diameter / 2)
+    w_n, w_t = -dot(carried, t[:, None]) / (diameter / 2), dot(carried, n[:, None]) / (diameter / 2)
     start = before.sum(axis=1) if moving else launch
     energy = (before**2).sum(axis=(1, 2)) if moving else v0**2
-    w_0 = _dot(start, n) / (diameter / 2)  # along t, of rolling balls
+    w_0 = dot(start, n) / (diameter / 2)  # along t, of rolling balls
     friction = np.hypot(*np.moveaxis(final - after, -1, 0)) / (GRAVITY * taus)
     speed, (one, two) = np.hypot(final[..., 0], final[..., 1]), (final[:, 0], final[:, 1])
     parted = after[:, 0] - after[:, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = _dot(parted, t) / -_dot(launch, t)
+        s = dot(parted, t) / -dot(launch, t)
     return np.column_stack([
-        v0, _cross(n, d), _dot(parted, n) / _dot(launch, n), s,
+        v0, cross(n, d), dot(parted, n) / dot(launch, n), s,
         friction.mean(axis=1), (1 - w_t.sum(axis=1) / w_0) / 2, speed, (speed**2).sum(axis=1) / energy,
-        _dot(one + two, start) / _dot(start, start), np.arctan2(np.abs(_cross(one, two)), _dot(one, two)),
+        dot(one + two, start) / dot(start, start), np.arctan2(np.abs(cross(one, two)), dot(one, two)),
         w_n[:, 0], w_t[:, 0], w_n[:, 1], w_t[:, 1],
     ])  # fmt: skip
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    return np.asarray((a * b).sum(-1))
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    """z . (a x b)."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -24,57 +24,25 @@ DEFAULT_GLINT_WIDTH_PX = 1.0  # width of a glint where the camera file does not 
 
 @dataclass(frozen=True, eq=False)
 class BallTrack:
-    """One ball's positions on the plate, by frame.
-
-    Attributes
-    ----------
-    particle : int
-    frame : (n,) int array
-    start : (n,) array
-        Start of the frame's exposure, s.
-    position : (n, 2) array
-        Mean over the exposure, m.
-    cov : (n, 2, 2) array
-        m^2.
-    exposure : float
-        s.
-    fixed : (n, 2, 2) array
-        The part of `cov` that a ball at rest has in every frame alike.
-    width : float
-        Of a glint, m.
-    drift : tuple of float
-        Of balls that lie partly in their own shadow, and of video encoded with loss: rms of the shift along either
-        axis that `fixed` has in it and that lasts as a ball moves on, m; the way over which it lasts, m.
-    has_errors : bool
-        Whether the table of tracks claims errors.
-    noise_dof : float
-        inf where the claimed errors are kept; else the degrees of freedom of the tracks' own scatter, which gave the
-        errors their size.
-    error_scale : float
-        That size over the size before.
-    rho : float
-        Correlation of the errors from one frame to the next, beyond `fixed`.
-    encoded : bool
-        Whether the film was encoded with loss.
-    from_glint : bool
-        Whether these are centres that were found from glints.
-    """
+    """One ball's positions on the plate, by frame."""
 
     particle: int
-    frame: NDArray[np.int64]
-    start: Floats
-    position: Floats
-    cov: Floats
-    exposure: float
-    fixed: Floats = field(default_factory=lambda: np.empty(0))
-    width: float = 0.0
+    frame: NDArray[np.int64]  # (n,)
+    start: Floats  # (n,) s, of the exposures
+    position: Floats  # (n, 2) m, mean over the exposure
+    cov: Floats  # (n, 2, 2) m^2
+    exposure: float  # s
+    fixed: Floats = field(default_factory=lambda: np.empty(0))  # the part of `cov` that a resting ball always has
+    width: float = 0.0  # of a glint, m
+    # Of balls that lie partly in their own shadow, and of video encoded with loss: rms of the shift along either axis
+    # that `fixed` has in it and that lasts as a ball moves on, m; the way over which it lasts, m.
     drift: tuple[float, float] = (0.0, 0.0)
-    has_errors: bool = True
-    noise_dof: float = np.inf
-    error_scale: float = 1.0
-    rho: float = 0.0
-    encoded: bool = False
-    from_glint: bool = False
+    has_errors: bool = True  # whether the table of tracks claims errors
+    noise_dof: float = np.inf  # of the tracks' own scatter, if it gave the errors their size; inf: they are as claimed
+    error_scale: float = 1.0  # that size over the claimed one
+    rho: float = 0.0  # correlation of the errors from one frame to the next, beyond `fixed`
+    encoded: bool = False  # whether the film was encoded with loss
+    from_glint: bool = False  # whether these are centres that were found from glints
 
     def __post_init__(self) -> None:
         if len(self.fixed) == 0:
@@ -95,35 +63,28 @@ class BallTrack:
 
     def scale_errors(self, size: ScatterRatio) -> BallTrack:
         """The same ball with errors of another size, as its own scatter shows them."""
-        longer = float(np.sqrt(size.ratio)) * self.error_scale
-        cov, fixed = self.cov * size.ratio, self.fixed * size.ratio
-        drift = self.drift[0] * float(np.sqrt(size.ratio)), self.drift[1]
-        return replace(self, cov=cov, fixed=fixed, noise_dof=size.dof, error_scale=longer, drift=drift)
+        factor = float(np.sqrt(size.ratio))
+        return replace(
+            self,
+            cov=self.cov * size.ratio,
+            fixed=self.fixed * size.ratio,
+            drift=(self.drift[0] * factor, self.drift[1]),
+            noise_dof=size.dof,
+            error_scale=factor * self.error_scale,
+        )
 
     def where(self, rows: NDArray[np.bool_]) -> BallTrack:
         """The same ball, only those rows."""
         if rows.all():
             return self
-        parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        rowed = {name: v[rows] for name, v in parts.items() if isinstance(v, np.ndarray)}
-        return BallTrack(**(parts | rowed))
+        return replace(self, **{name: v[rows] for name, v in vars(self).items() if isinstance(v, np.ndarray)})
 
 
 def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
-    """Convert tracks from pixels to positions on the plate.
+    """Convert tracks from pixels to positions on the plate, one BallTrack for each particle in order of its number.
 
     Rows without a finite position are left out. If not every row has a covariance, all get that of the tracks' own
     scatter about smooth motion.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    camera : Camera
-
-    Returns
-    -------
-    list of BallTrack
-        One for each particle, in order of its number.
     """
     xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
     keep = np.isfinite(xy).all(axis=1)
@@ -138,52 +99,47 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     taken = np.where(np.isfinite(time), time, frame / camera.fps)
     start, width = taken + camera.line_time * xy[:, 1], (camera.sigma or DEFAULT_GLINT_WIDTH_PX) * camera.scale
     apart = np.hypot(tracks.x - tracks.glint_x, tracks.y - tracks.glint_y)[keep]  # NaN or 0 where no glint was seen
+    shaded = np.array([PositionFlag.SHADED.word in words for words in tracks.flags[keep]], dtype=bool)
+    shadow_drift = SHADED_POSITION_ERROR_RADII * camera.ball_diameter / 2, camera.ball_diameter
+    encoded = camera.sensor.codec_noise > 0
     found = []
     for ball in np.unique(particle):
         rows = np.flatnonzero(particle == ball)
         rows = rows[np.unique(frame[rows], return_index=True)[1]]  # in order; a frame given twice counts once
-        alike, drift, encoded = shared[rows], (0.0, 0.0), camera.sensor.codec_noise > 0
-        if any(PositionFlag.SHADED.word in words for words in tracks.flags[keep][rows]):
-            drift = SHADED_POSITION_ERROR_RADII * camera.ball_diameter / 2, camera.ball_diameter
         found.append(
             BallTrack(
-                int(ball), frame[rows], start[rows], position[rows], cov[rows], camera.exposure, alike,
-                width, drift, weighed, np.inf if weighed else 0.0, encoded=encoded,
+                particle=int(ball),
+                frame=frame[rows],
+                start=start[rows],
+                position=position[rows],
+                cov=cov[rows],
+                exposure=camera.exposure,
+                fixed=shared[rows],
+                width=width,
+                drift=shadow_drift if shaded[rows].any() else (0.0, 0.0),
+                has_errors=weighed,
+                noise_dof=np.inf if weighed else 0.0,
+                encoded=encoded,
                 from_glint=bool((apart[rows] > 0).any()),
             )
-        )  # fmt: skip
+        )
     if weighed:
-        return _with_codec_noise(found, camera) if camera.sensor.codec_noise > 0 else found
+        return _with_codec_noise(found, camera) if encoded else found
     size = measure_scatter(found)
     return found if size is None else [track.scale_errors(size) for track in found]
 
 
-def _with_codec_noise(
-    balls: list[BallTrack],
-    camera: Camera,
-    share: float = 0.25,
-    at_px: float = 0.075,
-    max_share: float = 0.45,
-    length_px: float = 250.0,
-) -> list[BallTrack]:
+def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]:
     """Add the part of an encoder's errors that persists while a ball moves on to its fixed errors.
 
     H.264 moves what it shows by quarters of a pixel from frame to frame, so that errors are a sawtooth. They persist
     where a ball's speed along an axis comes near a multiple of that. A film does not show this part of its own errors,
     because the fitted motion absorbs it.
-
-    Parameters
-    ----------
-    balls : list of BallTrack
-    camera : Camera
-    share, at_px : float
-        Share of the variance that persists, of positions with errors of `at_px`; it grows with their square. It is the
-        share with which z is 1 in 600 clips of two seeds at crf 18, 23 and 28 (errors of .063, .078 and .105 px).
-    max_share : float
-        Largest such share.
-    length_px : float
-        Distance over which the errors persist.
     """
+    # Share of the variance that persists, of positions with errors of `at_px`; it grows with their square. It is the
+    # share with which z is 1 in 600 clips of two seeds at crf 18, 23 and 28 (errors of .063, .078 and .105 px).
+    share, at_px, max_share = 0.25, 0.075, 0.45
+    length_px = 250.0  # distance over which the errors persist
     size, every = measure_scatter(balls), [np.trace(track.cov, axis1=1, axis2=2) / 2 for track in balls]
     off = float(np.median(np.concatenate(every))) * (size.ratio if size else 1.0) / camera.scale**2 if balls else 0.0
     persistent, out = min(share * off / at_px**2, max_share), []

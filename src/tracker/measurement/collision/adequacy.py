@@ -61,23 +61,10 @@ VALUE_RANGES = (
 
 
 def p_value(square: float, dof: float, noise_dof: float) -> float:
-    """Compute the probability of a chi^2 at least so large.
+    """Compute the probability of a chi^2, `square`, at least so large; NaN without degrees of freedom.
 
-    If the size of the errors was found from a part of the same residuals, an F test compares the rest with that part.
-
-    Parameters
-    ----------
-    square : float
-        chi^2.
-    dof : float
-        Its degrees of freedom.
-    noise_dof : float
-        Degrees of freedom from which the errors' size was found; inf where it was given.
-
-    Returns
-    -------
-    float
-        NaN without degrees of freedom.
+    noise_dof: degrees of freedom from which the errors' size was found; inf where it was given. If they are a part of
+    the same residuals, an F test compares the rest with that part.
     """
     if not dof > 0 or not noise_dof > 0:
         return np.nan
@@ -111,20 +98,10 @@ def compare_fits(tied: CollisionFit, free: CollisionFit, noise_dof: float) -> fl
 
 
 def find_impossible_values(values: DerivedValues, stretch: float, errors: float) -> list[Flag]:
-    """Find the quantities that two equal rolling balls cannot have.
+    """Find the quantities that two equal rolling balls cannot have, in the order of VALUE_RANGES.
 
-    Parameters
-    ----------
-    values : DerivedValues
-    stretch : float
-        Factor by which the fit's standard errors are too small.
-    errors : float
-        Number of standard errors, times `stretch`, by which a value must lie outside its range.
-
-    Returns
-    -------
-    list of Flag
-        In the order of VALUE_RANGES.
+    A value must lie outside its range by `errors` standard errors times `stretch`, the factor by which the fit's
+    standard errors are too small.
     """
     flags = []
     for limits in VALUE_RANGES:
@@ -138,14 +115,9 @@ def find_impossible_values(values: DerivedValues, stretch: float, errors: float)
 
 
 def flag_contact_distance(distance: float, std: float, settings: FitSettings) -> list[Flag]:
-    """Flag balls that touch at another distance than one diameter.
+    """Flag balls that touch at another distance than one diameter; both numbers are in diameters.
 
-    Parameters
-    ----------
-    distance, std : float
-        In diameters, with the standard error.
-    settings : FitSettings
-        A deviation is flagged where it exceeds `contact_distance_tolerance` by `impossible_sigma` standard errors.
+    A deviation is flagged where it exceeds `contact_distance_tolerance` by `impossible_sigma` standard errors.
     """
     if abs(distance - 1) - settings.impossible_sigma * std < settings.contact_distance_tolerance:
         return []

@@ -89,21 +89,11 @@ class CollisionFits:
         return bool(min(self.p_tied, self.p_free, self.p_agree) > 1e-3)
 
 
-def fit_collision(contact: Contact, better_striker: float = 0.25) -> CollisionFits | str:
-    """Fit one collision by the tied and the free motion.
-
-    Parameters
-    ----------
-    contact : Contact
-    better_striker : float
-        Factor by which a striker that does not roll must lower chi^2 per degree of freedom to be preferred, if the data
-        do not accept it either.
-
-    Returns
-    -------
-    CollisionFits or str
-        The reason why there is none.
-    """
+def fit_collision(contact: Contact) -> CollisionFits | str:
+    """Fit one collision by the tied and the free motion, or give the reason why there is no fit."""
+    # factor by which a striker that does not roll must lower chi^2 per degree of freedom to be preferred, if the data
+    # do not accept it either
+    better_striker = 0.25
     guesses = guess_parameters(contact)
     if not guesses:
         return "the approach does not lead to the other ball"
@@ -114,7 +104,7 @@ def fit_collision(contact: Contact, better_striker: float = 0.25) -> CollisionFi
         read = min(read, again, key=_reduced_chi2)
     if _is_accepted(read):
         return read
-    least = np.inf if isinstance(read, str) else better_striker * read.tied.chi2 / read.tied.dof
+    least = better_striker * _reduced_chi2(read)
     level = contact.pair.settings.rejection_level
     for other in alternative_strikers(contact, guess if isinstance(read, str) else read.tied.parameters):
         rough = fit_motion(other.contact.pair, True, other.starts, tolerance=1e-4)
@@ -159,8 +149,13 @@ def _fit_both(contact: Contact, starts: list[Floats]) -> CollisionFits | str:
             tied = again
             free, seen = _fit_free(pair, tied)
     tied = _prefer_possible(pair, tied)
-    if tied.dropped or free.dropped:
-        tied, free, seen = _fit_same_positions(tied, free, seen)
+    if tied.dropped or free.dropped:  # fit both to the same positions, less the outliers of the fit that has fewer
+        fewer = min(tied, free, key=lambda fit: fit.dropped)
+        if fewer is tied:
+            free, seen = _fit_free(fewer.pair, tied, whole=True)
+        else:
+            tied = fit_motion(fewer.pair, True, [tied.parameters], whole=True)
+        tied, free = (replace(fit, dropped=fewer.dropped) for fit in (tied, free))
     read = CollisionFits(
         contact=contact,
         tied=tied,
@@ -174,37 +169,24 @@ def _fit_both(contact: Contact, starts: list[Floats]) -> CollisionFits | str:
     return read if tied.converged or not read.is_tied_accepted else "the fit did not converge"
 
 
-def _fit_same_positions(
-    tied: CollisionFit, free: CollisionFit, seen: tuple[bool, bool]
-) -> tuple[CollisionFit, CollisionFit, tuple[bool, bool]]:
-    """Fit both to the same positions, less the outliers of the fit that has fewer; with the slide ends seen."""
-    fewer = min(tied, free, key=lambda fit: fit.dropped)
-    if fewer is tied:
-        free, seen = _fit_free(fewer.pair, tied, whole=True)
-    else:
-        tied = fit_motion(fewer.pair, True, [tied.parameters], whole=True)
-    return replace(tied, dropped=fewer.dropped), replace(free, dropped=fewer.dropped), seen
-
-
 def _prefer_possible(pair: BallPair, tied: CollisionFit, worse: float = 10.0) -> CollisionFit:
     """Prefer a tied fit with possible values by which the balls slide until they are last seen.
 
     Balls that move on in a straight line after the hit either slid for a very short time or never roll. The positions
     do not decide, but the first may need an impossible restitution. worse: chi^2 by which the other fit may be worse.
     """
-    sigma = pair.settings.impossible_sigma
-    if not find_impossible_values(derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0, sigma):
+
+    def is_possible(fit: CollisionFit) -> bool:
+        values = derive_from_tied(fit.parameters, fit.cov, pair.diameter, pair.spin)
+        return not find_impossible_values(values, 1.0, pair.settings.impossible_sigma)
+
+    if is_possible(tied):
         return tied
     start = tied.parameters.copy()
     for r in (0.9, 0.5):
         start[[TIED.index(name) for name in ("r", "log_mu", "C")]] = r, np.log(1e-3), 0.0
         other = fit_motion(pair, True, [start])
-        values = derive_from_tied(other.parameters, other.cov, pair.diameter, pair.spin)
-        if (
-            other.dropped <= tied.dropped
-            and other.chi2 < tied.chi2 + worse
-            and not find_impossible_values(values, 1.0, sigma)
-        ):
+        if other.dropped <= tied.dropped and other.chi2 < tied.chi2 + worse and is_possible(other):
             return other
     return tied
 
@@ -216,11 +198,8 @@ def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[
     """
     start = np.asarray(tied_to_free(tied.parameters, pair.spin), dtype=np.float64)
     ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
-    starts = [start]
-    for shift in (-0.5, 0.5):
-        other = start.copy()
-        other[ends] += shift
-        starts.append(other)
+    shift = 0.5 * np.isin(np.arange(len(FREE)), ends)
+    starts = [start, start - shift, start + shift]
     best = fit_motion(pair, False, starts, whole=whole)
     seen = [True, True]
     for i, (end, (_, track)) in enumerate(zip(ends, pair.balls, strict=True)):
@@ -232,9 +211,8 @@ def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[
             without = fit_motion(pair, False, [endless], 1e-4, whole)
             if without.chi2 < best.chi2:
                 best = without = fit_motion(pair, False, [without.parameters], whole=whole)
-            seen[i] = without.chi2 - best.chi2 > pair.settings.slide_end_chi2 and bool(
-                np.exp(best.parameters[end]) < left
-            )
+            ends_in_view = bool(np.exp(best.parameters[end]) < left)
+            seen[i] = ends_in_view and without.chi2 - best.chi2 > pair.settings.slide_end_chi2
     return best, (seen[0], seen[1])
 
 

@@ -90,20 +90,9 @@ class RollingMotion:
 
 
 def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> RollingMotion:
-    """Rolling under a = -(drag v + decel) until the ball stops, with phi functions: drag = 0 is no special case.
+    """Roll under a = -(drag v + decel) until the ball stops, with phi functions: drag = 0 is no special case.
 
-    Parameters
-    ----------
-    speed : float or ndarray of shape (n,)
-        At t = 0, m/s.
-    drag, decel : float
-        1/s, m/s^2.
-    t : ndarray of shape (n,)
-        s; may be negative.
-
-    Returns
-    -------
-    Rolled
+    speed at t = 0 in m/s, one or (n,); drag in 1/s; decel in m/s^2; times t (n,) in s, which may be negative.
     """
     stop = stopping_time(speed, drag, decel)
     run = np.minimum(t, stop)
@@ -157,11 +146,11 @@ def mean_positions(
 
     Parameters
     ----------
-    free : ndarray of shape (22,)
+    free : (22,) array
         In the order of FREE.
-    ball : int or ndarray of shape (n,)
+    ball : int or (n,) array
         1 (struck) or 2 (striker).
-    start : ndarray of shape (n,)
+    start : (n,) array
         Of the exposures, s.
     exposure : float
         s; 0 for instants.
@@ -170,10 +159,10 @@ def mean_positions(
 
     Returns
     -------
-    positions : ndarray of shape (n, 2)
-        m.
-    derivatives : ndarray of shape (n, 2, 22)
-        By `free`.
+    (n, 2) array
+        Positions, m.
+    (n, 2, 22) array
+        Their derivatives by `free`.
     """
     if exposure < SHORTEST_EXPOSURE:
         start = start - SHORTEST_EXPOSURE / 2
@@ -220,8 +209,8 @@ def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Float
     part[0] = -roll.distance[:, None] * along
     part[6] = roll.area_drag[:, None] * along
     part[7] = roll.area_decel[:, None] * along
-    part[-2:] = turned = _by_velocity(roll, speed, along)
-    launched = turned * second[:, None]
+    part[-2:] = _by_velocity(roll, speed, along)
+    launched = part[-2:] * second[:, None]
     part[3] = v0 * (launched[1] * d[0] - launched[0] * d[1])
     part[5] = launched[0] * d[0] + launched[1] * d[1]
     area = roll.area[:, None] * along

@@ -20,22 +20,19 @@ MAX_POSITIONS_OF_APPROACH = 6  # from which velocities before and after the cont
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Two balls about one contact, `frame` that of least separation; ball 2, the striker, is the faster.
-
-    reason: why it cannot be fitted.
-    """
+    """Two balls about one contact; ball 2, the striker, is the faster."""
 
     pair: BallPair
-    frame: int
-    reason: str = ""
+    frame: int  # of least separation
+    reason: str = ""  # why it cannot be fitted
 
 
 @dataclass(frozen=True)
 class EarlierHit:
-    """The state that earlier hits leave a ball in: it slides until rolls_from, s (inf: unknown); R w_z is spin, m/s."""
+    """The state that earlier hits leave a ball in."""
 
-    rolls_from: float = -np.inf
-    spin: float = 0.0
+    rolls_from: float = -np.inf  # until then it slides, s; inf: unknown
+    spin: float = 0.0  # R w_z, m/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,20 +45,9 @@ class ContactCandidate:
 
 
 def find_contacts(balls: list[BallTrack], diameter: float, steps: float = 0.75) -> list[ContactCandidate]:
-    """Find all contacts of a recording.
+    """Find all contacts of a recording, in order of time; diameter in m.
 
-    Parameters
-    ----------
-    balls : list of BallTrack
-    diameter : float
-        m.
-    steps : float
-        Frames' worth of approach by which balls that touch between two frames may be farther apart in both.
-
-    Returns
-    -------
-    list of ContactCandidate
-        In order of time.
+    steps: frames' worth of approach by which balls that touch between two frames may be farther apart in both.
     """
     found = [(k, a, b) for a, b in combinations(balls, 2) for k in _contact_frames(a, b, diameter, steps)]
     found.sort(key=lambda m: m[0])
@@ -80,21 +66,9 @@ def find_contacts(balls: list[BallTrack], diameter: float, steps: float = 0.75) 
 def prepare_contact(
     candidate: ContactCandidate, diameter: float, earlier: Mapping[int, EarlierHit], settings: FitSettings
 ) -> Contact:
-    """Prepare a contact to be fitted: which ball strikes, and which of their positions count.
+    """Prepare a contact to be fitted: which ball strikes, and which of their positions count; diameter in m.
 
-    Parameters
-    ----------
-    candidate : ContactCandidate
-    diameter : float
-        m.
-    earlier : mapping of int to EarlierHit
-        By particle, the state after earlier hits. Positions while a ball still slides are left out.
-    settings : FitSettings
-
-    Returns
-    -------
-    Contact
-        With a reason where it cannot be fitted.
+    earlier: by particle, the state after earlier hits. Positions while a ball still slides are left out.
     """
     balls, spin = [], 0.0
     for track in (candidate.one, candidate.other):
@@ -111,10 +85,7 @@ def prepare_contact(
 
 
 def fit_velocity(track: BallTrack) -> tuple[Floats, Floats, float]:
-    """Fit a straight line to a few positions.
-
-    Returns the velocity (2,) m/s, the position (2,) m at the mean time, and the velocity's standard error, m/s.
-    """
+    """Fit a straight line: velocity (2,) m/s, position (2,) m at the mean time, the velocity's standard error, m/s."""
     t = track.time - track.time.mean()
     spread = float((t**2).sum())
     std = float(np.sqrt(np.trace(track.cov.mean(axis=0)) / 2 / spread))
@@ -123,20 +94,14 @@ def fit_velocity(track: BallTrack) -> tuple[Floats, Floats, float]:
 
 def _before(track: BallTrack, frame: int, longest: int = 15) -> BallTrack:
     """The last few positions before a frame; those older than `longest` frames do not show the contact."""
-    return track.where((track.frame >= frame - longest) & _first_or_last(track.frame < frame, last=True))
+    near = (track.frame < frame) & (track.frame >= frame - longest)
+    return track.where(near & (near[::-1].cumsum()[::-1] <= MAX_POSITIONS_OF_APPROACH))
 
 
 def _after(track: BallTrack, frame: int, longest: int = 15) -> BallTrack:
     """The first few positions after a frame, as `_before`."""
-    return track.where((track.frame <= frame + longest) & _first_or_last(track.frame > frame, last=False))
-
-
-def _first_or_last(rows: NDArray[np.bool_], last: bool) -> NDArray[np.bool_]:
-    """The first or the last MAX_POSITIONS_OF_APPROACH of the rows that are set."""
-    chosen = np.flatnonzero(rows)
-    out = np.zeros_like(rows)
-    out[chosen[-MAX_POSITIONS_OF_APPROACH:] if last else chosen[:MAX_POSITIONS_OF_APPROACH]] = True
-    return out
+    near = (track.frame > frame) & (track.frame <= frame + longest)
+    return track.where(near & (near.cumsum() <= MAX_POSITIONS_OF_APPROACH))
 
 
 def _contact_frames(a: BallTrack, b: BallTrack, diameter: float, steps: float) -> list[int]:
@@ -148,8 +113,7 @@ def _contact_frames(a: BallTrack, b: BallTrack, diameter: float, steps: float) -
     step = np.abs(np.diff(apart))
     found = []
     for k in range(1, len(frames) - 1):
-        closest = apart[k] == apart[max(k - 3, 0) : k + 4].min()
-        if not closest:
+        if apart[k] != apart[max(k - 3, 0) : k + 4].min():
             continue
         reach = step[max(k - 3, 0) : k + 3].max() * max(_gap(c, int(frames[k])) for c in (a, b))
         if apart[k] < diameter * 1.01 + steps * reach and _changed_velocity(a, b, int(frames[k])):
@@ -202,22 +166,16 @@ def _rest_start(track: BallTrack, frame: int, slow: float) -> int | None:
     The stretch grows from the contact outwards for as long as one position describes it, so that a ball which rolled
     to a stop before is taken from there on. The frame next to the contact may be late where others are missing.
     """
-    rows = np.flatnonzero(track.frame < frame - 1)
-    if len(rows) < 2:
-        rows = np.flatnonzero(track.frame < frame)
-    first = None
-    count = min(MAX_POSITIONS_OF_APPROACH, len(rows))
-    while count <= len(rows):
-        mask = np.zeros(len(track), dtype=bool)
-        mask[rows[-count:]] = True
-        part = track.where(mask)
+    before = track.where(track.frame < frame - 1)
+    if len(before) < 2:
+        before = track.where(track.frame < frame)
+    first, count, last = None, MAX_POSITIONS_OF_APPROACH, len(before)
+    while first is None or first > before.frame[0]:
+        part = before.where(np.arange(last) >= last - count)
         v, _, std = fit_velocity(part)
         if np.linalg.norm(v) > max(slow, 5 * std):
             break
-        first = int(part.frame[0])
-        if count == len(rows):
-            break
-        count = min(2 * count, len(rows))
+        first, count = int(part.frame[0]), 2 * count
     return first
 
 
@@ -237,7 +195,7 @@ def _shorten_rest(track: BallTrack, frame: int, longest: int = 150, same: float 
 
 
 def guess_parameters(contact: Contact) -> list[Floats]:
-    """Tied parameters (16,) to start from, the best first; none where the approach leads past the other ball.
+    """Guess tied parameters (16,), the best first; none where the approach leads past the other ball.
 
     The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter apart.
     The impact comes from a coarse grid over all physical values, the best for each friction. If frames about the

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.collision_model import AFTER, GRAVITY, TIED, tied_to_free
+from tracker.measurement.collision.collision_model import AFTER, GRAVITY, TIED, directions, tied_to_free
 
 Floats = NDArray[np.float64]
 
@@ -50,24 +50,12 @@ class DerivedValues:
 
 
 def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = None) -> DerivedValues:
-    """Quantities of a free motion.
+    """Quantities of a free motion, from the parameters (22,) and their covariance; diameter in m.
 
     Friction and spin transfer follow from either ball; the two are averaged with weights from their errors. If they
     differ by more than five standard errors, there is no one value, and its covariance is NaN. A quantity that is
-    undefined at these parameters (s of a head-on hit) is NaN with its covariance.
-
-    Parameters
-    ----------
-    free, cov : ndarray of shape (22,), ndarray of shape (22, 22)
-        Parameters in the order of FREE, and their covariance.
-    diameter : float
-        m.
-    shift : ndarray of shape (22, k), optional
-        Further errors of the parameters, which count in those weights but not in the covariance.
-
-    Returns
-    -------
-    Values
+    undefined at these parameters (s of a head-on hit) is NaN with its covariance. Further errors of the parameters,
+    `shift` (22, k), count in those weights but not in the covariance.
     """
     twice, slope = _with_slope(lambda p: _derive_from_each_ball(p, diameter), free, cov)
     unknown = ~(np.isfinite(twice) & np.isfinite(slope).all(axis=1))  # s at b = 0 exactly is 0 / 0
@@ -92,20 +80,9 @@ def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats |
 
 
 def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> DerivedValues:
-    """Quantities of a tied motion.
+    """Quantities of a tied motion, from the parameters (16,) and their covariance.
 
-    Parameters
-    ----------
-    tied, cov : ndarray of shape (16,), ndarray of shape (16, 16)
-        Parameters in the order of TIED, and their covariance.
-    diameter : float
-        m.
-    spin : float
-        m/s; see `tied_to_free`.
-
-    Returns
-    -------
-    Values
+    diameter in m; spin in m/s, see `tied_to_free`.
     """
 
     def single(p: Floats) -> Floats:
@@ -115,18 +92,15 @@ def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0
 
     value, slope = _with_slope(single, tied, cov)
     if not tied[-2:].any():
-        spin = QUANTITY_NAMES.index(
-            "w1n"
-        )  # nothing turns a resting ball about n: zero by the model, not by measurement
-        value[spin], slope[spin] = 0.0, 0.0
+        # nothing turns a resting ball about n: zero by the model, not by measurement
+        value[QUANTITY_NAMES.index("w1n")] = slope[QUANTITY_NAMES.index("w1n")] = 0.0
     return DerivedValues(value, slope @ cov @ slope.T)
 
 
 def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # type: ignore[no-untyped-def]
     # of a standard error: second-order terms cancel, and rounding stays below 1e-6
     size = 0.01 * np.sqrt(np.diag(cov))
-    steps = np.diag(size)
-    high, low = function(at + steps), function(at - steps)
+    high, low = function(at + np.diag(size)), function(at - np.diag(size))
     with np.errstate(invalid="ignore"):
         slope = (high - low) / (2 * size[:, None])
     slope[size == 0] = 0.0  # held
@@ -147,38 +121,42 @@ def _of_difference(cov: Floats) -> float:
 def _derive_from_each_ball(free: Floats, diameter: float, slip: Floats | float = 0.0) -> Floats:
     """QUANTITY_NAMES, mu_k and C from each ball: (..., 22); slip (..., 2) of ball 2 before the hit, m/s."""
     radius = diameter / 2
-    heading, beta, v0 = free[..., 3], free[..., 4], free[..., 5]
-    d = np.stack([np.cos(heading), np.sin(heading)], -1)
-    n = np.stack([np.cos(heading - beta), np.sin(heading - beta)], -1)
-    t = np.stack([-n[..., 1], n[..., 0]], -1)
+    beta, v0 = free[..., 4], free[..., 5]
+    d, n, t = (np.asarray(a, dtype=np.float64) for a in directions(free[..., 3], beta))
     v, f, tau, spin = {}, {}, {}, {}
     for ball, at in AFTER.items():
         v[ball], f[ball] = free[..., at : at + 2], free[..., at + 2 : at + 4]
         tau[ball] = np.exp(free[..., at + 4])
         carried = (7 * f[ball] - 5 * v[ball]) / 2  # R w x z just after the impact: (5v + 2R w x z)/7 is kept
-        spin[ball] = (-_dot(carried, t), _dot(carried, n))  # R w along n and t
+        spin[ball] = (-dot(carried, t), dot(carried, n))  # R w along n and t
     first = free[..., -2:]
     second = first + v0[..., None] * d
     along, across = v0 * np.cos(beta), v0 * np.sin(beta)
-    rolls = _dot(first, n), _dot(second - slip, n)  # R w_t before: a rolling ball's spin along t is its speed along n
-    total, start = _dot(first, first) + _dot(second, second), first + second
+    rolls = dot(first, n), dot(second - slip, n)  # R w_t before: a rolling ball's spin along t is its speed along n
+    total, start = dot(first, first) + dot(second, second), first + second
     with np.errstate(divide="ignore", invalid="ignore"):
         columns = [
             v0, np.sin(beta), free[..., 0],
-            _dot(v[1] - v[2], n) / along, _dot(v[2] - v[1], t) / across,
+            dot(v[1] - v[2], n) / along, dot(v[2] - v[1], t) / across,
             *(_norm(f[i] - v[i]) / (GRAVITY * tau[i]) for i in (1, 2)),
             *((rolls[i - 1] - spin[i][1]) / (rolls[0] + rolls[1]) for i in (1, 2)),
             tau[1], tau[2], _norm(f[1]), _norm(f[2]),
-            (_dot(f[1], f[1]) + _dot(f[2], f[2])) / total, _dot(f[1] + f[2], start) / _dot(start, start),
-            np.arctan2(np.abs(f[1][..., 0] * f[2][..., 1] - f[1][..., 1] * f[2][..., 0]), _dot(f[1], f[2])),
+            (dot(f[1], f[1]) + dot(f[2], f[2])) / total, dot(f[1] + f[2], start) / dot(start, start),
+            np.arctan2(np.abs(cross(f[1], f[2])), dot(f[1], f[2])),
             free[..., 6], free[..., 7],
             *(spin[i][axis] / radius for i in (1, 2) for axis in (0, 1)),
         ]  # fmt: skip
     return np.stack(columns, -1)
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
+def dot(a: Floats, b: Floats) -> Floats:
+    """Scalar product of vectors along the last axis."""
     return np.asarray((a * b).sum(-1))
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """z . (a x b) of vectors (..., 2)."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _norm(a: Floats) -> Floats:

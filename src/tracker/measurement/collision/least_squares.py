@@ -46,29 +46,14 @@ BROAD_PRIORS: Mapping[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, eq=False)
 class BallPair:
-    """Two balls about one contact: their positions, and what is known in advance.
+    """Two balls about one contact: their positions, and what is known in advance."""
 
-    Attributes
-    ----------
-    struck, striker : BallTrack
-        Ball 1 and ball 2.
-    diameter : float
-        m.
-    target_moves : bool
-        Whether ball 1 moves before the hit.
-    spin : float
-        m/s; see `tied_to_free`.
-    fitted_spin : tuple of str
-        Names of SPIN that are fitted. The others are zero: the striker rolls.
-    settings : FitSettings
-    """
-
-    struck: BallTrack
-    striker: BallTrack
-    diameter: float
-    target_moves: bool = False
-    spin: float = 0.0
-    fitted_spin: tuple[str, ...] = ()
+    struck: BallTrack  # ball 1
+    striker: BallTrack  # ball 2
+    diameter: float  # m
+    target_moves: bool = False  # whether ball 1 moves before the hit
+    spin: float = 0.0  # m/s; see `tied_to_free`
+    fitted_spin: tuple[str, ...] = ()  # names of SPIN that are fitted; the others are zero, as if the striker rolled
     settings: FitSettings = field(default_factory=FitSettings)
 
     @property
@@ -79,11 +64,8 @@ class BallPair:
     @property
     def zero_parameters(self) -> set[str]:
         """Parameters of TIED and FREE that are zero."""
-        return {
-            *(() if self.target_moves else TARGET),
-            *(set(SPIN) - set(self.fitted_spin)),
-            *(() if self.striker_slides else SLIDING),
-        }
+        fitted = {*self.fitted_spin, *(TARGET * self.target_moves), *(SLIDING * self.striker_slides)}
+        return {*TARGET, *SPIN, *SLIDING} - fitted
 
     @property
     def balls(self) -> tuple[tuple[int, BallTrack], tuple[int, BallTrack]]:
@@ -96,29 +78,14 @@ class BallPair:
 
 @dataclass(frozen=True)
 class CollisionFit:
-    """Best parameters of one motion, and how well it fits.
+    """Best parameters of one motion, and how well it fits."""
 
-    Attributes
-    ----------
-    parameters : (p,) array
-    cov : (p, p) array
-        Zero for parameters that are held at zero.
-    chi2 : float
-        Of the data alone, without the prior.
-    dof : int
-    pair : BallPair
-        Without the positions that were dropped as outliers.
-    dropped : int
-        Number of those positions.
-    converged : bool
-    """
-
-    parameters: Floats
-    cov: Floats
-    chi2: float
+    parameters: Floats  # (16,) or (22,)
+    cov: Floats  # zero for parameters that are held at zero
+    chi2: float  # of the data alone, without the prior
     dof: int
-    pair: BallPair
-    dropped: int = 0
+    pair: BallPair  # without the positions that were dropped as outliers
+    dropped: int = 0  # number of those positions
     converged: bool = True
 
 
@@ -164,18 +131,9 @@ class WhitenedResiduals:
         out[self.index] = x
         return out
 
-    def whole_cov(self, cov: Floats) -> Floats:
-        """Covariance of all parameters from that of the fitted ones (p, p): zero where one is held."""
-        out = np.zeros((self.size, self.size))
-        out[np.ix_(self.index, self.index)] = cov
-        return out
-
-    def _free(self, full: Floats) -> Floats:
-        return np.asarray(tied_to_free(full, self.pair.spin), dtype=np.float64) if self.tied else full
-
     def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
         full = self.whole(x)
-        position, slope = self._path(self._free(full))
+        position, slope = self._path(full)
         slopes = np.moveaxis(slope, -1, 0)
         if self.tied:
             by = tied_to_free_jacobian(full, self.pair.spin)[:, self.index]
@@ -184,26 +142,25 @@ class WhitenedResiduals:
             slopes = slopes[self.index]
         rows = np.concatenate([(position - self.seen)[None], slopes])
         cut = len(self.pair.struck)
-        white = np.concatenate(
-            [self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])], axis=1
-        )
+        one, two = self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])
+        white = np.concatenate([one, two], axis=1)
         residual = np.concatenate([white[0], (x - self.prior) * self.prior_weight])
         columns = np.concatenate([white[1:], np.diag(self.prior_weight)], axis=1)
         if not (np.isfinite(residual).all() and np.isfinite(columns).all()):
             residual, columns = np.nan_to_num(residual, nan=1e9), np.nan_to_num(columns)
         return np.clip(residual, -1e9, 1e9), columns.T
 
-    def _path(self, free: Floats) -> tuple[Floats, Floats]:
-        """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 22)."""
+    def _path(self, full: Floats) -> tuple[Floats, Floats]:
+        """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 22) by the free parameters."""
+        free = np.asarray(tied_to_free(full, self.pair.spin), dtype=np.float64) if self.tied else full
         with np.errstate(over="ignore", invalid="ignore"):  # a slide without end
             return mean_positions(free, self.ball, self.start, self.pair.struck.exposure, self.pair.diameter)
 
     def distances(self, x: Floats) -> Floats:
         """Squared Mahalanobis distance (n,) of each position by itself, ball 1's first."""
-        off, cut = self._path(self._free(self.whole(x)))[0] - self.seen, len(self.pair.struck)
-        return np.concatenate(
-            [self.pair.struck.whiten.distance(off[:cut]), self.pair.striker.whiten.distance(off[cut:])]
-        )
+        off, cut = self._path(self.whole(x))[0] - self.seen, len(self.pair.struck)
+        one, two = self.pair.struck.whiten, self.pair.striker.whiten
+        return np.concatenate([one.distance(off[:cut]), two.distance(off[cut:])])
 
 
 class Problem(Protocol):
@@ -213,32 +170,13 @@ class Problem(Protocol):
     def slope(self, x: Floats) -> Floats: ...
 
 
-def minimise(
-    problem: Problem,
-    starts: Sequence[Floats],
-    tolerance: float = 1e-10,
-    rough_tolerance: float = 1e-4,
-    least_gain: float = 1e-3,
-) -> tuple[Floats, bool]:
-    """Find the best of several minima by Levenberg-Marquardt (MINPACK).
+def minimise(problem: Problem, starts: Sequence[Floats], tolerance: float = 1e-10) -> tuple[Floats, bool]:
+    """Find the best of several minima by Levenberg-Marquardt (MINPACK), and whether that descent converged.
 
-    Parameters
-    ----------
-    problem : Problem
-    starts : sequence of (p,) arrays
-    tolerance : float
-        Relative change of parameters and chi^2 that ends the descent from the first start.
-    rough_tolerance : float
-        The same for the descents from the other starts, which are only told apart by it.
-    least_gain : float
-        Gain in half the chi^2 from which on another start has found another, better minimum.
-
-    Returns
-    -------
-    (p,) array
-    bool
-        Whether that descent converged.
+    A relative change of parameters and chi^2 by `tolerance` ends the descent from the first start.
     """
+    rough_tolerance = 1e-4  # the same for the other starts: it is enough to compare their minima
+    least_gain = 1e-3  # gain in half the chi^2 from which on another start has found another, better minimum
     best, cost, converged = _descend(problem, starts[0], tolerance)
     for start in starts[1:]:
         other, rough, _ = _descend(problem, start, rough_tolerance)
@@ -261,25 +199,16 @@ def _descend(problem: Problem, start: Floats, tolerance: float) -> tuple[Floats,
 def fit_motion(
     pair: BallPair, tied: bool, starts: list[Floats], tolerance: float = 1e-10, whole: bool = False
 ) -> CollisionFit:
-    """Fit a motion to two balls. A few outliers are dropped once.
+    """Fit a tied or free motion to two balls, from starts (16,) or (22,). A few outliers are dropped once.
 
     Parameters
     ----------
-    pair : Pair
-    tied : bool
-        Which motion: TIED, of 16 parameters, or FREE, of 22.
-    starts : list of ndarray of shape (16,) or (22,)
     tolerance : float
         Relative change of parameters and chi^2 that ends a descent.
     whole : bool
         Keep the outliers.
-
-    Returns
-    -------
-    Fit
     """
     problem = WhitenedResiduals(pair, tied)
-    p = len(problem.names)
     best, converged = minimise(problem, [start[problem.index] for start in starts], tolerance)
     problem, dropped = (problem, 0) if whole else _drop_outliers(problem, best)
     if dropped:
@@ -287,8 +216,9 @@ def fit_motion(
     best, converged = _try_across_frame_edge(problem, best, converged)
     residual, rows = problem(best)
     n = 2 * len(problem.pair)
-    cov, chi2, dof = covariance(rows), float(residual[:n] @ residual[:n]), n - p
-    return CollisionFit(problem.whole(best), problem.whole_cov(cov), chi2, dof, problem.pair, dropped, converged)
+    cov, chi2, dof = np.zeros((problem.size, problem.size)), float(residual[:n] @ residual[:n]), n - len(best)
+    cov[np.ix_(problem.index, problem.index)] = covariance(rows)
+    return CollisionFit(problem.whole(best), cov, chi2, dof, problem.pair, dropped, converged)
 
 
 def covariance(rows: Floats) -> Floats:
@@ -300,10 +230,7 @@ def covariance(rows: Floats) -> Floats:
 
 
 def _try_across_frame_edge(problem: WhitenedResiduals, best: Floats, converged: bool) -> tuple[Floats, bool]:
-    """chi^2 has a kink where t_c crosses an exposure: try the other side when one is near.
-
-    Near: within some standard errors, widened where the fit is worse than its errors.
-    """
+    """chi^2 has a kink where t_c crosses an exposure: try the other side when one is near."""
     struck = problem.pair.struck
     residual, rows = problem(best)
     worse = max(1.0, float(residual @ residual) / len(residual))

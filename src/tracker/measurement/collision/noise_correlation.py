@@ -20,24 +20,14 @@ from tracker.measurement.noise.whitening import innovations
 from tracker.measurement.positions import BallTrack
 
 Floats = NDArray[np.float64]
-POLYNOMIAL_ORDER = 3  # of the polynomial
 MIN_CORRELATION_SIGMA = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is fitted
 
 
 def with_correlated_noise(pair: BallPair, free: CollisionFit) -> BallPair | None:
     """The pair with errors of the size and the correlation from frame to frame that its tracks show.
 
-    Parameters
-    ----------
-    pair : Pair
-    free : Fit
-        A free fit of it, which says when the balls roll.
-
-    Returns
-    -------
-    Pair or None
-        None if the errors are not clearly correlated, if no ball rolls for long enough, or if the residuals of the
-        cubics cannot be errors, because those would scatter more from frame to frame.
+    Its free fit says when the balls roll. None if the errors are not clearly correlated, if no ball rolls for long
+    enough, or if the residuals of the cubics cannot be errors, because those would scatter more from frame to frame.
     """
     if pair.striker.encoded:
         return _with_codec_errors(pair, free)
@@ -100,12 +90,9 @@ def _rolling_stretches(pair: BallPair, free: CollisionFit) -> Iterator[BallTrack
 
 def _whiten_with_cubics(track: BallTrack) -> tuple[Floats, NDArray[np.int64]]:
     """Cubics of either axis and positions, whitened by the claimed errors, (9, 2n); frames (n,)."""
-    powers = np.interp(track.frame, [track.frame[0], track.frame[-1]], [-1, 1])[:, None] ** np.arange(
-        POLYNOMIAL_ORDER + 1
-    )
-    columns = np.zeros((2 * POLYNOMIAL_ORDER + 3, len(track), 2))
-    for axis in (0, 1):
-        columns[axis * (POLYNOMIAL_ORDER + 1) : (axis + 1) * (POLYNOMIAL_ORDER + 1), :, axis] = powers.T
+    scaled = np.interp(track.frame, [track.frame[0], track.frame[-1]], [-1, 1])
+    columns = np.zeros((9, len(track), 2))
+    columns[:4, :, 0] = columns[4:8, :, 1] = (scaled[:, None] ** np.arange(4)).T
     columns[-1] = track.position - track.position.mean(axis=0)
     return replace(track, rho=0.0).whiten(columns), track.frame
 

@@ -37,45 +37,24 @@ class StrikerHypothesis:
 def alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerHypothesis]:
     """List motions of ball 2 before the hit other than rolling, the simplest first.
 
-    Parameters
-    ----------
-    contact : Contact
-    rolling : ndarray of shape (16,)
-        The tied parameters by which both balls roll.
-
-    Yields
-    ------
-    Striker
+    rolling: the tied parameters (16,) by which both balls roll.
     """
-    late = list(_without_first_positions(contact))
-    yield from (StrikerHypothesis((Flag.ROLLS_LATE,), one, [rolling]) for one in late)
-    spun = _with_spin(contact, ("side",))
-    yield StrikerHypothesis((Flag.STRIKER_SPINS,), spun, [rolling])
-    yield from (
-        StrikerHypothesis((Flag.ROLLS_LATE, Flag.STRIKER_SPINS), _with_spin(one, ("side",)), [rolling]) for one in late
+    late = [((Flag.ROLLS_LATE,), one) for one in _without_first_positions(contact)]
+    for flags, one in late:
+        yield StrikerHypothesis(flags, one, [rolling])
+    for flags, one in [((), contact), *late]:
+        yield StrikerHypothesis((*flags, Flag.STRIKER_SPINS), _with_spin(one, ("side",)), [rolling])
+    for flags, one in [((), contact), *late]:
+        if starts := _sliding_starts(one.pair, rolling):
+            yield StrikerHypothesis((*flags, Flag.STRIKER_SLIDES), _with_spin(one, SPIN), starts)
+
+
+def is_believable(tied: CollisionFit, free: CollisionFit) -> bool:
+    """Decide whether a striker can spin or slide as a fit finds it."""
+    max_spin = (
+        1.25  # R w over v: a cue slips off a ball beyond half a radius from its centre, which gives 5/2 times 1/2
     )
-    for one, flags in (
-        (contact, (Flag.STRIKER_SLIDES,)),
-        *((one, (Flag.ROLLS_LATE, Flag.STRIKER_SLIDES)) for one in late),
-    ):
-        starts = _sliding_starts(one.pair, rolling)
-        if starts:
-            yield StrikerHypothesis(flags, _with_spin(one, SPIN), starts)
-
-
-def is_believable(
-    tied: CollisionFit, free: CollisionFit, max_spin: float = 1.25, least_deceleration: float = 5.0
-) -> bool:
-    """Decide whether a striker can spin or slide as a fit finds it.
-
-    Parameters
-    ----------
-    tied, free : CollisionFit
-    max_spin : float
-        Largest R w over v. A cue slips off a ball beyond half a radius from its centre, which gives 5/2 times 1/2.
-    least_deceleration : float
-        Standard errors by which a striker that slides must be seen to slow down before the contact.
-    """
+    least_deceleration = 5.0  # standard errors by which a sliding striker must be seen to slow down before the contact
     v0, ux, uy, side = (tied.parameters[TIED.index(name)] for name in ("v0", *SPIN))
     if abs(side) > max_spin * v0 or np.hypot(ux, uy) > (1 + max_spin) * v0:
         return False

@@ -57,36 +57,25 @@ class ScatterRatio:
 def measure_scatter(balls: Sequence[BallNoise]) -> ScatterRatio | None:
     """Measure the positions' errors by their scatter about cubics in windows of consecutive frames.
 
-    The largest windows are left out, beyond the 95 % quantile that normal errors of the median size would have, and the
-    mean of the others is corrected for that.
-
-    Parameters
-    ----------
-    balls : sequence of Ball
-        Their covariances give the expected scatter.
-
-    Returns
-    -------
-    ScatterRatio or None
-        None where no ball is seen in WINDOW consecutive frames.
+    The balls' covariances give the expected scatter. The largest windows are left out, beyond the 95 % quantile that
+    normal errors of the median size would have, and the mean of the others is corrected for that. None where no ball
+    is seen in WINDOW consecutive frames.
     """
     kept_share = 0.95
     dof_share = 0.84  # share of the degrees of freedom that remains after the largest windows are left out
     enough = 20  # windows of moving balls from which on resting balls do not count: some tables round their positions
     least = 1e-10  # least ratio, for perfect positions
     parts = [_windows(course) for course in balls]
-    if sum(len(starts) for starts, _, _ in parts) == 0:
-        return None
     if sum(int(moved.sum()) for _, _, moved in parts) >= enough:
         parts = [(starts[moved], left[moved], moved[moved]) for starts, left, moved in parts]
-    left = np.concatenate([part[1] for part in parts])
-    typical = float(np.median(left)) / chdtri(DOF, 0.5)
-    kept = left[left <= typical * chdtri(DOF, 1 - kept_share)]
-    # the mean chi^2 of windows below the quantile, over that of all windows
-    share = chdtr(DOF + 2, chdtri(DOF, 1 - kept_share)) / kept_share
-    return ScatterRatio(
-        max(float(kept.mean() / (DOF * share)), least), dof_share * _count_freedom([part[0] for part in parts])
-    )
+    left = np.concatenate([np.empty(0), *(part[1] for part in parts)])
+    if not len(left):
+        return None
+    limit = chdtri(DOF, 1 - kept_share)
+    kept = left[left <= float(np.median(left)) / chdtri(DOF, 0.5) * limit]
+    share = chdtr(DOF + 2, limit) / kept_share  # the mean chi^2 of windows below the quantile, over that of all windows
+    ratio = max(float(kept.mean() / (DOF * share)), least)
+    return ScatterRatio(ratio, dof_share * _count_freedom([part[0] for part in parts]))
 
 
 def find_bent_windows(course: BallNoise) -> Ints:
@@ -97,10 +86,15 @@ def find_bent_windows(course: BallNoise) -> Ints:
 
 def share_seen_by_scatter(rho: float) -> float:
     """Share of the variance of errors correlated by `rho` from frame to frame that `measure_scatter` sees."""
-    t = np.linspace(-1, 1, WINDOW)
-    over = np.linalg.qr(np.vander(t, ORDER + 1), mode="complete")[0][:, ORDER + 1 :]
+    over = _residual_basis()
     lag = np.abs(np.subtract.outer(np.arange(WINDOW), np.arange(WINDOW)))
     return float(np.trace(over.T @ rho**lag @ over)) / RESIDUALS
+
+
+def _residual_basis() -> Floats:
+    """Orthonormal basis (WINDOW, RESIDUALS) of what a cubic leaves in a window."""
+    cubics = np.vander(np.linspace(-1, 1, WINDOW), ORDER + 1)
+    return np.linalg.qr(cubics, mode="complete")[0][:, ORDER + 1 :]
 
 
 def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
@@ -112,8 +106,7 @@ def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
     count = len(course) - WINDOW + 1
     if count < 1:
         return np.empty(0, np.int64), np.empty(0), np.empty(0, dtype=bool)
-    t = np.linspace(-1, 1, WINDOW)
-    over = np.linalg.qr(np.vander(t, ORDER + 1), mode="complete")[0][:, ORDER + 1 :]  # (WINDOW, RESIDUALS)
+    over = _residual_basis()
     slide = np.lib.stride_tricks.sliding_window_view
     rest = (slide(course.position, WINDOW, axis=0) @ over).reshape(count, DOF)
     left = np.empty(count)
@@ -131,11 +124,9 @@ def _spread(course: BallNoise, windows: slice, over: Floats) -> Floats:
     rows = slice(windows.start, windows.stop + WINDOW - 1)
     out = np.zeros((k, 2, RESIDUALS, 2, RESIDUALS))
     if course.fixed.any() and course.width > 0:
-        whole = position_covariance(
-            course.position[rows], course.cov[rows], course.fixed[rows], course.width, course.drift
-        )
-        n = len(whole) // 2
-        full = whole.reshape(n, 2, n, 2)
+        position, cov, fixed = course.position[rows], course.cov[rows], course.fixed[rows]
+        n = len(position)
+        full = position_covariance(position, cov, fixed, course.width, course.drift).reshape(n, 2, n, 2)
         each = np.arange(k)[:, None] + np.arange(WINDOW)
         blocks = full[each[:, :, None], :, each[:, None, :], :]  # (k, WINDOW, WINDOW, 2, 2)
         out += np.einsum("ia,kijxy,jb->kxayb", over, blocks, over)

@@ -30,10 +30,7 @@ class PositionWhitener:
         frame: NDArray[np.int64] | None = None, rho: float = 0.0,
         drift: tuple[float, float] = (0.0, 0.0),
     ) -> None:  # fmt: skip
-        """position (n, 2), m; cov (n, 2, 2), m^2; fixed, its part that frames share; width of a glint, m.
-
-        frame (n,). rho: correlation of the other errors from frame to frame. drift: see `positions.BallTrack`.
-        """
+        """The arguments are attributes of a `positions.BallTrack`."""
         self.alone = inverse_roots(cov) if len(cov) else cov
         self.blocks: list[tuple[slice, Floats]] = []
         if width > 0 and len(cov) and fixed.any():
@@ -88,9 +85,8 @@ def position_covariance(
         own = drift[0] ** 2 * np.eye(2)
         whole = position_covariance(position, cov - own, fixed - own, width).reshape(n, 2, n, 2)
         apart = np.sqrt(3) * np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1)) / drift[1]
-        near = (
-            drift[0] ** 2 * (1 + apart) * np.exp(-apart)
-        )  # Matern's kernel (order 3/2), of a shift that changes smoothly
+        # Matern's kernel (order 3/2), of a shift that changes smoothly
+        near = drift[0] ** 2 * (1 + apart) * np.exp(-apart)
         for axis in (0, 1):
             whole[:, axis, :, axis] += near
         return whole.reshape(2 * n, 2 * n)
