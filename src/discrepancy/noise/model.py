@@ -18,25 +18,20 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
+from scipy.linalg import toeplitz
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.noise.stretches import (
-    Stretch,
-    StretchBundle,
-    bundle_stretches,
-    cubic_basis,
-    group_by_length,
-    shortest_usable,
-)
 from discrepancy.policy import current_policy
 
 T = TypeVar("T")
+Stretch = tuple[Array, Array, Ints]  # positions (n, axes), claimed standard deviations (n,), and frames (n,)
 NoiseOrder = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
 Pair = tuple[Array, Array, Array, Array, Ints]  # positions (n, 2) of both balls, claimed std (n,) of both, frames (n,)
 
+CUBIC_COEFFICIENTS = 4
 OWN_ORDERS: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
 SHARED_ORDERS: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False))  # of the noise of both balls
 MAX_PARTIAL_AUTOCORRELATION = 0.999  # beyond it a clip cannot distinguish it from 1
@@ -47,26 +42,17 @@ Shut = tuple[Array, Array, float, float, Ints]  # a pair: positions less their m
 
 @dataclass(frozen=True)
 class NoiseComponent:
-    """A stationary random error: an autoregression plus white noise.
-
-    Attributes
-    ----------
-    variance : float
-    partial_autocorrelations : tuple of float
-        The autoregression's partial autocorrelations, lag 1 first.
-    white_share : float
-        The share of the variance that is white.
-    """
+    """A stationary random error: an autoregression plus white noise."""
 
     variance: float
-    partial_autocorrelations: tuple[float, ...] = ()
-    white_share: float = 0.0
+    partial_autocorrelations: tuple[float, ...] = ()  # of the autoregression, lag 1 first
+    white_share: float = 0.0  # the share of the variance that is white
 
     def autocovariances(self, count: int) -> Array:
         """Autocovariance at lags 0 to count - 1, by the Durbin-Levinson recursion."""
         out = np.ones(max(count, len(self.partial_autocorrelations) + 1))
         weights = np.zeros(0)
-        for m, p in enumerate(self.partial_autocorrelations, 1):  # Durbin & Levinson
+        for m, p in enumerate(self.partial_autocorrelations, 1):
             out[m] = weights @ out[m - 1 : 0 : -1] + p * (1 - weights @ out[1:m])
             weights = np.append(weights - p * weights[::-1], p)
         order = len(weights)
@@ -78,25 +64,14 @@ class NoiseComponent:
 
 @dataclass(frozen=True)
 class Noise:
-    """The noise of measured tracks.
+    """The noise of measured tracks."""
 
-    Attributes
-    ----------
-    own : Component
-        The noise of each ball and axis by itself, in claimed standard deviations.
-    shared : tuple of Component
-        The noise that both balls share, in x and in y, m^2; empty if there is none.
-    whole_phase_scale : float
-        Like `scale`, over whole phases of motion, if that is so much larger that it must contain motion; the noise is
-        then that of short pieces. Else 0.
-    frame_spacing : int
-        Greatest common divisor of the tracks' frame steps: noise at other lags is not seen.
-    """
-
-    own: NoiseComponent
-    shared: tuple[NoiseComponent, ...] = ()
+    own: NoiseComponent  # of each ball and axis by itself, in claimed standard deviations
+    shared: tuple[NoiseComponent, ...] = ()  # that both balls share, in x and in y, m^2; empty if there is none
+    # Like `scale`, over whole phases of motion, if that is so much larger that it must contain motion; the noise is
+    # then that of short pieces. Else 0.
     whole_phase_scale: float = 0.0
-    frame_spacing: int = 1
+    frame_spacing: int = 1  # greatest common divisor of the tracks' frame steps: noise at other lags is not seen
 
     @property
     def scale(self) -> float:
@@ -138,6 +113,96 @@ class Noise:
         return float(np.sqrt(np.mean([s.variance for s in self.shared]))) if self.shared else 0.0
 
 
+@dataclass(frozen=True)
+class StretchBundle:
+    """k stretches of about the same length, the longest of n positions."""
+
+    values: Array  # (k, n, d) positions without their cubics, in claimed deviations; zero beyond a stretch's end
+    basis: Array  # (k, n, CUBIC_COEFFICIENTS) an orthonormal basis of the cubics, in claimed deviations
+    lengths: Ints  # (k,)
+    frames: Ints | None = None  # (k, n) from each first one, continued beyond its end; None if no frame is missing
+
+    @classmethod
+    def of(cls, stretches: Sequence[Stretch]) -> StretchBundle:
+        """Bundle stretches."""
+        lengths = np.array([len(frames) for *_, frames in stretches])
+        longest, axes = int(lengths.max()), stretches[0][0].shape[1]
+        since = np.tile(np.arange(longest), (len(stretches), 1))
+        cubics, rest = (
+            np.zeros((len(stretches), longest, CUBIC_COEFFICIENTS)),
+            np.zeros((len(stretches), longest, axes)),
+        )
+        for k, (positions, claimed, frames) in enumerate(stretches):
+            n = len(positions)
+            since[k, :n] = frames - frames[0]
+            since[k, n:] = since[k, n - 1] + 1 + np.arange(longest - n)
+            powers, own = cubic_basis(since[k, :n]) / claimed[:, None], positions / claimed[:, None]
+            q, _ = np.linalg.qr(powers)
+            cubics[k, :n], rest[k, :n] = q, own - q @ (q.T @ own)
+        return cls(rest, cubics, lengths, since if np.any(np.diff(since) != 1) else None)
+
+    @property
+    def span(self) -> int:
+        """Frames from the first to the last, both counted."""
+        return int(self.lengths.max()) if self.frames is None else int(self.frames.max()) + 1
+
+    def covariance(self, lags: Array) -> Array:
+        """Covariance from autocovariances at lags 0 to span - 1: (n, n), or (k, n, n) where frames are missing."""
+        if self.frames is None:
+            return np.asarray(toeplitz(lags[: self.values.shape[1]]))
+        return np.asarray(lags[np.abs(self.frames[:, :, None] - self.frames[:, None])])
+
+    def restricted_likelihood(self, covariance: Array) -> tuple[float, float]:
+        """(log determinants, sum of squares) of REML's -2 log likelihood, for a covariance (n, n) or (k, n, n).
+
+        A shorter stretch uses the first rows and columns: their inverse Cholesky factor is the first part of the
+        whole one's. See Harville, Biometrika 61 (1974) 383.
+        """
+        inside = np.arange(self.values.shape[1]) < self.lengths[:, None]
+        factor = np.linalg.cholesky(covariance)
+        white = np.linalg.inv(factor) @ np.concatenate([self.basis, self.values], axis=2) * inside[..., None]
+        fitted, seen = white[..., :CUBIC_COEFFICIENTS], white[..., CUBIC_COEFFICIENTS:]
+        gram, pull = fitted.swapaxes(1, 2) @ fitted, fitted.swapaxes(1, 2) @ seen
+        squares = (seen**2).sum() - (pull * np.linalg.solve(gram, pull)).sum()
+        logs = (np.log(np.diagonal(factor, axis1=-2, axis2=-1)) * inside).sum() + np.linalg.slogdet(gram)[1].sum() / 2
+        return float(2 * self.values.shape[2] * logs), float(squares)
+
+    @property
+    def freedom(self) -> int:
+        return int((self.lengths - CUBIC_COEFFICIENTS).sum()) * int(self.values.shape[2])
+
+
+def cubic_basis(since: Ints) -> Array:
+    """Powers 3 to 0 of increasing frames (n,), scaled to -1 ... 1: (n, CUBIC_COEFFICIENTS)."""
+    even = np.linspace(-1, 1, since[-1] - since[0] + 1)
+    return np.vander(even[since - since[0]], CUBIC_COEFFICIENTS)
+
+
+def group_by_length(lengths: Sequence[int], ratio: float = 1.4) -> list[list[int]]:
+    """Which stretches to put into one bundle: the longest is at most `ratio` times the shortest."""
+    out: list[list[int]] = []
+    least = shortest_usable(lengths)
+    for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
+        if lengths[k] >= least:
+            if not out or lengths[out[-1][0]] > ratio * lengths[k]:
+                out.append([])
+            out[-1].append(k)
+    return out
+
+
+def shortest_usable(lengths: Sequence[int]) -> int:
+    """Positions that a stretch must have; fewer where no stretch is long."""
+    enough = max(lengths, default=0) >= current_policy().min_stretch_positions
+    return current_policy().min_stretch_positions if enough else current_policy().min_short_stretch_positions
+
+
+def bundle_stretches(stretches: Iterable[Stretch]) -> list[StretchBundle]:
+    """Bundle those stretches that are long enough by their lengths."""
+    every = list(stretches)
+    groups = group_by_length([len(frames) for *_, frames in every])
+    return [StretchBundle.of([every[k] for k in group]) for group in groups]
+
+
 def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
     """Estimate the noise of clips from their smooth stretches.
 
@@ -151,30 +216,27 @@ def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
     """
     clips = _select_usual_clips(clips)
     stretches = [stretch for clip in clips for stretch in clip.smooth_stretches()]
-    noise = Noise(fit_own_noise(stretches), frame_spacing=_find_spacing(stretches))
+    spacing = int(np.gcd.reduce([step for *_, frames in stretches for step in np.diff(frames)] or [1]))
+    noise = Noise(fit_own_noise(stretches), frame_spacing=spacing)
     pairs = BallPairs(pair for clip in clips for pair in clip.paired_stretches())
     if pairs.common_mode_score(noise.own) > current_policy().shared_noise_sigma:
         return replace(pairs.noise(), frame_spacing=noise.frame_spacing)
     return _exclude_motion(noise, stretches) if noise.is_slow else noise
 
 
-def _find_spacing(stretches: Sequence[Stretch]) -> int:
-    """Greatest common divisor of the steps between frames."""
-    return int(np.gcd.reduce([step for *_, frames in stretches for step in np.diff(frames)] or [1]))
-
-
 def _exclude_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
     """The noise, or that of short pieces where over whole phases it must contain motion that no cubic follows."""
-    short = Noise(
-        fit_own_noise(_cut_pieces(stretches)), whole_phase_scale=noise.scale, frame_spacing=noise.frame_spacing
-    )
+    short = replace(noise, own=fit_own_noise(_cut_pieces(stretches)), whole_phase_scale=noise.scale)
+    policy, left = current_policy(), np.sqrt(_measure_power(stretches))
+    exceeds = left > policy.min_cubic_residual_ratio * short.scale
+    return short if exceeds and noise.scale > policy.max_noise_growth * short.scale else noise
+
+
+def _measure_power(stretches: Iterable[Stretch]) -> float:
+    """Mean square of the residuals from cubics, in claimed variances; 0 where stretches are too short."""
     every = bundle_stretches(stretches)
-    left = np.sqrt(sum(float((b.values**2).sum()) for b in every) / sum(b.freedom for b in every))
-    grows = (
-        left > current_policy().min_cubic_residual_ratio * short.scale
-        and noise.scale > current_policy().max_noise_growth * short.scale
-    )
-    return short if grows else noise
+    freedom = sum(bundle.freedom for bundle in every)
+    return sum(float((bundle.values**2).sum()) for bundle in every) / freedom if freedom else 0.0
 
 
 def _cut_pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
@@ -185,10 +247,12 @@ def _cut_pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
     """
     rounding = 1e-9  # of the claimed variance
     size = current_policy().min_short_stretch_positions
-    starts = [(arrays, first) for arrays in stretches for first in range(0, len(arrays[0]) - size + 1, size)]
-    cut = [(p[k : k + size], c[k : k + size], f[k : k + size]) for (p, c, f), k in starts]
-    left = StretchBundle.of([p for p, _, _ in cut], [c for _, c, _ in cut], [f for _, _, f in cut]).values
-    power = (left**2).sum(axis=(1, 2))
+    cut = [
+        (positions[k : k + size], claimed[k : k + size], frames[k : k + size])
+        for positions, claimed, frames in stretches
+        for k in range(0, len(frames) - size + 1, size)
+    ]
+    power = (StretchBundle.of(cut).values ** 2).sum(axis=(1, 2))
     moves = power > rounding
     most = current_policy().max_piece_noise_power * float(np.median(power[moves] if moves.any() else power))
     return [piece for piece, own in zip(cut, power, strict=True) if rounding < own <= most]
@@ -196,11 +260,7 @@ def _cut_pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
 
 def _select_usual_clips(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]:
     """The clips whose noise power is at most `SearchPolicy.unusual_noise_power` times the median."""
-    sizes = []
-    for clip in clips:
-        every = bundle_stretches(clip.smooth_stretches())
-        freedom = sum(b.freedom for b in every)
-        sizes.append(sum(float((b.values**2).sum()) for b in every) / freedom if freedom else 0.0)
+    sizes = [_measure_power(clip.smooth_stretches()) for clip in clips]
     most = current_policy().max_clip_noise_power * float(np.median([s for s in sizes if s > 0] or [0.0]))
     return [c for c, s in zip(clips, sizes, strict=True) if s <= most]
 
@@ -222,11 +282,10 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
             raise ValueError("positions show no noise from frame to frame")
         return logs + freedom * np.log(squares / freedom), squares / freedom
 
-    def build(shape: NoiseOrder, x: Array) -> NoiseComponent:
-        return component_from_numbers(shape, 1.0, x)
-
-    unit = select_order(OWN_ORDERS, build, lambda c: profile(c)[0], np.log(freedom))
-    return NoiseComponent(profile(unit)[1], unit.partial_autocorrelations, unit.white_share)
+    unit = select_order(
+        OWN_ORDERS, lambda shape, x: component_from_numbers(shape, 1.0, x), lambda c: profile(c)[0], np.log(freedom)
+    )
+    return replace(unit, variance=profile(unit)[1])
 
 
 def component_from_numbers(shape: NoiseOrder, variance: float, x: Array) -> NoiseComponent:
@@ -238,18 +297,16 @@ def component_from_numbers(shape: NoiseOrder, variance: float, x: Array) -> Nois
 
 def numbers_from_component(component: NoiseComponent) -> Array:
     """The inverse of `component_from_numbers`, without the variance."""
-    x = np.arctanh(
-        np.clip(np.array(component.partial_autocorrelations) / MAX_PARTIAL_AUTOCORRELATION, -1 + 1e-9, 1 - 1e-9)
-    )
+    shares = np.array(component.partial_autocorrelations) / MAX_PARTIAL_AUTOCORRELATION
+    x = np.arctanh(np.clip(shares, -1 + 1e-9, 1 - 1e-9))
     if not component.white_share:
         return x
-    return np.append(
-        x,
-        logit(np.clip((component.white_share - MIN_WHITE_SHARE) / (MAX_WHITE_SHARE - MIN_WHITE_SHARE), 1e-3, 1 - 1e-3)),
-    )
+    white = (component.white_share - MIN_WHITE_SHARE) / (MAX_WHITE_SHARE - MIN_WHITE_SHARE)
+    return np.append(x, logit(np.clip(white, 1e-3, 1 - 1e-3)))
 
 
 def order_of(component: NoiseComponent) -> NoiseOrder:
+    """The order that has this component."""
     return len(component.partial_autocorrelations), component.white_share > 0
 
 
@@ -286,15 +343,19 @@ def select_order(
     cost : callable
         -2 log likelihood of a model.
     penalty : float
+        Added for each number.
     common : (k,) array, optional
         Start values of numbers that every order has, before its own.
     """
     head = np.zeros(0) if common is None else common
     best, winner, last, tail, lost = np.inf, build(shapes[0], head), shapes[0], np.zeros(0), 0
     for shape in shapes:
-        start = np.concatenate([head, _initial_numbers(shape, last, tail)])
-        x = minimise(partial(_cost, cost, build, shape), start)
-        paid = _cost(cost, build, shape, x) + penalty * len(x)
+
+        def cost_of(x: Array, shape: NoiseOrder = shape) -> float:
+            return cost(build(shape, x))
+
+        x = minimise(cost_of, np.concatenate([head, _initial_numbers(shape, last, tail)]))
+        paid = finite_cost(cost_of, x) + penalty * len(x)
         lost = 0 if paid < best else lost + 1
         if paid < best:
             best, winner, last = paid, build(shape, x), shape
@@ -302,10 +363,6 @@ def select_order(
         if lost == 2:
             break
     return winner
-
-
-def _cost(cost: Callable[[T], float], build: Callable[[NoiseOrder, Array], T], shape: NoiseOrder, x: Array) -> float:
-    return finite_cost(lambda y: cost(build(shape, y)), x)
 
 
 def finite_cost(cost: Callable[[Array], float], x: Array) -> float:
@@ -331,9 +388,8 @@ def minimise(cost: Callable[[Array], float], start: Array) -> Array:
     """Minimise a smooth cost from `start` (BFGS). A slope of 2 is flat enough: the curvature is some hundreds."""
     if not len(start):
         return start
-    found = minimize(
-        partial(finite_cost, cost), start, method="BFGS", options={"eps": 1e-4, "gtol": 2.0, "maxiter": 40}
-    )
+    options = {"eps": 1e-4, "gtol": 2.0, "maxiter": 40}
+    found = minimize(partial(finite_cost, cost), start, method="BFGS", options=options)
     return np.asarray(found.x)
 
 
@@ -348,15 +404,15 @@ class BallPairs:
             for one, two, *claims, frame in given
             if len(one) >= least
         ]
-        every = self.pairs
         self.differences, self.sums, self.weights = list[StretchBundle](), list[list[StretchBundle]](), list[Array]()
-        for group in group_by_length([len(one) for one, *_ in every]):
-            size = np.array([np.hypot(*every[k][2:4]) for k in group])
-            claimed = [np.full(len(every[k][0]), s) for k, s in zip(group, size, strict=True)]
-            frames = [every[k][4] for k in group]
-            self.differences.append(StretchBundle.of([every[k][0] - every[k][1] for k in group], claimed, frames))
-            together = [every[k][0] + every[k][1] for k in group]
-            self.sums.append([StretchBundle.of([t[:, [a]] for t in together], claimed, frames) for a in (0, 1)])
+        for group in group_by_length([len(one) for one, *_ in self.pairs]):
+            pairs = [self.pairs[k] for k in group]
+            size = np.array([np.hypot(*pair[2:4]) for pair in pairs])
+            claimed = [np.full(len(pair[0]), s) for pair, s in zip(pairs, size, strict=True)]
+            some = [(one, two, c, frames) for (one, two, _, _, frames), c in zip(pairs, claimed, strict=True)]
+            self.differences.append(StretchBundle.of([(one - two, c, frames) for one, two, c, frames in some]))
+            sums = [[((one + two)[:, [axis]], c, frames) for one, two, c, frames in some] for axis in (0, 1)]
+            self.sums.append([StretchBundle.of(along) for along in sums])
             self.weights.append(4 / size[:, None, None] ** 2)  # of the shared variance in the sum's, own being 1
         self.longest = max((b.span for b in self.differences), default=0)
 
@@ -369,7 +425,10 @@ class BallPairs:
         """
         scores, variances = np.zeros((len(SHARED_NOISE_CORRELATIONS), 2)), np.zeros(len(SHARED_NOISE_CORRELATIONS))
         lags = own.autocovariances(self.longest)
-        for frames, members in self._group_by_frames().items():
+        groups: dict[tuple[int, ...], list[Shut]] = {}
+        for pair in self.pairs:
+            groups.setdefault(tuple((pair[4] - pair[4][0]).tolist()), []).append(pair)
+        for frames, members in groups.items():
             since = np.array(frames)
             apart = np.abs(since[:, None] - since)
             both, claims = np.array([p[:2] for p in members]), np.array([p[2:4] for p in members])
@@ -378,23 +437,15 @@ class BallPairs:
             root = np.linalg.inv(factor) - q @ np.linalg.solve(factor.T, q).T
             weight = root.T @ root
             pulls = weight @ both / (claims**2)[..., None, None]
+            scale = float(np.sum(1 / claims.prod(axis=1) ** 2))
             for j, rho in enumerate(SHARED_NOISE_CORRELATIONS):
                 kernel = rho ** apart.astype(float)
                 scores[j] += np.einsum("kma,mn,kna->a", pulls[:, 0], kernel, pulls[:, 1])
-                variances[j] += np.trace(kernel @ weight @ kernel @ weight) * float(
-                    np.sum(1 / claims.prod(axis=1) ** 2)
-                )
+                variances[j] += np.trace(kernel @ weight @ kernel @ weight) * scale
         if not self.pairs:
             return 0.0
         single = scores / np.sqrt(variances)[:, None]
         return float(max(single.max(), (single.sum(axis=1) / np.sqrt(2)).max()))
-
-    def _group_by_frames(self) -> dict[tuple[int, ...], list[Shut]]:
-        """The pairs grouped by their frames, counted from the first."""
-        out: dict[tuple[int, ...], list[Shut]] = {}
-        for pair in self.pairs:
-            out.setdefault(tuple((pair[4] - pair[4][0]).tolist()), []).append(pair)
-        return out
 
     def cost(self, noise: Noise) -> float:
         """-2 log likelihood, up to a constant."""
@@ -404,21 +455,17 @@ class BallPairs:
         for difference, sums, weight in zip(self.differences, self.sums, self.weights, strict=True):
             alone = difference.covariance(own)
             out += sum(difference.restricted_likelihood(alone))
-            if not shared:
-                out += sum(sum(s.restricted_likelihood(alone)) for s in sums)
+            if shared:
+                wholes = [alone + weight * s.covariance(lags) for s, lags in zip(sums, shared, strict=True)]
             else:
-                out += sum(
-                    sum(s.restricted_likelihood(alone + weight * s.covariance(lags)))
-                    for s, lags in zip(sums, shared, strict=True)
-                )
+                wholes = [alone, alone]
+            out += sum(sum(s.restricted_likelihood(whole)) for s, whole in zip(sums, wholes, strict=True))
         return out
 
     def own(self) -> NoiseComponent:
         """The noise that the balls do not share, from the difference of their positions."""
-        size = [float(np.hypot(*pair[2:4])) for pair in self.pairs]
         return fit_own_noise(
-            ((one - two) / s, np.ones(len(one)), frame)
-            for (one, two, _, _, frame), s in zip(self.pairs, size, strict=True)
+            ((one - two) / float(np.hypot(*sizes)), np.ones(len(one)), frame) for one, two, *sizes, frame in self.pairs
         )
 
     def noise(self) -> Noise:

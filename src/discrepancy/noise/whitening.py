@@ -44,10 +44,8 @@ class ClipWhitener:
         total = np.zeros((n, 2, n, 2))
         for axis, component in enumerate(noise.shared):
             total[:, axis, :, axis] += own
-            push, lags = (
-                roots[:, :, axis],
-                component.autocovariances(longest)[apart],
-            )  # of a displacement, in scaled residuals
+            push = roots[:, :, axis]  # of a displacement, in scaled residuals
+            lags = component.autocovariances(longest)[apart]
             for a, b in itertools.product(range(2), range(2)):
                 if push[:, a].any() and push[:, b].any():
                     total[:, a, :, b] += lags * np.outer(push[:, a], push[:, b])

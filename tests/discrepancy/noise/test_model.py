@@ -12,11 +12,13 @@ from scipy.signal import savgol_filter
 from scipy.stats import multivariate_normal
 
 from discrepancy.noise.model import (
+    CUBIC_COEFFICIENTS,
     MAX_WHITE_SHARE,
     MIN_WHITE_SHARE,
     BallPairs,
     Noise,
     NoiseComponent,
+    StretchBundle,
     component_from_numbers,
     estimate,
     finite_cost,
@@ -24,7 +26,6 @@ from discrepancy.noise.model import (
     minimise,
     numbers_from_component,
 )
-from discrepancy.noise.stretches import CUBIC_COEFFICIENTS, StretchBundle
 from synthcam.model import Model
 
 
@@ -55,7 +56,7 @@ def test_restricted_likelihood_is_that_of_the_contrasts_that_no_cubic_touches():
     values = correlated(rng, n, 0.5)
     claimed = rng.uniform(0.5, 2, n)
     basis = np.vander(np.linspace(-1, 1, n), CUBIC_COEFFICIENTS) / claimed[:, None]
-    bundle = StretchBundle.of([values * claimed[:, None]], [claimed])
+    bundle = StretchBundle.of([(values * claimed[:, None], claimed, np.arange(n))])
     contrasts, costs, exact_costs = null_space(basis.T), [], []
     for rho in (0.2, 0.8):
         covariance = toeplitz(rho ** np.arange(n))
@@ -214,11 +215,9 @@ def test_missing_frames_break_a_stretch_and_no_more():
 
 def test_a_bundle_of_unequal_stretches_counts_each_by_its_own_length():
     rng = np.random.default_rng(11)
-    values = [correlated(rng, n, 0.5) for n in (19, 15, 14)]
-    together, covariance = StretchBundle.of(values, [np.ones(len(v)) for v in values]), toeplitz(0.7 ** np.arange(19))
-    each = [
-        StretchBundle.of([v], [np.ones(len(v))]).restricted_likelihood(covariance[: len(v), : len(v)]) for v in values
-    ]
+    parts = [(correlated(rng, n, 0.5), np.ones(n), np.arange(n)) for n in (19, 15, 14)]
+    together, covariance = StretchBundle.of(parts), toeplitz(0.7 ** np.arange(19))
+    each = [StretchBundle.of([p]).restricted_likelihood(covariance[: len(p[0]), : len(p[0])]) for p in parts]
     assert together.restricted_likelihood(covariance) == pytest.approx(np.sum(each, axis=0))
     assert together.restricted_likelihood(np.tile(covariance, (3, 1, 1))) == pytest.approx(np.sum(each, axis=0))
 
