@@ -9,7 +9,8 @@ from discrepancy_clips import STD, collisions, exact, only
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from discrepancy.fitting.gauss_newton import _interpolate, fit_model, linearise, minimise_chi2
+from discrepancy.fitting.gauss_newton import _interpolate, fit_model, minimise_chi2
+from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, parameter_limits, replace_within_limits
 from discrepancy.noise.model import Noise, NoiseComponent

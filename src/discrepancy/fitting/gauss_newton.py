@@ -1,14 +1,14 @@
 """Fits one model to all clips by Gauss-Newton: shared parameters, and each clip's own launch as nuisance parameters.
 
 The launches are eliminated from the normal equations clip by clip, so the cost grows linearly with the number of clips
-(variable projection; Golub & Pereyra, Inverse Problems 19 (2003) R1). Derivatives are reused for
-as long as chi^2 falls as they predict.
+(variable projection; Golub & Pereyra, Inverse Problems 19 (2003) R1). Derivatives are reused for as long as chi^2 falls
+as they predict.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,13 @@ from scipy.optimize import lsq_linear
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.launch import MAX_SPIN_TO_SPEED, V0, WITH_SPIN, is_possible, limit_spins
-from discrepancy.fitting.jacobian import coupling_effects, differentiate_all, differentiate_launches
-from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
-from discrepancy.fitting.parameters import find_parameter, replace_within_limits, tried_range
+from discrepancy.data.launch import is_possible, limit_spins
+from discrepancy.fitting.jacobian import coupling_effects
+from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import replace_within_limits
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
-from synthcam.dynamics.batch import LAUNCH_COLUMNS
 from synthcam.dynamics.solve import without_mutual_push
 from synthcam.model import Model
 
@@ -140,56 +140,6 @@ def _interpolate(fit: ModelFit, values: Mapping[str, float], share: float) -> di
     return {n: (1 - share) * fit.model.value(n) + share * v for n, v in values.items()} if share < 1 else dict(values)
 
 
-def linearise(
-    whitened: WhitenedClips, model: Model, names: tuple[str, ...], launches: Array, exact: bool = False
-) -> ModelFit:
-    """Compute the residuals of a model and their derivatives, at given values and launches, without a fit.
-
-    exact: count the push between balls in all derivatives; see `jacobian.differentiate_all`.
-    Raises ValueError where the model has no motion for a launch.
-    """
-    expected, own = differentiate_launches(model, launches, whitened.clips)
-    shared = differentiate_all(model, launches, whitened.clips, names, expected, exact)
-    residuals = whitened.whiten([c.xy - e for c, e in zip(whitened.clips, expected, strict=True)])
-    if names:
-        slopes = whitened.whiten([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
-        slopes = zero_unidentifiable_shapes(model, names, slopes)
-    else:
-        slopes = tuple(np.zeros((len(r), 0)) for r in residuals)
-    own_slopes = zero_unidentifiable_spins(launches, whitened.whiten(own))
-    return ModelFit(model, names, launches, residuals, Linearisation(model, names, launches, slopes, own_slopes))
-
-
-def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Set to zero the whitened derivatives (2n, S) by shape parameters that are not identifiable.
-
-    Such a parameter moves the tracks by less than one sigma over its whole range. Without derivatives no step carries
-    it away; a dropped frame, for example, may be anywhere between two frames.
-    """
-    shapes = [find_parameter(model, n) if "." in n else None for n in names]
-    spans = np.array(
-        [
-            tried_range(p) * (model.value(n) if p.low > 0 else 1.0) if p and p.fixed else np.inf
-            for n, p in zip(names, shapes, strict=True)
-        ]
-    )
-    silent = np.sqrt(sum((s**2).sum(axis=0) for s in slopes)) < 1 / spans
-    return tuple(np.where(silent, 0.0, s) for s in slopes) if silent.any() else slopes
-
-
-def zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Set to zero the derivatives (2n, p) by spins that move the tracks by less than one sigma, however large they may
-    be.
-
-    Without friction and spin transfer the tracks do not depend on a striker's spin; its derivative is rounding.
-    """
-    if launches.shape[1] != WITH_SPIN:
-        return slopes
-    sizes = np.array([np.linalg.norm(s[:, len(LAUNCH_COLUMNS) :], axis=0) for s in slopes])
-    silent = np.pad(sizes * MAX_SPIN_TO_SPEED * launches[:, [V0]] < 1, ((0, 0), (len(LAUNCH_COLUMNS), 0)))
-    return tuple(np.where(none, 0.0, s) for none, s in zip(silent, slopes, strict=True)) if silent.any() else slopes
-
-
 def take_one_step(whitened: WhitenedClips, fit: ModelFit, model: Model) -> ModelFit | None:
     """Take one Gauss-Newton step of all fitted parameters from another model than the fit's.
 
@@ -212,30 +162,27 @@ def choose_most_likely(
 
     Returns None where the model has no motion for any of them.
     """
-    names = tuple(tries[0])
-    kept, (here, *there) = fit.drop(fit.model, names), _predict_trials(fit, whitened.clips, names, [{}, *tries])
-    best, least = None, np.inf
-    for values, places in zip(tries, there, strict=True):
-        if here is None or places is None:
+    names, plain = tuple(tries[0]), without_mutual_push(fit.model)
+    pushing = coupling_effects(fit.model, plain) & {n.partition(".")[0] for n in names}
+    model = fit.model if pushing else plain  # which is faster
+
+    def predict(values: Mapping[str, float]) -> list[Array] | None:
+        try:
+            return predict_tracks(model.replace(values), fit.launches, whitened.clips)
+        except STEP_ERRORS:
+            return None
+
+    if (here := predict({})) is None:
+        return None
+    kept, best, least = fit.drop(fit.model, names), None, np.inf
+    for values in tries:
+        if (places := predict(values)) is None:
             continue
         off = whitened.whiten([a - b for a, b in zip(here, places, strict=True)])
         look = dataclasses.replace(kept, residuals=tuple(r + o for r, o in zip(fit.residuals, off, strict=True)))
         if (chi2 := _predict_chi2(look, *_step(look, 0.0))) < least:
             best, least = values, chi2
     return best
-
-
-def _predict_trials(
-    fit: ModelFit, clips: Sequence[MeasuredCollision], names: Sequence[str], tries: Sequence[Mapping[str, float]]
-) -> Iterator[list[Array] | None]:
-    """Predicted tracks for other values of some parameters, without the push between balls unless they belong to it."""
-    plain = without_mutual_push(fit.model)
-    model = fit.model if coupling_effects(fit.model, plain) & {n.partition(".")[0] for n in names} else plain
-    for values in tries:
-        try:
-            yield predict_tracks(model.replace(values), fit.launches, clips)
-        except STEP_ERRORS:
-            yield None
 
 
 def _apply_step(whitened: WhitenedClips, fit: ModelFit, values: Mapping[str, float], own: Array) -> ModelFit | None:
@@ -282,7 +229,11 @@ def solve_step(
         size_of_own = np.diag(own)
         own[np.diag_indices(len(own))] = np.where(size_of_own > 0, size_of_own * (1 + damped), 1.0)
         coupling, pull = a.T @ s, a.T @ r
-        solved = _solve_or_least_norm(own, np.column_stack([coupling, pull]))
+        both = np.column_stack([coupling, pull])
+        try:
+            solved = np.linalg.solve(own, both)
+        except np.linalg.LinAlgError:  # the track does not determine all of a launch: the solution of least norm
+            solved = np.linalg.lstsq(own, both, rcond=None)[0]
         blocks.append(solved)
         matrix += s.T @ s - coupling.T @ solved[:, :-1]
         right += s.T @ r - coupling.T @ solved[:, -1]
@@ -290,14 +241,6 @@ def solve_step(
     shared = _minimise_quadratic(matrix, right, least, most) if size else np.zeros(0)
     own_steps = np.array([b[:, -1] - b[:, :-1] @ shared for b in blocks])
     return shared, own_steps
-
-
-def _solve_or_least_norm(matrix: Array, right: Array) -> Array:
-    """The solution of a linear system; the one of least norm where tracks do not determine all of a launch."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, right))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 
 
 def _minimise_quadratic(matrix: Array, right: Array, least: Array, most: Array) -> Array:

@@ -30,14 +30,11 @@ def differentiate(
     here: the predicted tracks, if known; a short forward difference from them is then taken where possible.
     """
     value, step, (low, high) = model.value(name), difference_step(model, name), parameter_limits(model, name)
-    short = 0.1 * step
-    ends = []
+    short, ends = 0.1 * step, []
     if here is not None and value + short <= high:
-        try:
+        with suppress(ValueError):
             ahead = predict_tracks(model.replace({name: value + short}), launches, clips)
             return [(a - b) / short for a, b in zip(ahead, here, strict=True)]
-        except ValueError:
-            pass
     for end in (min(value + step, high), max(value - step, low)):
         try:
             ends.append((end, predict_tracks(model.replace({name: end}), launches, clips)))

@@ -62,9 +62,8 @@ class Linearisation:
     @cached_property
     def parameter_bases(self) -> list[Array]:
         """The rows of each clip, (2n, s), of an orthonormal basis of `profiled_slopes`."""
-        return np.split(
-            orthonormal_basis(np.concatenate(self.profiled_slopes)), np.cumsum([len(s) for s in self.slopes])[:-1]
-        )
+        ends = np.cumsum([len(s) for s in self.slopes])
+        return np.split(orthonormal_basis(np.concatenate(self.profiled_slopes)), ends[:-1])
 
 
 @dataclass(frozen=True)

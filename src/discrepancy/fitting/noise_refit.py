@@ -37,13 +37,12 @@ from discrepancy.policy import current_policy
 
 
 def refit_noise(
-    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, explained: bool = True, max_clips: int = 12
+    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, explained: bool = True
 ) -> Noise | None:
     """Estimate the noise from the residuals of a fit that was made with `noise`.
 
     explained: whether the fit contains every known effect. If not, a missing effect may move both balls as a shaking
     camera does; then only each ball's own noise is estimated.
-    max_clips: clips that are used, evenly spread; 12 determine the noise well enough.
 
     Returns None if one of these holds:
 
@@ -54,11 +53,10 @@ def refit_noise(
     """
     if (noise.shared and not explained) or noise.whole_phase_scale:
         return None
+    max_clips = 12  # evenly spread: they determine the noise well enough
     indices = np.unique(np.linspace(0, len(clips) - 1, min(max_clips, len(clips))).astype(int)).tolist()
-    left, within = (
-        _Residuals.of(clips, fit, noise, indices),
-        BallPairs(pair for k in indices for pair in clips[k].paired_stretches()),
-    )
+    left = _Residuals.of(clips, fit, noise, indices)
+    within = BallPairs(pair for k in indices for pair in clips[k].paired_stretches())
     sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.common_mode_score(noise)
     if noise.shared:
         new = left.best(noise)[1]

@@ -64,7 +64,10 @@ def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCol
     start = min(float(extent.min()), float(launches[:, T_C].min()))
     motion = solve_collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips])
     positions, opens = _average_exposures(model, motion, camera, film, exposure)
-    height = _heights(motion, opens, exposure) if model.laws.has_effect_on("loft") else camera.radius
+    height: Array | float = camera.radius
+    if model.laws.has_effect_on("loft"):  # means over the exposures by Simpson's rule
+        first, middle, last = (motion.heights(opens + share * exposure)[..., None] for share in (0.0, 0.5, 1.0))
+        height = (first + 4 * middle + last) / 6
     positions = _apply_camera(model, camera, positions, height)
     return [positions[c.ball, k, c.frame - frames[0]] for k, c in enumerate(clips)]
 
@@ -81,17 +84,12 @@ def _average_exposures(
         return motion.average_centres(opens, exposure), opens
     positions, opens = motion.average_centres(film, exposure), film
     for _ in range(2):
-        rows = np.clip(_project(camera, positions)[..., 1], 0, camera.size[1] - 1).reshape(-1, len(film))
+        pixels = camera.project(_spatial(positions, camera.radius))
+        rows = np.clip(pixels[..., 1], 0, camera.size[1] - 1).reshape(-1, len(film))
         own = model.laws("clock", film + 0 * rows, {"fps": camera.fps, "row": rows})
         opens = np.clip(own, motion.start, motion.end - exposure)
         positions = motion.average_centres(opens, exposure)
     return positions, opens
-
-
-def _heights(motion: CollisionBatch, opens: Array, exposure: float) -> Array:
-    """Heights of the centres, means over the exposures by Simpson's rule, (2, clips, frames, 1), m."""
-    first, middle, last = (motion.heights(opens + share * exposure)[..., None] for share in (0.0, 0.5, 1.0))
-    return np.asarray((first + 4 * middle + last) / 6)
 
 
 def _apply_camera(model: Model, camera: Camera, positions: Array, height: Array | float) -> Array:
@@ -126,10 +124,6 @@ def measurement_context(camera: Camera) -> dict[str, Any]:
         return replace(camera, lamp=LampSettings(lamp)).glint_of_centre(camera.unproject(seen)[0])
 
     return {"glint": glint, "mirrored": mirrored}
-
-
-def _project(camera: Camera, positions: Array) -> Array:
-    return np.asarray(camera.project(_spatial(positions, camera.radius)))
 
 
 def _spatial(positions: Array, height: Array | float) -> Array:

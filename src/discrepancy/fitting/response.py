@@ -101,9 +101,9 @@ def _respond_one_rate(
     early, slide, roll = _split_motion(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, end)
     contact, over = slide.times[:, 0], roll.times[:, 0]
     parts = -(-len(contact) * POINTS * 2 * size // 250_000)  # numbers that fit into the processor's cache
-    blocks = [
-        _shift_segments(model, early[r], slide[r], roll[r], changes, size) for r in _split_evenly(len(contact), parts)
-    ]
+    cuts = np.linspace(0, len(contact), min(parts, len(contact)) + 1).astype(int).tolist()
+    rows = [slice(a, b) for a, b in itertools.pairwise(cuts)]
+    blocks = [_shift_segments(model, early[r], slide[r], roll[r], changes, size) for r in rows]
     shifts = [np.concatenate(segment) for segment in zip(*blocks, strict=True)]
     out = []
     for k, clip in enumerate(clips):
@@ -112,8 +112,8 @@ def _respond_one_rate(
         which = np.where(when < contact[ball], 0, np.where(when < over[ball], 1, 2))
         xy = np.zeros((len(when), 2, size))
         for part, (segment, shift) in enumerate(zip((early, slide, roll), shifts, strict=True)):
-            rows = np.flatnonzero(which == part)
-            xy[rows] = _interpolate(segment.times[ball[rows]], shift, ball[rows], when[rows])
+            own = np.flatnonzero(which == part)
+            xy[own] = _interpolate(segment.times[ball[own]], shift, ball[own], when[own])
         out.append(xy)
     return out
 
@@ -126,18 +126,12 @@ def _split_motion(
     places = np.frombuffer(launches).reshape(len(a_strikes), -1)
     motion = solve_collisions(model, places, start, end, a_strikes)
     contact = np.tile(places[:, T_C], 2)
-    before = (
-        np.nextafter(contact, -np.inf) if places.shape[1] == WITH_SPIN else contact
-    )  # with the slip before the contact
+    spins = places.shape[1] == WITH_SPIN
+    before = np.nextafter(contact, -np.inf) if spins else contact  # with the slip before the contact
     over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))
     ends = (before, start * whole), (contact, over), (over, end * whole)
     early, slide, roll = (ResponseSegment.of(motion, model.ball.radius, *e) for e in ends)
     return early, slide, roll
-
-
-def _split_evenly(count: int, parts: int) -> list[slice]:
-    cuts = np.linspace(0, count, min(parts, count) + 1).astype(int).tolist()
-    return [slice(a, b) for a, b in itertools.pairwise(cuts)]
 
 
 def _shift_segments(
@@ -150,15 +144,11 @@ def _shift_segments(
 ) -> tuple[Array, Array, Array]:
     """Shifts (k, m, 2, J) of some balls in each of their three segments."""
     nothing = np.zeros((len(early.times), 2, size))
-    slid, left = _shift_sliding(model, slide, roll, changes, size)
     came, slides = _shift_rolling(model, early, changes, size, nothing, nothing), early.slip_speed.min(axis=1) > 1e-6
     if slides.any():
         came[slides] = _shift_sliding(model, early[slides], early[slides], changes, size)[0]
-    return (
-        came,
-        slid,
-        _shift_rolling(model, roll, changes, size, slid[:, -1], left),
-    )
+    slid, left = _shift_sliding(model, slide, roll, changes, size)
+    return came, slid, _shift_rolling(model, roll, changes, size, slid[:, -1], left)
 
 
 def _shift_sliding(
@@ -167,10 +157,9 @@ def _shift_sliding(
     """Shifts (k, m, 2, J) in a slide, and the change of the velocity (k, 2, J) at the start of rolling."""
     slip, u = segment.slip, segment.slip_speed
     across = np.stack([-slip[..., 1], slip[..., 0]], axis=-1)
-    push = _evaluate_change(changes, "push", segment, (*u.shape, 2, size))
-    along = (push * slip[..., None]).sum(axis=2) - 3.5 * model.gravity * _evaluate_change(
-        changes, "friction", segment, (*u.shape, size)
-    )
+    push = _evaluate_change(changes, "push", segment, (2, size))
+    friction = _evaluate_change(changes, "friction", segment, (size,))
+    along = (push * slip[..., None]).sum(axis=2) - 3.5 * model.gravity * friction
     aside = (push * across[..., None]).sum(axis=2) / np.maximum(u, 1e-3 * u[:, :1] + 1e-12)[..., None]
     du_along, du_across = _integrate(segment.times, along), u[..., None] * _integrate(segment.times, aside)
     du = du_along[..., None, :] * slip[..., None] + du_across[..., None, :] * across[..., None]
@@ -191,8 +180,8 @@ def _shift_rolling(
     way, v = segment.direction, segment.speed
     moves = (v > 1e-7)[..., None]
     across = np.stack([-way[..., 1], way[..., 0]], axis=-1)
-    push = 5 / 7 * _evaluate_change(changes, "push", segment, (*v.shape, 2, size))
-    along = (push * way[..., None]).sum(axis=2) - _evaluate_change(changes, "rolling", segment, (*v.shape, size))
+    push = 5 / 7 * _evaluate_change(changes, "push", segment, (2, size))
+    along = (push * way[..., None]).sum(axis=2) - _evaluate_change(changes, "rolling", segment, (size,))
     aside = (push * across[..., None]).sum(axis=2) / np.maximum(v, 1e-3 * v[:, :1] + 1e-12)[..., None]
     decay = np.exp(-model.rolling_drag * (segment.times - segment.times[:, :1]))[..., None]
     first = (velocity * way[:, 0, :, None]).sum(axis=1)[:, None]
@@ -206,7 +195,7 @@ def _shift_rolling(
 def _evaluate_change(
     changes: Mapping[str, LawChange], law: str, segment: ResponseSegment, shape: tuple[int, ...]
 ) -> Array:
-    return changes[law](segment) if law in changes else np.zeros(shape)
+    return changes[law](segment) if law in changes else np.zeros((*segment.times.shape, *shape))
 
 
 def _integrate(times: Array, values: Array) -> Array:

@@ -17,6 +17,7 @@ from synthcam.effect import Effect
 from synthcam.model import Model
 
 Shapes = dict[str, float]
+SizedEffects = Sequence[tuple[Effect, float]]  # each with the size of its only strength that is not zero
 
 # laws whose small changes are integrals over the motion; a change of the load is one of friction, in proportion
 MOTION_LAWS = {"friction": "friction", "normal_load": "friction", "rolling": "rolling", "push": "push"}
@@ -57,17 +58,17 @@ def scan_shapes(
     assert kind is not None
     sizes = {_short(s): find_parameter(model, s).typical for s in candidate.strengths}
     nothing = dict.fromkeys(sizes, 0.0)
-    fitted_law = [
+    sized = [
         (kind(**nothing | {_short(n): v for n, v in shapes.items()} | {s: size}), size)
         for shapes in tries
         for s, size in sizes.items()
     ]
     if "clock" in kind.laws:
-        found = _delay_tracks(predict_velocities(model, launches, clips), clips, fitted_law)
+        found = _delay_tracks(predict_velocities(model, launches, clips), clips, sized)
     elif "measure" in kind.laws:
-        found = _misplace_tracks(here, clips, fitted_law)
+        found = _misplace_tracks(here, clips, sized)
     else:
-        parts = [fitted_law[k : k + batch] for k in range(0, len(fitted_law), batch)]
+        parts = [sized[k : k + batch] for k in range(0, len(sized), batch)]
         every = [compute_responses(model, launches, clips, _changes(p, model), len(p)) for p in parts]
         found = [np.concatenate(own, axis=-1) for own in zip(*every, strict=True)]
     return [f.reshape(*f.shape[:2], len(tries), len(sizes)) for f in found]
@@ -77,54 +78,44 @@ def _short(name: str) -> str:
     return name.rpartition(".")[2]
 
 
-def _changes(fitted_law: Sequence[tuple[Effect, float]], model: Model) -> dict[str, Callable[[ResponseSegment], Array]]:
+def _changes(sized: SizedEffects, model: Model) -> dict[str, Callable[[ResponseSegment], Array]]:
     """Changes of friction, rolling loss and push by each of several effects of one kind, divided by its size."""
-    laws = fitted_law[0][0].laws
+    laws = sized[0][0].laws
 
     def change(kind: str, segment: ResponseSegment) -> Array:
-        return np.asarray(sum(_change(law, fitted_law, model, segment) for law in laws if MOTION_LAWS[law] == kind))
+        return np.asarray(sum(_change(law, sized, model, segment) for law in laws if MOTION_LAWS[law] == kind))
 
     return {kind: partial(change, kind) for kind in {MOTION_LAWS[law] for law in laws}}
 
 
-def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, segment: ResponseSegment) -> Array:
-    instant: dict[str, Any] = {
-        "position": segment.place,
-        "velocity": segment.velocity,
-        "speed": segment.speed,
-        "slip": segment.slip,
-    }
-    instant |= {"slip_speed": segment.slip_speed, "gravity": model.gravity, "radius": model.ball.radius}
-    value: Any = {"friction": model.sliding_friction, "normal_load": model.gravity, "rolling": 0.0}.get(law)
-    if value is None:
-        value = np.zeros_like(segment.velocity)
-    asks = fitted_law[0][0].laws[law]
-    each = [(getattr(e, law)(value, *[instant[a] for a in asks]) - value) / size for e, size in fitted_law]
+def _change(law: str, sized: SizedEffects, model: Model, segment: ResponseSegment) -> Array:
+    instant: dict[str, Any] = {"position": segment.place, "gravity": model.gravity, "radius": model.ball.radius}
+    instant |= {name: getattr(segment, name) for name in ("velocity", "speed", "slip", "slip_speed")}
+    values: dict[str, Any] = {"friction": model.sliding_friction, "normal_load": model.gravity, "rolling": 0.0}
+    value = values[law] if law in values else np.zeros_like(segment.velocity)
+    asks = sized[0][0].laws[law]
+    each = [(getattr(e, law)(value, *[instant[a] for a in asks]) - value) / size for e, size in sized]
     worth = model.sliding_friction / model.gravity if law == "normal_load" else 1.0
     return np.asarray(worth * np.stack(each, axis=-1))
 
 
-def _delay_tracks(
-    moving: Sequence[Array], clips: Sequence[MeasuredCollision], fitted_law: Sequence[tuple[Effect, float]]
-) -> list[Array]:
+def _delay_tracks(moving: Sequence[Array], clips: Sequence[MeasuredCollision], sized: SizedEffects) -> list[Array]:
     """Displacements (n_k, 2, columns) of each clip by an effect on the clock: velocity times delay."""
     out = []
     for v, clip in zip(moving, clips, strict=True):
         t = clip.frame / clip.fps
-        late = [(e.clock(t, clip.fps) - t) / size for e, size in fitted_law]  # type: ignore[attr-defined]
+        late = [(e.clock(t, clip.fps) - t) / size for e, size in sized]  # type: ignore[attr-defined]
         out.append(v[..., None] * np.stack(late, axis=-1)[:, None])
     return out
 
 
-def _misplace_tracks(
-    here: Sequence[Array], clips: Sequence[MeasuredCollision], fitted_law: Sequence[tuple[Effect, float]]
-) -> list[Array]:
+def _misplace_tracks(here: Sequence[Array], clips: Sequence[MeasuredCollision], sized: SizedEffects) -> list[Array]:
     """Displacements (n_k, 2, columns) of each clip by a defect of the tracker, carried from pixels to the plate."""
     camera, places = clips[0].camera, np.concatenate(here)
     pixels = camera.project(np.concatenate([places, np.full((len(places), 1), camera.radius)], axis=1))
     slope, known = camera.unproject(pixels)[1], measurement_context(camera)
     columns = []
-    for effect, size in fitted_law:
+    for effect, size in sized:
         seen = effect.measure(pixels, *[known[a] for a in effect.laws["measure"]])  # type: ignore[attr-defined]
         columns.append((slope @ ((seen - pixels) / size)[..., None])[..., 0])
     return np.split(np.stack(columns, axis=-1), np.cumsum([len(h) for h in here])[:-1])

@@ -93,9 +93,8 @@ def chance_threshold(
         for (dof, factor), rows in alike.items():
             each = np.maximum(each, _tabulate_sigma(chi2[:, rows].max(axis=1), dof, factor))
         best.append(each)
-    return float(
-        np.quantile(np.concatenate(best), 1 - (current_policy().significance_level if level is None else level))
-    )
+    share = current_policy().significance_level if level is None else level
+    return float(np.quantile(np.concatenate(best), 1 - share))
 
 
 def _tabulate_sigma(chi2: Array, dof: int, trials_factor: float) -> Array:

@@ -84,20 +84,14 @@ class _StepAxis(Axis):
         return np.asarray((1 + np.tanh((share - self.steps[:, 0]) / np.exp(self.steps[:, 1]))) / 2)
 
 
-def _weigh_steps(
-    fitted_law: FittedLaw,
-    x: Array,
-    *,
-    counts: tuple[int, int] = (40, 6),
-    widths: tuple[float, float] = (0.004, 0.15),
-    max_refinements: int = 6,
-    min_effective_steps: float = 12.0,
-    batch: int = 60,
-) -> tuple[Array, Array, Array]:
+def _weigh_steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
     """Weigh a grid of steps against the smooth curve; refine the grid where the weight is.
 
     Returns log odds (k,) of each step against the smooth curve, and mean and std (k, n, 1) of the law at x given each.
     """
+    counts, batch = (40, 6), 60  # positions and widths of one grid; steps fitted at once, to limit memory
+    widths = (0.004, 0.15)  # the smallest and the largest of a step's tanh, as shares of the range
+    min_effective_steps, max_refinements = 12.0, 6  # that share the weight in the end, if it still halves
     bare = replace(fitted_law, fit=fitted_law.fit.subtract(fitted_law.slopes, -fitted_law.coefs))  # without curve
     smooth = maximise_evidence(fitted_law.law, *_reduce_to_columns(bare, fitted_law.slopes)[:2]).gain
     whole = box = np.array([[0.0, 1.0], np.log(widths)])
@@ -111,9 +105,8 @@ def _weigh_steps(
         weight = np.exp(odds - logsumexp(odds))
         heavy = steps[weight > MIN_WEIGHT]
         closer = np.clip(np.stack([heavy.min(axis=0) - cell, heavy.max(axis=0) + cell], 1), whole[:, :1], whole[:, 1:])
-        if 1 / (weight @ weight) > min_effective_steps or np.prod(np.ptp(closer, axis=1)) > 0.5 * np.prod(
-            np.ptp(box, axis=1)
-        ):
+        shrinks = np.prod(np.ptp(closer, axis=1)) <= 0.5 * np.prod(np.ptp(box, axis=1))
+        if 1 / (weight @ weight) > min_effective_steps or not shrinks:
             break
         box = closer
     return odds, means, stds
@@ -147,11 +140,8 @@ def _reduce_to_columns(fitted_law: FittedLaw, moves: Sequence[Array]) -> tuple[A
     Returns the columns' information and pull. Then follow the change and the covariance of the own parameters without
     the columns. Last comes by how much a unit of each column lowers the own parameters, (own, columns).
     """
-    fit, names = fitted_law.fit, [name for name, _ in fitted_law.owners]
-    own = [s[:, fit.columns_of(names)] for s in fit.slopes]
-    both = [np.concatenate(pair, axis=1) for pair in zip(own, moves, strict=True)]
-    information, pull = fit.drop(fit.model, names).information(both)
-    first, rest = slice(len(names)), slice(len(names), None)
+    information, pull = fitted_law.information_with_owners(moves)
+    first, rest = slice(len(fitted_law.owners)), slice(len(fitted_law.owners), None)
     spread = np.asarray(np.linalg.pinv(information[first, first], hermitian=True))
     back = np.asarray(spread @ information[first, rest])
     free = information[rest, rest] - information[rest, first] @ back

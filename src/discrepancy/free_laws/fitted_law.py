@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,13 +61,17 @@ class FittedLaw:
 
     def _covariance(self) -> Array:
         """Covariance of the law's own parameters and the coefficients, marginal over all others."""
-        names = [name for name, _ in self.owners]
-        own = [s[:, self.fit.columns_of(names)] for s in self.fit.slopes]
-        both = [np.concatenate(pair, axis=1) for pair in zip(own, self.slopes, strict=True)]
-        matrix, _ = self.fit.drop(self.fit.model, names).information(both)
-        matrix[len(names) :, len(names) :] += self.prior.precision
+        matrix, _ = self.information_with_owners(self.slopes)
+        matrix[len(self.owners) :, len(self.owners) :] += self.prior.precision
         scale = np.sqrt(np.diag(matrix))
         return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
+
+    def information_with_owners(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+        """Information and pull of the law's own parameters, followed by columns (2n, k) of each clip."""
+        names = [name for name, _ in self.owners]
+        own = [s[:, self.fit.columns_of(names)] for s in self.fit.slopes]
+        both = [np.concatenate(pair, axis=1) for pair in zip(own, columns, strict=True)]
+        return self.fit.drop(self.fit.model, names).information(both)
 
     def significances_of_effects(self, base: ModelFit) -> dict[str, float]:
         """Significance, in sigma, of each effect that is fitted beside the free law and is not in the base fit.

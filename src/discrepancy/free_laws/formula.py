@@ -13,7 +13,6 @@ import numpy as np
 from scipy.optimize import minimize
 
 from discrepancy.arrays import Array
-from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.shapes import LawShape, Terms, iterate_shapes
@@ -41,12 +40,9 @@ def propose_formula(fitted_law: FittedLaw) -> Formula:
         mean = sum(fitted_law.fit.model.value(name) for name, _ in law.owners) + float(fitted_law.coefs.mean())
         text = f"{law.title} = {mean:.4g}, and differs from clip to clip by {fitted_law.prior.size:.2g} rms"
         return Formula(text, 0.0, 2, False)
-    drawn = _ShapeFitter(fitted_law)
-    found = [
-        drawn.fit_shape(shape)
-        for shape in iterate_shapes(law, drawn.x)
-        if drawn.terms(shape, *(t[0] for t in shape.tries))
-    ]
+    fitter = _ShapeFitter(fitted_law)
+    shapes = iterate_shapes(law, fitter.x)
+    found = [fitter.fit_shape(s) for s in shapes if fitter.terms(s, *(t[0] for t in s.tries))]
     return min(found, key=lambda f: f.chi2 + float(np.log(fitted_law.fit.points)) * f.parameters)
 
 
@@ -56,7 +52,7 @@ class _ShapeFitter:
     def __init__(self, fitted_law: FittedLaw) -> None:
         law = self.law = fitted_law.law
         points = law.grid(200, side=25)
-        self.x = [_display_scale(a) * p for a, p in zip(law.axes, points, strict=True)]
+        self.x = [(1e3 if a.unit == "m" else 1.0) * p for a, p in zip(law.axes, points, strict=True)]  # lengths in mm
         peak, information = fitted_law.likelihood_of_curve()
         values, axes = np.linalg.eigh(information)
         informative = values > 1e-10 * values[-1]  # below that it is rounding error
@@ -86,9 +82,8 @@ class _ShapeFitter:
         """Fit a shape: its numbers by a grid and Nelder-Mead, its factors by linear least squares."""
         extra = np.zeros(0)
         if shape.tries:
-            extra = np.array(
-                min(itertools.product(*shape.tries), key=lambda t: self.fit_factors(shape, np.array(t))[0])
-            )
+            every = map(np.array, itertools.product(*shape.tries))
+            extra = min(every, key=lambda t: self.fit_factors(shape, t)[0])
             scale = np.array([np.ptp(t) / max(len(t) - 1, 1) for t in shape.tries])
             simplex = np.concatenate([np.zeros((1, len(extra))), 0.5 * np.eye(len(extra))])
             start, ends = extra, np.array([(min(t), max(t)) for t in shape.tries]).T
@@ -133,11 +128,6 @@ def _write_sum(words: list[str], factors: Array, relative: bool) -> str:
 
 def _format_signed(x: float, digits: int) -> str:
     return f"{'-' if x < 0 else '+'} {abs(x):.{digits}g}"
-
-
-def _display_scale(axis: Axis) -> float:
-    """1000 for lengths, which are written in mm; 1 for others."""
-    return 1e3 if axis.unit == "m" else 1.0
 
 
 def _describe_units(law: FreeLaw) -> str:

@@ -35,55 +35,31 @@ from synthcam_shared.errors import PluginError
 class FreeLaw(ABC):
     """A law as a series over one or two axes, of both balls or of one ball.
 
-    Parameters
-    ----------
-    base_name : str
-        The law and what it depends on: "friction_speed".
-    description : str
-        The same in words.
-    symbol, unit : str
-        For formulas and figures.
-    over : callable
-        Takes the ranges that the tracks cover and returns the law's axes: one for a curve, two for a map, none where
-        the tracks cover nothing of it.
-    bends : (str, str) or None
-        The law that it changes and the argument that it depends on, both as in `synthcam.effect.LAWS`. None for a law
-        that no effect can express.
-    owners : tuple of (str, int)
-        The base parameters that make the law, each times the axis to a power. The series adds to them.
-    part_names : tuple of str
-        The components of a vector, or the terms of a law that is a sum of two; one empty name for a plain number.
-    centred : bool
-        Whether the series has mean zero over its range, since launches or base parameters absorb a constant.
-    one_ball : bool
-        Whether a search also tries it for ball a alone and for ball b alone.
-    frees : str
-        The parameter that a model can declare free instead, so that every fit has these numbers.
-    axes : tuple of Axis
-        Empty until `library.free_laws_over` sets them.
-    ball : str
-        "a" or "b" for a law of one ball.
-
-    Raises
-    ------
-    PluginError
-        `bends` names an unknown law or argument, or the kind of law needs something that is missing.
+    Raises PluginError where `bends` names an unknown law or argument, or the kind of law needs something that is
+    missing.
     """
 
-    base_name: str
-    description: str
-    symbol: str
+    base_name: str  # the law and what it depends on: "friction_speed"
+    description: str  # the same in words
+    symbol: str  # for formulas and figures, as is the unit
     _: KW_ONLY
+    # Takes the ranges that the tracks cover and returns the law's axes: one for a curve, two for a map, none where the
+    # tracks cover nothing of it.
     over: Callable[[CoveredRanges], tuple[Axis, ...]] = field(repr=False)
     unit: str = "1"
+    # The law that it changes and the argument that it depends on, both as in `synthcam.effect.LAWS`. None for a law
+    # that no effect can express.
     bends: tuple[str, str] | None = None
+    # The base parameters that make the law, each times the axis to a power. The series adds to them.
     owners: tuple[tuple[str, int], ...] = ()
+    # The components of a vector, or the terms of a law that is a sum of two; one empty name for a plain number.
     part_names: tuple[str, ...] = ("",)
+    # whether the series has mean zero over its range, since launches or base parameters absorb a constant
     centred: bool = False
-    one_ball: bool = False
-    frees: str = ""
-    axes: tuple[Axis, ...] = ()
-    ball: str = ""
+    one_ball: bool = False  # whether a search also tries it for ball a alone and for ball b alone
+    frees: str = ""  # the parameter that a model can declare free instead, so that every fit has these numbers
+    axes: tuple[Axis, ...] = ()  # empty until `library.free_laws_over` sets them
+    ball: str = ""  # "a" or "b" for a law of one ball
 
     def __post_init__(self) -> None:
         law, what = self.bends or ("", "")
@@ -244,9 +220,8 @@ class MotionLaw(FreeLaw):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.bends:
-            raise PluginError(
-                f'free law {self.base_name}: no bends; expected a law, as bends=("friction", "slip_speed")'
-            )
+            expected = 'expected a law, as bends=("friction", "slip_speed")'
+            raise PluginError(f"free law {self.base_name}: no bends; {expected}")
 
     def derivatives(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
         assert self.bends
@@ -272,11 +247,8 @@ class MotionLaw(FreeLaw):
 class ImpactLaw(FreeLaw):
     """A law of one base parameter that acts once in each collision. Its derivatives are those by that parameter.
 
-    Parameters
-    ----------
-    at_impact : callable
-        Takes launches (clips, p) and returns each collision's coordinate on the axis, (clips,). A rolling striker
-        meets the other ball at its own speed.
+    at_impact: takes launches (clips, p) and returns each collision's coordinate on the axis, (clips,). A rolling
+    striker meets the other ball at its own speed.
     """
 
     _: KW_ONLY

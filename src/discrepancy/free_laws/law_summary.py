@@ -57,7 +57,7 @@ class LawSummary:
         x is a list of numbers for a curve and of pairs for a map. The curve is a list of numbers, or of pairs for a law
         of two parts. A band holds [low, high] for each number of the curve.
         """
-        one = self.law.parts == 1
+        one, parts = self.law.parts == 1, self.formula_parts
         return {
             "slot": self.law.name,
             "law": self.description,
@@ -70,17 +70,10 @@ class LawSummary:
             "formula": self.formula,
             "formula_suffices": not self.formula_rejected,
             "sigma": self.sigma,
-            "formula_parts": self._describe_parts(),
+            "formula_parts": None
+            if parts is None or not parts.factors
+            else {"shape": parts.shape, "factors": parts.factors, "numbers": parts.numbers},
             "covariance": None if self.covariance is None else self.covariance.tolist(),
-        }
-
-    def _describe_parts(self) -> dict[str, Any] | None:
-        if self.formula_parts is None or not self.formula_parts.factors:
-            return None
-        return {
-            "shape": self.formula_parts.shape,
-            "factors": self.formula_parts.factors,
-            "numbers": self.formula_parts.numbers,
         }
 
 

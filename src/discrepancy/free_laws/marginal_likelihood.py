@@ -62,9 +62,9 @@ def cost_of_strengths(information: Array, found: Array) -> float:
     information (k, k) and the fitted strengths (k,) are in units in which realistic strengths are one.
     """
     pull, one = information @ found, cost_of_choice(1 + len(found))
-    subsets = [(np.arange(len(found)), 0.0)] + [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
+    alone = [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
     gains = []
-    for subset, cost in subsets:
+    for subset, cost in [(np.arange(len(found)), 0.0), *alone]:
         values, axes = np.linalg.eigh(information[np.ix_(subset, subset)])
         values = np.maximum(values, 1e-300)
         _, each = _gain_at_sizes(values, axes.T @ pull[subset])
@@ -82,13 +82,13 @@ def _gain_at_sizes(values: Array, pulls: Array) -> tuple[Array, Array]:
     return sizes, (square * pulls**2 / (1 + square * values) - np.log1p(square * values)).sum(axis=1)
 
 
-def iterate_priors(law: FreeLaw, flat: float = 5.0) -> Iterator[tuple[float, Array, float]]:
+def iterate_priors(law: FreeLaw) -> Iterator[tuple[float, Array, float]]:
     """Yield the priors of a law: the length of change, the variances (J,), and the cost of the choice.
 
     A map may change along both axes or along one of them, and a vector may have both components or one of them. Each of
-    the three alternatives costs a choice. flat: the length along an axis of no change, in ranges.
+    the three alternatives costs a choice.
     """
-    one = cost_of_choice(3)
+    one, flat = cost_of_choice(3), 5.0  # the length along an axis of no change, in ranges
     for length in PRIOR_LENGTHS:
         shapes = [(law.prior_variances(length), 0.0)]
         if len(law.axes) == 2:
@@ -130,13 +130,14 @@ def maximise_evidence(law: FreeLaw, information: Array, pull: Array) -> CurveEvi
     return replace(best, gain=mean, prior=prior)
 
 
-def compute_significance(law: FreeLaw, information: Array, pull: Array, length: float = 0.35) -> float:
+def compute_significance(law: FreeLaw, information: Array, pull: Array) -> float:
     """Compute the significance of a free law, in sigma, from information and pull as for `maximise_evidence`.
 
     It is the largest significance of chi^2 in the first 1, 2, 4, ... directions, corrected for these trials. The
     directions are ordered by how well a smooth curve would be detected along them. Without a hidden law the pulls along
-    them are independent and of unit variance. length: over which smooth curves change, as a share of the range.
+    them are independent and of unit variance.
     """
+    length = 0.35  # over which smooth curves change, as a share of the range
     root = np.sqrt(law.prior_variances(length))
     values, axes = np.linalg.eigh(root[:, None] * information * root)
     informative = values > 1e-8 * max(values[-1], 1e-300)  # below that it is rounding error

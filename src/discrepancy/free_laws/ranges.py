@@ -31,18 +31,10 @@ class CoveredRanges:
     roll_places: Array  # (q, 2)
 
 
-def compute_ranges(
-    model: Model,
-    launches: Array,
-    clips: Sequence[MeasuredCollision],
-    samples: int = 300,
-    min_speed: float = 1e-5,
-) -> dict[str, CoveredRanges]:
-    """Sample the motion of a fit, by ball: "" for both together, "a" and "b".
-
-    samples: instants, evenly spaced over the longest clip. min_speed: m/s; a ball that is slower rests, and one whose
-    contact point is slower rolls.
-    """
+def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> dict[str, CoveredRanges]:
+    """Sample the motion of a fit, by ball: "" for both together, "a" and "b"."""
+    samples = 300  # instants, evenly spaced over the longest clip
+    min_speed = 1e-5  # m/s; a ball that is slower rests, and one whose contact point is slower rolls
     first, last = min(c.frame.min() / c.fps for c in clips), max((c.frame.max() + 1) / c.fps for c in clips)
     times = np.linspace(min(first, launches[:, T_C].min()), last, samples)
     a_strikes = np.array([c.striker == "a" for c in clips])
@@ -97,9 +89,9 @@ def over_obliqueness(covered: CoveredRanges) -> tuple[Axis, ...]:
     return over_range("obliqueness", "|b|", np.append(np.abs(covered.launches[:, B]), 0.1), 0.0, unit="1")
 
 
-def over_clips(count: int, max_count: int = 120) -> tuple[Axis, ...]:
-    """The axis of a number for each clip; none for more clips than `max_count`, whose fit would take too long."""
-    return (Axis("clip", "1", 0.0, count - 1.0, count, "set"),) if count <= max_count else ()
+def over_clips(count: int) -> tuple[Axis, ...]:
+    """The axis of a number for each clip; none for more than 120 clips, whose fit would take too long."""
+    return (Axis("clip", "1", 0.0, count - 1.0, count, "set"),) if count <= 120 else ()
 
 
 def over_plane(values: Array, unit: str = "m", count: int = 8) -> tuple[Axis, ...]:

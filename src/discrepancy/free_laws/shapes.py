@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +68,13 @@ def _sines(word: str, phase: Array, order: int | None = None) -> Terms:
     ]
 
 
+def _vector_terms(one: str, other: str, word: str, column: Array) -> Terms:
+    """A term along each of two directions, `one` and `other` in words."""
+    zero = np.zeros(len(column))
+    columns = np.stack([column, zero], 1), np.stack([zero, column], 1)
+    return [Term(f"{word} {axis}".strip(), each) for axis, each in zip((one, other), columns, strict=True)]
+
+
 def _iterate_angular(th: Array) -> Iterator[LawShape]:
     one = _constant(len(th))
     for orders in ((), (1,), (2,), (3,), (4,), (1, 2), (1, 2, 3)):
@@ -91,13 +99,8 @@ def _iterate_with_speed(shapes: Iterator[LawShape]) -> Iterator[LawShape]:
 
 def _iterate_angular_vectors(th: Array) -> Iterator[LawShape]:
     """Vectors that depend on the heading; t is along the motion and n a quarter turn from it."""
-    zero = np.zeros(len(th))
-
-    def both(word: str, column: Array) -> Terms:
-        along, across = np.stack([column, zero], 1), np.stack([zero, column], 1)
-        return [Term(f"{word} t".strip(), along), Term(f"{word} n".strip(), across)]
-
-    constant = both("", zero + 1)
+    both = partial(_vector_terms, "t", "n")
+    constant = both("", np.ones(len(th)))
     for orders in ((), (1,), (2,), (3,), (1, 2), (1, 2, 3)):
         waves = [t for n in orders for t in _sines(f"{n} th" if n > 1 else "th", n * th)]
         sines = [t for wave in waves for t in both(wave.text, wave.column)]
@@ -193,15 +196,8 @@ def _iterate_maps(x: Array, y: Array) -> Iterator[LawShape]:
 
 
 def _iterate_vector_maps(x: Array, y: Array) -> Iterator[LawShape]:
-    zero, span = np.zeros(len(x)), float(np.ptp(x))
-
-    def both(word: str, column: Array) -> Terms:
-        return [
-            Term(f"{word} ex".strip(), np.stack([column, zero], 1)),
-            Term(f"{word} ey".strip(), np.stack([zero, column], 1)),
-        ]
-
-    constant, linear = both("", zero + 1), [*both("x", x), *both("y", y)]
+    both, span = partial(_vector_terms, "ex", "ey"), float(np.ptp(x))
+    constant, linear = both("", np.ones(len(x))), [*both("x", x), *both("y", y)]
     yield LawShape(lambda: constant)
     yield LawShape(lambda: [*constant, *linear])
     r2 = (x - x.mean()) ** 2 + (y - y.mean()) ** 2

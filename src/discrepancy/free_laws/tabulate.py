@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.gauss_newton import linearise, minimise_chi2
+from discrepancy.fitting.gauss_newton import minimise_chi2
+from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.free_laws.credible_band import NormalMixture
 from discrepancy.free_laws.fitted_law import FittedLaw

@@ -12,7 +12,6 @@ from discrepancy.arrays import Array
 from discrepancy.data.launch import HEADING, SIDE, SLIP, V0, B, X, Y
 from discrepancy.fitting.parameters import list_candidates
 from discrepancy.planning.experiment import Experiment
-from tracker.camera.camera import Camera
 
 ALL_LAUNCHES_CHANGED = (
     "balls exchanged, oblique hits, many speeds and headings, all over the picture, films twice as long: all at once"
@@ -34,13 +33,12 @@ class DesignChange:
     launches: bool = False
 
 
-def apply_change(change: DesignChange, experiment: Experiment, seed: int = 0) -> ChangedExperiment | None:
+def apply_change(change: DesignChange, experiment: Experiment) -> ChangedExperiment | None:
     """Apply a change and observe the result. Returns the change in words and the experiment; None if impossible.
 
     At least half of the collisions must stay in view. Raises ValueError if the model has no motion for it.
     """
-    made = change.make(experiment, np.random.default_rng(seed))
-    if made is None:
+    if (made := change.make(experiment, np.random.default_rng(0))) is None:
         return None
     words, changed = made
     filmed = changed.observe()
@@ -128,26 +126,19 @@ def _set_exposure(experiment: Experiment, exposure: float) -> Experiment | None:
     camera = experiment.camera
     if exposure == camera.exposure:
         return experiment
-    errors = experiment.errors.brighter(exposure / camera.exposure)
-    if errors is None:
+    if (errors := experiment.errors.brighter(exposure / camera.exposure)) is None:
         return None
     return dataclasses.replace(experiment, errors=errors).through_camera(dataclasses.replace(camera, exposure=exposure))
 
 
-def _magnify(camera: Camera, times: float) -> Camera:
-    matrix = camera.K.copy()
+def _magnify(experiment: Experiment, times: float) -> Experiment:
+    camera, matrix = experiment.camera, experiment.camera.K.copy()
     matrix[:2, :2] *= times
-    return dataclasses.replace(camera, K=matrix, scale=camera.scale / times)
+    return experiment.through_camera(dataclasses.replace(camera, K=matrix, scale=camera.scale / times))
 
 
 def _double_collisions(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
-    twice = dataclasses.replace(
-        experiment,
-        clips=experiment.clips * 2,
-        films=experiment.films * 2,
-        launches=np.concatenate([experiment.launches] * 2),
-    )
-    return "twice as many collisions", twice
+    return "twice as many collisions", experiment.select([*range(len(experiment.clips))] * 2)
 
 
 def _tilt_plate(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
@@ -158,9 +149,8 @@ def _tilt_plate(experiment: Experiment, rng: np.random.Generator) -> ChangedExpe
     level = any(c.strengths == slopes and not any(c.held) for c in list_candidates(model, experiment.names))
     if steepest == 0 or not level:
         return None
-    changed = dataclasses.replace(
-        experiment, model=model.replace({slopes[0]: steepest / 2}), names=(*experiment.names, *slopes)
-    )
+    tilted = model.replace({slopes[0]: steepest / 2})
+    changed = dataclasses.replace(experiment, model=tilted, names=(*experiment.names, *slopes))
     return f"the plate tilted by about {1e3 * steepest / 2:.2g} mrad along x", changed
 
 
@@ -180,12 +170,8 @@ CHANGES = (
     DesignChange("frame_rate", _double_frame_rate),
     DesignChange("exposure_longer", lambda e, _: _set_possible_exposure(e, 2 * e.camera.exposure)),
     DesignChange("exposure_shorter", lambda e, _: _set_possible_exposure(e, e.camera.exposure / 2)),
-    DesignChange(
-        "field_wider", lambda e, _: ("a field of view twice as wide", e.through_camera(_magnify(e.camera, 0.5)))
-    ),
-    DesignChange(
-        "field_narrower", lambda e, _: ("a field of view half as wide", e.through_camera(_magnify(e.camera, 2.0)))
-    ),
+    DesignChange("field_wider", lambda e, _: ("a field of view twice as wide", _magnify(e, 0.5))),
+    DesignChange("field_narrower", lambda e, _: ("a field of view half as wide", _magnify(e, 2.0))),
     DesignChange("more", _double_collisions),
     DesignChange("tilted", _tilt_plate),
 )

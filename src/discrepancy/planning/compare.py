@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -55,12 +56,9 @@ def limits_with_changes(
     before, after = Signatures.of(part).limits(), []
     progress()
     for change in (*CHANGES, TOGETHER):
-        try:
-            made = apply_change(change, part)
-            if made is not None:
+        with suppress(ValueError):  # the changed experiment has no motion
+            if made := apply_change(change, part):
                 after.append(ChangeLimits(change.name, made[0], Signatures.of(made[1]).limits()))
-        except ValueError:  # the changed experiment has no motion
-            pass
         progress()
     return before, tuple(after)
 
@@ -94,15 +92,8 @@ def _geometric_mean(ratios: Sequence[float]) -> float:
 
 def largest_cosine(limits: Limits, pair: Pair) -> float:
     """The largest cosine between the signatures of two effects; 1 if one of them has none."""
-    found = [
-        r.cosine
-        for one, other in (pair, pair[::-1])
-        for row in limits
-        if row.effect == one
-        for r in row.rivals
-        if r.effect == other
-    ]
-    return max(found, default=1.0)
+    rivals = [(x.effect, r) for x in limits for r in x.rivals]
+    return max((r.cosine for effect, r in rivals if (effect, r.effect) in (pair, pair[::-1])), default=1.0)
 
 
 def indistinguishable_pairs(limits: Limits, of: Sequence[str]) -> tuple[Pair, ...]:

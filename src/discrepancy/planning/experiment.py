@@ -12,7 +12,7 @@ from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from discrepancy.fitting.base_fit import CLAIMED_NOISE
-from discrepancy.fitting.gauss_newton import linearise
+from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.predict import predict_tracks, predict_velocities
 from discrepancy.noise.model import Noise
@@ -111,10 +111,10 @@ class Experiment:
         clips, films = tuple(self.clips[k] for k in rows), tuple(self.films[k] for k in rows)
         return dataclasses.replace(self, clips=clips, films=films, launches=self.launches[list(rows)])
 
-    def thin_out(self, max_collisions: int = 24) -> Experiment:
-        """Select at most so many collisions, evenly, to change and compare: more would not change a cosine."""
+    def thin_out(self) -> Experiment:
+        """Select at most 24 collisions, evenly, to change and compare: more would not change a cosine."""
         count = len(self.clips)
-        return self.select(np.unique(np.linspace(0, count - 1, min(max_collisions, count)).astype(int)).tolist())
+        return self.select(np.unique(np.linspace(0, count - 1, min(24, count)).astype(int)).tolist())
 
     def observe(self) -> Experiment:
         """Predict the positions in every frame that shows a whole ball, with their errors there.
@@ -122,32 +122,24 @@ class Experiment:
         Collisions with too few frames before or after the contact are left out; none may be left. Raises ValueError if
         the model has no motion for these launches.
         """
-        blank = [_make_blank_clip(*each) for each in zip(self.clips, self.launches, self.films, strict=True)]
+        blank = [
+            make_unmeasured_clip(c.clip, c.striker, c.camera, launch, film)
+            for c, launch, film in zip(self.clips, self.launches, self.films, strict=True)
+        ]
         places, speeds = (f(self.model, self.launches, blank) for f in (predict_tracks, predict_velocities))
         rows = [_rows_in_picture(self.camera, xy) for xy in places]
         seen = [dataclasses.replace(c, xy=xy).select(r) for c, xy, r in zip(blank, places, rows, strict=True)]
         moving = [v[r] for v, r in zip(speeds, rows, strict=True)]
         kept = [k for k, clip in enumerate(seen) if _is_usable(clip)]
-        if not kept:
-            return dataclasses.replace(self, clips=(), films=(), launches=self.launches[:0])
-        clips = _with_errors([seen[k] for k in kept], [moving[k] for k in kept], self.errors)
-        films = tuple(self.films[k] for k in kept)
-        return dataclasses.replace(self, clips=clips, films=films, launches=self.launches[kept])
+        clips = _with_errors([seen[k] for k in kept], [moving[k] for k in kept], self.errors) if kept else ()
+        return dataclasses.replace(self.select(kept), clips=clips)
 
 
-def make_unfilmed_clip(number: int, striker: str, camera: Camera, launch: Array) -> MeasuredCollision:
-    """A collision without positions yet."""
-    none, unlimited = np.zeros(0, dtype=np.int64), np.full(2, np.inf)
-    return MeasuredCollision(
-        number, striker, camera, none, none, np.zeros((0, 2)), np.zeros((0, 2, 2)), launch, unlimited
-    )
-
-
-def _make_blank_clip(clip: MeasuredCollision, launch: Array, film: range) -> MeasuredCollision:
+def make_unmeasured_clip(number: int, striker: str, camera: Camera, launch: Array, film: range) -> MeasuredCollision:
+    """A collision with both balls in all frames of its film, and no position measured yet."""
     frame, ball = np.tile(np.array(film, dtype=np.int64), 2), np.repeat(np.arange(2), len(film))
-    new = make_unfilmed_clip(clip.clip, clip.striker, clip.camera, launch)
-    nothing = np.zeros((len(frame), 2)), np.zeros((len(frame), 2, 2))
-    return dataclasses.replace(new, frame=frame, ball=ball, xy=nothing[0], covariance=nothing[1])
+    xy, covariance = np.zeros((len(frame), 2)), np.zeros((len(frame), 2, 2))
+    return MeasuredCollision(number, striker, camera, frame, ball, xy, covariance, launch, np.full(2, np.inf))
 
 
 def _rows_in_picture(camera: Camera, xy: Array) -> Ints:

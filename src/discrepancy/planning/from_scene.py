@@ -11,7 +11,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.launch import equalise_launches
 from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.parameters import names_to_fit
-from discrepancy.planning.experiment import Errors, Experiment, GlintErrors, StatedErrors, make_unfilmed_clip
+from discrepancy.planning.experiment import Errors, Experiment, GlintErrors, StatedErrors, make_unmeasured_clip
 from discrepancy.policy import current_policy
 from synthcam.dynamics.launch import SPIN_COLUMNS
 from synthcam.model import Model
@@ -43,14 +43,19 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
         raise InputError(f"clips: expected {least} or more, to fit some and hold out others; found {count}")
     if noise_px is not None and not 0 < noise_px < np.inf:
         raise InputError(f"noise: expected an error of positions over 0 px, found {noise_px:g}")
-    clips = [_draw_collision(scene, number, seed) for number in range(count)]
+    clips = [scene.draw(number, seed) for number in range(count)]
+    for clip in clips:
+        if (kind := clip.drawn["launch"]["kind"]) != "pair":
+            raise InputError(f"{scene.where}: launch.kind: expected pair, found {kind}: no collision")
     model, camera = _shared_model_and_camera(scene, clips)
-    strikers = [str(c.drawn["launch"]["striker"]) for c in clips]
     launches = equalise_launches([_launch(c) for c in clips])
     whole = Experiment(
         model=model,
         names=names_to_fit(model),
-        clips=tuple(make_unfilmed_clip(k, striker, camera, launches[k]) for k, striker in enumerate(strikers)),
+        clips=tuple(
+            make_unmeasured_clip(k, str(c.drawn["launch"]["striker"]), camera, launches[k], range(c.frames))
+            for k, c in enumerate(clips)
+        ),
         launches=np.array(launches),
         films=tuple(range(c.frames) for c in clips),
         errors=_errors(clips[0], noise_px, scene.where),
@@ -67,16 +72,10 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
         )
     kept = {c.clip for c in split_held_out(filmed.clips)[0]}
     rest = filmed.select([k for k, c in enumerate(filmed.clips) if c.clip in kept])
-    return DesignedExperiment(experiment=rest, drawn=count, usable=usable, notes=_notes(clips[0], noise_px))
-
-
-def _draw_collision(scene: Scene, number: int, seed: int) -> Clip:
-    clip = scene.draw(number, seed)
-    if clip.drawn["launch"]["kind"] != "pair":
-        raise InputError(
-            f"{scene.where}: launch.kind: expected pair, found {clip.drawn['launch']['kind']}: no collision"
-        )
-    return clip
+    notes: tuple[str, ...] = ()
+    if noise_px is None and clips[0].drawn.get("video"):
+        notes = ("the errors do not include the video encoder's loss; --noise PX sets the error of a position instead",)
+    return DesignedExperiment(experiment=rest, drawn=count, usable=usable, notes=notes)
 
 
 def _shared_model_and_camera(scene: Scene, clips: list[Clip]) -> tuple[Model, Camera]:
@@ -113,9 +112,3 @@ def _errors(clip: Clip, noise_px: float | None, where: str) -> Errors:
             f"{where}: surface: the errors of balls under room light cannot be predicted; give them (--noise PX)"
         )
     return GlintErrors(clip.sensor.glint_peak, clip.room)
-
-
-def _notes(clip: Clip, noise_px: float | None) -> tuple[str, ...]:
-    if noise_px is None and clip.drawn.get("video"):
-        return ("the errors do not include the video encoder's loss; --noise PX sets the error of a position instead",)
-    return ()

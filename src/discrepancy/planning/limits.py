@@ -113,9 +113,7 @@ class Signatures:
         """Compute the limits of every strength of every candidate, in the candidates' order."""
         known = {c: self._least(c) for c in self._sizes}
         rivals = [k for k, t in enumerate(self.trials) if self._shows(t.candidate, known[t.candidate])]
-        return tuple(
-            self._row(candidate, k, rivals) for candidate in self._sizes for k in range(len(candidate.strengths))
-        )
+        return tuple(self._row(c, k, rivals) for c in self._sizes for k in range(len(c.strengths)))
 
     def _numbers(self, candidate: Candidate) -> list[int]:
         return [k for k, t in enumerate(self.trials) if t.candidate == candidate]
@@ -189,14 +187,10 @@ def chi2_to_detect(dof: int, trials_factor: float) -> float:
 
 def _distance_from_typical(model: Model, shapes: Mapping[str, float]) -> float:
     """The distance of shape parameters from their realistic sizes, to choose the nearest of those tried."""
-    far = 0.0
-    for name, value in shapes.items():
-        p = find_parameter(model, name)
-        if p.low > 0:
-            far += abs(math.log(value / p.typical))
-        else:
-            far += abs(value - p.typical) / (abs(p.typical) or 1.0)
-    return far
+    found = [(find_parameter(model, name), value) for name, value in shapes.items()]
+    return sum(
+        abs(math.log(x / p.typical)) if p.low > 0 else abs(x - p.typical) / (abs(p.typical) or 1.0) for p, x in found
+    )
 
 
 def count_draws(clips: int) -> int:

@@ -66,11 +66,9 @@ class PlanResult:
             return None
         words, x = best
         falls = now.naming_limit / x.naming_limit
-        return (
-            BestChange(words, limit.limit * x.limit / now.limit, limit.naming_limit / falls)
-            if falls > MIN_USEFUL_GAIN
-            else None
-        )
+        if falls <= MIN_USEFUL_GAIN:
+            return None
+        return BestChange(words, limit.limit * x.limit / now.limit, limit.naming_limit / falls)
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each strength, as of `discrepancy.Plan.table`."""
@@ -111,11 +109,8 @@ class PlanResult:
             f"{here.drawn} collisions of {self.name}, positions to {here.experiment.error_px:.2g} px "
             f"({self.error_um:.2g} um): {len(shows)} of {len(effects)} effects would be detected at a realistic size"
         )
-        text += (
-            f"; {len(self.pairs)} pairs could not be distinguished."
-            if self.pairs
-            else ", each distinguishable from all."
-        )
+        alike = f"; {len(self.pairs)} pairs could not be distinguished."
+        text += alike if self.pairs else ", each distinguishable from all."
         useful = [g for g in self.gains if g.naming > MIN_USEFUL_GAIN]
         if useful:
             text += f" The best change: {useful[0].words}; naming limits fall by a factor of {useful[0].naming:.2g}."

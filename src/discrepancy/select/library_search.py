@@ -10,14 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.fitting.gauss_newton import (
-    choose_most_likely,
-    linearise,
-    minimise_chi2,
-    take_one_step,
-    zero_unidentifiable_shapes,
-)
+from discrepancy.fitting.gauss_newton import choose_most_likely, minimise_chi2, take_one_step
 from discrepancy.fitting.jacobian import differentiate_all
+from discrepancy.fitting.linearise import linearise, zero_unidentifiable_shapes
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, candidates_by_name, find_parameter, parameter_limits
 from discrepancy.fitting.predict import predict_tracks

@@ -160,9 +160,8 @@ def integrate(
         runaway = not np.all(np.abs(values) < 1e6)  # also true where a value is infinite
         if runaway:
             guess = None
-        wanted = (
-            size * np.log(RESOLVED) / np.log(tail) if RESOLVED < tail < 1 else np.inf
-        )  # if the coefficients decay geometrically
+        decays = RESOLVED < tail < 1  # the coefficients, as we assume geometrically
+        wanted = size * np.log(RESOLVED) / np.log(tail) if decays else np.inf
         more = next((n for n in NODE_COUNTS if n >= max(wanted, size + 1)), None)
         if more is not None:
             stack.append((end, depth, more, None if runaway else multiply(values, refine_matrix(size, more, 0))))

@@ -100,8 +100,8 @@ def _contact_coefficients(
             "approach_speed": speed,
         }
         c = model.laws("spin_transfer", c, instant)
-    limits = ((r, 1.0), (c, MAX_SPIN_TRANSFER))
     if isinstance(v_n, float):
+        limits = ((r, 1.0), (c, MAX_SPIN_TRANSFER))
         one, two = (min(max(float(np.ravel(x)[0]) if isinstance(x, np.ndarray) else x, 0.0), top) for x, top in limits)
         return one, two
     return np.clip(r, 0.0, 1.0), np.clip(c, 0.0, MAX_SPIN_TRANSFER)

@@ -109,9 +109,8 @@ class IntegratedMotion:
     @cached_property
     def _knots(self) -> Array:
         """w where pieces end, (p + 1, m), falling from 1 to 0."""
-        return np.array(
-            [1 + 0 * self.durations, *(self._root_of_time_left(times[:, -1:])[:, 0] for times, _ in self.pieces)]
-        )
+        ends = (self._root_of_time_left(times[:, -1:])[:, 0] for times, _ in self.pieces)
+        return np.array([1 + 0 * self.durations, *ends])
 
     @cached_property
     def _series(self) -> list[Array]:
@@ -146,10 +145,8 @@ class IntegratedMotion:
     @cached_property
     def _time_integrals(self) -> list[Array]:
         """Integrate position minus `_midpoint` over the share of time; coefficients of each piece."""
-        sofar, out = np.zeros_like(self._midpoint), []
-        for c, first, last in zip(
-            self._position_series, self._knots[:-1, :, None], self._knots[1:, :, None], strict=True
-        ):
+        sofar, out, knots = np.zeros_like(self._midpoint), [], self._knots[..., None]
+        for c, first, last in zip(self._position_series, knots[:-1], knots[1:], strict=True):
             size, wide = c.shape[-1], first - last
             on = matrices(size + self.power)
             w = first - wide / 2 * (1 + on.nodes)

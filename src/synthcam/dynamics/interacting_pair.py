@@ -93,9 +93,8 @@ class InteractingPair:
             return []
         if np.any(modes > ROLL):
             raise ValueError(UNKNOWN_PAST)
-        pieces = list(
-            propagate_back(BallStates.without_drilling(self.model, self.bodies, rows, 2), np.zeros(1), -lasted)
-        )
+        balls = BallStates.without_drilling(self.model, self.bodies, rows, 2)
+        pieces = list(propagate_back(balls, np.zeros(1), -lasted))
         for _, motion in pieces:
             states = motion.at(motion.begins[:, None] + motion.durations[:, None] * np.linspace(0, 1, SAMPLES))
             for k in (k for k in (0, 1) if modes[k] == REST):
@@ -137,12 +136,10 @@ class InteractingPair:
         if len(loose) == 1 and modes[1 - loose[0]] == ROLL:
             order = np.array([loose[0], 1 - loose[0]])
             far = np.hypot(*(rows[1] - rows[0])[:2]) - self.bodies.radius.sum() * (_separation_rate(rows) < 0)
-            lasts = np.minimum(goal, 0.3 * far / np.hypot(*rows[order[1], 3:5]))
+            lasts, known = np.minimum(goal, 0.3 * far / np.hypot(*rows[order[1], 3:5])), np.zeros(1, dtype=bool)
             for _ in range(40):
                 for size in START_NODE_COUNTS:
-                    motion, good = solve_start(
-                        self.model, self.bodies[order], rows[order], lasts, 0, np.zeros(1, bool), size
-                    )
+                    motion, good = solve_start(self.model, self.bodies[order], rows[order], lasts, 0, known, size)
                     if good[0]:
                         return motion[order], np.zeros(2, dtype=bool)
                 lasts = lasts / 2

@@ -140,9 +140,8 @@ def slide_time(state: Array, radius: Real, slowing: Real) -> Any:
 
 def roll(state: Array, radius: Real, drag: float, decel: float, elapsed: Array) -> Array:
     """Roll many balls, each to many times: see `after_rolling`."""
-    return _stack_components(
-        after_rolling(_split_components(state), np.asarray(radius)[..., None], drag, decel, elapsed), elapsed
-    )
+    radius = np.asarray(radius)[..., None]
+    return _stack_components(after_rolling(_split_components(state), radius, drag, decel, elapsed), elapsed)
 
 
 def stop_time(speed: Real, drag: float, decel: float) -> Any:

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 
 class OrientationHistory:
     """Rotations from the axes of each ball to those of the world.
 
-    first: orientations (balls, 4) at the start of the motion, as quaternions x, y, z, w. max_step: largest rotation
-    between two knots, rad. Method: Blanes, Casas, Oteo & Ros, Physics Reports 470 (2009) 151.
+    first: orientations (balls, 4) at the start of the motion, as quaternions x, y, z, w.
+    Method: Blanes, Casas, Oteo & Ros, Physics Reports 470 (2009) 151.
     """
 
-    def __init__(self, motion: Trajectory, first: Array, max_step: float = 0.1) -> None:
+    def __init__(self, motion: Trajectory, first: Array) -> None:
+        max_step = 0.1  # rad, the largest rotation between two knots
         self._motion = motion
         coarse = np.linspace(motion.t0, motion.t1, 257)
         spins = np.linalg.norm(motion.at(coarse)[..., 6:9], axis=-1).max(axis=1)

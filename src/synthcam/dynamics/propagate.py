@@ -14,7 +14,7 @@ v' = (5/7) p - loss v_hat, is integrated for at most half the time that would st
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -59,9 +59,7 @@ class IntegrationStep:
     valid: Flags  # (m,) whether the step is a solution for the ball
 
     def __getitem__(self, rows: Ints) -> IntegrationStep:
-        return IntegrationStep(
-            self.motion[rows], self.final_states[rows], self.durations[rows], self.ended[rows], self.valid[rows]
-        )
+        return IntegrationStep(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 class PhaseIntegrator:
@@ -135,10 +133,12 @@ class PhaseIntegrator:
             own = rows[mode]
             return place[:, own], v[:, own], other if self.balls.each == 1 else other[own]
 
-        found: dict[int, Array] = {mode: self.forces[rows[mode]].push(*known(mode)) for mode in rows if mode == FLY}
+        found: dict[int, Array] = {}
         slowing: Any = 0.0
         across: Any = 0.0
         twist: Any = 0.0
+        if FLY in rows:
+            found[FLY] = self.forces[rows[FLY]].push(*known(FLY))
         if ROLL in rows:
             found[ROLL] = self.forces[rows[ROLL]].accelerate_rolling(*known(ROLL))
         if self.slides:
@@ -214,20 +214,9 @@ class PhaseIntegrator:
         if self.paced and not self.straight:
             knots = (0.0, LOG_SLIP_BREAK, 1.0, 2.0)[: 4 if self.late and self.closes else 3]
         few = first_nodes if len(knots) > 2 else NODE_COUNTS[0]
-        solved = integrate(
-            self.right_hand_side,
-            knots,
-            self.start[..., 0],
-            self.make_guess(),
-            few=few,
-            feed=self.count_feedback_parts(),
-        )
-        pieces, sound, falls = (
-            list[tuple[Array, Array]](),
-            np.ones(len(self.modes), dtype=bool),
-            np.full(len(self.modes), np.inf),
-        )
-        for z, y in solved:
+        guess, feed, pieces = self.make_guess(), self.count_feedback_parts(), list[tuple[Array, Array]]()
+        sound = np.ones(len(self.modes), dtype=bool)
+        for z, y in integrate(self.right_hand_side, knots, self.start[..., 0], guess, few=few, feed=feed):
             slip, _ = self.slip_speed(z, y)
             if self.free:
                 sound &= (self.modes != SLIDE) | self.ends[:, 0] | (y[3] > self.least).all(axis=1)
@@ -235,10 +224,10 @@ class PhaseIntegrator:
         if self.closes:
             pieces.append(self._finish_evenly(y[..., -1:], slip[:, -1:], self.ends))
         lasts = pieces[-1][0][:, -1] if self.paced else self.spans[:, 0]
+        falls = np.full(len(self.modes), np.inf)
         if FLY in self.rows:
-            falls = np.where(
-                self.modes == FLY, flight_time(self.balls.model, self.balls.states, self.balls.bodies), falls
-            )
+            balls = self.balls
+            falls = np.where(self.modes == FLY, flight_time(balls.model, balls.states, balls.bodies), np.inf)
         over = (lasts == falls) | (self.ends[:, 0] if self.closes or self.straight else False)
         return self._make_step(pieces, lasts, over, sound & (lasts <= falls))
 
@@ -279,11 +268,10 @@ class PhaseIntegrator:
     def _make_step(self, pieces: Pieces, lasts: Array, over: Flags, sound: Flags) -> IntegrationStep:
         balls, flies = self.balls, self.modes == FLY
         power = 0 if not self.paced else 3 if self.closes else 1
-        motion = IntegratedMotion(
-            0 * lasts, lasts, balls.states, balls.bodies.radius, balls.model.gravity, pieces, power, flies
-        )
+        radius, gravity = balls.bodies.radius, balls.model.gravity
+        motion = IntegratedMotion(0 * lasts, lasts, balls.states, radius, gravity, pieces, power, flies)
         last = motion.final_states()
-        last[over & flies, 2] = balls.bodies.radius[over & flies]
+        last[over & flies, 2] = radius[over & flies]
         return IntegrationStep(motion, last, lasts, over, sound)
 
 
@@ -303,12 +291,8 @@ def propagate(balls: BallStates, goal: Array) -> Steps:
     that make a step, and the step of their balls.
     """
     k = len(balls)
-    spans, ender, drills, stops = (
-        np.zeros(k),
-        np.zeros(k, dtype=np.intp),
-        np.zeros(k, bool),
-        balls.any_of_unit(balls.slow),
-    )
+    spans, ender, drills = np.zeros(k), np.zeros(k, dtype=np.intp), np.zeros(k, bool)
+    stops = balls.any_of_unit(balls.slow)
     if balls.each > 1 or not np.all(balls.modes == SLIDE) or np.any(goal < 0):
         spans, ender, drills = _plan_steps(balls, goal)
     for some in (stops, ~stops & (ender >= 0) & drills, ~stops & (ender >= 0) & ~drills, ~stops & (ender < 0)):
@@ -337,9 +321,8 @@ def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Ints, Flags]:
         far, speed = np.hypot(apart[:, 0], apart[:, 1]), np.hypot(apart[:, 3], apart[:, 4])
         close = 0.85 * balls.bodies.radius.reshape(2, -1).sum(axis=0) / far
         nears = (apart[:, 0] * apart[:, 3] + apart[:, 1] * apart[:, 4]) * goal < 0
-        limit = np.minimum(
-            limit, np.where(nears, np.maximum(1 - close, 0.15), max_growth) * far / np.maximum(speed, TINY)
-        )
+        share = np.where(nears, np.maximum(1 - close, 0.15), max_growth)
+        limit = np.minimum(limit, share * far / np.maximum(speed, TINY))
     spans = np.where(ends > 1.25 * limit, limit, np.minimum(ends, limit) / 2)
     drills = drills.reshape(balls.each, -1)[ender, np.arange(len(balls))]
     return np.copysign(spans, goal), np.where(ends < 0.8 * half, ender, -1), drills
@@ -381,9 +364,8 @@ def propagate_back(balls: BallStates, now: Array, until: Array) -> Iterator[tupl
         left = np.flatnonzero((now > until) & balls.any_of_unit(speed > ZERO_SPEED_M_S))
         if len(left) == 0:
             return
-        if np.any(
-            (speed > ZERO_SPEED_M_S) & (speed <= STOP_SPEED_M_S) & (classify_modes(states, balls.bodies.radius) == ROLL)
-        ):
+        slow = (speed > ZERO_SPEED_M_S) & (speed <= STOP_SPEED_M_S)
+        if np.any(slow & (classify_modes(states, balls.bodies.radius) == ROLL)):
             raise ValueError(f"a ball has no past before {now[left].max():g} s: it would have had to come from rest")
         if not np.all(speed < MAX_SPEED_M_S):
             break

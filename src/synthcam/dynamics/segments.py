@@ -6,8 +6,8 @@ list of such segments.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,38 +39,33 @@ class PackedRows:
         return out
 
 
-class Segment(Protocol):
+@dataclass(frozen=True)
+class Segment(ABC):
     """Balls `who` (k,) from the times `begins` to `ends`, (k,). All methods take times within these."""
 
-    @property
-    def who(self) -> Ints: ...
-
-    @property
-    def begins(self) -> Array: ...
-
-    @property
-    def ends(self) -> Array: ...
+    who: Ints
+    begins: Array
+    ends: Array
 
     @property
     def aloft(self) -> bool:
         """Whether a ball may be off the plate."""
+        return False
 
+    @abstractmethod
     def states(self, times: Array) -> Array:
         """Return states (k, m, 9) at times (k, m)."""
 
+    @abstractmethod
     def average_centres(self, middle: Array, wide: Real) -> Array:
         """Average the centres, (2, k, m), over spans of the width `wide`, a number or (k, m), about `middle` (k, m)."""
 
 
 @dataclass(frozen=True)
-class RestSegment:
+class RestSegment(Segment):
     """Balls at rest in `state` (k, 9)."""
 
-    who: Ints
-    begins: Array
-    ends: Array
     state: Array
-    aloft: ClassVar[bool] = False
 
     def states(self, times: Array) -> Array:
         return np.repeat(self.state[:, None], times.shape[1], axis=1)
@@ -80,16 +75,12 @@ class RestSegment:
 
 
 @dataclass(frozen=True)
-class SlideSegment:
+class SlideSegment(Segment):
     """Slides in closed form, parabolas, from the states `state` (k, 9) at `begins`; slowing (k,): mu g, m/s^2."""
 
-    who: Ints
-    begins: Array
-    ends: Array
     state: Array
     radius: Array
     slowing: Array
-    aloft: ClassVar[bool] = False
 
     def states(self, times: Array) -> Array:
         return slide(self.state, self.radius, self.slowing, times - self.begins[:, None])
@@ -102,18 +93,14 @@ class SlideSegment:
 
 
 @dataclass(frozen=True)
-class RollSegment:
+class RollSegment(Segment):
     """Straight rolls in closed form; the balls are in `state` (k, 9), not at rest, at `time` (k,)."""
 
-    who: Ints
-    begins: Array
-    ends: Array
     time: Array
     state: Array
     radius: Array
     drag: float
     decel: float
-    aloft: ClassVar[bool] = False
 
     def states(self, times: Array) -> Array:
         return roll(self.state, self.radius, self.drag, self.decel, times - self.time[:, None])
@@ -129,15 +116,15 @@ class RollSegment:
 
 
 @dataclass(frozen=True)
-class FlightSegment:
+class FlightSegment(Segment):
     """Free flights from `state` (k, 9) at `begins`."""
 
-    who: Ints
-    begins: Array
-    ends: Array
     state: Array
     gravity: float
-    aloft: ClassVar[bool] = True
+
+    @property
+    def aloft(self) -> bool:
+        return True
 
     def states(self, times: Array) -> Array:
         return fly(self.state, self.gravity, times - self.begins[:, None])
@@ -147,12 +134,9 @@ class FlightSegment:
 
 
 @dataclass(frozen=True)
-class IntegratedSegment:
+class IntegratedSegment(Segment):
     """Motion without closed form, integrated numerically."""
 
-    who: Ints
-    begins: Array
-    ends: Array
     motion: IntegratedMotion
 
     @classmethod
@@ -175,14 +159,14 @@ class IntegratedSegment:
 
 
 @dataclass(frozen=True)
-class TrajectorySegment:
+class TrajectorySegment(Segment):
     """One ball whose whole motion the event loop of `solve` has found."""
 
-    who: Ints
-    begins: Array
-    ends: Array
     motion: Trajectory
-    aloft: ClassVar[bool] = True
+
+    @property
+    def aloft(self) -> bool:
+        return True
 
     def states(self, times: Array) -> Array:
         return self.motion.at(times[0])
@@ -200,8 +184,7 @@ def _plane(vectors: Array) -> Array:
 
 def drop_balls(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
     """Empty a segment of the balls that are `gone`: no time is left in it for them."""
-    ends = np.where(gone, segment.begins, segment.ends)
-    return replace(segment, ends=ends) if np.any(gone) else segment  # type: ignore[type-var]
+    return replace(segment, ends=np.where(gone, segment.begins, segment.ends)) if np.any(gone) else segment
 
 
 def write_states(segment: Segment, times: Array, out: Array, part: slice) -> None:

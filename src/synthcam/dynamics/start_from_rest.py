@@ -7,8 +7,6 @@ with its speed s and the push f on it. This equation has one smooth solution.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from synthcam.dynamics.collocation import matrices, multiply
@@ -39,10 +37,9 @@ def excess_push(model: Model, bodies: Bodies, states: Array, other: Array) -> Ar
     push = push_at_rest(model, bodies, states, other)
     size = np.hypot(push[0], push[1])
     place = np.broadcast_to(states[:, :2].T[..., None], push.shape)
+    velocity, speed = STOP_SPEED_M_S * push / np.maximum(size, TINY), np.full(size.shape, STOP_SPEED_M_S)
     known = Forces.of(model, bodies).constants | dict(position=last_axis(place), other=last_axis(other - place))
-    known |= dict(
-        velocity=last_axis(STOP_SPEED_M_S * push / np.maximum(size, TINY)), speed=np.full(size.shape, STOP_SPEED_M_S)
-    )
+    known |= dict(velocity=last_axis(velocity), speed=speed)
     loss = model.laws("rolling", model.rolling_decel, known)
     return np.asarray(size * 5 / 7 - np.maximum(model.rolling_decel, loss))
 
@@ -120,11 +117,7 @@ def solve_start(
     with np.errstate(all="ignore"):
         for turn in range(iterations):
             apart = last_axis(place[:, k:] - place[:, :k])
-            v0 = np.maximum(s, STOP_SPEED_M_S) * e
-            pull = 5 / 7 * one.push(place[:, :k], v0, apart)
-            known = one.constants | dict(position=last_axis(place[:, :k]), velocity=last_axis(v0), other=apart)
-            base, speed = model.rolling_drag * np.maximum(s, 0.0) + decel, np.maximum(s, STOP_SPEED_M_S)
-            loss = model.laws("rolling", base, known | {"speed": speed}) + 0 * s
+            pull, loss = _pull_and_loss(one, place[:, :k], s, e, apart)
             force = two.accelerate_rolling(place[:, k:], v1, -apart)
             strength = np.maximum(np.hypot(pull[0], pull[1]), TINY)
             early = strength - np.maximum(loss, decel)
@@ -134,10 +127,7 @@ def solve_start(
             gain = (strength * np.cos(lag) - loss) @ integral
             s = long * (gain - gain[:, anchor, None])
             weight = s / (long * strength)
-            lines = weight[..., None] * slope.T
-            lines[:, range(size), range(size)] += np.sinc(lag / np.pi)
-            lines = np.where(np.isfinite(lines), lines, np.eye(size))
-            lag = np.linalg.solve(lines, (weight * (phi @ slope))[..., None])[..., 0]
+            lag = _solve_lag(weight, slope, phi, lag)
             c, d = np.cos(phi - lag), np.sin(phi - lag)
             e = np.stack([c * hat[0] - d * hat[1], d * hat[0] + c * hat[1]])
             v1 = v_in + long * multiply(force, integral)
@@ -148,23 +138,31 @@ def solve_start(
             to_come = change * np.minimum(change / np.maximum(last, TINY), 1.0)
             if turn > 0 and not np.any((to_come >= converged) & (to_come < np.inf)):
                 break
-    found = multiply(np.concatenate([place, v]), on.coefficients)
-    rough = (
-        np.maximum(
-            _largest_component(found[:2, :, -2:]) / accurate_m, _largest_component(found[2:, :, -2:]) / accurate_m_s
-        )
-        .reshape(2, k)
-        .max(axis=0)
-    )
-    good = (to_come < converged) & (rough < 1) & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
+    last_ones = np.abs(multiply(np.concatenate([place, v]), on.coefficients)[..., -2:])
+    rough = np.maximum(last_ones[:2].max(axis=(0, 2)) / accurate_m, last_ones[2:].max(axis=(0, 2)) / accurate_m_s)
+    resolved = (rough.reshape(2, k).max(axis=0) < 1) & (to_come < converged)
+    good = resolved & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
     long = np.tile(long, (2, 1))
     piece, none = (long * (1 + on.nodes) / 2, np.concatenate([place, v])), np.zeros(2 * k, dtype=bool)
     return IntegratedMotion(0 * long[:, 0], long[:, 0], states, bodies.radius, model.gravity, [piece], 0, none), good
 
 
-def _largest_component(vectors: Any) -> Array:
-    """Return the largest component of (2, m, few): (m,)."""
-    return np.asarray(np.abs(vectors).max(axis=(0, 2)))
+def _pull_and_loss(one: Forces, place: Array, s: Array, e: Array, apart: Array) -> tuple[Array, Array]:
+    """Return 5/7 of the push, (2, k, n), and the rolling loss, (k, n), of balls with speeds s along e."""
+    model, speed = one.model, np.maximum(s, STOP_SPEED_M_S)
+    v = speed * e
+    known = one.constants | dict(position=last_axis(place), velocity=last_axis(v), other=apart, speed=speed)
+    base = model.rolling_drag * np.maximum(s, 0.0) + model.rolling_decel
+    return 5 / 7 * one.push(place, v, apart), model.laws("rolling", base, known) + 0 * s
+
+
+def _solve_lag(weight: Array, slope: Array, phi: Array, lag: Array) -> Array:
+    """Solve w d' + sinc(lag) d = w phi' for the next lag d, (k, n), by collocation. weight: w = s/f."""
+    size = len(slope)
+    lines = weight[..., None] * slope.T
+    lines[:, range(size), range(size)] += np.sinc(lag / np.pi)
+    lines = np.where(np.isfinite(lines), lines, np.eye(size))
+    return np.asarray(np.linalg.solve(lines, (weight * (phi @ slope))[..., None])[..., 0])
 
 
 def _guess_pull_duration(model: Model, bodies: Bodies, touching: Array) -> tuple[Array, Flags]:

@@ -3,52 +3,51 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from synthcam.dynamics import kinematics
-from synthcam.dynamics.kinematics import State
+from synthcam.dynamics.kinematics import Array, State
 
-Array = NDArray[np.float64]
 Motion = Literal["rest", "roll", "slide", "fly"]
 
 
-class Leg(Protocol):
+@dataclass(frozen=True)
+class Leg(ABC):
     """The motion of one ball between two of its events, from t0 to t1 (which may be infinite)."""
-
-    @property
-    def t0(self) -> float: ...
-
-    @property
-    def t1(self) -> float: ...
-
-    @property
-    def motion(self) -> Motion: ...
-
-    def at(self, t: Array) -> Array:
-        """Return states (len(t), 9) at times within the leg."""
-
-    def now(self, t: float) -> State:
-        """Return the state at one instant, nine floats."""
-
-    def bound(self, t: float) -> float:
-        """Return an upper bound of the acceleration after t within the leg, m/s^2."""
-
-    def spanning(self, t0: float, t1: float) -> Leg:
-        """Return the same motion between other times."""
-
-
-class Rest(NamedTuple):
-    """A ball at rest, which may spin about the vertical. state: nine floats, here and below."""
 
     t0: float
     t1: float
+    motion: Motion = field(kw_only=True)
+
+    @abstractmethod
+    def at(self, t: Array) -> Array:
+        """Return states (len(t), 9) at times within the leg."""
+
+    @abstractmethod
+    def now(self, t: float) -> State:
+        """Return the state at one instant, nine floats."""
+
+    @abstractmethod
+    def bound(self, t: float) -> float:
+        """Return an upper bound of the acceleration after t within the leg, m/s^2."""
+
+    def spanning(self, t0: float, t1: float) -> Self:
+        """Return the same motion between other times."""
+        return replace(self, t0=t0, t1=t1)
+
+
+@dataclass(frozen=True)
+class Rest(Leg):
+    """A ball at rest, which may spin about the vertical. state: nine floats, here and below."""
+
     state: State
-    motion: Motion = "rest"
+    motion: Motion = field(default="rest", kw_only=True)
 
     def at(self, t: Array) -> Array:
         return np.broadcast_to(np.array(self.state), (len(t), 9))
@@ -59,21 +58,17 @@ class Rest(NamedTuple):
     def bound(self, t: float) -> float:
         return 0.0
 
-    def spanning(self, t0: float, t1: float) -> Rest:
-        return self._replace(t0=t0, t1=t1)
 
-
-class Roll(NamedTuple):
+@dataclass(frozen=True)
+class Roll(Leg):
     """Rolling on a straight line with a = -(drag v + decel); `state` holds at `time`."""
 
-    t0: float
-    t1: float
     time: float
     state: State
     radius: float
     drag: float
     decel: float
-    motion: Motion = "roll"
+    motion: Motion = field(default="roll", kw_only=True)
 
     def at(self, t: Array) -> Array:
         return kinematics.roll(np.array(self.state), self.radius, self.drag, self.decel, t - self.time)
@@ -84,20 +79,16 @@ class Roll(NamedTuple):
     def bound(self, t: float) -> float:
         return float(self.drag * math.hypot(*self.now(t)[3:5]) + self.decel)
 
-    def spanning(self, t0: float, t1: float) -> Roll:
-        return self._replace(t0=t0, t1=t1)
 
-
-class Slide(NamedTuple):
+@dataclass(frozen=True)
+class Slide(Leg):
     """Sliding with constant friction: a parabola. `state` holds at `time`; `slowing` is mu g, m/s^2."""
 
-    t0: float
-    t1: float
     time: float
     state: State
     radius: float
     slowing: float
-    motion: Motion = "slide"
+    motion: Motion = field(default="slide", kw_only=True)
 
     def at(self, t: Array) -> Array:
         return kinematics.slide(np.array(self.state), self.radius, self.slowing, t - self.time)
@@ -108,19 +99,15 @@ class Slide(NamedTuple):
     def bound(self, t: float) -> float:
         return self.slowing
 
-    def spanning(self, t0: float, t1: float) -> Slide:
-        return self._replace(t0=t0, t1=t1)
 
-
-class Fly(NamedTuple):
+@dataclass(frozen=True)
+class Fly(Leg):
     """Free flight above the plate; `state` holds at `time`."""
 
-    t0: float
-    t1: float
     time: float
     state: State
     gravity: float
-    motion: Motion = "fly"
+    motion: Motion = field(default="fly", kw_only=True)
 
     def at(self, t: Array) -> Array:
         return kinematics.fly(np.array(self.state), self.gravity, t - self.time)
@@ -131,16 +118,11 @@ class Fly(NamedTuple):
     def bound(self, t: float) -> float:
         return self.gravity
 
-    def spanning(self, t0: float, t1: float) -> Fly:
-        return self._replace(t0=t0, t1=t1)
 
-
-class Numeric(NamedTuple):
+@dataclass(frozen=True)
+class Numeric(Leg):
     """A leg without closed form: `states` maps times (m,) to states (m, 9); `steepest` bounds the acceleration."""
 
-    t0: float
-    t1: float
-    motion: Motion
     states: Callable[[Array], Array]
     steepest: float
 
@@ -150,7 +132,7 @@ class Numeric(NamedTuple):
         times = np.linspace(t0, t1, 65)
         v = states(times)[:, 3:5]
         steepest = 2 * np.max(np.linalg.norm(np.diff(v, axis=0), axis=1)) / max(abs(t1 - t0) / 64, 1e-300)
-        return cls(t0, t1, motion, states, lift + float(steepest))
+        return cls(t0, t1, states, lift + float(steepest), motion=motion)
 
     def at(self, t: Array) -> Array:
         return self.states(t)
@@ -160,9 +142,6 @@ class Numeric(NamedTuple):
 
     def bound(self, t: float) -> float:
         return self.steepest
-
-    def spanning(self, t0: float, t1: float) -> Numeric:
-        return self._replace(t0=t0, t1=t1)
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact
 
-from discrepancy.fitting.gauss_newton import linearise
 from discrepancy.fitting.jacobian import differentiate_all, differentiate_launches
+from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.fitting.predict import predict_tracks

@@ -9,8 +9,9 @@ from discrepancy_clips import exact
 from scipy.stats import binom, norm
 
 from discrepancy.data.launch import V0, B
-from discrepancy.fitting.gauss_newton import linearise, solve_step
+from discrepancy.fitting.gauss_newton import solve_step
 from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.free_laws.credible_band import NormalMixture, _fit_steps, gain_of_steps

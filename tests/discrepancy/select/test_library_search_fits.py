@@ -7,7 +7,8 @@ import pytest
 from discrepancy_clips import collisions, only
 from discrepancy_selected import library_search, selected
 
-from discrepancy.fitting.gauss_newton import fit_model, linearise
+from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.noise.model import estimate
 from synthcam.library import library

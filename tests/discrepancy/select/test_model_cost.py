@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions
 
-from discrepancy.fitting.gauss_newton import fit_model, linearise
+from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, find_parameter
 from discrepancy.noise.model import Noise, NoiseComponent
