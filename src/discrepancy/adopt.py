@@ -51,23 +51,9 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
 
     The effect has the proposed formula if that suffices and the law has one axis; otherwise the curve or map.
 
-    Parameters
-    ----------
-    report : str or Path
-        Folder that ``discrepancy find`` wrote.
-    name : str
-        Of the effect: small letters, digits and "_", and not the name of another effect or law.
-    folder : str or Path
-        For NAME.py and NAME.yaml; it is made if it does not exist.
-
-    Returns
-    -------
-    Adopted
-
-    Raises
-    ------
-    InputError
-        The report is none or has no free law that an effect can express, the name is taken, or the files exist.
+    report: a folder that ``discrepancy find`` wrote; name: of small letters, digits and "_", and not the name of
+    another effect or law; folder: for NAME.py and NAME.yaml, made if it does not exist. Raises InputError if the report
+    has no free law that an effect can express, the name is taken, or the files exist.
     """
     report, folder = Path(report), Path(folder)
     check_name(name, f"--name {name}")

@@ -32,22 +32,9 @@ def render_formula_effect(
 ) -> str:
     """Render an effect with a formula.
 
-    Parameters
-    ----------
-    name : str
-        Of the effect.
-    law : str
-        Of the free law, as `synthcam.tabulated_law.table_names` has it.
-    strengths : sequence of (Term, ValueOf)
-        The terms that are added, each times its strength; relative to a law that is one base parameter.
-    shape : sequence of ValueOf
-        The numbers of the shape.
-    source : sequence of str
-        The origin of the law, in sentences.
-
-    Returns
-    -------
-    str
+    law: the name of the free law in `synthcam.tabulated_law.table_names`; strengths: the terms that are added, each
+    times its strength, relative to a law that is one base parameter; shape: the numbers of the shape; source: the
+    origin of the law, in sentences.
     """
     kind, ball = kind_of(law)
     relative, x, old = len(kind.owners) == 1, _argument_code(kind), ARGUMENT_NAMES[kind.law]
@@ -69,19 +56,8 @@ def render_formula_effect(
 def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], source: Sequence[str]) -> str:
     """Render an effect with a table: the law is the table for `share` 1, and the base model for `share` 0.
 
-    Parameters
-    ----------
-    name : str
-        Of the effect.
-    held : TabulatedLaw
-    numbers : mapping of str to float
-        The base parameters that the table replaces, as the model beside the effect has them.
-    source : sequence of str
-        The origin of the law, in sentences.
-
-    Returns
-    -------
-    str
+    numbers: the base parameters that the table replaces, as the model beside the effect has them; source: the origin of
+    the law, in sentences.
     """
     kind, ball = kind_of(held.law)
     plain, x, old = held.to_settings(numbers), _argument_code(kind), ARGUMENT_NAMES[kind.law]

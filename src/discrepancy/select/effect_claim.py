@@ -56,20 +56,8 @@ class EffectClaim:
     def of(cls, candidate: Candidate, fit: ModelFit, std: Mapping[str, float], sigma: float) -> EffectClaim:
         """Claim a candidate with the values that a fit gives it.
 
-        Parameters
-        ----------
-        candidate : Candidate
-        fit : ModelFit
-            The fit of a model that has the candidate.
-        std : mapping of str to float
-            Standard deviations by dotted name; infinite if that of a strength is missing.
-        sigma : float
-            Significance of the effect.
-
-        Returns
-        -------
-        EffectClaim
-            Without aliases or limits.
+        std: standard deviations by dotted name; infinite if that of a strength is missing. The claim has no aliases or
+        limits.
         """
         values, shapes = ({k: fit.model.value(k) for k in names} for names in (candidate.strengths, candidate.shapes))
         own, bent = {k: std.get(k, np.inf) for k in values}, {k: shape_error(fit, k, std.get(k, 0.0)) for k in shapes}
@@ -115,17 +103,8 @@ def shape_error(fit: ModelFit, shape: str, std: float) -> float:
 def find_similar_pairs(own: Array, ranking: Sequence[CandidateScore]) -> tuple[tuple[tuple[str, ...], float], ...]:
     """Find pairs of effects whose sum has nearly a given signature, though neither has it alone.
 
-    Parameters
-    ----------
-    own : (points, k) array
-        The signature, from `ScoreTests.signature`.
-    ranking : sequence of CandidateScore
-        The effects to pair. The function pairs only effects of one strength.
-
-    Returns
-    -------
-    tuple of ((str, str), float)
-        Names and cosine of the three most similar pairs, the most similar first.
+    own: the signature (points, k), from `ScoreTests.signature`. Only effects of one strength are paired. Returns names
+    and cosine of the three most similar pairs, the most similar first.
     """
     alone = [
         c
@@ -147,17 +126,7 @@ def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candi
     values, each value may widen them: a parabola as wide as the first-order chi^2 there gives the standard deviation.
     If the effect is so strong that first order fails, those of `fit` stay.
 
-    Parameters
-    ----------
-    evidence : WhitenedClips
-    reduced, fit : ModelFit
-        The fits without the candidate and with it.
-    candidate : Candidate
-
-    Returns
-    -------
-    dict of str to float
-        By dotted name.
+    reduced, fit: the fits without the candidate and with it.
     """
     max_gain = 2.0  # chi^2 by which other shapes may be better; beyond, first order fails
     likely_sigma = 3.0  # less likely values do not tell an interval of one or two sigma

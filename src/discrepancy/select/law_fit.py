@@ -67,26 +67,9 @@ def fit_law(
 ) -> FittedLaw:
     """Fit a free law together with everything in another fit. The marginal likelihood chooses the prior of the law.
 
-    Parameters
-    ----------
-    evidence : WhitenedClips
-    test : LawScore
-        The law, and the fit without it.
-    base : ModelFit
-        The base fit, from which the cost of effects beside the law is counted.
-    progress : callable
-        Called now and then.
-    begun : FittedLaw, optional
-        An earlier fit of the same law to continue from, with everything to fit beside it.
-
-    Returns
-    -------
-    FittedLaw
-
-    Raises
-    ------
-    ValueError
-        The model has no motion with a law on the way.
+    test: the law, and the fit without it; base: the fit from which the cost of effects beside the law is counted;
+    begun: an earlier fit of the same law to continue from, with everything to fit beside it. Raises ValueError if the
+    model has no motion with a law on the way.
     """
     law = test.law
     if begun is None:
@@ -155,11 +138,7 @@ def fit_law_with_effect(
 ) -> tuple[float, FittedLaw]:
     """Fit a free law again with one library effect more. Raises ValueError if there is no motion without the law.
 
-    Returns
-    -------
-    sigma : float
-        Significance of the law beside the effect.
-    fitted : FittedLaw
+    Returns the significance of the law beside the effect, and the fit.
     """
     model, names = (
         known.model_without_law.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0)),
@@ -219,12 +198,8 @@ def compare_scatter(
     The held-out clips have numbers of their own, so the law predicts only the scatter of these numbers. `without` is
     the fit of the held-out clips without the law.
 
-    Returns
-    -------
-    gain : float
-        The increase of 2 log marginal likelihood by numbers of that size.
-    expected, std : float
-        The mean and the standard deviation of this gain, if the numbers have that size.
+    Returns the increase of 2 log marginal likelihood by numbers of that size, and the mean and the standard deviation
+    of this gain if the numbers have that size.
     """
     evidence = WhitenedClips.of(clips, noise)
     law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
@@ -242,19 +217,9 @@ def fit_unseen_clips(
 ) -> ModelFit:
     """Fit the launches of held-out clips, with the free law fixed.
 
-    Parameters
-    ----------
-    fitted_law : FittedLaw
-        If it is a number for each clip, the numbers of these clips are fitted too.
-    clips : sequence of MeasuredCollision
-    before : ModelFit
-        The fit of these clips without the law.
-    noise : Noise
-
-    Returns
-    -------
-    ModelFit
-        Its model holds the law. If no effect can hold it, its displacements are subtracted from the clips.
+    If the law is a number for each clip, the numbers of these clips are fitted too. before: the fit of these clips
+    without the law. The fit's model holds the law. If no effect can hold it, its displacements are subtracted from the
+    clips.
     """
     plain = fitted_law.model_without_law
     if fitted_law.law.is_per_clip:

@@ -27,16 +27,6 @@ def cost_of(fit: ModelFit, base: ModelFit) -> float:
     - The choice among the effects of the library.
     - The freedom of its strengths, with its shape parameters as known (`marginal_likelihood.cost_of_strengths`).
     - Each shape parameter: twice the logarithm of its search range over the width of its likelihood.
-
-    Parameters
-    ----------
-    fit, base : ModelFit
-        The fit of the model, and the base fit to compare it with.
-
-    Returns
-    -------
-    float
-        In chi^2.
     """
     paid, chosen = fit.chi2, cost_of_choice(len(library()))
     for names in fit.added_names(base).values():

@@ -128,15 +128,7 @@ class TrialScore:
 
 @dataclass(frozen=True)
 class ScoreTests:
-    """The score tests of candidates beside one fit.
-
-    Attributes
-    ----------
-    fit : ModelFit
-        The fit to which the candidates would be added.
-    trials : tuple of CandidateTrial
-        Every candidate with each tried value of its shape parameters.
-    """
+    """The score tests of candidates beside one fit."""
 
     fit: ModelFit
     trials: tuple[CandidateTrial, ...]
@@ -152,21 +144,10 @@ class ScoreTests:
     ) -> ScoreTests:
         """Take the derivatives by the strengths of every candidate, at all values of its shape parameters.
 
-        Parameters
-        ----------
-        evidence : WhitenedClips
-        fit : ModelFit
-        progress : callable
-            Called now and then.
-        only : sequence of Candidate
-            Default: the library's effects and the base parameters held at zero.
-        about : Model, optional
-            A model near the fit's, at which to take the derivatives; default: the fit's. If balls push each other, the
-            motion takes some eight times as long to compute. The derivatives are then taken without that push.
+        only: the candidates; default: the library's effects and the base parameters held at zero.
 
-        Returns
-        -------
-        ScoreTests
+        about: a model near the fit's, at which to take the derivatives; default: the fit's. If balls push each other,
+        the motion takes some eight times as long to compute. The derivatives are then taken without that push.
         """
         (plain, here), trials = decouple(about or fit.model, fit.launches, evidence.clips), []
         for candidate in only or list_candidates(fit.model, fit.names):
@@ -286,18 +267,7 @@ class ScoreTests:
     ) -> CandidateScore:
         """Search for better shape parameters of a candidate between the grid values.
 
-        Parameters
-        ----------
-        evidence : WhitenedClips
-        scored : CandidateScore
-            A score from `ranking`.
-        without : Candidate, optional
-            An effect of the fit to remove first.
-
-        Returns
-        -------
-        CandidateScore
-            The same candidate, with the best shape parameters found.
+        without: an effect of the fit to remove first.
         """
         candidate, model = scored.candidate, self.fit.model
         if not scored.shapes:
@@ -322,14 +292,7 @@ class ScoreTests:
         Candidates that are not identifiable come last, however well they score. The fit absorbs them to first order,
         and the remainder may score by chance.
 
-        Parameters
-        ----------
-        without : Candidate, optional
-            An effect of the fit to remove first. The ranking then shows what could replace it.
-
-        Returns
-        -------
-        tuple of CandidateScore
+        without: an effect of the fit to remove first. The ranking then shows what could replace it.
         """
         if not self.trials:
             return ()
@@ -417,21 +380,7 @@ def derive_trial(
 ) -> CandidateTrial:
     """Take the derivatives by a candidate's strengths, with these values of its shape parameters.
 
-    Parameters
-    ----------
-    evidence : WhitenedClips
-    model : Model
-        The model without the candidate.
-    launches : (clips, p) array
-    candidate : Candidate
-    shapes : dict of str to float
-    here : sequence of (n, 2) array
-        The prediction of the model for each clip, m.
-
-    Returns
-    -------
-    CandidateTrial
-        The candidate with its whitened columns.
+    model: without the candidate; here: its prediction (n, 2) for each clip, m.
     """
     bent = model.replace(shapes)
     slopes = [differentiate(bent, launches, evidence.clips, s, here) for s in candidate.strengths]

@@ -76,22 +76,9 @@ def measure_gap(
     chi^2 per point is the mean squared whitened residual, as in posterior predictive checks (Gelman, Meng & Stern,
     Statistica Sinica 6 (1996) 733). Noise alone makes it less than one, because each launch absorbs some noise.
 
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-        The held-out clips.
-    base, best : ModelFit
-        The fits of the other clips, without and with all claims. Their shared parameters are fixed.
-    noise : Noise
-    progress : callable
-        Called now and then.
-    fit_law : callable, optional
-        Makes the second fit of these clips from the first, if no model can hold the free law.
-
-    Returns
-    -------
-    GapFits
-        If the best model has no motion for one of the clips, it closes nothing.
+    base, best: the fits of the other clips, without and with all claims. Their shared parameters are fixed. fit_law
+    makes the second fit of these clips from the first, if no model can hold the free law. If the best model has no
+    motion for one of the clips, it closes nothing.
     """
     before = fit_model(clips, base.model, (), noise, progress=progress)
     try:

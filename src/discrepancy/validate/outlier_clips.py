@@ -28,18 +28,8 @@ def find_outlier_clips(
     If the others do not agree, or if more than one clip in ten is an outlier, the model lacks something. Then no
     clip is removed.
 
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-    base, best : ModelFit
-        The fits of these clips, without and with all claims.
-    removed : int
-        The number of clips that were left out earlier.
-
-    Returns
-    -------
-    dict of int to SearchNote
-        A note that says why, by the clip's index in `clips`.
+    base, best: the fits of these clips, without and with all claims; removed: the number of clips that were left out
+    earlier. Returns notes that say why, by the clip's index in `clips`.
     """
     most = max((len(clips) + removed) // current_policy().outlier_clips_one_in, 1) - removed
     out: dict[int, SearchNote] = {}
