@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 from importlib import import_module
 from pathlib import Path
@@ -23,7 +24,7 @@ def pages(root: Path) -> dict[str, str]:
         rows = []
         for name in names:
             thing = getattr(module, name)
-            made[f"api/{library}.{name}.md"] = page(f"{library}.{name}", inspect.isclass(thing), id(thing) in seen)
+            made[f"api/{library}.{name}.md"] = page(f"{library}.{name}", thing, id(thing) in seen)
             seen.add(id(thing))
             rows.append([f"[`{library}.{name}`]({library}.{name}.md)", plain(paragraphs(thing)[0])])
         entries = "\n".join(f"{library}.{name}" for name in names)
@@ -37,11 +38,13 @@ def pages(root: Path) -> dict[str, str]:
     return made
 
 
-def page(name: str, is_class: bool, again: bool) -> str:
+def page(name: str, thing: object, again: bool) -> str:
     """A public name and, of a class, what it can do; again: it has been indexed."""
+    is_class = inspect.isclass(thing)
     lines = [f".. auto{'class' if is_class else 'function'}:: {name}"]
     lines += ["   :no-index:"] * again
     if is_class:
         lines += ["   :members:", "   :member-order: bysource"]
+        lines += ["   :inherited-members:"] * any(map(dataclasses.is_dataclass, inspect.getmro(thing)[1:]))
     body = "\n".join(lines)
     return f"# {name}\n\n```{{eval-rst}}\n{body}\n```\n"

@@ -22,7 +22,7 @@ from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
 from discrepancy.select.effect_claim import EffectClaim, profile_std
-from discrepancy.select.library_search import fit_with_candidate
+from discrepancy.select.library_fits import fit_with_candidate
 from discrepancy.select.score_test import ScoreTests
 from discrepancy.wording import describe_claim
 from synthcam.library import library
@@ -93,23 +93,8 @@ def add(
 ) -> AddedEffect:
     """Add an effect to the model, and fit it to all clips with all other parameters.
 
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-    model : Model
-    effect : str
-        The name of an effect of the library.
-    progress : callable
-        Called with the current stage, many times.
-
-    Returns
-    -------
-    AddedEffect
-
-    Raises
-    ------
-    InputError
-        No such effect exists, these collisions cannot identify it, or `check_clips` refuses them.
+    Raises InputError if no such effect exists, if these collisions cannot identify it, or if `check_clips` refuses
+    them.
     """
     check_effect(effect)
     clips = check_clips(clips, model)

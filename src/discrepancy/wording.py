@@ -11,38 +11,36 @@ from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
+from discrepancy.outcome import SearchOutcome
 from discrepancy.policy import applied_policy, current_policy
-from discrepancy.results import SearchResult, Verdict
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.select.library_search import InterruptedSearch
 from discrepancy.validate.claim_tests import ClaimTest, Rejection
 from discrepancy.validate.gap import Gap
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
+from discrepancy.verdict import Verdict
 from synthcam.library import library
 from synthcam.model import Model
 
 NO_EFFECT_NAMED_WHEN_SMOOTHED = "The search names no effect for smoothed tracks"
 
 
-def describe_search(found: SearchResult) -> str:
+def describe_search(found: SearchOutcome) -> str:
     """Describe the outcome of a search in a few sentences, the most important first.
 
     Parameters
     ----------
-    found : SearchResult
+    found : SearchOutcome
+        For example a `SearchResult`.
 
     Returns
     -------
     str
     """
     with applied_policy(found.policy):
-        return _describe_search(found)
-
-
-def _describe_search(found: SearchResult) -> str:
-    slow, rejected = describe_slow_noise(found.data.noise), describe_rejections(found.rejected)
-    remaining = found.disagreements
-    is_left = is_unexplained(remaining)
+        slow = describe_slow_noise(found.data.noise)
+    rejected, remaining = describe_rejections(found.rejected), found.disagreements
+    is_left = is_unexplained(remaining, found.policy)
     worst = f"{describe_disagreement(remaining[0])} ({remaining[0].sigma:.0f} sigma)" if is_left else ""
     if found.interrupted:
         return describe_interruption(found.interrupted, found.base_fit)
@@ -80,18 +78,7 @@ def describe_law_in_model(free_law: FittedLaw, model_holds_law: bool) -> str:
 
 
 def describe_interruption(interrupted: InterruptedSearch, base: ModelFit) -> str:
-    """Describe how far a search came before its time was over.
-
-    Parameters
-    ----------
-    interrupted : InterruptedSearch
-    base : ModelFit
-        The fit of the base model.
-
-    Returns
-    -------
-    str
-    """
+    """Describe how far a search came before its time was over."""
     start = (
         f"The search was cut short after {interrupted.seconds / 60:.3g} minutes and names nothing. The base model has "
         f"chi^2 per point {base.chi2 / base.points:.3g}"

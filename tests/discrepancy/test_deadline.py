@@ -55,7 +55,7 @@ def test_nothing_hidden_is_nothing_found_however_short_the_time(monkeypatch):
 def test_what_score_tests_show_is_not_nothing_however_short_the_time(monkeypatch):
     """Where no residual is beyond chance by itself, but an effect's signature is."""
     only(monkeypatch)
-    monkeypatch.setattr("discrepancy.search.is_unexplained", lambda where: False)
+    monkeypatch.setattr("discrepancy.verdict.is_unexplained", lambda where, policy: False)
     clips = collisions(Model().replace(HIDDEN["velocity_restitution"]), 8, 3)
     assert search(clips, Model(), seconds=0.0).verdict == "inadequate"
     assert search(collisions(Model(), 8, 3), Model(), seconds=0.0).verdict == "none"

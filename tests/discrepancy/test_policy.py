@@ -25,31 +25,23 @@ from discrepancy.free_laws.marginal_likelihood import CurveEvidence
 from discrepancy.noise import model as noise
 from discrepancy.noise.model import Noise, NoiseComponent, estimate
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy, read_policy
-from discrepancy.search import decide_verdict
-from discrepancy.select import free_law_contest, law_fit
+from discrepancy.select import free_law_contest, law_fit, library_search
 from discrepancy.select.effect_claim import EffectClaim
-from discrepancy.select.free_law_contest import FreeLawContest
+from discrepancy.select.free_law_contest import FreeLawFits, Opponent, find_better_law, find_near_law, find_winning_law
 from discrepancy.select.law_fit import LawScore
-from discrepancy.select.library_search import LibrarySearch, Selection
+from discrepancy.select.library_search import Selection, choose_simplest, complete_search
 from discrepancy.select.score_test import CandidateScore, ScoreTests
 from discrepancy.validate import claim_tests
-from discrepancy.validate.claim_tests import HeldOutTest, Rejection, Validation, judge_predictions
+from discrepancy.validate.claim_tests import HeldOutClips, HeldOutTest, Rejection, judge_predictions, validate
 from discrepancy.validate.gap import GapPhase, closed_share
 from discrepancy.validate.outlier_clips import find_outlier_clips
 from discrepancy.validate.residual_map import ClipAmplitudes, combine_clips
+from discrepancy.verdict import decide_verdict
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.settings import InputError
 
 NOISE = Noise(NoiseComponent(1.0))
-
-
-def bare_search(**attributes):
-    """A search of the library that has fitted nothing, with these attributes."""
-    steps = object.__new__(LibrarySearch)
-    for name, value in ({"required_sigma": 4.0} | attributes).items():
-        setattr(steps, name, value)
-    return steps
 
 
 E = "velocity_restitution.e"
@@ -81,28 +73,29 @@ def test_four_sigma_make_a_claim_however_few_the_candidates(monkeypatch, sized, 
 
 
 def made_laws(monkeypatch, cost, scores):
-    """The contest of free laws with these scores, beside a library's best model of this cost."""
-    base, fit = Made(names=()), Made(names=("hop.share",), added_names=lambda base: {"hop": ["hop.share"]})
-    fitted = tuple(Made(score=s, fit=fit, significances_of_effects=lambda base: {}) for s in scores)
-    contest = FreeLawContest(None, base, (), fitted=fitted)
+    """Free laws with these scores, and a library's best model of this cost."""
+    base, fit = Made(names=(), model=None, launches=None), Made(added_names=lambda base: {"hop": ["hop.share"]})
+    monkeypatch.setattr(free_law_contest, "free_laws_over", lambda *_: (None,))
     monkeypatch.setattr(free_law_contest, "cost_of", lambda f, base: cost)
-    return contest, fit
+    laws = FreeLawFits(Made(clips=()), base)
+    laws.fitted = [Made(score=s, fit=fit, significances_of_effects=lambda base: {}) for s in scores]
+    return laws, Opponent(fit, (), False)
 
 
 @pytest.mark.parametrize(("ahead", "declared"), [(4.0, False), (6.0, True)])
 def test_a_law_that_nobody_knows_must_be_better_by_five(monkeypatch, ahead, declared):
-    contest, fit = made_laws(monkeypatch, 100.0, [100.0 - ahead])
-    assert (contest._best(fit, 0) is not None) is declared
+    laws, opponent = made_laws(monkeypatch, 100.0, [100.0 - ahead])
+    assert (find_better_law(laws, opponent) is not None) is declared
 
 
 @pytest.mark.parametrize(("behind", "near"), [(-3.0, True), (7.0, True), (14.0, False)])
 def test_the_noise_is_read_beside_a_free_law_that_is_behind_by_ten_at_most(monkeypatch, behind, near):
-    contest, fit = made_laws(monkeypatch, 100.0, [100.0 + behind, 130.0])
-    assert contest.nearly(fit) is (contest.fitted[0] if near else None)
+    laws, opponent = made_laws(monkeypatch, 100.0, [100.0 + behind, 130.0])
+    assert find_near_law(laws, opponent) is (laws.fitted[0] if near else None)
 
 
 def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_better(monkeypatch):
-    contest, fit = made_laws(monkeypatch, 1000.0, [])
+    laws, opponent = made_laws(monkeypatch, 1000.0, [])
     scores, begun = iter((400.0, 300.0, 200.0, 100.0)), flat([1.0])
 
     def law(score):
@@ -110,19 +103,18 @@ def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_be
             score=score, fit=begun, model_without_law=Model(), law=None, significances_of_effects=lambda base: {}
         )
 
-    contest = dataclasses.replace(contest, fitted=(law(500.0),))
+    laws.fitted = [law(500.0)]
     monkeypatch.setattr(free_law_contest, "fit_law_with_effect", lambda *_: (9.0, law(next(scores))))
-    monkeypatch.setattr(FreeLawContest, "_asked", lambda self, place: self)
-    monkeypatch.setattr(FreeLawContest, "_lacks", lambda self, place: Made(shapes={}, strengths=("hop.share",)))
-    assert contest.outcome(fit)[0].score == 300.0
+    monkeypatch.setattr(laws, "find_missing_effect", lambda law: Made(shapes={}, strengths=("hop.share",)))
+    assert find_winning_law(laws, opponent).score == 300.0
 
 
 def test_four_effects_are_named_at_most(monkeypatch):
     """Each in its turn better by far."""
-    store = Made(score_tests=len, cost_of=lambda state: -50.0 * len(state))
-    monkeypatch.setattr(LibrarySearch, "_choose_addition", lambda self, state, tests: f"effect {tests}")
-    monkeypatch.setattr(LibrarySearch, "_improve", lambda self, state: state)
-    assert bare_search(**vars(store)).finish(()) == tuple(f"effect {k}" for k in range(4))
+    library = Made(cost_of=lambda state: -50.0 * len(state))
+    monkeypatch.setattr(library_search, "choose_addition", lambda library, state: f"effect {len(state)}")
+    monkeypatch.setattr(library_search, "improve", lambda library, state: state)
+    assert complete_search(library, ()) == tuple(f"effect {k}" for k in range(4))
 
 
 @pytest.mark.parametrize(("cosine", "rival"), [(0.85, False), (0.94, True), (-0.94, True)])
@@ -135,8 +127,8 @@ def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
         return CandidateScore(Candidate(name, (f"{name}.e",), (), kind), {}, gain**0.5, gain, 1.0, True, signature, ())
 
     ranking = [of("leader", 400.0, one), of("rival", 200.0, cosine * one + (1 - cosine**2) ** 0.5 * other)]
-    steps = bare_search(evidence=None)
-    found = steps._choose_contenders(Made(sharper=lambda evidence, c: c), ranking)
+    steps = Made(evidence=None, required_sigma=4.0)
+    found = library_search._choose_contenders(steps, Made(sharper=lambda evidence, c: c), ranking)
     assert [c.effect for c in found] == ["leader", "rival"][: 1 + rival]
 
 
@@ -194,16 +186,14 @@ def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, 
 
 @pytest.mark.parametrize(("sigma", "declared"), [(4.0, False), (5.0, True)])
 def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
-    contest, fit = made_laws(monkeypatch, 100.0, [])
-    contest = dataclasses.replace(contest, laws=(None,), base=Made(names=(), model=None, launches=None))
+    laws, opponent = made_laws(monkeypatch, 100.0, [])
     monkeypatch.setattr(free_law_contest, "whiten_law_columns", lambda *_: ())
     monkeypatch.setattr(
         free_law_contest, "score_law", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0)
     )
     monkeypatch.setattr(free_law_contest, "fit_law", lambda *_: Made(score=0.0))
-    contest = contest._considered([fit])
-    assert contest.refuted is declared
-    assert len(contest.fitted) == declared
+    assert laws.challenge(opponent.fit).is_refuted is declared
+    assert len(laws.fitted) == declared
 
 
 @pytest.mark.parametrize(("share", "better"), [(0.95, False), (1.05, True)])
@@ -226,8 +216,7 @@ def test_the_simpler_of_two_may_be_worse_by_nine_and_a_half(worse, chosen):
         if s.name in ("rolling_quadratic", "stribeck")
     }
     cost_of = {known["rolling_quadratic"]: 100 + worse, known["stribeck"]: 100.0}
-    steps = bare_search(cost_of=cost_of.__getitem__)
-    assert steps._simplest(list(cost_of)) == known[chosen]
+    assert choose_simplest(Made(cost_of=cost_of.__getitem__), list(cost_of)) == known[chosen]
 
 
 def flat(chi2, pulls=None, points=200):
@@ -273,18 +262,21 @@ def test_one_clip_in_ten_may_be_odd(bad, gone):
 @pytest.mark.parametrize(("sigma", "verdict"), [(4.0, "named"), (6.0, "outside_library")])
 def test_five_sigma_left_are_something_more(sigma, verdict):
     left, one = [Made(sigma=sigma)], [Made(aliases=("hop",))]
-    assert decide_verdict(one, False, left, ()) == verdict
-    assert decide_verdict((), False, left, ()) == ("none" if verdict == "named" else "inadequate")
+    assert decide_verdict(one, False, left, (), SearchPolicy()) == verdict
+    assert decide_verdict((), False, left, (), SearchPolicy()) == ("none" if verdict == "named" else "inadequate")
 
 
 @pytest.mark.parametrize(("own", "verdict"), [(4.0, "none"), (6.0, "inadequate")])
 def test_a_claim_withdrawn_that_chance_may_have_made_is_no_sign_of_more(own, verdict):
-    assert decide_verdict((), False, [], [Made(sigma=own, is_free_law=False)]) == verdict
+    assert decide_verdict((), False, [], [Made(sigma=own, is_free_law=False)], SearchPolicy()) == verdict
 
 
 @pytest.mark.parametrize(("own", "verdict"), [(4.0, "named"), (6.0, "outside_library")])
 def test_a_free_law_withdrawn_says_that_the_library_does_not_suffice(own, verdict):
-    assert decide_verdict([Made(aliases=("hop",))], False, [], [Made(sigma=own, is_free_law=True)]) == verdict
+    assert (
+        decide_verdict([Made(aliases=("hop",))], False, [], [Made(sigma=own, is_free_law=True)], SearchPolicy())
+        == verdict
+    )
 
 
 PASSING = HeldOutTest((1.0, 0.9), 9.0, 9.0)
@@ -305,8 +297,10 @@ def test_all_clips_must_ask_for_a_claim_by_three_sigma(sigma, passes):
 
 
 def selection(**changes):
-    made = {"state": (), "base": None, "best": None, "ranking": (), "required_sigma": 4.2, "trials_factors": {}}
-    return Selection(**made | changes)
+    return Selection(**{"state": (), "base": None, "best": None} | changes)
+
+
+HELD_OUT = HeldOutClips((), NOISE, None)
 
 
 def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
@@ -314,23 +308,22 @@ def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
     for name in ("refit_without_effect", "leave_one_out_with_law"):
         monkeypatch.setattr(claim_tests, name, lambda *_: Made(score=less))
     monkeypatch.setattr(claim_tests, "find_replacements", lambda *_: others)
-    for name, result in (
-        ("_fit_held_out_with_law", None),
-        ("_predict", (PASSING, PASSING)),
-        ("_test_law", None),
-    ):
-        monkeypatch.setattr(Validation, name, lambda *_, result=result: result)
+    monkeypatch.setattr(HeldOutClips, "fit_with_law", lambda *_: None)
+    for name in ("compare_predictions", "_predict_with_law"):
+        monkeypatch.setattr(claim_tests, name, lambda *_: (PASSING, PASSING))
     base, whole = Made(model=Model(), names=BASE_PARAMETERS), Made(model=Model(), std={})
     law = Made(
         score=100.0,
         model_without_law=Model(),
         joint_fit=whole,
+        sigma=30.0,
         law=Made(name="law"),
         significances_of_effects=lambda base: {"rolling_quadratic": sigma},
     )
-    selected = selection(base=base, required_sigma=4.0, free_law=law)
-    validation = Validation(Made(absorbed=()), None, (), None, NOISE, lambda: None)
-    (test, _), without, claims = validation._test_claims(selected, SearchPolicy().beside_free_law_sigma)
+    library = Made(absorbed=(), evidence=None, required_sigma=4.0, correct_for_trials=lambda effect, sigma: sigma)
+    level = SearchPolicy().beside_free_law_sigma
+    selected = selection(base=base, free_law=law)
+    (test, _), without, claims = claim_tests._test_beside_law(selected, law, library, HELD_OUT, level, lambda: None)
     return test, without["rolling_quadratic"].free_law, claims[0].aliases
 
 
@@ -361,15 +354,17 @@ def test_an_effect_without_which_all_else_explains_as_much_leaves_nothing_missin
 @pytest.mark.parametrize(("end", "passes"), [(None, True), (("hop.bounce", 0.9), False)])
 def test_an_effect_whose_shape_is_at_an_end_of_its_range_is_not_claimed(monkeypatch, end, passes):
     claim = Made(sigma=30.0, aliases=("hop",), shape_at_limit=lambda: end)
-    steps = Made(claims=lambda state: (claim,), drop=lambda *_: Made(best=None))
-    monkeypatch.setattr(Validation, "_compare_models", lambda *_: (PASSING, PASSING))
+    monkeypatch.setattr(claim_tests, "describe_claims", lambda *_: (claim,))
+    monkeypatch.setattr(claim_tests, "make_selection", lambda *_: Made(best=None))
+    monkeypatch.setattr(claim_tests, "compare_models", lambda *_: (PASSING, PASSING))
     monkeypatch.setattr(claim_tests, "find_variation", lambda *_: Made(rejects=lambda sigma: False))
     selected = selection(state=(Made(name="hop", strengths=()),))
-    tests, *_ = Validation(steps, None, (), None, NOISE, lambda: None)._test_claims(selected, 4.2)
+    tests, *_ = claim_tests._test_effects(selected, Made(evidence=None), HELD_OUT, 4.2, lambda: None)
     assert (tests[0].rejection, tests[0].shape_at_limit) == (None if passes else Rejection.SHAPE_AT_LIMIT, end)
 
 
 WORSE = Rejection.HELD_OUT_WORSE
+LIBRARY = Made(evidence=Made(clips=()), required_sigma=4.2)
 
 
 def made_test(name, rejection=None, is_free_law=False, leave_one_out=PASSING):
@@ -391,15 +386,16 @@ def test_twenty_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_rejec
     asked = []
     monkeypatch.setattr(claim_tests, "find_disagreements", lambda *_: (Made(sigma=left),))
 
-    def tests(self, selected, level):
+    def tests(*arguments):
+        selected, level = arguments[0], arguments[-2]
         asked.append(level)
         again = len(asked) > 1
         test = made_test("y" if again else "x", None if again else WORSE, free)
         return [test], {"x": dataclasses.replace(selected, free_law=None)}, ()
 
-    monkeypatch.setattr(Validation, "_test_claims", tests)
-    validation = Validation(None, Made(clips=()), (), None, NOISE, lambda: None)
-    validated = validation.run(selection(state=("effect",), free_law=law))
+    for name in ("_test_effects", "_test_beside_law"):
+        monkeypatch.setattr(claim_tests, name, tests)
+    validated = validate(selection(state=("effect",), free_law=law), LIBRARY, HELD_OUT, lambda: None)
     assert asked == levels
     assert len(validated.rejected) == 1
 
@@ -437,9 +433,8 @@ def validated_of(monkeypatch, turns, gone=None):
                 gone.append(name)
             return selection(free_law="law")
 
-    monkeypatch.setattr(Validation, "_test_claims", lambda *_: (next(turns), Without(), ()))
-    validation = Validation(None, Made(clips=()), (), None, NOISE, lambda: None)
-    return validation.run(selection(free_law="law"))
+    monkeypatch.setattr(claim_tests, "_test_beside_law", lambda *_: (next(turns), Without(), ()))
+    return validate(selection(free_law="law"), LIBRARY, HELD_OUT, lambda: None)
 
 
 @pytest.mark.parametrize(("sigma", "told"), [(2.0, False), (4.5, True)])
@@ -550,13 +545,13 @@ def _body(function):
 
 
 def test_a_policy_holds_within_its_block():
-    left, one = [Made(sigma=6.0)], [Made(aliases=("hop",))]
-    assert decide_verdict(one, False, left, ()) == "outside_library"
-    with applied_policy(SearchPolicy(unexplained_sigma=7.0)):
-        assert decide_verdict(one, False, left, ()) == "named"
+    weak = HeldOutTest((1.0, 0.9), 4.0, 4.0)
+    assert judge_predictions(PASSING, weak) is None
+    with applied_policy(SearchPolicy(leave_one_out_sigma=5.0)):
+        assert judge_predictions(PASSING, weak) is Rejection.LEFT_OUT_NOT_SIGNIFICANT
         with suppress(KeyError), applied_policy(SearchPolicy()):
             raise KeyError
-        assert current_policy().changed() == {"unexplained_sigma": 7.0}
+        assert current_policy().changed() == {"leave_one_out_sigma": 5.0}
     assert current_policy() == SearchPolicy()
 
 

@@ -28,7 +28,7 @@ from discrepancy.data.launch import HEADING, X, Y
 from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.search import search
-from discrepancy.select.library_search import LibrarySearch
+from discrepancy.select import free_law_contest
 from synthcam.library import library
 from synthcam.model import Ball, Model
 from synthcam_shared.errors import InputError
@@ -140,15 +140,13 @@ def test_the_library_is_asked_again_for_what_stands_in_place_of_a_free_law(monke
     only(monkeypatch)
     truth = {"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.3}
 
-    every = LibrarySearch.states
-    monkeypatch.setattr(
-        LibrarySearch, "states", lambda steps, begun=(): islice(every(steps, begun), 1 if not begun else None)
-    )
+    begin = free_law_contest.iterate_models
+    monkeypatch.setattr(free_law_contest, "iterate_models", lambda library: islice(begin(library), 1))
     found = search(collisions(Model().replace(truth), 8, 3), Model())
     assert found.verdict == "named"
     assert sorted(names(found)) == ["rolling_quadratic", "velocity_restitution"]
     within(found, truth)
-    monkeypatch.setattr(LibrarySearch, "search_from", lambda *_: None)
+    monkeypatch.setattr(free_law_contest, "search_from", lambda *_: None)
     assert search(collisions(Model().replace(truth), 8, 3), Model()).free_law is not None
 
 

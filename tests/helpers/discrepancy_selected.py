@@ -1,21 +1,30 @@
-"""The search of the library by itself, for tests."""
+"""The search of the library and of the free laws by themselves, for tests."""
 
 from discrepancy.fitting.model_fit import WhitenedClips
-from discrepancy.select.library_search import LibrarySearch
+from discrepancy.select.free_law_contest import FreeLawFits
+from discrepancy.select.library_fits import LibraryFits
+from discrepancy.select.library_search import complete_search, describe_claims, make_selection
 
 
-def library_search(clips, base, noise):
-    """A search that has fitted nothing but the base."""
-    return LibrarySearch(WhitenedClips.of(clips, noise), base, lambda: None)
+def library_fits(clips, base, noise):
+    """A library of which nothing but the base is fitted."""
+    return LibraryFits(WhitenedClips.of(clips, noise), base, lambda: None)
 
 
 def selected(clips, base, noise):
-    """The search, and the selection that it leads to."""
-    steps = library_search(clips, base, noise)
-    return steps, steps.select(steps.finish(()))
+    """The library's fits, and the selection that a search leads to."""
+    library = library_fits(clips, base, noise)
+    return library, make_selection(library, complete_search(library, ()))
 
 
 def claimed(clips, base, noise):
     """The effects that are claimed."""
-    steps, found = selected(clips, base, noise)
-    return steps.claims(found.state)
+    library, found = selected(clips, base, noise)
+    return describe_claims(library, found.state)
+
+
+def challenged(clips, base, noise):
+    """The free laws that were fitted in full beside the base."""
+    laws = FreeLawFits(WhitenedClips.of(clips, noise), base)
+    laws.challenge(base)
+    return laws.fitted

@@ -16,7 +16,7 @@ from discrepancy.data.launch import HEADING, T_C, V0
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.law_summary import LawSummary
-from discrepancy.results import SearchResult
+from discrepancy.outcome import SearchOutcome
 from discrepancy.validate.gap import Gap
 from synthcam_shared.report.page import PageFigure
 
@@ -26,19 +26,19 @@ MAX_RANKED_EFFECTS = 20  # in the chart of candidates
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 
 
-def name_of_best(found: SearchResult) -> str:
+def name_of_best(found: SearchOutcome) -> str:
     """Name the best model after what it has beside the base model: "with plate_tilt"."""
     effects = sorted({claim.effect for claim in found.claims})
     return f"with {' and '.join([*(['a free law'] if found.free_law else []), *effects])}"
 
 
-def draw_figures(found: SearchResult) -> list[PageFigure]:
+def draw_figures(found: SearchOutcome) -> list[PageFigure]:
     """Draw all figures of a search's page."""
     with matplotlib.rc_context(STYLE):
         return [PageFigure.of(figure, title, caption) for title, figure, caption in _draw_all(found)]
 
 
-def _draw_all(found: SearchResult) -> list[tuple[str, Figure, str]]:
+def _draw_all(found: SearchOutcome) -> list[tuple[str, Figure, str]]:
     """Titles, figures and captions."""
     compared = f", base model and model {name_of_best(found)}" if not found.is_empty else " of the base model"
     only = "" if not found.is_empty else " The search names no effect, so the base model is shown alone."
@@ -79,7 +79,7 @@ def _subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], 
     return figure, figure.subplots(rows, columns, **shared)
 
 
-def _fits_to_draw(found: SearchResult) -> list[tuple[Sequence[MeasuredCollision], ModelFit, str, str]]:
+def _fits_to_draw(found: SearchOutcome) -> list[tuple[Sequence[MeasuredCollision], ModelFit, str, str]]:
     """Clips, fit, colour and label of the base model and, where anything was found, of the best one."""
     fits = [(found.data.clips, found.base_fit, BASE, "base model")]
     if not found.is_empty:
@@ -88,7 +88,7 @@ def _fits_to_draw(found: SearchResult) -> list[tuple[Sequence[MeasuredCollision]
     return list(fits)
 
 
-def _mean_residuals_figure(found: SearchResult) -> Figure:
+def _mean_residuals_figure(found: SearchOutcome) -> Figure:
     figure, axes = _subplots(2, 2, figsize=(8, 4.6), sharex=True)
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
         stage, ball, left = _residuals(clips, fit)
@@ -106,7 +106,7 @@ def _mean_residuals_figure(found: SearchResult) -> Figure:
     return figure
 
 
-def _rms_residuals_figure(found: SearchResult) -> Figure:
+def _rms_residuals_figure(found: SearchOutcome) -> Figure:
     figure, axes = _subplots(1, 2, figsize=(8, 2.8), sharey=True)
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
         stage, ball, left = _residuals(clips, fit)
@@ -209,7 +209,7 @@ def _law_map_figure(answer: LawSummary) -> Figure:
     return figure
 
 
-def _caption_ranking(found: SearchResult) -> str:
+def _caption_ranking(found: SearchOutcome) -> str:
     shown, total = len(found.scores[:MAX_RANKED_EFFECTS]), len(found.scores)
     which = f"The {shown} most significant of {total} effects" if shown < total else f"All {total} effects"
     return (
@@ -218,7 +218,7 @@ def _caption_ranking(found: SearchResult) -> str:
     )
 
 
-def _ranking_figure(found: SearchResult) -> Figure:
+def _ranking_figure(found: SearchOutcome) -> Figure:
     ranking = found.scores[:MAX_RANKED_EFFECTS][::-1]
     figure, ax = _subplots(figsize=(6, 0.6 + 0.25 * len(ranking)))
     claimed = {n.effect for n in found.claims}
@@ -234,7 +234,7 @@ def _ranking_figure(found: SearchResult) -> Figure:
     return figure
 
 
-def _gap_by_phase_figure(found: SearchResult) -> Figure:
+def _gap_by_phase_figure(found: SearchOutcome) -> Figure:
     gap = found.gap
     figure, axes = _subplots(1, 2, figsize=(8, 3))
     for ax, ending in zip(axes, ("", "_um"), strict=True):
@@ -262,7 +262,7 @@ def draw_gap_bars(ax: Axes, gap: Gap, ending: str, best: str) -> None:
     ax.set(ylabel="rms residual in x and y (µm)" if ending else "χ² per point")
 
 
-def _gap_by_clip_figure(found: SearchResult) -> Figure:
+def _gap_by_clip_figure(found: SearchOutcome) -> Figure:
     figure, ax = _subplots(figsize=(6, 3))
     speeds = np.array([float(c.launch[V0]) for c in found.data.held_out])
     fits = [(found.gap_fits.before, BASE, "o", "base model")]

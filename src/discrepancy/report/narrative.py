@@ -9,12 +9,12 @@ import numpy as np
 from discrepancy.data.launch import V0, WITH_SPIN, B
 from discrepancy.fitting.gauss_newton import solve_step
 from discrepancy.fitting.model_fit import ModelFit
-from discrepancy.results import SearchResult
+from discrepancy.outcome import SearchOutcome
 from discrepancy.wording import describe_disagreement
 from synthcam_shared.report.numbers import format_number
 
 
-def write_story(found: SearchResult) -> list[str]:
+def write_story(found: SearchOutcome) -> list[str]:
     """Write the four sentences, beside that of the outcome (`SearchResult.sentence`)."""
     return [_describe_fit(found), _describe_disagreement(found), _describe_gap(found), _describe_open_questions(found)]
 
@@ -36,7 +36,7 @@ def gain_of_next_step(fit: ModelFit) -> float:
     return fit.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(fit.residuals, steps, strict=True))
 
 
-def _describe_fit(found: SearchResult, converged: float = 0.1) -> str:
+def _describe_fit(found: SearchOutcome, converged: float = 0.1) -> str:
     """converged: decrease of chi^2 by a further step below which the fit counts as converged."""
     base, data, noise = found.base_fit, found.data, found.data.noise
     speeds = [float(c.launch[V0]) for c in data.clips]
@@ -54,7 +54,7 @@ def _describe_fit(found: SearchResult, converged: float = 0.1) -> str:
     )
 
 
-def _describe_disagreement(found: SearchResult) -> str:
+def _describe_disagreement(found: SearchOutcome) -> str:
     base = found.base_fit
     per_degree = format_chi2(base.chi2 / (base.points - base.parameters))
     fitted = f"On the {len(found.data.clips)} fitted collisions"
@@ -70,7 +70,7 @@ def _describe_disagreement(found: SearchResult) -> str:
     )
 
 
-def _describe_gap(found: SearchResult) -> str:
+def _describe_gap(found: SearchOutcome) -> str:
     gap, where = found.gap, f"On the {len(found.data.held_out)} held-out collisions"
     noise = f"noise alone would leave {gap.floor_um:.2f} um"
     if found.is_empty:
@@ -84,7 +84,7 @@ def _describe_gap(found: SearchResult) -> str:
     )
 
 
-def _describe_open_questions(found: SearchResult) -> str:
+def _describe_open_questions(found: SearchOutcome) -> str:
     lines, fitted = [], f"These {len(found.data.clips)} fitted collisions"
     classes = [_join_words(claim.aliases, "and") for claim in found.claims if len(claim.aliases) > 1]
     if classes:

@@ -16,8 +16,8 @@ from discrepancy.planning.changes import ALL_LAUNCHES_CHANGED
 from discrepancy.planning.limits import Limit
 from discrepancy.planning.plan_result import PlanResult
 from discrepancy.policy import current_policy
+from discrepancy.report.document import to_json_values
 from discrepancy.report.figures import BASE, BEST, NOISE, OTHER, STYLE
-from discrepancy.results import to_json_values
 from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, write_page
 
 FILES = ("plan.json", "index.html")

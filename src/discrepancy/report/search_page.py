@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from discrepancy.fitting.parameters import find_parameter
-from discrepancy.policy import applied_policy
+from discrepancy.outcome import SearchOutcome
+from discrepancy.report.document import to_document
 from discrepancy.report.figures import draw_figures, name_of_best
 from discrepancy.report.narrative import format_chi2, format_sigma, write_story
-from discrepancy.results import SearchResult
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
-from discrepancy.wording import describe_disagreement, describe_rejection, format_with_error
+from discrepancy.wording import describe_disagreement, describe_rejection, describe_search, format_with_error
 from synthcam.model import Model, write_model
 from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number
@@ -31,17 +31,10 @@ DEFINITIONS = (
 FILES = ("discrepancy.json", "index.html", "model.yaml")
 
 
-def write(found: SearchResult, folder: Path) -> None:
-    """Write the three files of the report.
-
-    Parameters
-    ----------
-    found : SearchResult
-    folder : Path
-        Made where it is missing.
-    """
+def write(found: SearchOutcome, folder: Path) -> None:
+    """Write the three files of the report."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "discrepancy.json").write_text(json.dumps(found.document(), indent=1, allow_nan=False) + "\n")
+    (folder / "discrepancy.json").write_text(json.dumps(to_document(found), indent=1, allow_nan=False) + "\n")
     left_out = list(map(str, found.left_out))
     write_model(found.model, folder / "model.yaml")
     figures = draw_figures(found)
@@ -62,16 +55,16 @@ def write(found: SearchResult, folder: Path) -> None:
         Section("Fitted parameters of the model", [_parameter_table(found)]),
         Section("Collisions and positions that were not used", [PageList(left_out)] if left_out else []),
     ]
-    summary = [f"Verdict: {found.verdict}", found.sentence()]
+    summary = [f"Verdict: {found.verdict}", describe_search(found)]
     write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", summary)
 
 
-def write_report(found: SearchResult, folder: Path) -> Path:
+def write_report(found: SearchOutcome, folder: Path) -> Path:
     """Write a report, as `SearchResult.report` does.
 
     Parameters
     ----------
-    found : SearchResult
+    found : SearchOutcome
     folder : Path
         Made, or replaced if it holds an earlier report.
 
@@ -91,7 +84,7 @@ def write_report(found: SearchResult, folder: Path) -> Path:
     return folder / "index.html"
 
 
-def _named_table(found: SearchResult) -> PageTable | None:
+def _named_table(found: SearchOutcome) -> PageTable | None:
     """Table of the claims: each parameter with its error and its own significance, and the joint one of the effect."""
     rows = []
     for claim in found.claims:
@@ -114,7 +107,7 @@ def _named_table(found: SearchResult) -> PageTable | None:
     return PageTable(heads, rows, note=note)
 
 
-def _format_parameter(found: SearchResult, claim: EffectClaim, name: str, value: float) -> tuple[str, str]:
+def _format_parameter(found: SearchOutcome, claim: EffectClaim, name: str, value: float) -> tuple[str, str]:
     """Value with its error, or the reason why it has none; and its own significance."""
     std = (claim.std | claim.shape_std)[name]
     if name in claim.shapes and not np.isfinite(std):
@@ -127,7 +120,7 @@ def _format_parameter(found: SearchResult, claim: EffectClaim, name: str, value:
     return f"{number} ± {std:.2g}", format_sigma(abs(value) / std) if name in claim.values else ""
 
 
-def _describe_similar(found: SearchResult) -> list[Block]:
+def _describe_similar(found: SearchOutcome) -> list[Block]:
     """The effects with a similar signature, and whether the data exclude them as a replacement of the claim.
 
     A replacement leaves at least the share 1 - cosine² of the chi^2 that the claim explains, to first order.
@@ -152,7 +145,7 @@ def _describe_similar(found: SearchResult) -> list[Block]:
     return out
 
 
-def _gap_table(found: SearchResult) -> PageTable:
+def _gap_table(found: SearchOutcome) -> PageTable:
     gap, best = found.gap, name_of_best(found)
     models = ["base model", *([best] if not found.is_empty else []), "noise alone"]
     heads = ["phase", *(f"χ² per point: {model}" for model in models), *(f"rms / µm: {model}" for model in models)]
@@ -166,7 +159,7 @@ def _gap_table(found: SearchResult) -> PageTable:
     return PageTable(heads, rows, note=note)
 
 
-def _test_table(found: SearchResult) -> list[Block]:
+def _test_table(found: SearchOutcome) -> list[Block]:
     tests: list[ClaimTest] = [*found.accepted, *found.rejected]
     if not tests:
         return []
@@ -200,12 +193,11 @@ def _test_table(found: SearchResult) -> list[Block]:
 
 
 def _list_disagreements(
-    found: SearchResult, disagreements: Sequence[Disagreement], rows_shown: int, remains: str = ""
+    found: SearchOutcome, disagreements: Sequence[Disagreement], rows_shown: int, remains: str = ""
 ) -> list[Block]:
     """A table of the most significant disagreements; one sentence where none is significant."""
-    with applied_policy(found.policy):
-        if is_unexplained(disagreements):
-            return [_disagreement_table(found, disagreements, rows_shown)]
+    if is_unexplained(disagreements, found.policy):
+        return [_disagreement_table(found, disagreements, rows_shown)]
     if not disagreements:
         return []
     return [
@@ -215,7 +207,7 @@ def _list_disagreements(
     ]
 
 
-def _disagreement_table(found: SearchResult, disagreements: Sequence[Disagreement], rows_shown: int) -> PageTable:
+def _disagreement_table(found: SearchOutcome, disagreements: Sequence[Disagreement], rows_shown: int) -> PageTable:
     rows = []
     for one in disagreements[:rows_shown]:
         size = format_number(one.size, 2) if np.isfinite(one.size) and one.size else ""
@@ -227,7 +219,7 @@ def _disagreement_table(found: SearchResult, disagreements: Sequence[Disagreemen
     return PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)
 
 
-def _parameter_table(found: SearchResult) -> PageTable:
+def _parameter_table(found: SearchOutcome) -> PageTable:
     base, best = found.base_fit, found.best_fit
     rows = []
     for name in best.names:

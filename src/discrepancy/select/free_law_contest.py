@@ -16,13 +16,108 @@ from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.policy import current_policy
 from discrepancy.select.law_fit import fit_law, fit_law_with_effect, score_law, whiten_law_columns
-from discrepancy.select.library_search import MAX_EXCHANGES, SCORE_ERROR_CHI2, SCORE_ERROR_SHARE
+from discrepancy.select.library_fits import LibraryFits, State
+from discrepancy.select.library_search import (
+    MAX_EXCHANGES,
+    SCORE_ERROR_CHI2,
+    SCORE_ERROR_SHARE,
+    Selection,
+    iterate_models,
+    make_selection,
+    search_from,
+)
 from discrepancy.select.model_cost import cost_of
 from discrepancy.select.score_test import CandidateScore, ScoreTests
+
+
+def select_effects_and_law(library: LibraryFits, progress: Callable[[], None]) -> Selection:
+    """Select effects of the library, and a free law if one explains more.
+
+    Each larger model of the library competes with the free laws. The library's search ends when a free law beats two of
+    its models in a row: it thus has one more effect to catch up with the law.
+    """
+    laws = FreeLawFits(library.evidence, library.base, progress)
+    state: State = ()
+    opponent, beaten = laws.challenge(library.base), 0
+    for state in iterate_models(library):
+        opponent = laws.challenge(library.fit(state), library.rivals(state))
+        beaten = beaten + 1 if is_beaten(opponent, laws) else 0
+        if beaten > 1:
+            break
+    selection = make_selection(library, state)
+    opponent = dataclasses.replace(opponent, fit=selection.best)
+    free_law = find_winning_law(laws, opponent)
+    beside = free_law.significances_of_effects(library.base) if free_law else {}
+    again = search_from(library, selection, beside, free_law.model_without_law) if free_law and beside else None
+    if again:  # effects beside the free law gave a better start
+        selection, opponent = again, laws.challenge(again.best, library.rivals(again.state))
+        free_law = find_winning_law(laws, opponent)
+    near_law = None if free_law else find_near_law(laws, opponent)
+    return dataclasses.replace(selection, free_law=free_law, near_law=near_law)
+
+
+@dataclass(frozen=True)
+class Opponent:
+    """A model of the library that the free laws compete with.
+
+    Attributes
+    ----------
+    fit : ModelFit
+    rivals : tuple of ModelFit
+        Other models of the library with as many effects. They may be less simple but fit better.
+    is_refuted : bool
+        True if the model leaves a free law significant.
+    """
+
+    fit: ModelFit
+    rivals: tuple[ModelFit, ...]
+    is_refuted: bool
+
+
+class FreeLawFits:
+    """The free laws over some clips, with those that were fitted in full beside models of the library (`fitted`)."""
+
+    def __init__(self, evidence: WhitenedClips, base: ModelFit, progress: Callable[[], None] = lambda: None) -> None:
+        self.evidence, self.base, self.progress = evidence, base, progress
+        self.laws = free_laws_over(base.model, base.launches, evidence.clips)
+        self.fitted: list[FittedLaw] = []
+        self._missing: dict[int, CandidateScore | None] = {}  # by the identity of the fitted law
+
+    def challenge(self, fit: ModelFit, rivals: Sequence[ModelFit] = ()) -> Opponent:
+        """Fit the free laws that may be the best, to first order, beside a model and beside each of its effects."""
+        fits, seen = [*fit_each_alone(self.evidence, self.base, fit, self.progress), fit], []
+        for law in self.laws:  # derivatives at the base are near enough for all fits
+            moves = whiten_law_columns(self.evidence, law, self.base.model, self.base.launches)
+            seen += [score_law(law, each, moves) for each in fits]
+            self.progress()
+        leaders = [test for test in seen if test.sigma > current_policy().free_law_sigma]
+        leaders.sort(key=lambda test: test.score(self.base))
+        for test in leaders[:3]:  # only these are fitted in full
+            slack = SCORE_ERROR_CHI2 + 0.01 * (cost_of(test.fit, self.base) - test.score(self.base))
+            if all(test.score(self.base) < f.score + slack for f in self.fitted):
+                with suppress(ValueError):  # on the way to this curve the model has no motion
+                    self.fitted.append(fit_law(self.evidence, test, self.base, self.progress))
+        return Opponent(fit, tuple(rivals), any(test.fit is fit for test in leaders))
+
+    def find_missing_effect(self, law: FittedLaw) -> CandidateScore | None:
+        """Find the effect of the library that is still significant beside a fitted free law."""
+        if id(law) not in self._missing:
+            tests = ScoreTests.of(law.evidence, law.joint_fit, self.progress, about=law.model_without_law)
+            ranking, least = tests.leaders(current_policy().free_law_sigma), current_policy().free_law_sigma
+            claimed = ranking and ranking[0].sigma > least and ranking[0].sigma > tests.claim()
+            self._missing[id(law)] = ranking[0] if claimed else None
+        return self._missing[id(law)]
+
+    def count_effects(self, fit: ModelFit) -> int:
+        """Effects in a fit that are not in the base."""
+        return len(fit.added_names(self.base))
+
+    def cost_of(self, opponent: Opponent) -> float:
+        """The cost, in chi^2, of a model of the library or of its cheapest rival."""
+        return min(cost_of(fit, self.base) for fit in (opponent.fit, *opponent.rivals))
 
 
 def fit_each_alone(
@@ -43,169 +138,60 @@ def fit_each_alone(
     return fits
 
 
-@dataclass(frozen=True)
-class FreeLawContest:
-    """Free laws in competition with the library's models, as the search proceeds from one model to the next.
+def find_better_law(laws: FreeLawFits, opponent: Opponent, fewer: int = 0) -> FittedLaw | None:
+    """Find the best law that beats a model of the library, among those with at least `fewer` effects less beside them.
 
-    A known effect is preferred to a free law. A free law competes with a model of the library only in these cases:
+    A known effect is preferred to a free law. A free law wins only in these cases:
 
     - the model leaves a free law significant;
     - the model needs two effects more than the free law does;
     - the model costs more by `SearchPolicy.effect_preferred_chi2`.
 
-    Attributes
-    ----------
-    evidence : WhitenedClips
-    base : ModelFit
-    laws : tuple of FreeLaw
-    progress : callable
-        Called now and then.
-    fitted : tuple of FittedLaw
-        The free laws that were fitted in full.
-    rivals : tuple of ModelFit
-        Other models of the library with as many effects as the latest. They may be less simple but fit better.
-    refuted : bool
-        True if the library's latest model leaves a free law significant.
-    beaten : int
-        The number of the library's latest models in a row that a free law beside a smaller model has beaten.
-    asked : (int, CandidateScore or None) or None
-        The index in `fitted` of the law last tested for a missing effect, and that effect.
+    Every library effect beside the law must be significant there, and not absorbed by the law.
     """
+    cost, effects, policy = laws.cost_of(opponent), laws.count_effects(opponent.fit), current_policy()
 
-    evidence: WhitenedClips
-    base: ModelFit
-    laws: tuple[FreeLaw, ...]
-    progress: Callable[[], None] = lambda: None
-    fitted: tuple[FittedLaw, ...] = ()
-    rivals: tuple[ModelFit, ...] = ()
-    refuted: bool = False
-    beaten: int = 0
-    asked: tuple[int, CandidateScore | None] | None = None
+    def wins(law: FittedLaw) -> bool:
+        less = effects - laws.count_effects(law.fit)
+        handicap = 0.0 if opponent.is_refuted or less > 1 else policy.effect_preferred_chi2
+        sigmas = law.significances_of_effects(laws.base).values()
+        return less >= fewer and law.score < cost - handicap and all(s > policy.free_law_sigma for s in sigmas)
 
-    @classmethod
-    def of(cls, evidence: WhitenedClips, base: ModelFit, progress: Callable[[], None] = lambda: None) -> FreeLawContest:
-        """Compare every free law that the clips can show with the base model."""
-        laws = free_laws_over(base.model, base.launches, evidence.clips)
-        return cls(evidence, base, laws, progress)._considered([base])
+    return min(filter(wins, laws.fitted), key=lambda law: law.score, default=None)
 
-    @property
-    def ended(self) -> bool:
-        """True if a free law explained more than each of the library's last two models.
 
-        The library thus has one more effect to catch up with the law.
-        """
-        return self.beaten > 1
+def is_beaten(opponent: Opponent, laws: FreeLawFits) -> bool:
+    """Tell if a free law with fewer effects beside it explains more than a model of the library.
 
-    def against(self, fit: ModelFit, rivals: Sequence[ModelFit] = ()) -> FreeLawContest:
-        """Compare the free laws with the library's next model.
+    A free law may imitate two effects of the library. So a law without effects beside it beats a model of one effect
+    only if no effect is significant beside the law.
+    """
+    best = find_better_law(laws, opponent, fewer=1)
+    return best is not None and (laws.count_effects(opponent.fit) > 1 or laws.find_missing_effect(best) is None)
 
-        A free law may imitate two effects of the library. So a law without effects beside it beats a model of one
-        effect only if no effect is significant beside the law.
 
-        Parameters
-        ----------
-        fit : ModelFit
-            The library's next model.
-        rivals : sequence of ModelFit
-            The library's other models with as many effects.
+def find_winning_law(laws: FreeLawFits, opponent: Opponent) -> FittedLaw | None:
+    """Find the law that beats the library's best model, with the library effects that it needs beside it."""
+    best = find_better_law(laws, opponent)
+    for _ in range(current_policy().max_effects_beside_free_law):
+        beside = laws.find_missing_effect(best) if best else None
+        if best is None or beside is None:
+            break
+        try:
+            sigma, more = fit_law_with_effect(laws.evidence, best, beside, laws.base, laws.progress)
+        except ValueError:  # without the free law there is no motion
+            break
+        if more.score >= best.score or sigma < current_policy().free_law_sigma:
+            break
+        laws.fitted.append(more)
+        best = more
+    return best
 
-        Returns
-        -------
-        FreeLawContest
-        """
-        fits = [*fit_each_alone(self.evidence, self.base, fit, self.progress), fit]
-        there = dataclasses.replace(self, rivals=tuple(rivals))._considered(fits)
-        best = there._best(fit, 1)
-        if best is not None and there._count(fit) == 1:
-            there = there._asked(best)
-        beaten = best is not None and (there._count(fit) > 1 or there._lacks(best) is None)
-        return dataclasses.replace(there, beaten=self.beaten + 1 if beaten else 0)
 
-    def nearly(self, fit: ModelFit) -> FittedLaw | None:
-        """The free law that explains nearly as much as the library's best model, or more."""
-        best = min(self.fitted, key=lambda f: f.score, default=None)
-        return best if best and best.score < self._cost(fit) + current_policy().near_free_law_chi2 else None
-
-    def outcome(self, fit: ModelFit) -> tuple[FittedLaw | None, FreeLawContest]:
-        """Find the free law that explains the clips better than the library's best model, and than chance.
-
-        Returns the law with the library effects that it needs beside it, or None, and the contest with all new fits.
-        """
-        there, best = self, self._best(fit, 0)
-        for _ in range(current_policy().max_effects_beside_free_law if best is not None else 0):
-            assert best is not None
-            there = there._asked(best)
-            beside, known = there._lacks(best), there.fitted[best]
-            if beside is None:
-                break
-            try:
-                sigma, trial = fit_law_with_effect(there.evidence, known, beside, there.base, there.progress)
-            except ValueError:  # without the free law there is no motion
-                break
-            if trial.score >= known.score or sigma < current_policy().free_law_sigma:
-                break
-            best = len(there.fitted)
-            there = dataclasses.replace(there, fitted=(*there.fitted, trial))
-        return None if best is None else there.fitted[best], there
-
-    def _best(self, fit: ModelFit, fewer: int) -> int | None:
-        """Index of the best law that beats `fit`, among those with at least `fewer` effects less beside them."""
-        cost, most = self._cost(fit), self._count(fit)
-        fair = [
-            k
-            for k, f in enumerate(self.fitted)
-            if most - self._count(f.fit) >= fewer
-            and self._needed(f)
-            and (
-                self.refuted or most - self._count(f.fit) > 1 or f.score < cost - current_policy().effect_preferred_chi2
-            )
-        ]
-        best = min(fair, key=lambda k: self.fitted[k].score, default=None)
-        return best if best is not None and self.fitted[best].score < cost else None
-
-    def _needed(self, fitted_law: FittedLaw) -> bool:
-        """Tell if every library effect beside a free law is significant there, and not absorbed by the law."""
-        return all(
-            sigma > current_policy().free_law_sigma for sigma in fitted_law.significances_of_effects(self.base).values()
-        )
-
-    def _cost(self, fit: ModelFit) -> float:
-        return min(cost_of(f, self.base) for f in (fit, *self.rivals))
-
-    def _count(self, fit: ModelFit) -> int:
-        """Effects in a fit that are not in the base."""
-        return len(fit.added_names(self.base))
-
-    def _considered(self, fits: Sequence[ModelFit]) -> FreeLawContest:
-        """Fit the free laws that may be the best, to first order, beside these models; the latest model is last."""
-        seen, fitted = [], list(self.fitted)
-        for law in self.laws:
-            moves = whiten_law_columns(
-                self.evidence, law, self.base.model, self.base.launches
-            )  # near enough for all fits
-            seen += [(score_law(law, fit, moves), k) for k, fit in enumerate(fits, 1 - len(fits))]
-            self.progress()
-        leaders = [(test, k) for test, k in seen if test.sigma > current_policy().free_law_sigma]
-        leaders.sort(key=lambda pair: pair[0].score(self.base))
-        for test, _ in leaders[:3]:  # only these are fitted in full
-            slack = SCORE_ERROR_CHI2 + 0.01 * (cost_of(test.fit, self.base) - test.score(self.base))
-            if all(test.score(self.base) < f.score + slack for f in fitted):
-                with suppress(ValueError):  # on the way to this curve the model has no motion
-                    fitted.append(fit_law(self.evidence, test, self.base, self.progress))
-        return dataclasses.replace(self, fitted=tuple(fitted), refuted=any(k == 0 for _, k in leaders))
-
-    def _asked(self, place: int) -> FreeLawContest:
-        """Find the effect of the library that is still significant beside a fitted free law, and keep it in `asked`."""
-        if self.asked is not None and self.asked[0] == place:
-            return self
-        known = self.fitted[place]
-        tests = ScoreTests.of(known.evidence, known.joint_fit, self.progress, about=known.model_without_law)
-        ranking = tests.leaders(current_policy().free_law_sigma)
-        claimed = ranking and ranking[0].sigma > current_policy().free_law_sigma and ranking[0].sigma > tests.claim()
-        return dataclasses.replace(self, asked=(place, ranking[0] if claimed else None))
-
-    def _lacks(self, place: int) -> CandidateScore | None:
-        return self.asked[1] if self.asked is not None and self.asked[0] == place else None
+def find_near_law(laws: FreeLawFits, opponent: Opponent) -> FittedLaw | None:
+    """Find the free law that explains nearly as much as a model of the library, or more."""
+    best = min(laws.fitted, key=lambda law: law.score, default=None)
+    return best if best and best.score < laws.cost_of(opponent) + current_policy().near_free_law_chi2 else None
 
 
 def find_replacements(
@@ -218,24 +204,10 @@ def find_replacements(
 ) -> list[tuple[str, FittedLaw]]:
     """Fit other effects beside a free law, each instead of one effect that is there.
 
-    Parameters
-    ----------
-    evidence : WhitenedClips
-    less : FittedLaw
-        The free law without that effect.
-    named : Candidate
-        The effect to replace.
-    absorbed : collection of str
-        Effects that do not count as rivals.
-    base : ModelFit
-        The base fit, from which the cost of effects is counted.
-    progress : callable
-        Called now and then.
+    Returns the effects that to first order explain nearly as much, fitted in full, the best first.
 
-    Returns
-    -------
-    list of (str, FittedLaw)
-        The effects that to first order explain nearly as much, fitted in full, the best first.
+    less: the free law without the effect `named`; absorbed: effects that do not count as rivals; base: the fit from
+    which the cost of effects is counted.
     """
     tests = ScoreTests.of(less.evidence, less.joint_fit, progress, about=less.model_without_law)
     ranking = {c.effect: c for c in tests.ranking()}

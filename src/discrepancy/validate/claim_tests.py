@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 
@@ -16,7 +17,7 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.jacobian import differentiate
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, project_out
-from discrepancy.fitting.parameters import Candidate, candidates_by_name, parameter_limits
+from discrepancy.fitting.parameters import candidates_by_name, parameter_limits
 from discrepancy.fitting.significance import chi2_to_sigma, closes_too_little
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
@@ -24,7 +25,8 @@ from discrepancy.policy import current_policy
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.select.free_law_contest import find_replacements
 from discrepancy.select.law_fit import compare_scatter, fit_unseen_clips, fit_without_law, refit_without_effect
-from discrepancy.select.library_search import LibrarySearch, Selection
+from discrepancy.select.library_fits import LibraryFits
+from discrepancy.select.library_search import Selection, describe_claims, exchange_effect, make_selection
 from discrepancy.select.model_cost import cost_of
 from discrepancy.validate.residual_map import find_disagreements, is_unexplained
 
@@ -88,21 +90,10 @@ class HeldOutTest:
         the uncertainty of the claim changes it by |d| over its sigma. If the clips scatter about the claim more than
         noise does, sigma decreases by the same factor.
 
-        Parameters
-        ----------
-        without, with_ : sequence of (2n,) arrays
-            Whitened residuals of each clip, by the model without the claim and with it.
-        known : float
-            Sigma of the claim in the fitted clips; inf if these clips are among the fitted ones.
-        there : ModelFit, optional
-            The fit with the claim in these clips, for its derivatives.
-        covariance : array, optional
-            Covariance of its shared parameters from the fitted clips. Held-out clips may depend on directions that the
-            fitted clips do not determine.
-
-        Returns
-        -------
-        HeldOutTest
+        without, with_: whitened residuals (2n,) of each clip, by the model without the claim and with it. known: sigma
+        of the claim in the fitted clips; inf if these clips are among the fitted ones. there: the fit with the claim in
+        these clips, for its derivatives. covariance: that of its shared parameters from the fitted clips; held-out
+        clips may depend on directions that the fitted clips do not determine.
         """
         apart = [p - q for p, q in zip(without, with_, strict=True)]
         size = sum(float(d @ d) for d in apart)
@@ -124,10 +115,6 @@ class HeldOutTest:
         """True if the claim does not improve the prediction."""
         return self.gap[1] >= self.gap[0]
 
-    def closes_less_than(self, share: float) -> bool:
-        """Tell if the model with the claim fits the clips poorly and closes less than this share of the excess."""
-        return closes_too_little(*self.gap, share)
-
 
 def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Rejection | None:
     """Judge a claim by its predictions: the reason to reject it, or None if they support it.
@@ -135,15 +122,6 @@ def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Reje
     The held-out clips are a quarter of all. They show a claim at the detection limit with some 2.5 sigma, and one in
     ten true claims makes their gap a little larger. So they reject a claim only if their sigma falls short of the
     promise by more than their noise. In addition, all clips, each left out once, must support it beyond chance.
-
-    Parameters
-    ----------
-    held_out, leave_one_out : HeldOutTest
-        The test on the held-out clips, and on all clips with each left out in turn.
-
-    Returns
-    -------
-    Rejection or None
     """
     policy = current_policy()
     if held_out.is_worse and held_out.sigma < held_out.promised - policy.max_shortfall_sigma:
@@ -154,7 +132,7 @@ def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Reje
         return Rejection.LEFT_OUT_NOT_SIGNIFICANT
 
     def both_close_less_than(share: float) -> bool:
-        return held_out.closes_less_than(share) and leave_one_out.closes_less_than(share)
+        return all(closes_too_little(*test.gap, share) for test in (held_out, leave_one_out))
 
     weak = leave_one_out.sigma < policy.beside_free_law_sigma
     if weak and both_close_less_than(policy.min_closed_share_of_weak_claim):
@@ -168,18 +146,13 @@ def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> li
     The clip's own launch is fitted to it. Parameters at a limit stay there. The update is that of leave-one-out
     regression (Cook & Weisberg, Residuals and Influence in Regression, 1982).
 
-    Parameters
-    ----------
-    fit : ModelFit
-        The fit of all clips.
-    precision : (J, J) array, optional
-        Prior precision of the last J parameters, which are a free law's coefficients.
-
-    Returns
-    -------
-    list of (2n,) array
+    precision (J, J): the prior precision of the last J parameters, which are a free law's coefficients.
     """
-    free = np.array([not _is_at_limit(fit, name) for name in fit.names], dtype=bool)
+
+    def is_free(name: str) -> bool:  # a name with a space is a coefficient of a free law, which has no limits
+        return " " in name or fit.model.value(name) not in parameter_limits(fit.model, name)
+
+    free = np.array([is_free(name) for name in fit.names], dtype=bool)
     own = fit.linearisation.launch_bases
     slopes = [s[:, free] - q @ (q.T @ s[:, free]) for q, s in zip(own, fit.slopes, strict=True)]
     left = [r - q @ (q.T @ r) for q, r in zip(own, fit.residuals, strict=True)]
@@ -196,12 +169,6 @@ def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> li
         inverse = np.linalg.pinv((whole - own_information) / np.outer(scale, scale), rcond=1e-10, hermitian=True)
         out.append(r + s @ (inverse @ (s.T @ r / scale) / scale))
     return out
-
-
-def _is_at_limit(fit: ModelFit, name: str) -> bool:
-    if " " in name:  # a coefficient of a free law has no limits
-        return False
-    return fit.model.value(name) in parameter_limits(fit.model, name)
 
 
 def leave_one_out_with_law(fitted_law: FittedLaw) -> list[Array]:
@@ -228,19 +195,7 @@ def find_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[s
     """Find the quantity that the strengths of an effect change with most. A varying effect resembles another law.
 
     If the strength changes with position, clip or time, the residuals contain its signature times that change, to first
-    order. This is a score test of each such change.
-
-    Parameters
-    ----------
-    evidence : WhitenedClips
-    fit : ModelFit
-        The fit of the whole model to these clips.
-    strengths : sequence of str
-        Dotted names of the strengths of the effect.
-
-    Returns
-    -------
-    StrengthVariation
+    order. This is a score test of each such change. `fit` is that of the whole model to these clips.
     """
     min_information = 1e-8  # of the columns' own size: with less, the fit absorbs the direction
     features = [_features(*each) for each in zip(evidence.clips, range(len(fit.launches)), fit.launches, strict=True)]
@@ -331,16 +286,7 @@ class ClaimTest:
 
 @dataclass(frozen=True)
 class ValidatedSelection:
-    """A selection without the claims that were rejected.
-
-    Attributes
-    ----------
-    selection : Selection
-        The accepted part.
-    claims : tuple of EffectClaim
-        Its effects, with their numbers.
-    accepted, rejected : tuple of ClaimTest
-    """
+    """A selection without the rejected claims; the claims of its effects; and the tests of all claims."""
 
     selection: Selection
     claims: tuple[EffectClaim, ...] = ()
@@ -353,16 +299,33 @@ class ValidatedSelection:
         return tuple(claim.without_errors(sigma.get(claim.effect, claim.sigma)) for claim in self.claims)
 
 
-Tested = tuple[list[ClaimTest], dict[str, Selection], tuple[EffectClaim, ...]]
+@dataclass(frozen=True)
+class HeldOutClips:
+    """Clips that had no part in the selection, their noise, and the fit of the base model to them."""
+
+    clips: Sequence[MeasuredCollision]
+    noise: Noise
+    before: ModelFit
+
+    def fit(self, fit: ModelFit, progress: Callable[[], None] = lambda: None) -> ModelFit | None:
+        """Fit the launches by a model of the library; None if it has no motion for them."""
+        with suppress(ValueError):
+            return fit_model(self.clips, fit.model, (), self.noise, self.before.launches, progress)
+        return None
+
+    def fit_with_law(self, free_law: FittedLaw) -> ModelFit | None:
+        """Do as `fit` does, by a model with a free law."""
+        with suppress(ValueError):
+            return fit_unseen_clips(free_law, self.clips, self.before, self.noise)
+        return None
+
+
+Predictions = tuple[HeldOutTest, HeldOutTest]  # on held-out clips, and on fitted clips with each left out in turn
+Tested = tuple[list[ClaimTest], dict[str, Selection], tuple[EffectClaim, ...]]  # tests, selection without each, claims
 
 
 def validate(
-    selection: Selection,
-    library: LibrarySearch,
-    held_out: Sequence[MeasuredCollision],
-    before: ModelFit,
-    noise: Noise,
-    progress: Callable[[], None],
+    selection: Selection, library: LibraryFits, held_out: HeldOutClips, progress: Callable[[], None]
 ) -> ValidatedSelection:
     """Reject claims, the weakest first, until all that remain pass every test.
 
@@ -373,204 +336,172 @@ def validate(
     - a free law was rejected;
     - the model leaves something unexplained.
 
-    Parameters
-    ----------
-    selection : Selection
-        The effects and the free law that the search selected.
-    library : LibrarySearch
-        The search, with all models that it fitted.
-    held_out : sequence of MeasuredCollision
-        Clips that had no part in the selection.
-    before : ModelFit
-        The fit of the base model to the held-out clips.
-    noise : Noise
-    progress : callable
-        Called now and then.
-
-    Returns
-    -------
-    ValidatedSelection
+    library: all models that the search fitted.
     """
-    return Validation(library, library.evidence, held_out, before, noise, progress).run(selection)
+    rejected: list[ClaimTest] = []
+    while True:
+        law, level = selection.free_law, library.required_sigma
+        if law or any(test.is_free_law for test in rejected) or _leaves_something(selection, library, held_out.noise):
+            level = max(level, current_policy().beside_free_law_sigma)
+        if law:
+            tests, without, claims = _test_beside_law(selection, law, library, held_out, level, progress)
+        else:
+            tests, without, claims = _test_effects(selection, library, held_out, level, progress)
+        failed = [test for test in tests if test.rejection]
+        if not failed:
+            passed = {test.name for test in tests}  # a claim that failed beside another may pass without it
+            still = tuple(test for test in rejected if test.name not in passed)
+            return ValidatedSelection(selection, claims, tuple(tests), still)
+        worst = min(failed, key=lambda t: (t.rejection is not Rejection.ABSORBED, t.leave_one_out.sigma))
+        if worst.rejection and not worst.rejection.leaves_nothing_missing:
+            rejected.append(worst)
+        selection = without[worst.name]
 
 
-@dataclass(frozen=True)
-class Validation:
-    """The data of all tests of claims: the fitted clips, the held-out clips, and the fits of both."""
+def _leaves_something(selection: Selection, library: LibraryFits, noise: Noise) -> bool:
+    """Tell if the search selected effects and the residuals still hold a significant disagreement."""
+    if not selection.state:
+        return False
+    return is_unexplained(find_disagreements(library.evidence.clips, selection.best, noise), current_policy())
 
-    library: LibrarySearch
-    evidence: WhitenedClips
-    held_out: Sequence[MeasuredCollision]
-    before: ModelFit
-    noise: Noise
-    progress: Callable[[], None]
 
-    def run(self, selection: Selection) -> ValidatedSelection:
-        """See `validate`."""
-        rejected: list[ClaimTest] = []
-        while True:
-            beside = (
-                selection.free_law is not None
-                or any(test.is_free_law for test in rejected)
-                or self._leaves_something(selection)
-            )
-            level = current_policy().beside_free_law_sigma if beside else selection.required_sigma
-            tests, without, claims = self._test_claims(selection, level)
-            failed = [test for test in tests if test.rejection]
-            if not failed:
-                passed = {test.name for test in tests}  # a claim that failed beside another may pass without it
-                still = tuple(test for test in rejected if test.name not in passed)
-                return ValidatedSelection(selection, claims, tuple(tests), still)
-            worst = min(failed, key=lambda t: (t.rejection is not Rejection.ABSORBED, t.leave_one_out.sigma))
-            if worst.rejection and not worst.rejection.leaves_nothing_missing:
-                rejected.append(worst)
-            selection = without[worst.name]
+def judge_claim(claim: EffectClaim, predictions: Predictions, level: float, absorbed: bool = False) -> Rejection | None:
+    """Judge an effect that needs `level` sigma; absorbed: everything else explains as much without it."""
+    if not claim.sigma > level:
+        return Rejection.NOT_SIGNIFICANT
+    if absorbed:
+        return Rejection.ABSORBED
+    return judge_predictions(*predictions) or (Rejection.SHAPE_AT_LIMIT if claim.shape_at_limit() else None)
 
-    def _leaves_something(self, selection: Selection) -> bool:
-        """Tell if the search selected effects and the residuals still hold a significant disagreement."""
-        return bool(selection.state) and is_unexplained(
-            find_disagreements(self.evidence.clips, selection.best, self.noise)
-        )
 
-    def _test_claims(self, selection: Selection, level: float) -> Tested:
-        """Test each claim. Returns the tests, the selection without each claim, and the claims of effects.
+def _test_effects(
+    selection: Selection, library: LibraryFits, held_out: HeldOutClips, level: float, progress: Callable[[], None]
+) -> Tested:
+    """Test each effect of a selection without a free law; level: the sigma that an effect needs."""
+    tests, without, claims = [], dict[str, Selection](), describe_claims(library, selection.state)
 
-        level: the sigma that an effect needs.
-        """
-        if selection.free_law is not None:
-            return self._test_beside_law(selection, selection.free_law, level)
-        tests, without, every = [], dict[str, Selection](), self.library.claims(selection.state)
-        for candidate, claim in zip(selection.state, every, strict=True):
-            less = self.library.drop(selection, candidate)
-            without[candidate.name] = less
-            predictions = self._compare_models(claim.sigma, less.best, selection.best)
-            at_limit = claim.shape_at_limit()
-            if not claim.sigma > max(level, selection.required_sigma):
-                rejection: Rejection | None = Rejection.NOT_SIGNIFICANT
-            else:
-                rejection = judge_predictions(*predictions) or (Rejection.SHAPE_AT_LIMIT if at_limit else None)
-                for alias in claim.aliases[1:] if rejection else ():
-                    other = self.library.exchange(selection, candidate, alias)
-                    if other and not judge_predictions(*self._compare_models(claim.sigma, less.best, other.best)):
-                        without[candidate.name], rejection = other, Rejection.REPLACED
-                        break
-            variation = None
-            if rejection is None:
-                variation = find_variation(self.evidence, selection.best, candidate.strengths)
-                rejection = Rejection.VARIES if variation.rejects(claim.sigma) else None
-            test = ClaimTest(candidate.name, claim.sigma, *predictions, rejection)
-            tests.append(replace(test, shape_at_limit=at_limit, variation=variation if rejection else None))
-        return tests, without, every
+    def compare(sigma: float, less: ModelFit, more: ModelFit) -> Predictions:
+        return compare_models(sigma, less, more, held_out, progress)
 
-    def _test_beside_law(self, selection: Selection, free_law: FittedLaw, level: float) -> Tested:
-        """Do as `_test_claims` does, for a selection with a free law."""
-        tests, without, claims = [], dict[str, Selection](), []
-        whole, base = free_law.joint_fit, selection.base
-        with_, residuals = self._fit_held_out_with_law(free_law), leave_one_out_with_law(free_law)
-        known = candidates_by_name(free_law.model_without_law, base.model, base.names)
-        for effect, sigma in free_law.significances_of_effects(base).items():
-            own = selection.correct_for_trials(effect, sigma)
-            claim = EffectClaim.of(known[effect], whole, whole.std, own)
-            claims.append(claim)
-            try:
-                less = refit_without_effect(self.evidence, free_law, known[effect], base, self.progress)
-            except ValueError:  # the clips have no motion without it
-                continue
-            without[effect] = replace(selection, free_law=less)
-            fits = self._fit_held_out_with_law(less), with_
-            predictions = self._predict(own, fits, (leave_one_out_with_law(less), residuals))
-            at_limit = claim.shape_at_limit()
-            if not own > max(level, selection.required_sigma):
-                rejection: Rejection | None = Rejection.NOT_SIGNIFICANT
-            elif less.score <= free_law.score:
-                rejection = Rejection.ABSORBED
-            else:
-                rejection = judge_predictions(*predictions) or (Rejection.SHAPE_AT_LIMIT if at_limit else None)
-            others = [] if rejection else self._find_rivals(less, known[effect], free_law.score, base)
-            claims[-1] = replace(claim, aliases=(effect, *(name for name, _ in others)))
-            if others and others[0][1].score < free_law.score - current_policy().rival_excluded_chi2:
-                without[effect], rejection = replace(selection, free_law=others[0][1]), Rejection.REPLACED
-            tests.append(ClaimTest(effect, own, *predictions, rejection, shape_at_limit=at_limit))
-        without[free_law.law.name] = replace(selection, free_law=None)
-        return [*tests, self._test_law(selection, free_law, with_, residuals)], without, tuple(claims)
+    for candidate, claim in zip(selection.state, claims, strict=True):
+        less = make_selection(library, tuple(s for s in selection.state if s != candidate))
+        without[candidate.name] = less
+        predictions = compare(claim.sigma, less.best, selection.best)
+        rejection, variation = judge_claim(claim, predictions, level), None
+        if rejection and rejection is not Rejection.NOT_SIGNIFICANT:
+            for alias in claim.aliases[1:]:
+                other = exchange_effect(library, selection, candidate, alias)
+                if other and not judge_predictions(*compare(claim.sigma, less.best, other.best)):
+                    without[candidate.name], rejection = other, Rejection.REPLACED
+                    break
+        elif not rejection:
+            found = find_variation(library.evidence, selection.best, candidate.strengths)
+            if found.rejects(claim.sigma):
+                rejection, variation = Rejection.VARIES, found
+        test = ClaimTest(candidate.name, claim.sigma, *predictions, rejection)
+        tests.append(replace(test, shape_at_limit=claim.shape_at_limit(), variation=variation))
+    return tests, without, claims
 
-    def _find_rivals(
-        self, less: FittedLaw, named: Candidate, score: float, base: ModelFit
-    ) -> list[tuple[str, FittedLaw]]:
-        """Find effects that replace `named` beside a free law and fit as well, best first. score: that with `named`."""
-        others = find_replacements(self.evidence, less, named, self.library.absorbed, base, self.progress)
-        return [(name, other) for name, other in others if other.score < score + current_policy().rival_excluded_chi2]
 
-    def _compare_models(self, own: float, without: ModelFit, with_: ModelFit) -> tuple[HeldOutTest, HeldOutTest]:
-        """Compare the predictions of two models of the library."""
-        fits = self._fit_held_out(without), self._fit_held_out(with_)
-        return self._predict(own, fits, (leave_one_out_residuals(without), leave_one_out_residuals(with_)), with_)
-
-    def _test_law(
-        self, selection: Selection, free_law: FittedLaw, with_: ModelFit | None, residuals: Residuals
-    ) -> ClaimTest:
-        """Test the free law itself. A law of one number for each clip promises only how much these numbers scatter."""
-        name, own = free_law.law.name, free_law.sigma
+def _test_beside_law(
+    selection: Selection,
+    free_law: FittedLaw,
+    library: LibraryFits,
+    held_out: HeldOutClips,
+    level: float,
+    progress: Callable[[], None],
+) -> Tested:
+    """Test a free law and each effect beside it."""
+    tests, without, claims = [], dict[str, Selection](), []
+    whole, base, evidence = free_law.joint_fit, selection.base, library.evidence
+    with_, residuals = held_out.fit_with_law(free_law), leave_one_out_with_law(free_law)
+    known = candidates_by_name(free_law.model_without_law, base.model, base.names)
+    for effect, sigma in free_law.significances_of_effects(base).items():
+        claim = EffectClaim.of(known[effect], whole, whole.std, library.correct_for_trials(effect, sigma))
+        claims.append(claim)
         try:
-            empty = fit_without_law(self.evidence, free_law, self.progress)
-        except ValueError:  # no motion without the free law
-            predictions = self._predict(own, (None, with_), (residuals, residuals))
-            return ClaimTest(name, own, *predictions, judge_predictions(*predictions), is_free_law=True)
-        without = self._fit_held_out(empty)
-        if without is None or not free_law.law.is_per_clip:
-            predictions = self._predict(own, (without, with_), (leave_one_out_residuals(empty), residuals))
-            return ClaimTest(name, own, *predictions, judge_predictions(*predictions), is_free_law=True)
-        gain, promised, std = compare_scatter(free_law, self.held_out, without, self.noise)
-        before, std = without.chi2 / without.points, max(std, 1e-9)
-        held_out = HeldOutTest((before, before - gain / without.points), gain / std, promised / std)
-        gain += cost_of(empty, selection.base) - free_law.score  # in the clips fitted
-        every = HeldOutTest((before, before - gain / without.points), own, own)
-        return ClaimTest(name, own, held_out, every, judge_predictions(held_out, every), is_free_law=True)
+            less = refit_without_effect(evidence, free_law, known[effect], base, progress)
+        except ValueError:  # the clips have no motion without it
+            continue
+        without[effect] = replace(selection, free_law=less)
+        fits, left_out = (held_out.fit_with_law(less), with_), (leave_one_out_with_law(less), residuals)
+        predictions = compare_predictions(claim.sigma, fits, left_out, held_out)
+        rejection = judge_claim(claim, predictions, level, absorbed=less.score <= free_law.score)
+        if not rejection:
+            others = find_replacements(evidence, less, known[effect], library.absorbed, base, progress)
+            excluded = current_policy().rival_excluded_chi2
+            rivals = [(name, other) for name, other in others if other.score < free_law.score + excluded]
+            claims[-1] = replace(claim, aliases=(effect, *(name for name, _ in rivals)))
+            if rivals and rivals[0][1].score < free_law.score - excluded:
+                without[effect], rejection = replace(selection, free_law=rivals[0][1]), Rejection.REPLACED
+        tests.append(ClaimTest(effect, claim.sigma, *predictions, rejection, shape_at_limit=claim.shape_at_limit()))
+    without[free_law.law.name] = replace(selection, free_law=None)
+    predictions = _predict_with_law(selection, free_law, library, held_out, (with_, residuals), progress)
+    rejection = judge_predictions(*predictions)
+    tests.append(ClaimTest(free_law.law.name, free_law.sigma, *predictions, rejection, is_free_law=True))
+    return tests, without, tuple(claims)
 
-    def _predict(
-        self,
-        own: float,
-        fits: tuple[ModelFit | None, ModelFit | None],
-        residuals: tuple[Residuals, Residuals],
-        fit: ModelFit | None = None,
-    ) -> tuple[HeldOutTest, HeldOutTest]:
-        """Make the tests on held-out clips and on all clips. A model without motion for held-out clips fails both.
 
-        Parameters
-        ----------
-        own : float
-            Sigma of the claim.
-        fits : (ModelFit or None, ModelFit or None)
-            Fits of the held-out clips, without and with the claim.
-        residuals : (sequence, sequence)
-            Leave-one-out residuals of the fitted clips, without and with the claim.
-        fit : ModelFit, optional
-            The fit of the fitted clips with the claim, for its covariance.
-        """
-        without, with_ = fits
-        if with_ is None:
-            nothing = HeldOutTest((self.before.chi2 / self.before.points, math.inf), -math.inf, own)
-            return nothing, nothing
-        if without is None:
-            nothing = HeldOutTest((math.inf, with_.chi2 / with_.points), own, own)
-            return nothing, nothing
-        parts = without.residuals, with_.residuals
-        every = [[*fitted, *unseen] for fitted, unseen in zip(residuals, parts, strict=True)]
-        there = covariance = None
-        if fit:
-            held_out = WhitenedClips.of(self.held_out, self.noise)
-            there, covariance = linearise(held_out, fit.model, fit.names, with_.launches), fit.covariance
-        return HeldOutTest.of(*parts, own, there, covariance), HeldOutTest.of(every[0], every[1], np.inf)
+def _predict_with_law(
+    selection: Selection,
+    free_law: FittedLaw,
+    library: LibraryFits,
+    held_out: HeldOutClips,
+    with_law: tuple[ModelFit | None, Residuals],
+    progress: Callable[[], None],
+) -> Predictions:
+    """Test a free law itself. A law of one number for each clip promises only how much these numbers scatter.
 
-    def _fit_held_out(self, fit: ModelFit) -> ModelFit | None:
-        """Fit the launches of the held-out clips by a model of the library; None if it has no motion for them."""
-        try:
-            return fit_model(self.held_out, fit.model, (), self.noise, self.before.launches, self.progress)
-        except ValueError:
-            return None
+    with_law: the fit of the held-out clips, and the leave-one-out residuals of the fitted ones.
+    """
+    own, (with_, residuals) = free_law.sigma, with_law
+    try:
+        empty = fit_without_law(library.evidence, free_law, progress)
+    except ValueError:  # no motion without the free law
+        return compare_predictions(own, (None, with_), (residuals, residuals), held_out)
+    without = held_out.fit(empty, progress)
+    if without is None or not free_law.law.is_per_clip:
+        return compare_predictions(own, (without, with_), (leave_one_out_residuals(empty), residuals), held_out)
+    gain, promised, std = compare_scatter(free_law, held_out.clips, without, held_out.noise)
+    before, std = without.chi2 / without.points, max(std, 1e-9)
+    unseen = HeldOutTest((before, before - gain / without.points), gain / std, promised / std)
+    gain += cost_of(empty, selection.base) - free_law.score  # in the clips fitted
+    return unseen, HeldOutTest((before, before - gain / without.points), own, own)
 
-    def _fit_held_out_with_law(self, free_law: FittedLaw) -> ModelFit | None:
-        try:
-            return fit_unseen_clips(free_law, self.held_out, self.before, self.noise)
-        except ValueError:
-            return None
+
+def compare_models(
+    own: float, without: ModelFit, with_: ModelFit, held_out: HeldOutClips, progress: Callable[[], None]
+) -> Predictions:
+    """Compare the predictions of two models of the library; own: sigma of the claim."""
+    fits = held_out.fit(without, progress), held_out.fit(with_, progress)
+    residuals = leave_one_out_residuals(without), leave_one_out_residuals(with_)
+    return compare_predictions(own, fits, residuals, held_out, with_)
+
+
+def compare_predictions(
+    own: float,
+    fits: tuple[ModelFit | None, ModelFit | None],
+    residuals: tuple[Residuals, Residuals],
+    held_out: HeldOutClips,
+    fit: ModelFit | None = None,
+) -> Predictions:
+    """Make the tests on held-out clips and on all clips. A model without motion for held-out clips fails both.
+
+    own: sigma of the claim; fits: those of the held-out clips, without and with the claim; residuals: leave-one-out
+    residuals of the fitted clips, without and with the claim; fit: that of the fitted clips with the claim, for its
+    covariance.
+    """
+    without, with_ = fits
+    if with_ is None:
+        nothing = HeldOutTest((held_out.before.chi2 / held_out.before.points, math.inf), -math.inf, own)
+        return nothing, nothing
+    if without is None:
+        nothing = HeldOutTest((math.inf, with_.chi2 / with_.points), own, own)
+        return nothing, nothing
+    parts = without.residuals, with_.residuals
+    every = [[*fitted, *unseen] for fitted, unseen in zip(residuals, parts, strict=True)]
+    there = covariance = None
+    if fit:
+        evidence = WhitenedClips.of(held_out.clips, held_out.noise)
+        there, covariance = linearise(evidence, fit.model, fit.names, with_.launches), fit.covariance
+    return HeldOutTest.of(*parts, own, there, covariance), HeldOutTest.of(every[0], every[1], np.inf)

@@ -18,7 +18,7 @@ from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
-from discrepancy.policy import current_policy
+from discrepancy.policy import SearchPolicy, current_policy
 
 Term = tuple[str, int, int]  # name, ball, axis
 Where = tuple[str, int, int]  # phase, ball, axis
@@ -96,18 +96,6 @@ def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise:
     count. Each test leaves the terms of all other phases free, and the shared parameters too. So it does not attribute
     a wrong contact to the rolling that follows. Each test gives a chi^2 over all clips, and one for a trend with speed,
     impact parameter, heading or position. Sigma is corrected for the number of tests (Bonferroni).
-
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-    fit : ModelFit
-        Of these clips.
-    noise : Noise
-
-    Returns
-    -------
-    tuple of Disagreement
-        Every test, most significant first.
     """
     found = [*examine_phases(clips, fit, noise), *examine_ripples(clips, fit, noise)]
     every = [
@@ -124,9 +112,9 @@ def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise:
     return tuple(sorted(every, key=lambda x: -x.sigma))
 
 
-def is_unexplained(disagreements: Sequence[Disagreement]) -> bool:
+def is_unexplained(disagreements: Sequence[Disagreement], policy: SearchPolicy) -> bool:
     """Tell if the largest disagreement exceeds what chance makes."""
-    return bool(disagreements) and disagreements[0].sigma > current_policy().unexplained_sigma
+    return bool(disagreements) and disagreements[0].sigma > policy.unexplained_sigma
 
 
 def examine_phases(
@@ -237,18 +225,6 @@ def examine_ripples(
     A ball makes ripples if it is out of round or loaded, or if the tracker follows a mark on it. A rolling ball turns
     once over pi times its diameter. Its initial orientation is unknown. So the ripple has a free phase in each stretch
     of rolling, before the contact and after the slide. Cubics of time are free beside the ripple.
-
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-    fit : ModelFit
-        Of these clips.
-    noise : Noise
-
-    Yields
-    ------
-    tuple
-        (ripple, ball, axis) and the result, as `examine_phases` yields them.
     """
     found: dict[Where, list[ClipAmplitudes]] = {}
     expected = predict_tracks(fit.model, fit.launches, clips)
@@ -447,15 +423,7 @@ def combine_clips(parts: Sequence[ClipAmplitudes], min_shared: float = 1e-6) -> 
     The clips also constrain the shared parameters outside the test. A few additional rows hold that. Directions of the
     shared parameters with less than `min_shared` of the largest information do not count.
 
-    Parameters
-    ----------
-    parts : sequence of ClipAmplitudes
-    min_shared : float
-
-    Yields
-    ------
-    tuple
-        The quantity that the amplitude changes with ("" without a trend), chi^2, degrees of freedom, rms size in um.
+    Yields the quantity that the amplitude changes with ("" without a trend), chi^2, degrees of freedom, rms size in um.
     """
     values, axes = np.linalg.eigh(sum(g.information for g in parts))
     seen = values > min_shared * values.max(initial=0)

@@ -8,15 +8,14 @@ import pytest
 from discrepancy_clips import exact, noisy
 from discrepancy_laws import with_constant
 from discrepancy_outsiders import outsider
+from discrepancy_selected import challenged
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.free_laws.formula import _ShapeFitter, _write_sum, propose_formula
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.free_laws.shapes import iterate_shapes
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.select.free_law_contest import FreeLawContest
 from synthcam.model import Model
 
 
@@ -81,7 +80,7 @@ def test_a_lag_is_told_but_for_a_constant():
     seen = noisy([dataclasses.replace(c, xy=c.xy + m @ coefs) for c, m in zip(clips, moves, strict=True)], 6)
     noise = Noise(NoiseComponent(1.0))
     base = fit_model(seen, Model(), BASE_PARAMETERS, noise)
-    found = min(FreeLawContest.of(WhitenedClips.of(seen, noise), base).fitted, key=lambda f: f.score)
+    found = min(challenged(seen, base, noise), key=lambda f: f.score)
     formula = propose_formula(found)
     assert (found.law.name, formula.is_rejected) == ("lag_speed", False)
     factor = float(re.fullmatch(r"lag of the picture = (\S+) v\^2 s, v in m/s", formula.text).group(1))

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact, noisy
 from discrepancy_outsiders import OUTSIDERS, outsider
+from discrepancy_selected import challenged
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.free_laws.law_summary import LawSummary, describe_law
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.select.free_law_contest import FreeLawContest
 from synthcam.model import Model
 
 
@@ -46,7 +45,7 @@ def test_a_number_for_each_clip_is_given_with_the_clips_own_number():
     starts, noise = np.array([c.launch for c in plain]), Noise(NoiseComponent(1.0))
     law = next(s for s in free_laws_over(Model(), starts, plain) if s.name == "restitution_clip")
     clips = noisy(law.subtract_from(plain, Model(), starts, 3e-3 * np.array([1, -1, 0, 2, -2, 0])), 9)
-    filled = FreeLawContest.of(WhitenedClips.of(clips, noise), fit_model(clips, Model(), BASE_PARAMETERS, noise)).fitted
+    filled = challenged(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
     answer = LawSummary.of(next(f for f in filled if f.law.name == "restitution_clip"))
     assert answer.x[0].tolist() == answer.document()["x"] == numbers
     assert len(answer.curve) == len(numbers)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact, noisy, only
 from discrepancy_laws import with_constant
+from discrepancy_selected import challenged
 
 from discrepancy.data.launch import HEADING, B
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws import laws
@@ -18,7 +18,6 @@ from discrepancy.free_laws.law_summary import LawSummary, describe_law
 from discrepancy.free_laws.library import free_laws_over, law_count, library
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import search
-from discrepancy.select.free_law_contest import FreeLawContest
 from synthcam.effect import Effect, parameter
 from synthcam.effects.rolling_mismatch import RollingMismatch
 from synthcam.library import library as effects
@@ -147,7 +146,7 @@ def likeliest(effect):
     """The best free law beside the base model."""
     clips = hiding(effect)
     base = fit_model(clips, Model(), BASE_PARAMETERS, NOISE)
-    return min(FreeLawContest.of(WhitenedClips.of(clips, NOISE), base).fitted, key=lambda f: f.score)
+    return min(challenged(clips, base, NOISE), key=lambda f: f.score)
 
 
 def test_a_loss_by_heading_is_found_and_written():

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from discrepancy_clips import CAMERA, FPS, collisions, exact, noisy
+from discrepancy_selected import challenged
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import WhitenedClips
@@ -13,7 +14,7 @@ from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
-from discrepancy.select.free_law_contest import FreeLawContest
+from discrepancy.select.free_law_contest import FreeLawFits, find_better_law, find_winning_law, is_beaten
 from discrepancy.select.law_fit import fit_law, fit_unseen_clips, score_law, whiten_law_columns
 from discrepancy.select.model_cost import cost_of
 from synthcam.model import Model
@@ -34,12 +35,12 @@ def test_a_contact_at_the_edge_of_an_exposure_that_is_too_short_is_no_lag():
     short = dataclasses.replace(CAMERA, exposure=2e-4)
     base = based([dataclasses.replace(c, camera=short) for c in noisy(seen, 6)])
     assert base.chi2 > base.points  # the contact is seen
-    evidence = WhitenedClips.of([dataclasses.replace(c, camera=short) for c in noisy(seen, 6)], NOISE)
-    assert "lag_speed" not in [f.law.name for f in FreeLawContest.of(evidence, base).fitted]
+    again = [dataclasses.replace(c, camera=short) for c in noisy(seen, 6)]
+    assert "lag_speed" not in [f.law.name for f in challenged(again, base, NOISE)]
 
 
 def filled_with(name, curve, clips=8, seed=6):
-    """Collisions in which one free law is filled with a curve, and the contest's best free law."""
+    """Collisions in which one free law is filled with a curve: the free laws that were fitted, and the base."""
     plain = exact(Model(), clips, seed)
     launches = np.array([c.launch for c in plain])
     law = next(s for s in free_laws_over(Model(), launches, plain) if s.name == name)
@@ -47,8 +48,8 @@ def filled_with(name, curve, clips=8, seed=6):
     coefs = np.linalg.lstsq(law.basis(x), curve(x), rcond=None)[0]
     measured = collisions(law.add_to(Model(), coefs), clips, seed)
     base = based(measured)
-    contest = FreeLawContest.of(WhitenedClips.of(measured, NOISE), base)
-    return measured, base, contest
+    laws = FreeLawFits(WhitenedClips.of(measured, NOISE), base)
+    return laws, laws.challenge(base)
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +58,8 @@ def wavy():
 
 
 def test_the_free_law_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
-    _, base, contest = wavy
-    best = min(contest.fitted, key=lambda f: f.score)
+    laws, _ = wavy
+    best, base = min(laws.fitted, key=lambda f: f.score), laws.base
     assert best.law.name == "restitution_heading"
     assert best.sigma > 20
     assert best.score < cost_of(base, base) - current_policy().effect_preferred_chi2
@@ -67,7 +68,7 @@ def test_the_free_law_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
 
 
 def test_its_curve_is_the_truth_within_the_band(wavy):
-    best = min(wavy[2].fitted, key=lambda f: f.score)
+    best = min(wavy[0].fitted, key=lambda f: f.score)
     th = best.law.axes[0].grid(40)
     values, spread = best.curve(th)
     off = values[:, 0] - Model().restitution - 2e-3 * np.cos(3 * th)
@@ -83,21 +84,21 @@ def test_a_fit_of_the_truth_leaves_no_free_law_significant():
     truth = Model().replace({"velocity_restitution.e": 0.02})
     clips = collisions(truth, 8, 7)
     base = based(clips)
-    contest = FreeLawContest.of(WhitenedClips.of(clips, NOISE), base)
+    laws = FreeLawFits(WhitenedClips.of(clips, NOISE), base)
     right = fit_model(clips, Model(), (*BASE_PARAMETERS, "velocity_restitution.e"), NOISE)
-    assert contest.refuted  # the base is
-    after = contest.against(right)
-    assert not after.beaten
-    assert not after.refuted
-    assert after.outcome(right)[0] is None
+    assert laws.challenge(base).is_refuted
+    after = laws.challenge(right)
+    assert not after.is_refuted
+    assert not is_beaten(after, laws)
+    assert find_better_law(laws, after) is find_winning_law(laws, after) is None
 
 
 def test_a_free_law_that_beats_the_base_alone_is_the_outcome(wavy):
-    _, base, contest = wavy
-    outcome, _ = contest.outcome(base)
+    laws, opponent = wavy
+    outcome = find_winning_law(laws, opponent)
     assert outcome is not None
     assert outcome.law.name == "restitution_heading"
-    assert outcome.significances_of_effects(base) == {}
+    assert outcome.significances_of_effects(laws.base) == {}
     assert outcome.model_without_law.effects == ()
 
 
@@ -112,7 +113,8 @@ def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
     clips = [dataclasses.replace(c, xy=c.xy + 1.6e-6 * rng.standard_normal(c.xy.shape)) for c in shifted]
     some, kept_out = clips[:8], clips[8:]
     base = based(some)
-    best = FreeLawContest.of(WhitenedClips.of(some, NOISE), base).outcome(base)[0]
+    laws = FreeLawFits(WhitenedClips.of(some, NOISE), base)
+    best = find_winning_law(laws, laws.challenge(base))
     assert best is not None
     assert best.law.name == "restitution_clip"
     assert best.prior.size == pytest.approx(3e-3, rel=0.7)
@@ -124,9 +126,10 @@ def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
 
 def test_nothing_hidden_fills_no_free_law():
     clips = collisions(Model(), 8, 12)
-    contest = FreeLawContest.of(WhitenedClips.of(clips, NOISE), based(clips))
-    assert contest.fitted == ()
-    assert not contest.refuted
+    base = based(clips)
+    laws = FreeLawFits(WhitenedClips.of(clips, NOISE), base)
+    assert not laws.challenge(base).is_refuted
+    assert laws.fitted == []
 
 
 def test_what_the_base_holds_rightly_is_no_effect_beside_a_free_law():

@@ -2,11 +2,12 @@
 
 import dataclasses
 from functools import cache
+from types import SimpleNamespace as Made
 
 import numpy as np
 import pytest
 from discrepancy_clips import EFFECTS, STD, collisions, design, exact, noise_of_pair, nulls, only
-from discrepancy_selected import claimed, library_search, selected
+from discrepancy_selected import claimed, library_fits, selected
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
@@ -14,7 +15,17 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, names_to_fit
 from discrepancy.noise.model import estimate
 from discrepancy.policy import current_policy
-from discrepancy.select.library_search import LibrarySearch
+from discrepancy.select.library_search import (
+    choose_simplest,
+    complete_search,
+    describe_claims,
+    find_undetectable,
+    improve_once,
+    iterate_models,
+    make_selection,
+    search_from,
+    start_from,
+)
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -69,7 +80,7 @@ def started(truth, base=None, count=6, seed=9):
 def standing(truth, *state):
     """Steps that stand at a model with these candidates."""
     clips, base, noise = started(truth)
-    steps = library_search(clips, base, noise)
+    steps = library_fits(clips, base, noise)
     known = {s.name: s for s in list_candidates(base.model, base.names)}
     chosen = tuple(known[n] for n in state)
     strengths = [s for k in chosen for s in k.strengths]
@@ -80,9 +91,9 @@ def standing(truth, *state):
 def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
     few(monkeypatch)
     steps, state = standing(Model().replace({"velocity_restitution.e": 0.01}), "spin_transfer_velocity")
-    better = steps._improve_once(state, steps.score_tests(state))
+    better = improve_once(steps, state)
     assert [s.name for s in better] == ["velocity_restitution"]
-    assert steps._improve_once(better, steps.score_tests(better)) is None
+    assert improve_once(steps, better) is None
 
 
 def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
@@ -90,7 +101,7 @@ def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     steps, state = standing(
         Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution"
     )
-    better = steps._improve_once(state, steps.score_tests(state))
+    better = improve_once(steps, state)
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
@@ -103,22 +114,22 @@ def test_an_effect_is_not_added_where_far_more_is_missing(size, names, monkeypat
     turns = [np.sin(clip.frame / 6 + rng.uniform(0, 2 * np.pi)) for clip in clips]
     sway = [size * STD * turn[:, None] * rng.standard_normal(2) for turn in turns]
     clips = [dataclasses.replace(clip, xy=clip.xy + off) for clip, off in zip(clips, sway, strict=True)]
-    steps = library_search(clips, fit_model(clips, Model(), names_to_fit(Model()), noise), noise)
+    steps = library_fits(clips, fit_model(clips, Model(), names_to_fit(Model()), noise), noise)
     assert steps.ranking[0].sigma > steps.required_sigma
-    assert [s.name for s in next(steps.states(), ())] == names
+    assert [s.name for s in next(iterate_models(steps), ())] == names
 
 
 def test_a_search_goes_on_from_other_effects(monkeypatch):
     few(monkeypatch)
     truth = Model().replace({"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.1})
     clips, base, noise = started(truth)
-    steps = library_search(clips, base, noise)
-    found = steps.select(next(steps.states()))  # stopped at the first
+    steps = library_fits(clips, base, noise)
+    found = make_selection(steps, next(iterate_models(steps)))  # stopped at the first
     assert [s.name for s in found.state] == ["velocity_restitution"]
-    again = steps.search_from(found, ["rolling_quadratic"], truth)
+    again = search_from(steps, found, ["rolling_quadratic"], truth)
     assert [s.name for s in again.state] == ["rolling_quadratic", "velocity_restitution"]
     assert again.best.chi2 < found.best.chi2 - 50
-    assert steps.search_from(again, ["velocity_restitution"], truth) is None  # comes to the same
+    assert search_from(steps, again, ["velocity_restitution"], truth) is None  # comes to the same
 
 
 def test_a_wrong_beginning_is_shed_and_what_is_not_claimed_dropped(monkeypatch):
@@ -126,23 +137,23 @@ def test_a_wrong_beginning_is_shed_and_what_is_not_claimed_dropped(monkeypatch):
     truth = Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.07})
     clips, base, noise = started(truth)
     steps, found = selected(clips, base, noise)
-    assert [s.name for s in steps.finish(steps.start_from(["rolling_quadratic"], Model()))] == ["stribeck"]
-    (own,) = steps.start_from(["stribeck"], Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2}))
+    assert [s.name for s in complete_search(steps, start_from(steps, ["rolling_quadratic"], Model()))] == ["stribeck"]
+    (own,) = start_from(steps, ["stribeck"], Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2}))
     fitted = steps.fits[frozenset([own])]
     assert "stribeck.slip" in fitted.names
     assert fitted.chi2 == pytest.approx(found.best.chi2, abs=0.1)
     clips, base, noise = started(Model())
     steps, _ = selected(clips, base, noise)
-    assert steps.finish(steps.start_from(["velocity_restitution"], Model())) == ()
+    assert complete_search(steps, start_from(steps, ["velocity_restitution"], Model())) == ()
 
 
 def test_the_best_fit_holds_the_named_effects_and_no_other(monkeypatch):
     few(monkeypatch)
     clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.02, "rolling_quadratic.K": 0.3}))
     steps, found = selected(clips, base, noise)
-    assert {n.effect for n in steps.claims(found.state)} == {"velocity_restitution", "rolling_quadratic"}
+    assert {n.effect for n in describe_claims(steps, found.state)} == {"velocity_restitution", "rolling_quadratic"}
     assert found.base.model.effects == ()
-    assert {e.name() for e in found.best.model.effects} == {n.effect for n in steps.claims(found.state)}
+    assert {e.name() for e in found.best.model.effects} == {n.effect for n in describe_claims(steps, found.state)}
     assert found.base.chi2 > found.best.chi2 + 48
 
 
@@ -158,8 +169,8 @@ def stribeck():
 
 def test_a_shape_is_fitted_so_that_nothing_is_left_for_a_second_effect():
     _, _, steps, found = stribeck()
-    assert [n.effect for n in steps.claims(found.state)] == ["stribeck"]
-    (named,) = steps.claims(found.state)
+    assert [n.effect for n in describe_claims(steps, found.state)] == ["stribeck"]
+    (named,) = describe_claims(steps, found.state)
     assert abs(named.shapes["stribeck.slip"] - 0.07) < 3.5 * named.shape_std["stribeck.slip"] < 0.07
     assert abs(named.values["stribeck.rise"] - 0.1) < 3.5 * named.std["stribeck.rise"]
 
@@ -167,7 +178,7 @@ def test_a_shape_is_fitted_so_that_nothing_is_left_for_a_second_effect():
 def test_the_strengths_error_includes_the_shapes_freedom():
     clips, noise, steps, found = stribeck()
     alone = fit_model(clips, found.best.model, [*BASE_PARAMETERS, "stribeck.rise"], noise)
-    assert steps.claims(found.state)[0].std["stribeck.rise"] > 1.05 * alone.std["stribeck.rise"]
+    assert describe_claims(steps, found.state)[0].std["stribeck.rise"] > 1.05 * alone.std["stribeck.rise"]
     assert found.best.chi2 == pytest.approx(alone.chi2, abs=0.1)
 
 
@@ -179,22 +190,22 @@ def test_the_simpler_of_two_that_fit_as_well_is_named(monkeypatch):
     assert named.aliases == ("viscous_friction", "stribeck")
 
 
-def test_a_slightly_better_fit_is_no_reason_for_more_parameters(monkeypatch):
+def test_a_slightly_better_fit_is_no_reason_for_more_parameters():
     """A wave of 1 m is a tilt: which of the two fits better is chance."""
     tilt, wave = (
         frozenset({s}) for s in list_candidates(Model(), BASE_PARAMETERS) if s.name in ("plate_tilt", "plate_waviness")
     )
     for better, simplest in ((-5.0, tilt), (5.0, tilt), (20.0, wave)):
-        monkeypatch.setattr(LibrarySearch, "cost_of", lambda self, key, b=better: 100.0 - b * (key == wave))
-        assert object.__new__(LibrarySearch)._simplest([wave, tilt]) == simplest
+        library = Made(cost_of=lambda key, b=better: 100.0 - b * (key == wave))
+        assert choose_simplest(library, [wave, tilt]) == simplest
 
 
 def test_a_shape_that_says_nothing_is_undetermined(monkeypatch):
     few(monkeypatch)
     clips, base, noise = started(Model().replace({"hop.share": 0.012, "hop.bounce": 0.4}))
     steps, found = selected(clips, base, noise)
-    assert [n.effect for n in steps.claims(found.state)] == ["hop"]
-    assert steps.claims(found.state)[0].shape_std == {"hop.bounce": np.inf}
+    assert [n.effect for n in describe_claims(steps, found.state)] == ["hop"]
+    assert describe_claims(steps, found.state)[0].shape_std == {"hop.bounce": np.inf}
 
 
 def test_limits_are_the_strengths_that_are_seen_at_five_sigma(monkeypatch):
@@ -223,9 +234,9 @@ def test_friction_and_spin_are_found_one_after_the_other_in_a_textbook_collision
     textbook = Model().replace({"sliding_friction": 0.0, "spin_transfer": 0.0})
     clips, base, noise = started(Model(), textbook)
     steps, found = selected(clips, base, noise)
-    assert [n.effect for n in steps.claims(found.state)] == ["sliding_friction", "spin_transfer"]
-    assert all(n.aliases == (n.effect,) for n in steps.claims(found.state))
-    for n in steps.claims(found.state):
+    assert [n.effect for n in describe_claims(steps, found.state)] == ["sliding_friction", "spin_transfer"]
+    assert all(n.aliases == (n.effect,) for n in describe_claims(steps, found.state))
+    for n in describe_claims(steps, found.state):
         assert abs(n.values[n.effect] - getattr(Model(), n.effect)) < 3.5 * n.std[n.effect]
     best = found.best
     assert base.chi2 > 1e4 * best.chi2
@@ -236,9 +247,9 @@ def test_friction_and_spin_are_found_one_after_the_other_in_a_textbook_collision
 def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
     clips, base, noise = started(Model())
     steps, whole = selected(clips, base, noise)
-    assert steps.claims(whole.state) == ()
+    assert describe_claims(steps, whole.state) == ()
     assert whole.required_sigma > current_policy().min_claim_sigma
-    assert {"clock_error", "adhesion"} <= set(steps.undetectable(whole.state))
+    assert {"clock_error", "adhesion"} <= set(find_undetectable(steps, whole.state))
     few(monkeypatch, EFFECTS)
     assert selected(clips, base, noise)[1].required_sigma == current_policy().min_claim_sigma
 
@@ -249,7 +260,7 @@ def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch)
     truth = {"ball_friction.share": 0.18, "ball_friction.mu": 0.105}
     clips, base, noise = started(Model().replace(truth), count=16, seed=22)
     steps, found = selected(clips, base, noise)
-    (named,) = steps.claims(found.state)
+    (named,) = describe_claims(steps, found.state)
     off = abs(named.values["ball_friction.share"] - truth["ball_friction.share"])
     assert off > 10 * found.best.std["ball_friction.share"]
     assert off < 2 * named.std["ball_friction.share"]
@@ -260,7 +271,7 @@ def test_the_error_of_a_law_without_a_kink_is_that_of_its_one_minimum(monkeypatc
     few(monkeypatch, ("stribeck",))
     clips, base, noise = started(Model().replace({"stribeck.rise": rise, "stribeck.slip": 0.1}), count=12)
     steps, found = selected(clips, base, noise)
-    (named,) = steps.claims(found.state)
+    (named,) = describe_claims(steps, found.state)
     for name, std in (named.std | named.shape_std).items():
         assert std == pytest.approx(found.best.std[name], rel=0.1)
 
@@ -272,8 +283,8 @@ def test_what_first_order_leaves_over_of_an_absorbed_effect_leads_no_search():
     steps, found = selected(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
     assert max(found.ranking, key=lambda c: c.sigma).effect == "clock_error"
     assert found.ranking[0].effect == "exposure_blur"
-    assert "exposure_blur" in [n.effect for n in steps.claims(found.state)]
-    assert "clock_error" in steps.undetectable(found.state)
+    assert "exposure_blur" in [n.effect for n in describe_claims(steps, found.state)]
+    assert "clock_error" in find_undetectable(steps, found.state)
 
 
 def test_shapes_that_show_only_at_full_strength_are_found(monkeypatch):
@@ -290,11 +301,11 @@ def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
     few(monkeypatch, ("stribeck", "rolling_quadratic"))
     clips, base, noise = started(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.06}))
     steps, found = selected(clips, base, noise)
-    alone = library_search(clips, base, noise)
+    alone = library_fits(clips, base, noise)
     monkeypatch.setattr(
         "discrepancy.select.library_search.minimise_chi2", lambda evidence, fit, progress: fit
     )  # it stays
     for each in (alone, steps):
-        state = each.start_from(["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
+        state = start_from(each, ["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
     assert alone.fits[frozenset(state)].chi2 > found.best.chi2 + 10
     assert steps.fits[frozenset(state)] is found.best

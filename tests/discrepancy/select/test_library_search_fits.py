@@ -5,12 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 from discrepancy_clips import collisions, only
-from discrepancy_selected import library_search, selected
+from discrepancy_selected import library_fits, selected
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.noise.model import estimate
+from discrepancy.select.library_search import describe_claims
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -21,7 +22,7 @@ def test_a_shape_that_went_astray_is_found_again():
     noise = estimate(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     seen, hop = (
-        library_search(clips, base, noise),
+        library_fits(clips, base, noise),
         next(s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "hop"),
     )
     lost = linearise(
@@ -43,7 +44,7 @@ def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkey
     clips = collisions(Model(), 8, 1)
     noise = estimate(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
-    seen, names = library_search(clips, base, noise), (*BASE_PARAMETERS, "plate_tilt.x", "plate_waviness.b")
+    seen, names = library_fits(clips, base, noise), (*BASE_PARAMETERS, "plate_tilt.x", "plate_waviness.b")
     values = {"plate_tilt.x": 2e-3, "plate_waviness.b": 3.2e-5, "plate_waviness.wavelength": 0.1}
     both = linearise(seen.evidence, base.model.replace(values), names, base.launches)
     (wave,) = (s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "plate_waviness")
@@ -60,7 +61,7 @@ def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkey
     clips = collisions(Model().replace({"magnetic_attraction.pull": 0.4}), 4, 3)
     noise = estimate(clips)
     steps, found = selected(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
-    (named,) = steps.claims(found.state)
+    (named,) = describe_claims(steps, found.state)
     step, best = 0.5 * named.std["magnetic_attraction.pull"], found.best
     chi2 = []
     for value in (best.model.value("magnetic_attraction.pull") + k * step for k in (-1, 0, 1)):
@@ -77,7 +78,7 @@ def test_a_fit_that_is_offered_is_held_against_the_one_known():
         frozenset(s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "air_drag"),
     )
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
-    store = library_search(clips, base, noise)
+    store = library_fits(clips, base, noise)
     store.fit(())
     store.fits[key] = known = fit_model(clips, Model(), [*BASE_PARAMETERS, "air_drag.share"], noise)
     store.done.add(key)
@@ -98,7 +99,7 @@ def test_score_tests_are_those_of_the_fit_that_is_kept(monkeypatch):
     clips = collisions(Model(), 4, 3)
     noise = estimate(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
-    store = library_search(clips, base, noise)
+    store = library_fits(clips, base, noise)
     before = store.score_tests(())
     assert store.score_tests(()) is before
     store.offer(frozenset(), dataclasses.replace(base, residuals=tuple(0.5 * r for r in base.residuals)))

@@ -1,0 +1,64 @@
+"""What a search found, as data, from which sentences, pages and `discrepancy.json` are made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from discrepancy.data.notes import SearchNote
+from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.free_laws.law_summary import LawSummary
+from discrepancy.policy import SearchPolicy
+from discrepancy.preparation import SearchData
+from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.library_search import InterruptedSearch
+from discrepancy.select.score_test import CandidateScore
+from discrepancy.validate.claim_tests import ClaimTest
+from discrepancy.validate.gap import Gap, GapFits
+from discrepancy.validate.residual_map import Disagreement
+from discrepancy.verdict import Verdict, more_is_missing
+from synthcam.model import Model
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class SearchOutcome:
+    """The data of a `SearchResult`, which documents each field."""
+
+    verdict: Verdict
+    data: SearchData
+    base_fit: ModelFit
+    best_fit: ModelFit
+    model: Model
+    gap_fits: GapFits
+    base_disagreements: tuple[Disagreement, ...]
+    disagreements: tuple[Disagreement, ...]
+    scores: tuple[CandidateScore, ...]
+    required_sigma: float
+    policy: SearchPolicy
+    claims: tuple[EffectClaim, ...] = ()
+    free_law: FittedLaw | None = None
+    law_summary: LawSummary | None = None
+    model_holds_law: bool = False
+    accepted: tuple[ClaimTest, ...] = ()
+    rejected: tuple[ClaimTest, ...] = ()
+    undetectable: tuple[str, ...] = ()
+    experiment: str = ""
+    uniform: tuple[SearchNote, ...] = ()
+    processed: tuple[SearchNote, ...] = ()
+    left_out: tuple[SearchNote, ...] = ()
+    interrupted: InterruptedSearch | None = None
+
+    @property
+    def gap(self) -> Gap:
+        """The gap on held-out collisions: before, after and floor (noise alone), as chi^2 per point and in um."""
+        return self.gap_fits.gap
+
+    @property
+    def is_empty(self) -> bool:
+        """True if the search added nothing to the base model."""
+        return not (self.best_fit.added_names(self.base_fit) or self.free_law)
+
+    @property
+    def is_complete(self) -> bool:
+        """True if nothing more is missing; only then are the errors of the strengths valid."""
+        return not more_is_missing(self.disagreements, self.rejected, self.policy)

@@ -1,0 +1,80 @@
+"""Prepare the collisions of a search: remove outliers, hold some clips out, and estimate the noise of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.notes import SearchNote, SearchNoteKind
+from discrepancy.data.outlier_points import note_removed_points, remove_outliers
+from discrepancy.data.prior_processing import covers_contact, remove_filtered_rows
+from discrepancy.data.study_design import split_held_out
+from discrepancy.fitting.base_fit import Progress, estimate_noise, fit_base_model, remove_outliers_beside_model
+from discrepancy.fitting.noise_refit import refit_noise
+from discrepancy.noise.model import Noise
+from discrepancy.policy import current_policy
+from synthcam.model import Model
+from synthcam_shared.errors import InputError
+
+
+@dataclass(frozen=True)
+class SearchData:
+    """The collisions of a search and their noise.
+
+    Attributes
+    ----------
+    clips, held_out : tuple of MeasuredCollision
+        The collisions to fit, and those to test on.
+    noise : Noise
+    left_out : tuple of SearchNote
+        A note for each collision, or part of one, that is not used.
+    is_smoothed : bool
+        True if the tracks were smoothed by a filter before the search.
+    """
+
+    clips: tuple[MeasuredCollision, ...]
+    held_out: tuple[MeasuredCollision, ...]
+    noise: Noise
+    left_out: tuple[SearchNote, ...]
+    is_smoothed: bool = False
+
+    def without(self, outliers: Mapping[int, SearchNote]) -> SearchData:
+        """Remove clips to fit, given by index, each with a note that says why."""
+        clips = tuple(c for k, c in enumerate(self.clips) if k not in outliers)
+        return replace(self, clips=clips, left_out=(*self.left_out, *outliers.values()))
+
+
+def prepare(clips: Sequence[MeasuredCollision], model: Model, progress: Progress) -> SearchData:
+    """Remove outliers, hold some clips out, and estimate the noise of the others.
+
+    The noise is estimated from the smooth parts of the tracks, and again from the residuals of the base model. That
+    comes before any claim, because a claim could absorb underestimated noise. If the tracks were smoothed, the stage
+    removes the parts that the filter has moved instead.
+    """
+    progress("noise")
+    cleaned = remove_outliers(clips)
+    fitted, held_out = split_held_out(cleaned)
+    if estimate_noise(fitted).is_smoothed:
+        return _prepare_smoothed(cleaned, note_removed_points(clips, cleaned))
+    fitted, held_out = remove_outliers_beside_model(fitted, held_out, model, progress)
+    noise = estimate_noise(fitted)
+    base = fit_base_model(fitted, model, noise, progress)
+    noise = refit_noise(fitted, base, noise, explained=False) or noise
+    left_out = note_removed_points(clips, [*fitted, *held_out])
+    return SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out))
+
+
+def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[SearchNote]) -> SearchData:
+    """Keep the rows of smoothed tracks that the filter has not moved, in clips that have enough of them."""
+    clips = [remove_filtered_rows(clip) for clip in smoothed]
+    kept, least = [clip for clip in clips if covers_contact(clip)], current_policy().min_collisions
+    if len(kept) < least:
+        raise InputError(
+            f"{SearchNote(SearchNoteKind.SMOOTHED)}: {len(kept)} of {len(clips)} collisions keep enough positions that "
+            f"the filter does not move; expected {least} or more"
+        )
+    lost = tuple(SearchNote(SearchNoteKind.LOST_TO_FILTER, clip.clip) for clip in clips if not covers_contact(clip))
+    fitted, held_out = split_held_out(kept)
+    noise = estimate_noise(fitted)
+    return SearchData(tuple(fitted), tuple(held_out), noise, (*left_out, *lost), is_smoothed=True)

@@ -1,0 +1,73 @@
+"""The contents of `discrepancy.json`: the outcome of a search as plain values."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from discrepancy.outcome import SearchOutcome
+from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.wording import describe_rejection
+
+
+def to_document(found: SearchOutcome) -> dict[str, Any]:
+    """Return the contents of ``discrepancy.json``; docs/format.md describes the keys."""
+    noise, law, changed = found.data.noise, found.law_summary, found.policy.changed()
+    document: dict[str, Any] = to_json_values(
+        {
+            "verdict": str(found.verdict),
+            "named": [_claim_document(c) for c in found.claims],
+            "aliases": [list(c.aliases) for c in found.claims if len(c.aliases) > 1],
+            "outside": [law.document() | {"in_model": found.model_holds_law}] if law else [],
+            "where": [vars(p) for p in found.base_disagreements],
+            "left": [vars(p) for p in found.disagreements],
+            "ranking": [{"effect": c.effect, "sigma": c.sigma} for c in found.scores],
+            "claim": found.required_sigma,
+            "undetectable": list(found.undetectable),
+            "untold": list(found.undetectable),  # its former name, kept for one version
+            "alike": list(map(str, found.uniform)),
+            "processed": list(map(str, found.processed)),
+            "withdrawn": [
+                {"claim": t.name, "own_sigma": t.sigma, "why": describe_rejection(t)} | t.document()
+                for t in found.rejected
+            ],
+            "gap": dataclasses.asdict(found.gap) | {"by_claim": {t.name: t.document() for t in found.accepted}},
+            "experiment": found.experiment,
+            "cut_short": vars(found.interrupted) if found.interrupted else None,
+            "noise": {"scale": noise.scale, "quick": noise.innovation_scale, "correlation": noise.correlation}
+            | {"shake": noise.common_mode_rms}
+            | ({"over_phases": noise.whole_phase_scale} if noise.whole_phase_scale else {}),
+            "clips": {
+                "fitted": len(found.data.clips),
+                "kept_out": len(found.data.held_out),
+                "left_out": list(map(str, found.left_out)),
+            },
+        }
+    )
+    return document | ({"policy": changed} if changed else {})
+
+
+def _claim_document(claim: EffectClaim) -> dict[str, Any]:
+    return {
+        "effect": claim.effect,
+        "parameters": claim.values | claim.shapes,
+        "std": {k: np.nan if claim.at_limit(k) else std for k, std in (claim.std | claim.shape_std).items()},
+        "at_limit": [k for k in claim.values if claim.at_limit(k)],
+        "sigma": claim.sigma,
+        "limit": claim.limit,
+        "naming_limit": claim.naming,
+        "alike": [{"effects": list(names), "cosine": cosine} for names, cosine in claim.alike],
+    }
+
+
+def to_json_values(value: Any) -> Any:
+    """Convert to values that JSON knows: no numpy, and None for NaN and infinity."""
+    if isinstance(value, dict):
+        return {k: to_json_values(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_json_values(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value

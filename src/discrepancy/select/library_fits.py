@@ -1,0 +1,237 @@
+"""Models of the library, each fitted when it is first asked for, with the score tests beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+
+import numpy as np
+
+from discrepancy.fitting.gauss_newton import choose_most_likely, minimise_chi2, take_one_step
+from discrepancy.fitting.jacobian import differentiate_all
+from discrepancy.fitting.linearise import linearise, zero_unidentifiable_shapes
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
+from discrepancy.fitting.predict import predict_tracks
+from discrepancy.fitting.shape_scan import can_scan
+from discrepancy.fitting.significance import chi2_to_sigma
+from discrepancy.policy import current_policy
+from discrepancy.select.model_cost import cost_of
+from discrepancy.select.score_test import CandidateScore, ScoreTests
+from synthcam.dynamics.solve import without_mutual_push
+
+State = tuple[Candidate, ...]
+Key = frozenset[Candidate]
+
+
+class LibraryFits:
+    """The fits of library models to some clips. A model is the set of candidates that it adds to the base.
+
+    Base parameters that the base holds at zero are candidates too.
+
+    Attributes
+    ----------
+    fits : dict of frozenset of Candidate to ModelFit
+        All models that were fitted, by the candidates in them.
+    ranking : tuple of CandidateScore
+        The score tests of all candidates beside the base, most significant first.
+    required_sigma : float
+        The sigma that a claim needs, set before anything is searched.
+    trials_factors : mapping of str to float
+        The trials factor of the shape parameters of each candidate, by its name.
+    absorbed : frozenset of str
+        Effects that move the tracks only as the base fit's own parameters can. They do not count as rivals, even if
+        they seem to be rivals beside another effect.
+    """
+
+    def __init__(self, evidence: WhitenedClips, base: ModelFit, progress: Callable[[], None]) -> None:
+        self.evidence, self.progress = evidence, progress
+        self.fits: dict[Key, ModelFit] = {frozenset(): base}
+        self.tests: dict[Key, ScoreTests] = {}  # each holds the derivatives of every candidate
+        self.large: Key | None = None  # the model whose tests take much memory: dropped before others are made
+        self.done: set[Key] = {frozenset()}  # models whose fits have converged
+        self.latest: dict[Key, Candidate] = {}  # the candidate that was added after a scan of its shape parameters
+        tests = self.score_tests(())
+        self.ranking, self.trials_factors = tests.ranking(), tests.trials_factors
+        self.required_sigma = max(tests.claim(), current_policy().min_claim_sigma)
+        self.absorbed = frozenset(c.effect for c in self.ranking if c.absorbed)
+
+    @property
+    def base(self) -> ModelFit:
+        """The fit without any candidate."""
+        return self.fits[frozenset()]
+
+    def score_tests(self, state: Sequence[Candidate], max_numbers: int = 8_000_000) -> ScoreTests:
+        """The score tests of all candidates beside a model. At most `max_numbers` stay in memory beside the last."""
+        fit, key = self.fit(state), frozenset(state)
+        if key not in self.tests:
+            if self.large is not None:
+                self.tests.pop(self.large, None)
+                self.large = None
+            tests = ScoreTests.of(self.evidence, fit, self.progress)
+            if tests.numbers + sum(t.numbers for t in self.tests.values()) > max_numbers:
+                self.large = key
+            self.tests[key] = tests
+        return self.tests[key]
+
+    def _keep(self, key: Key, fit: ModelFit) -> None:
+        """Keep a fit instead of an earlier one, and forget the score tests of the earlier one."""
+        self.fits[key] = fit
+        self.tests.pop(key, None)
+
+    def fit(self, state: Iterable[Candidate]) -> ModelFit:
+        """The best fit of a model."""
+        key = frozenset(state)
+        if key not in self.fits:
+            self._keep(key, self._start_from_larger(key))
+        if key not in self.done:
+            fit = minimise_chi2(self.evidence, self.fits[key], self.progress)
+            self._keep(key, self._escape_local_minimum(tuple(state), fit))
+            self.done.add(key)
+        return self.fits[key]
+
+    def fit_exactly(self, state: Sequence[Candidate]) -> ModelFit:
+        """Fit as `fit` does, with derivatives that include a force between the balls: errors need them exact."""
+        fit, key = self.fit(state), frozenset(state)
+        if without_mutual_push(fit.model).effects != fit.model.effects:
+            exact = linearise(self.evidence, fit.model, fit.names, fit.launches, exact=True)
+            self.tests[key] = dataclasses.replace(self.score_tests(state), fit=exact)
+            self.fits[key] = exact
+        return self.fits[key]
+
+    def extend(self, key: Key, fit: ModelFit, scored: CandidateScore) -> None:
+        """Fit and keep the model of `key`, which is the model of `fit` with the scored candidate added."""
+        self._keep(key, fit_with_candidate(self.evidence, fit, scored, self.progress))
+        self.latest[key] = scored.candidate
+
+    def offer(self, key: Key, fit: ModelFit) -> None:
+        """Keep a fit of the model of `key` if it is better than a known one; `fit` lets it converge later."""
+        known = self.fits.get(key)
+        if known is None or fit.chi2 < known.chi2:
+            self._keep(key, fit)
+            self.done.discard(key)
+
+    def _escape_local_minimum(self, state: State, fit: ModelFit) -> ModelFit:
+        """Return the fit, or a better one from other shape parameters: chi^2 may have several minima."""
+        for candidate in state:
+            tries = list(candidate.grid(candidate.remove_from(fit.model)))
+            if len(tries) < 2:
+                continue
+            if not can_scan(candidate, tries):  # a strong effect's shape parameters show only at that strength
+                best = choose_most_likely(self.evidence, fit, tries)
+                other = take_one_step(self.evidence, fit, fit.model.replace(best)) if best else None
+                fit = self._take_better(fit, other) if other else fit
+            if candidate == self.latest.get(frozenset(state)):
+                continue
+            reduced = self.remove(fit, candidate)
+            tests = ScoreTests.of(self.evidence, reduced, self.progress, [candidate])
+            scored = tests.sharper(self.evidence, tests.ranking()[0])
+            if tests.chi2() - scored.gain < fit.chi2 - 2.0:  # less is not worth another fit
+                fit = self._take_better(fit, fit_with_candidate(self.evidence, reduced, scored, self.progress))
+        return fit
+
+    def _take_better(self, fit: ModelFit, other: ModelFit) -> ModelFit:
+        """Return the better of the two fits, after the other has converged."""
+        if other.chi2 >= fit.chi2:
+            return fit
+        return min(fit, minimise_chi2(self.evidence, other, self.progress), key=lambda f: f.chi2)
+
+    def _start_from_larger(self, key: Key) -> ModelFit:
+        """Start a model from the smallest fitted model that contains it, less the effects that it does not have."""
+        larger = min((k for k in self.fits if k > key), key=len)
+        fit = self.fits[larger]
+        for candidate in larger - key:
+            fit = self.remove(fit, candidate)
+        return fit
+
+    def remove(self, fit: ModelFit, candidate: Candidate) -> ModelFit:
+        """Remove a candidate from a fit; all other parameters and the launches stay. Nothing is fitted again.
+
+        If that model has no motion from these launches, the base fit gives its parameters and launches.
+        """
+        reduced = fit.drop(candidate.remove_from(fit.model), candidate.strengths + candidate.shapes)
+        try:
+            residuals = self.evidence.whitened_residuals(reduced.model, reduced.launches)
+            return dataclasses.replace(reduced, residuals=residuals)
+        except ValueError:  # two effects held the ball at rest together: begin without either
+            base = self.base
+            gone = [n for n in reduced.names if n not in base.names and not find_parameter(reduced.model, n).fixed]
+            model = reduced.model.replace({n: base.model.value(n) for n in base.names} | dict.fromkeys(gone, 0.0))
+            return linearise(self.evidence, model, reduced.names, base.launches)
+
+    def cost_of(self, state: Iterable[Candidate]) -> float:
+        """The chi^2 of a fitted model plus the cost of its strengths and shape parameters (`model_cost.cost_of`)."""
+        return cost_of(self.fits[frozenset(state)], self.base)
+
+    def rivals(self, state: Collection[Candidate]) -> list[ModelFit]:
+        """The fits of all models that have as many candidates as this one."""
+        return [f for key, f in self.fits.items() if len(key) == len(state)]
+
+    def convert_to_sigma(self, chi2: float, candidate: Candidate) -> float:
+        """The sigma of a chi^2 that a candidate explains, corrected by its trials factor."""
+        return chi2_to_sigma(chi2, len(candidate.strengths), self.trials_factors.get(candidate.name, 1.0))
+
+    def correct_for_trials(self, effect: str, sigma: float) -> float:
+        """Sigma of an effect, corrected by the trials factor of its shape parameters."""
+        return math.sqrt(max(sigma**2 - 2 * math.log(self.trials_factors.get(effect, 1.0)), 0.0))
+
+
+def fit_with_candidate(
+    evidence: WhitenedClips,
+    fit: ModelFit,
+    scored: CandidateScore,
+    progress: Callable[[], None] = lambda: None,
+    min_share: float = 0.5,
+) -> ModelFit:
+    """Fit a candidate's strengths, then its shape parameters, together with all parameters of a fit without it.
+
+    The descent starts where the score test leads. If that gains less than `min_share` of what the test promised, the
+    fit starts from realistic sizes as well. For a base parameter held at zero it starts from realistic sizes only.
+    The result is the best of those descents, roughly converged; `fit` itself if none can start.
+    """
+    tries = [] if scored.candidate.kind is None else [_descend_from_score(evidence, fit, scored, progress)]
+    if not tries or tries[0].chi2 > fit.chi2 - min_share * scored.gain:
+        tries += [minimise_chi2(evidence, s, progress, rough=True) for s in _realistic_starts(evidence, fit, scored)]
+    return min(tries, key=lambda f: f.chi2, default=fit)
+
+
+def _descend_from_score(
+    evidence: WhitenedClips, fit: ModelFit, scored: CandidateScore, progress: Callable[[], None]
+) -> ModelFit:
+    candidate, model = scored.candidate, fit.model.replace(scored.shapes)
+    strong = minimise_chi2(evidence, fit.extend(model, scored.strengths, scored.columns), progress, rough=True)
+    if not candidate.shapes or all(strong.model.value(s) == 0 for s in scored.strengths):
+        return strong
+    here = predict_tracks(strong.model, strong.launches, evidence.clips)
+    slopes = differentiate_all(strong.model, strong.launches, evidence.clips, candidate.shapes, here)
+    columns = evidence.whiten([np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))])
+    columns = zero_unidentifiable_shapes(strong.model, candidate.shapes, columns)
+    return minimise_chi2(evidence, strong.extend(strong.model, candidate.shapes, columns), progress, rough=True)
+
+
+def _realistic_starts(
+    evidence: WhitenedClips,
+    fit: ModelFit,
+    scored: CandidateScore,
+    shares: Sequence[float] = (0.1, 0.3, 1.0),
+    count: int = 2,
+) -> list[ModelFit]:
+    """The best starts with the candidate's single strength at shares of a realistic size, all else after one step.
+
+    A score test cannot lead to a strength at which the tracks have stopped being linear in it.
+    """
+    candidate = scored.candidate
+    if len(candidate.strengths) > 1:
+        return []
+    name = candidate.strengths[0]
+    size, (low, high) = find_parameter(fit.model, name).typical, parameter_limits(fit.model, name)
+    begun: list[ModelFit] = []
+    for shapes in candidate.grid(fit.model):
+        for value in (sign * share * size for share in shares for sign in (1, -1)):
+            if low <= value <= high:
+                start = take_one_step(evidence, fit, fit.model.replace({**shapes, name: value}))
+                begun += [start] if start else []
+    best = sorted(begun, key=lambda f: f.chi2)[:count]
+    names = (*fit.names, name, *candidate.shapes)
+    return [linearise(evidence, f.model, names, f.launches) for f in best]
