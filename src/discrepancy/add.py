@@ -33,21 +33,13 @@ from synthcam_shared.settings import did_you_mean
 
 @dataclass(frozen=True)
 class AddedEffect:
-    """An effect fitted with all other parameters.
+    """An effect fitted with all other parameters."""
 
-    Attributes
-    ----------
-    before, fit : ModelFit
-        The fit to all clips without and with it.
-    named : EffectClaim
-    left_out : tuple of str
-        A line for each clip with removed outliers.
-    """
-
+    # the fit to all clips without and with it
     before: ModelFit
     fit: ModelFit
     named: EffectClaim
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # a line for each clip with removed outliers
 
     @property
     def chi2(self) -> tuple[float, float]:

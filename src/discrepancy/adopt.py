@@ -23,23 +23,13 @@ from synthcam_shared.outputs import as_input_error, check_writable, write_atomic
 
 @dataclass(frozen=True)
 class AdoptedEffect:
-    """The files of an adopted effect.
-
-    Attributes
-    ----------
-    name : str
-    effect, model : Path
-    line : str
-        The line of YAML by which a model or scene has the effect.
-    formula : str or None
-        None for a table.
-    """
+    """The files of an adopted effect."""
 
     name: str
     effect: Path
     model: Path
-    line: str
-    formula: str | None
+    line: str  # the line of YAML by which a model or scene has the effect
+    formula: str | None  # None for a table
 
     def document(self) -> dict[str, Any]:
         """The result for other programs."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -182,7 +183,11 @@ def plan(
     designed = design_experiment(given, clips, noise, seed)
     known = [c.name for c in list_candidates(designed.experiment.model, designed.experiment.names)]
     chosen, wished = _choose_effects(effects, known), _parse_wanted(limits or {}, known)
-    tick = _ProgressCounter(progress, count_draws(clips) + changes * (len(CHANGES) + 2) + 2 * len(wished))
+    total, done = count_draws(clips) + changes * (len(CHANGES) + 2) + 2 * len(wished), itertools.count(1)
+
+    def tick() -> None:
+        progress(next(done), total)
+
     found = _typical_limits(given, clips, noise, seed, tick)
     before, after = limits_with_changes(designed.experiment, tick) if changes else (found, ())
     gains = sorted((compute_gain(before, t, chosen) for t in after), key=lambda g: -g.naming)
@@ -196,7 +201,7 @@ def plan(
         count_collisions_needed(one, size, _limit_of(found, one), clips, partial(limit_at, one))
         for one, size in wished.items()
     ]
-    tick.end()
+    progress(total, total)
     return Plan(
         PlanResult(
             name=given.name,
@@ -209,20 +214,6 @@ def plan(
             wanted=tuple(wanted),
         )
     )
-
-
-class _ProgressCounter:
-    """Counts the experiments that are done."""
-
-    def __init__(self, progress: Progress, total: int) -> None:
-        self.progress, self.total, self.done = progress, total, 0
-
-    def __call__(self) -> None:
-        self.done += 1
-        self.progress(self.done, self.total)
-
-    def end(self) -> None:
-        self.progress(self.total, self.total)
 
 
 def _typical_limits(

@@ -20,24 +20,14 @@ from synthcam_shared.errors import InputError
 
 @dataclass(frozen=True)
 class SearchData:
-    """The collisions of a search and their noise.
+    """The collisions of a search and their noise."""
 
-    Attributes
-    ----------
-    clips, held_out : tuple of MeasuredCollision
-        The collisions to fit, and those to test on.
-    noise : Noise
-    left_out : tuple of SearchNote
-        A note for each collision, or part of one, that is not used.
-    is_smoothed : bool
-        True if the tracks were smoothed by a filter before the search.
-    """
-
+    # the collisions to fit, and those to test on
     clips: tuple[MeasuredCollision, ...]
     held_out: tuple[MeasuredCollision, ...]
     noise: Noise
-    left_out: tuple[SearchNote, ...]
-    is_smoothed: bool = False
+    left_out: tuple[SearchNote, ...]  # a note for each collision, or part of one, that is not used
+    is_smoothed: bool = False  # true if the tracks were smoothed by a filter before the search
 
     def without(self, outliers: Mapping[int, SearchNote]) -> SearchData:
         """Remove clips to fit, given by index, each with a note that says why."""

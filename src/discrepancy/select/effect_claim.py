@@ -20,36 +20,21 @@ from synthcam.model import Model
 
 @dataclass(frozen=True)
 class EffectClaim:
-    """An effect that the search claims.
-
-    Attributes
-    ----------
-    effect : str
-    values, std : dict of str to float
-        Its strengths by dotted name, and their standard deviations.
-    sigma : float
-        Joint significance of its strengths.
-    aliases : tuple of str
-        The effects that fit as well, itself first.
-    shapes, shape_std : dict of str to float
-        The same of its shape parameters; infinite if the data leave one undetermined.
-    alike : tuple of (tuple of str, float)
-        Effects, or sums of two, with a similar signature, and the cosine.
-    limit : dict of str to float
-        The detection limits of its strengths.
-    naming : dict of str to float
-        The least strengths that distinguish it from the most similar effect, aliases aside.
-    """
+    """An effect that the search claims."""
 
     effect: str
+    # its strengths by dotted name, and their standard deviations
     values: dict[str, float]
     std: dict[str, float]
-    sigma: float
-    aliases: tuple[str, ...]
+    sigma: float  # joint significance of its strengths
+    aliases: tuple[str, ...]  # the effects that fit as well, itself first
+    # the same of its shape parameters; infinite if the data leave one undetermined
     shapes: dict[str, float] = field(default_factory=dict)
     shape_std: dict[str, float] = field(default_factory=dict)
+    # effects, or sums of two, with a similar signature, and the cosine
     alike: tuple[tuple[tuple[str, ...], float], ...] = ()
-    limit: dict[str, float] = field(default_factory=dict)
+    limit: dict[str, float] = field(default_factory=dict)  # the detection limits of its strengths
+    # the least strengths that distinguish it from the most similar effect, aliases aside
     naming: dict[str, float] = field(default_factory=dict)
 
     @classmethod

@@ -61,20 +61,12 @@ def select_effects_and_law(library: LibraryFits, progress: Callable[[], None]) -
 
 @dataclass(frozen=True)
 class Opponent:
-    """A model of the library that the free laws compete with.
-
-    Attributes
-    ----------
-    fit : ModelFit
-    rivals : tuple of ModelFit
-        Other models of the library with as many effects. They may be less simple but fit better.
-    is_refuted : bool
-        True if the model leaves a free law significant.
-    """
+    """A model of the library that the free laws compete with."""
 
     fit: ModelFit
+    # Other models of the library with as many effects. They may be less simple but fit better.
     rivals: tuple[ModelFit, ...]
-    is_refuted: bool
+    is_refuted: bool  # true if the model leaves a free law significant
 
 
 class FreeLawFits:
@@ -91,7 +83,7 @@ class FreeLawFits:
         fits, seen = [*fit_each_alone(self.evidence, self.base, fit, self.progress), fit], []
         for law in self.laws:  # derivatives at the base are near enough for all fits
             moves = whiten_law_columns(self.evidence, law, self.base.model, self.base.launches)
-            seen += [score_law(law, each, moves) for each in fits]
+            seen += [score_law(self.evidence, law, each, moves) for each in fits]
             self.progress()
         leaders = [test for test in seen if test.sigma > current_policy().free_law_sigma]
         leaders.sort(key=lambda test: test.score(self.base))

@@ -53,8 +53,9 @@ def whiten_law_columns(evidence: WhitenedClips, law: FreeLaw, model: Model, laun
     return evidence.whiten(law.derivatives(model, launches, evidence.clips))
 
 
-def score_law(law: FreeLaw, fit: ModelFit, moves: Sequence[Array]) -> LawScore:
-    information, pull = fit.information(moves)
+def score_law(evidence: WhitenedClips, law: FreeLaw, fit: ModelFit, moves: Sequence[Array] | None = None) -> LawScore:
+    """Score a law beside a fit; moves: its whitened derivatives, by default at the fit."""
+    information, pull = fit.information(moves or whiten_law_columns(evidence, law, fit.model, fit.launches))
     return LawScore(law, fit, compute_significance(law, information, pull), information, pull)
 
 
@@ -124,9 +125,8 @@ def _moved(
     try:
         plain = replace_within_limits(plain, dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)))
         model = law.add_to(plain, coefs + step)
-        here = dataclasses.replace(
-            evidence, clips=tuple(law.subtract_from(evidence.clips, plain, launches, coefs + step))
-        )
+        clips = law.subtract_from(evidence.clips, plain, launches, coefs + step)
+        here = dataclasses.replace(evidence, clips=tuple(clips))
         residuals = here.whitened_residuals(model, launches)
     except STEP_ERRORS:
         return None
@@ -140,26 +140,17 @@ def fit_law_with_effect(
 
     Returns the significance of the law beside the effect, and the fit.
     """
-    model, names = (
-        known.model_without_law.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0)),
-        known.fit.names,
-    )
-    start = minimise_chi2(
-        evidence, linearise(evidence, model, (*names, *effect.strengths), known.fit.launches), progress
-    )
-    test = score_law(known.law, start, whiten_law_columns(evidence, known.law, start.model, start.launches))
-    fitted = fit_law(evidence, test, base, progress)
-    names = (*start.names, *effect.shapes)
+    model = known.model_without_law.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0))
+    start = linearise(evidence, model, (*known.fit.names, *effect.strengths), known.fit.launches)
+    test = score_law(evidence, known.law, minimise_chi2(evidence, start, progress))
+    fitted, names = fit_law(evidence, test, base, progress), (*start.names, *effect.shapes)
     for _ in range(10 if effect.shapes else 0):  # law and shapes in turn: without the law shapes may diverge
-        here, one = fitted.evidence, fitted.fit
+        before, here, one = fitted.score, fitted.evidence, fitted.fit
         whole = minimise_chi2(here, linearise(here, one.model, names, one.launches), progress)
-        plain = replace_within_limits(
-            fitted.model_without_law, dict(zip(whole.names, whole.values().tolist(), strict=True))
-        )
-        before = fitted.score
-        fitted = fit_law(
-            evidence, test, base, progress, dataclasses.replace(fitted, fit=whole, model_without_law=plain)
-        )
+        values = dict(zip(whole.names, whole.values().tolist(), strict=True))
+        plain = replace_within_limits(fitted.model_without_law, values)
+        begun = dataclasses.replace(fitted, fit=whole, model_without_law=plain)
+        fitted = fit_law(evidence, test, base, progress, begun)
         if fitted.score > before - CONVERGED_CHI2:
             break
     information, pull = fitted.fit.information(fitted.slopes)
@@ -172,22 +163,14 @@ def refit_without_effect(
     """Fit a free law again without the effect `gone` beside it. Raises ValueError if there is no motion."""
     names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
     start = linearise(evidence, gone.remove_from(fitted_law.model_without_law), names, fitted_law.fit.launches)
-    fit = minimise_chi2(evidence, start, progress)
-    return fit_law(
-        evidence,
-        score_law(fitted_law.law, fit, whiten_law_columns(evidence, fitted_law.law, fit.model, fit.launches)),
-        base,
-        progress,
-    )
+    test = score_law(evidence, fitted_law.law, minimise_chi2(evidence, start, progress))
+    return fit_law(evidence, test, base, progress)
 
 
 def fit_without_law(evidence: WhitenedClips, fitted_law: FittedLaw, progress: Callable[[], None]) -> ModelFit:
     """Fit everything beside a fitted law, without the law. Raises ValueError if there is no motion."""
-    return minimise_chi2(
-        evidence,
-        linearise(evidence, fitted_law.model_without_law, fitted_law.fit.names, fitted_law.fit.launches),
-        progress,
-    )
+    start = linearise(evidence, fitted_law.model_without_law, fitted_law.fit.names, fitted_law.fit.launches)
+    return minimise_chi2(evidence, start, progress)
 
 
 def compare_scatter(
@@ -226,7 +209,6 @@ def fit_unseen_clips(
         evidence = WhitenedClips.of(clips, noise)
         there = minimise_chi2(evidence, linearise(evidence, plain, (), before.launches))
         law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
-        test = score_law(law, there, whiten_law_columns(evidence, law, plain, there.launches))
-        return fit_law(evidence, test, there).fit
+        return fit_law(evidence, score_law(evidence, law, there), there).fit
     left = fitted_law.law.subtract_from(clips, plain, before.launches, fitted_law.coefs)
     return fit_model(left, fitted_law.fit.model, (), noise, before.launches)

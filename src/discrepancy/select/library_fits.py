@@ -29,32 +29,22 @@ class LibraryFits:
     """The fits of library models to some clips. A model is the set of candidates that it adds to the base.
 
     Base parameters that the base holds at zero are candidates too.
-
-    Attributes
-    ----------
-    fits : dict of frozenset of Candidate to ModelFit
-        All models that were fitted, by the candidates in them.
-    ranking : tuple of CandidateScore
-        The score tests of all candidates beside the base, most significant first.
-    required_sigma : float
-        The sigma that a claim needs, set before anything is searched.
-    trials_factors : mapping of str to float
-        The trials factor of the shape parameters of each candidate, by its name.
-    absorbed : frozenset of str
-        Effects that move the tracks only as the base fit's own parameters can. They do not count as rivals, even if
-        they seem to be rivals beside another effect.
     """
 
     def __init__(self, evidence: WhitenedClips, base: ModelFit, progress: Callable[[], None]) -> None:
         self.evidence, self.progress = evidence, progress
-        self.fits: dict[Key, ModelFit] = {frozenset(): base}
+        self.fits: dict[Key, ModelFit] = {frozenset(): base}  # all models that were fitted, by the candidates in them
         self.tests: dict[Key, ScoreTests] = {}  # each holds the derivatives of every candidate
         self.large: Key | None = None  # the model whose tests take much memory: dropped before others are made
         self.done: set[Key] = {frozenset()}  # models whose fits have converged
         self.latest: dict[Key, Candidate] = {}  # the candidate that was added after a scan of its shape parameters
         tests = self.score_tests(())
-        self.ranking, self.trials_factors = tests.ranking(), tests.trials_factors
+        self.ranking = tests.ranking()  # all candidates beside the base, most significant first
+        self.trials_factors = tests.trials_factors  # of the shape parameters of each candidate, by its name
+        # the sigma that a claim needs, set before anything is searched
         self.required_sigma = max(tests.claim(), current_policy().min_claim_sigma)
+        # effects that move the tracks only as the base fit's own parameters can: they do not count as rivals, even if
+        # they seem to be rivals beside another effect
         self.absorbed = frozenset(c.effect for c in self.ranking if c.absorbed)
 
     @property

@@ -40,28 +40,15 @@ class InterruptedSearch:
 
 @dataclass(frozen=True)
 class Selection:
-    """The effects and the free law that a search selected.
+    """The effects and the free law that a search selected."""
 
-    Attributes
-    ----------
-    state : tuple of Candidate
-        The effects of the library.
-    base, best : ModelFit
-        The fits without any effect and with these.
-    free_law : FittedLaw or None
-        The free law that explains more than the library.
-    near_law : FittedLaw or None
-        A free law that explains nearly as much as the library's best model.
-    interrupted : InterruptedSearch or None
-        Set if the time was over; nothing is then selected.
-    """
-
-    state: State
+    state: State  # the effects of the library
+    # the fits without any effect and with these
     base: ModelFit
     best: ModelFit
-    free_law: FittedLaw | None = None
-    near_law: FittedLaw | None = None
-    interrupted: InterruptedSearch | None = None
+    free_law: FittedLaw | None = None  # the free law that explains more than the library
+    near_law: FittedLaw | None = None  # a free law that explains nearly as much as the library's best model
+    interrupted: InterruptedSearch | None = None  # set if the time was over; nothing is then selected
 
     @property
     def is_empty(self) -> bool:

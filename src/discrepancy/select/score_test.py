@@ -43,34 +43,19 @@ class RealisticSizes:
 
 @dataclass(frozen=True)
 class CandidateScore:
-    """A candidate with its score test.
-
-    Attributes
-    ----------
-    candidate : Candidate
-    shapes : dict of str to float
-        The best tried values of its shape parameters. Sigma is corrected for the number of trials.
-    sigma : float
-    gain : float
-        The decrease of chi^2 if it is added, to first order.
-    limit : float
-        The detection limit, in realistic sizes of the strength that shows best; infinite if the fit absorbs all.
-    identifiable : bool
-        False if that limit is unrealistic, or larger than the effect allows.
-    signature : (points, m) array
-        The derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions remain.
-    columns : tuple of (2n, k) arrays
-        The derivative of each clip's whitened prediction, with nothing removed.
-    """
+    """A candidate with its score test."""
 
     candidate: Candidate
+    # The best tried values of its shape parameters. Sigma is corrected for the number of trials.
     shapes: dict[str, float]
     sigma: float
-    gain: float
+    gain: float  # the decrease of chi^2 if it is added, to first order
+    # the detection limit, in realistic sizes of the strength that shows best; infinite if the fit absorbs all
     limit: float
-    identifiable: bool
+    identifiable: bool  # false if that limit is unrealistic, or larger than the effect allows
+    # (points, m): the derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions
     signature: Array
-    columns: tuple[Array, ...]
+    columns: tuple[Array, ...]  # (2n, k): the derivative of each clip's whitened prediction, with nothing removed
 
     @property
     def absorbed(self) -> bool:
@@ -114,16 +99,9 @@ class TrialScore:
     def scored(self, signature: Array) -> CandidateScore:
         """Make the candidate's score. signature (points, k): the trial's columns less all that the fit absorbs."""
         columns = tuple(np.array(c) for c in self.trial.columns)  # no views, which would keep all trials alive
-        return CandidateScore(
-            self.trial.candidate,
-            self.trial.shapes,
-            self.sigma,
-            self.gain,
-            self.limit,
-            self.identifiable,
-            signature @ self.axes,
-            columns,
-        )
+        tested, own = self.trial, signature @ self.axes
+        numbers = self.sigma, self.gain, self.limit, self.identifiable
+        return CandidateScore(tested.candidate, tested.shapes, *numbers, own, columns)
 
 
 @dataclass(frozen=True)
@@ -352,9 +330,7 @@ class ScoreTests:
 
     @cached_property
     def _realistic_sizes(self) -> dict[Candidate, RealisticSizes]:
-        return {
-            candidate: RealisticSizes.of(candidate, self.fit.model) for candidate in {t.candidate for t in self.trials}
-        }
+        return {c: RealisticSizes.of(c, self.fit.model) for c in {t.candidate for t in self.trials}}
 
     def claim(self, level: float | None = None) -> float:
         """The sigma that the best candidate exceeds by chance in this share of searches; default: the policy's."""

@@ -58,21 +58,11 @@ class Rejection(Enum):
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """The support that held-out collisions give to a claim.
+    """The support that held-out collisions give to a claim."""
 
-    Attributes
-    ----------
-    gap : (float, float)
-        chi^2 per point, without the claim and with it.
-    sigma : float
-        The significance of the claim in these collisions.
-    promised : float
-        The significance that the claim predicts for them.
-    """
-
-    gap: tuple[float, float]
-    sigma: float
-    promised: float
+    gap: tuple[float, float]  # chi^2 per point, without the claim and with it
+    sigma: float  # the significance of the claim in these collisions
+    promised: float  # the significance that the claim predicts for them
 
     @classmethod
     def of(
@@ -244,32 +234,17 @@ def _features(clip: MeasuredCollision, number: int, launch: Array) -> dict[str, 
 
 @dataclass(frozen=True)
 class ClaimTest:
-    """A claim with its tests.
-
-    Attributes
-    ----------
-    name : str
-    sigma : float
-        Significance beside everything else, in the fitted clips.
-    held_out, leave_one_out : HeldOutTest
-        The tests on the held-out clips, and on all clips with each left out in turn.
-    rejection : Rejection or None
-    is_free_law : bool
-        False for an effect of the library.
-    shape_at_limit : (str, float) or None
-        A shape parameter at the end of its range, and its value.
-    variation : StrengthVariation or None
-        The change of the strength, if that rejects the claim.
-    """
+    """A claim with its tests."""
 
     name: str
-    sigma: float
+    sigma: float  # significance beside everything else, in the fitted clips
+    # the tests on the held-out clips, and on all clips with each left out in turn
     held_out: HeldOutTest
     leave_one_out: HeldOutTest
     rejection: Rejection | None = None
-    is_free_law: bool = False
-    shape_at_limit: tuple[str, float] | None = None
-    variation: StrengthVariation | None = None
+    is_free_law: bool = False  # false for an effect of the library
+    shape_at_limit: tuple[str, float] | None = None  # a shape parameter at the end of its range, and its value
+    variation: StrengthVariation | None = None  # the change of the strength, if that rejects the claim
 
     def document(self) -> dict[str, float]:
         """The numbers of the tests, for discrepancy.json."""

@@ -18,21 +18,13 @@ from discrepancy.policy import current_policy
 
 @dataclass(frozen=True)
 class GapPhase:
-    """The gap in a phase of the held-out clips: chi^2 per point, and rms in um.
+    """The gap in a phase of the held-out clips: chi^2 per point, and rms in um."""
 
-    Attributes
-    ----------
-    before, after : float
-        The gap with the base model, and with all claims.
-    floor : float
-        The gap that noise alone makes.
-    before_um, after_um, floor_um : float
-        The same as rms of the residuals of each axis, um.
-    """
-
+    # the gap with the base model, and with all claims
     before: float
     after: float
-    floor: float
+    floor: float  # the gap that noise alone makes
+    # the same as rms of the residuals of each axis, um
     before_um: float
     after_um: float
     floor_um: float
@@ -40,18 +32,10 @@ class GapPhase:
 
 @dataclass(frozen=True)
 class Gap(GapPhase):
-    """The gap in all phases together.
+    """The gap in all phases together."""
 
-    Attributes
-    ----------
-    closure : float
-        The share of the gap between before and floor that is closed; NaN if that gap is within chance.
-    by_phase : dict of str to GapPhase
-        The gap in the phases before, sliding and rolling.
-    """
-
-    closure: float
-    by_phase: dict[str, GapPhase]
+    closure: float  # the share of the gap between before and floor that is closed; NaN if that gap is within chance
+    by_phase: dict[str, GapPhase]  # the gap in the phases before, sliding and rolling
 
 
 @dataclass(frozen=True)

@@ -35,25 +35,15 @@ class Stage(IntEnum):
 
 @dataclass(frozen=True)
 class Disagreement:
-    """One test of the residuals of a ball in a phase, along or across its motion.
-
-    Attributes
-    ----------
-    phase, ball, observable : str
-    sigma : float
-        Corrected for the number of tests.
-    against : str
-        The quantity that the disagreement changes with between clips; "" for a test without a trend.
-    size : float
-        rms of the disagreement in that phase, noise subtracted, um. NaN if the terms of the test nearly cancel, as
-        with a model that is wrong throughout.
-    """
+    """One test of the residuals of a ball in a phase, along or across its motion."""
 
     phase: str
     ball: str
     observable: str
-    sigma: float
-    against: str = ""
+    sigma: float  # corrected for the number of tests
+    against: str = ""  # the quantity that the disagreement changes with between clips; "" for a test without a trend
+    # rms of the disagreement in that phase, noise subtracted, um. NaN if the terms of the test nearly cancel, as with a
+    # model that is wrong throughout.
     size: float = 0.0
 
 
@@ -335,35 +325,18 @@ def directions(clip: MeasuredCollision, stage: Ints, path: Array, min_move_m: fl
 
 @dataclass(frozen=True)
 class ClipAmplitudes:
-    """One clip's part in a test of P terms, of which the clip determines m combinations.
+    """One clip's part in a test of P terms, of which the clip determines m combinations."""
 
-    Attributes
-    ----------
-    pulls : (m,) array
-        Amplitudes, of unit variance.
-    per_metre : (m, P) array
-        Pulls that a metre of each term makes.
-    shared : (m, S) array
-        Pulls that a unit of each shared parameter makes.
-    information, pull : (S, S) and (S,) array
-        Of the shared parameters, in the residuals that the terms leave.
-    products : (P, P) array
-        Products of the terms, m^2, summed over the rows.
-    rows : int
-    residual_squares : float
-        Sum of squares of the residuals in these rows, m^2.
-    features : dict of str to (f,) array
-        The quantities that the amplitude may change with, and their values in this clip.
-    """
-
-    pulls: Array
-    per_metre: Array
-    shared: Array
+    pulls: Array  # (m,): amplitudes, of unit variance
+    per_metre: Array  # (m, P): pulls that a metre of each term makes
+    shared: Array  # (m, S): pulls that a unit of each shared parameter makes
+    # (S, S) and (S,): of the shared parameters, in the residuals that the terms leave
     information: Array
     pull: Array
-    products: Array
+    products: Array  # (P, P): products of the terms, m^2, summed over the rows
     rows: int
-    residual_squares: float
+    residual_squares: float  # sum of squares of the residuals in these rows, m^2
+    # the quantities that the amplitude may change with, and their values in this clip
     features: dict[str, Array]
 
 

@@ -139,7 +139,7 @@ def test_what_the_base_holds_rightly_is_no_effect_beside_a_free_law():
     base, fit = based(clips, held), fit_model(clips, held, (*BASE_PARAMETERS, "rolling_quadratic.K"), NOISE)
     evidence = WhitenedClips.of(clips, NOISE)
     law = next(s for s in free_laws_over(base.model, base.launches, clips) if s.name == "restitution_speed")
-    look = score_law(law, fit, whiten_law_columns(evidence, law, base.model, base.launches))
+    look = score_law(evidence, law, fit, whiten_law_columns(evidence, law, base.model, base.launches))
     filled = fit_law(evidence, look, base)
     assert 0.1 / filled.joint_fit.std["rolling_quadratic.K"] > 30
     assert filled.significances_of_effects(base)["rolling_quadratic"] < 3.5

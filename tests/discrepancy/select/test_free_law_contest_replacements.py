@@ -18,7 +18,6 @@ from discrepancy.select.law_fit import (
     fit_law_with_effect,
     refit_without_effect,
     score_law,
-    whiten_law_columns,
 )
 from discrepancy.select.score_test import ScoreTests
 from synthcam.model import Model
@@ -37,7 +36,7 @@ def rubbed():
     clips = noisy(clips, 6)
     base, evidence = fit_model(clips, Model(), BASE_PARAMETERS, NOISE), WhitenedClips.of(clips, NOISE)
     law = next(s for s in free_laws_over(base.model, base.launches, clips) if s.name == "friction_clip")
-    known = fit_law(evidence, score_law(law, base, whiten_law_columns(evidence, law, base.model, base.launches)), base)
+    known = fit_law(evidence, score_law(evidence, law, base), base)
     tests = ScoreTests.of(known.evidence, known.joint_fit, about=known.model_without_law)
     return evidence, base, known, {c.effect: c for c in tests.ranking()}
 
