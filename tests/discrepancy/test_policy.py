@@ -188,11 +188,8 @@ def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, 
 def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
     laws, opponent = made_laws(monkeypatch, 100.0, [])
     monkeypatch.setattr(free_law_contest, "whiten_law_columns", lambda *_: ())
-    monkeypatch.setattr(
-        free_law_contest,
-        "score_law",
-        lambda evidence, law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0),
-    )
+    scored = {"sigma": sigma, "score": lambda base: 0.0}
+    monkeypatch.setattr(free_law_contest, "score_law", lambda evidence, law, fit, moves: Made(fit=fit, **scored))
     monkeypatch.setattr(free_law_contest, "fit_law", lambda *_: Made(score=0.0))
     assert laws.challenge(opponent.fit).is_refuted is declared
     assert len(laws.fitted) == declared
