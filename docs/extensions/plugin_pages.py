@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from myst_text import paragraphs, plain, table
-from synthcam.dataset.effect_drawing import draw_effect, with_typical_values
 
 from discrepancy.free_laws.library import library as free_laws
+from synthcam.dataset.effect_drawing import draw_effect, with_typical_values
 from synthcam.library import library as effects
 from tracker.detection.detect import list_detectors
 
