@@ -192,11 +192,10 @@ def _apply_step(whitened: WhitenedClips, fit: ModelFit, values: Mapping[str, flo
         return None
     try:
         model = replace_within_limits(fit.model, values)
-        return dataclasses.replace(
-            fit, model=model, launches=launches, residuals=whitened.whitened_residuals(model, launches)
-        )
+        residuals = whitened.whitened_residuals(model, launches)
     except STEP_ERRORS:
         return None
+    return dataclasses.replace(fit, model=model, launches=launches, residuals=residuals)
 
 
 def _predict_chi2(fit: ModelFit, values: Mapping[str, float], own: Array) -> float:

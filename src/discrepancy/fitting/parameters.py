@@ -34,9 +34,8 @@ class Candidate:
         """The model without the candidate: its parameters at the values of the given model, or zero."""
         if any(self.held):
             return model.replace(dict(zip((*self.strengths, *self.shapes), self.held, strict=True)))
-        if self.kind is None:
-            return model.replace(dict.fromkeys(self.strengths, 0.0))
-        if any(p.given and model.value(f"{self.name}.{p.name}") != p.default for p in self.kind.parameters()):
+        own = self.kind.parameters() if self.kind else ()
+        if self.kind is None or any(p.given and model.value(f"{self.name}.{p.name}") != p.default for p in own):
             return model.replace(dict.fromkeys(self.strengths, 0.0))
         kept = tuple(e for e in model.effects if e.name() != self.name)
         return dataclasses.replace(model, effects=kept)

@@ -54,9 +54,9 @@ class FreeLaw(ABC):
     owners: tuple[tuple[str, int], ...] = ()
     # The components of a vector, or the terms of a law that is a sum of two; one empty name for a plain number.
     part_names: tuple[str, ...] = ("",)
-    # whether the series has mean zero over its range, since launches or base parameters absorb a constant
+    # The series has mean zero over its range, since launches or base parameters absorb a constant.
     centred: bool = False
-    one_ball: bool = False  # whether a search also tries it for ball a alone and for ball b alone
+    one_ball: bool = False  # a search also tries it for ball a alone and for ball b alone
     frees: str = ""  # the parameter that a model can declare free instead, so that every fit has these numbers
     axes: tuple[Axis, ...] = ()  # empty until `library.free_laws_over` sets them
     ball: str = ""  # "a" or "b" for a law of one ball
@@ -273,12 +273,8 @@ class ClipNumber(ImpactLaw):
     """A value of one base parameter for each clip. No effect can express it, since all clips share one model."""
 
     _: KW_ONLY
-    over: Callable[[CoveredRanges], tuple[Axis, ...]] = field(
-        default=lambda covered: over_clips(len(covered.clips)), repr=False
-    )
-    at_impact: Callable[[Array], Array] = field(
-        default=lambda launches: np.arange(len(launches), dtype=float), repr=False
-    )
+    over: Callable[..., tuple[Axis, ...]] = field(default=lambda covered: over_clips(len(covered.clips)), repr=False)
+    at_impact: Callable[..., Array] = field(default=lambda launches: np.arange(len(launches), dtype=float), repr=False)
 
     def _displacements(
         self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array

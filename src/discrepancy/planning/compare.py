@@ -151,6 +151,5 @@ def count_collisions_needed(
         exact = base * (at[base] * times / wanted) ** 2
         return max(math.ceil(exact - 1e-9), least) if math.isfinite(exact) else None
 
-    return CollisionsNeeded(
-        strength, wanted, number(1.0), number(here.naming_limit / here.limit), dict(sorted(at.items()))
-    )
+    to_name = number(here.naming_limit / here.limit)
+    return CollisionsNeeded(strength, wanted, number(1.0), to_name, dict(sorted(at.items())))

@@ -20,6 +20,7 @@ from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.planning.experiment import Experiment
 from discrepancy.policy import current_policy
 from discrepancy.select.score_test import CandidateTrial, RealisticSizes, ScoreTests, detectable_axes
+from synthcam.effect import Parameter
 from synthcam.model import Model
 
 
@@ -187,10 +188,11 @@ def chi2_to_detect(dof: int, trials_factor: float) -> float:
 
 def _distance_from_typical(model: Model, shapes: Mapping[str, float]) -> float:
     """The distance of shape parameters from their realistic sizes, to choose the nearest of those tried."""
-    found = [(find_parameter(model, name), value) for name, value in shapes.items()]
-    return sum(
-        abs(math.log(x / p.typical)) if p.low > 0 else abs(x - p.typical) / (abs(p.typical) or 1.0) for p, x in found
-    )
+
+    def distance(p: Parameter, x: float) -> float:
+        return abs(math.log(x / p.typical)) if p.low > 0 else abs(x - p.typical) / (abs(p.typical) or 1.0)
+
+    return sum(distance(find_parameter(model, name), value) for name, value in shapes.items())
 
 
 def count_draws(clips: int) -> int:

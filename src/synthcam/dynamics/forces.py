@@ -67,10 +67,8 @@ class Forces:
         - twist: the rate of change of the spin about the vertical, rad/s^2.
         """
         laws = self.model.laws
-        instant = self.constants | dict(
-            slip_speed=slip, slip=last_axis(hat), position=last_axis(place), velocity=last_axis(v)
-        )
-        instant |= dict(spin=spin, other=other)
+        instant = self.constants | dict(position=last_axis(place), velocity=last_axis(v), spin=spin, other=other)
+        instant |= dict(slip_speed=slip, slip=last_axis(hat))
         friction = laws("friction", self.model.sliding_friction, instant)
         load = laws("normal_load", self.model.gravity, instant)
         slowing = 3.5 * friction * load + np.zeros_like(slip)
