@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -20,41 +21,21 @@ class MeasuredCollision:
     """One measured collision.
 
     Rows are sorted by ball, then by frame. Ball 0 is the target (1 in files), ball 1 the striker.
-
-    Attributes
-    ----------
-    clip : int
-        The clip's number.
-    striker : str
-        "a" or "b", the ball's name in a scene.
-    camera : Camera
-    frame, ball : (n,) arrays of int
-    xy : (n, 2) array
-        Centres on the plate, m, averaged over the exposure.
-    covariance : (n, 2, 2) array
-        As the tracks claim it, m^2.
-    launch : (6,) or (9,) array
-        A first guess, columns as in `discrepancy.data.launch`.
-    slide_ends : (2,) array
-        A first guess of the time at which each ball stops sliding, s.
-    offset : float
-        Standard deviation, per axis, of the resting target's error that is the same in all frames, m. The covariance
-        does not contain it.
-    max_shift_frames : float
-        Largest time shift by which a position was moved to an even frame rate, frames; 0 where times are even.
     """
 
-    clip: int
-    striker: str
+    clip: int  # the clip's number
+    striker: str  # "a" or "b", the ball's name in a scene
     camera: Camera
-    frame: Ints
-    ball: Ints
-    xy: Array
-    covariance: Array
-    launch: Array
-    slide_ends: Array
+    frame: Ints  # (n,)
+    ball: Ints  # (n,)
+    xy: Array  # (n, 2) centres on the plate, m, averaged over the exposure
+    covariance: Array  # (n, 2, 2) as the tracks claim it, m^2
+    launch: Array  # (6,) or (9,) a first guess, columns as in `discrepancy.data.launch`
+    slide_ends: Array  # (2,) a first guess of the time at which each ball stops sliding, s
+    # Standard deviation, per axis, of the resting target's error that is the same in all frames, m. The covariance does
+    # not contain it.
     offset: float = 0.0
-    max_shift_frames: float = 0.0
+    max_shift_frames: float = 0.0  # largest time shift of a position to an even frame rate; 0 where times are even
 
     @property
     def fps(self) -> float:
@@ -73,21 +54,18 @@ class MeasuredCollision:
         """(n,): 0 before the contact, 1 sliding, 2 rolling, -1 where the exposure contains the change between them."""
         opens = self.frame / self.fps
         closes = opens + self.exposure
-        end = self.slide_ends[self.ball]
-        out = np.full(len(self.frame), -1)
-        out[closes <= self.launch[T_C]] = 0
-        out[(opens >= self.launch[T_C]) & (closes <= end)] = 1
-        out[(opens >= self.launch[T_C]) & (opens >= end)] = 2
-        return out
+        contact, end = self.launch[T_C], self.slide_ends[self.ball]
+        late = opens >= contact
+        phases = [late & (opens >= end), late & (closes <= end), closes <= contact]
+        return np.select(phases, [2, 1, 0], -1)
 
     def smooth_stretches(self) -> Iterator[tuple[Array, Array, Ints]]:
         """Stretches of one ball in one phase: positions (n, 2) and claimed std (n,), m, and frames (n,)."""
         phase, claimed = self.phases(), self.claimed_std()
-        for p in range(3):
-            for b in range(2):
-                rows = np.flatnonzero((phase == p) & (self.ball == b))
-                for kept in _split_at_gaps(rows, self.frame[rows]):
-                    yield self.xy[kept], claimed[kept], self.frame[kept]
+        for p, b in product(range(3), range(2)):
+            rows = np.flatnonzero((phase == p) & (self.ball == b))
+            for kept in _split_at_gaps(rows, self.frame[rows]):
+                yield self.xy[kept], claimed[kept], self.frame[kept]
 
     def paired_stretches(self) -> Iterator[tuple[Array, Array, Array, Array, Ints]]:
         """Stretches of both balls: positions (n, 2) of either, claimed std (n,) of either, m, and frames (n,)."""
@@ -95,12 +73,11 @@ class MeasuredCollision:
         split = int(np.sum(self.ball == 0))
         frame, one, two = np.intersect1d(self.frame[:split], self.frame[split:], return_indices=True)
         two = two + split
-        for p in range(3):
-            for q in range(3):
-                rows = np.flatnonzero((phase[one] == p) & (phase[two] == q))
-                for kept in _split_at_gaps(rows, frame[rows]):
-                    i, j = one[kept], two[kept]
-                    yield self.xy[i], self.xy[j], claimed[i], claimed[j], frame[kept]
+        for p, q in product(range(3), repeat=2):
+            rows = np.flatnonzero((phase[one] == p) & (phase[two] == q))
+            for kept in _split_at_gaps(rows, frame[rows]):
+                i, j = one[kept], two[kept]
+                yield self.xy[i], self.xy[j], claimed[i], claimed[j], frame[kept]
 
     def claimed_std(self) -> Array:
         """Standard deviation that the tracks claim for each row, (n,), m: the rms of both axes."""

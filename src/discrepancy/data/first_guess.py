@@ -24,46 +24,22 @@ from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 
 @dataclass(frozen=True)
 class HitGuess:
-    """A first guess of a contact. Times count from frame 0.
+    """A first guess of a contact. Times count from frame 0."""
 
-    Attributes
-    ----------
-    names : (int, int)
-        The particle numbers of the struck ball and of the striker.
-    t_c, v0, b : float
-        Time of contact, s; the striker's speed, m/s; the impact parameter over the diameter.
-    slide_ends : (2,) array
-        When the struck ball and the striker stop sliding, s.
-    launch : (9,) array, optional
-        The whole launch, columns as in `discrepancy.data.launch`, where it follows from the outgoing balls.
-    """
-
-    names: tuple[int, int]
-    t_c: float
-    v0: float
-    b: float
-    slide_ends: Array
-    launch: Array | None = None
+    names: tuple[int, int]  # the particle numbers of the struck ball and of the striker
+    t_c: float  # time of contact, s
+    v0: float  # the striker's speed, m/s
+    b: float  # the impact parameter over the diameter
+    slide_ends: Array  # (2,) when the struck ball and the striker stop sliding, s
+    launch: Array | None = None  # (9,) as in `discrepancy.data.launch`, where it follows from the outgoing balls
 
 
 def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> MeasuredCollision | SearchNote:
     """Build the collision that a row of the estimates describes.
 
     A misfit of the tracker's model is used: the search asks what that model lacks. The outgoing balls give
-    the first guess if the tracker measured no collision or saw too little of the approach.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        Of one clip, px.
-    row : mapping
-        Of the tracker's estimates, with "clip".
-    camera : Camera
-
-    Returns
-    -------
-    MeasuredCollision or SearchNote
-        A note that says why the clip cannot be used.
+    the first guess if the tracker measured no collision or saw too little of the approach. A note says why a clip
+    cannot be used. The row needs the number of the clip, "clip".
     """
     policy, clip = current_policy(), int(row["clip"])
     measured, start = row["status"] in MEASURED, find_clock_start(tracks, camera)
@@ -72,7 +48,9 @@ def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> M
         if measured:
             return SearchNote(SearchNoteKind.NO_ESTIMATE, clip)
         return SearchNote(SearchNoteKind.NOT_MEASURED, clip, values={"status": row["status"]})
-    if hit.launch is None and _count_frames_before(tracks, hit, camera) < policy.min_frames_before_contact:
+    early = tracks.frame / camera.fps + camera.exposure <= hit.t_c
+    seen_before = min((early & (tracks.particle == name)).sum() for name in hit.names)
+    if hit.launch is None and seen_before < policy.min_frames_before_contact:
         hit = guess_hit_from_outgoing(tracks, camera, hit.t_c)
         if hit is None:
             return SearchNote(SearchNoteKind.TOO_FEW_FRAMES, clip, values={"least": policy.min_frames_before_contact})
@@ -113,12 +91,6 @@ def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> M
     )
 
 
-def _count_frames_before(tracks: Tracks, hit: HitGuess, camera: Camera) -> int:
-    """Number of frames before the contact in which the less often seen ball is seen."""
-    early = tracks.frame / camera.fps + camera.exposure <= hit.t_c
-    return int(min((early & (tracks.particle == name)).sum() for name in hit.names))
-
-
 def _hit_from_estimates(row: Mapping[Any, Any], start: float) -> HitGuess | None:
     """The contact by the tracker's estimates, with times from `start`, s; None where an estimate is missing."""
     guess = np.array([_choose_estimate(row, name) for name in ("t_c", "v0", "b", "tau1", "tau2")])
@@ -132,10 +104,14 @@ def _guess_launch(
     hit: HitGuess, row: Mapping[Any, Any], frame: Ints, coming: Array, resting: Array, camera: Camera
 ) -> Array:
     """The launch (9,) of a striker at positions `coming` (n, 2), m, in frames (n,), on a target at `resting`."""
-    heading = _fit_heading(frame, coming)
+    velocity = np.polyfit(frame - frame.mean(), coming, 1)[0]
+    heading = float(np.arctan2(velocity[1], velocity[0]))
     d, b = np.array([np.cos(heading), np.sin(heading)]), hit.b
     n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
-    spins = guess_spin(row, heading, hit.v0, _fit_acceleration(frame / camera.fps, coming))
+    times, acceleration = frame / camera.fps, np.zeros(2)  # of few positions the acceleration is not known
+    if len(times) >= current_policy().min_frames_before_contact + 2:
+        acceleration = 2 * np.polyfit(times - times.mean(), coming, 2)[0]
+    spins = guess_spin(row, heading, hit.v0, acceleration)
     return np.array([*(resting - camera.radius * n), hit.t_c, hit.v0, heading, b, *spins])
 
 
@@ -143,18 +119,6 @@ def _choose_estimate(row: Mapping[Any, Any], name: str) -> float:
     """The estimate of a quantity: that of the free fit where the tied fit is rejected and the free one has a value."""
     free = float(row.get(f"{name}_free", np.nan)) if row["status"] == MISFIT else np.nan
     return free if np.isfinite(free) else float(row[name])
-
-
-def _fit_heading(frame: Ints, xy: Array) -> float:
-    velocity = np.polyfit(frame - frame.mean(), xy, 1)[0]
-    return float(np.arctan2(velocity[1], velocity[0]))
-
-
-def _fit_acceleration(times: Array, xy: Array) -> Array:
-    """A ball's acceleration, (2,) m/s^2, by a parabola through its positions; zero where they are few."""
-    if len(times) < current_policy().min_frames_before_contact + 2:
-        return np.zeros(2)
-    return np.asarray(2 * np.polyfit(times - times.mean(), xy, 2)[0])
 
 
 def guess_spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Array:
@@ -172,11 +136,6 @@ def guess_spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -
         rad, m/s.
     pull : (2,) array
         The striker's acceleration before the contact, m/s^2.
-
-    Returns
-    -------
-    (3,) array
-        m/s.
     """
     ahead = np.array([np.cos(heading), np.sin(heading)])
     axes = np.stack([ahead, [-ahead[1], ahead[0]]])
@@ -202,19 +161,8 @@ def guess_hit_from_outgoing(tracks: Tracks, camera: Camera, since: float = -math
     """The contact from which two balls part, one of which rested before.
 
     Both paths are traced back to the time at which the balls touch. By conservation of momentum the striker's velocity
-    is the sum of both velocities there. The ball that leaves nearer to the line of centres is the target.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    camera : Camera
-    since : float
-        Only frames after this time are used, s.
-
-    Returns
-    -------
-    HitGuess or None
-        None where the balls do not part as from a contact.
+    is the sum of both velocities there. The ball that leaves nearer to the line of centres is the target. Only frames
+    after the time `since`, s, are used. None where the balls do not part as from a contact.
     """
     unsure = 2  # first frames of a ball that may precede the contact, or contain it
     step = 0.1 / camera.fps  # s; the first search for the time of contact
@@ -222,10 +170,8 @@ def guess_hit_from_outgoing(tracks: Tracks, camera: Camera, since: float = -math
     paths, later = {}, tracks.frame / camera.fps > since
     for name in np.unique(tracks.particle).tolist():
         rows = np.flatnonzero((tracks.particle == name) & later)[unsure:]
-        if (
-            len(rows) >= current_policy().min_frames_after_hit
-            and np.hypot(*(xy[rows[-1]] - xy[rows[0]])) > camera.radius
-        ):
+        many = len(rows) >= current_policy().min_frames_after_hit
+        if many and np.hypot(*(xy[rows[-1]] - xy[rows[0]])) > camera.radius:
             paths[int(name)] = _fit_slide(tracks.frame[rows] / camera.fps + camera.exposure / 2, xy[rows])
     if len(paths) != 2:
         return None

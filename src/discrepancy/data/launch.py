@@ -25,12 +25,7 @@ MAX_SPIN_TO_SPEED = 10.0  # a cue gives a slip or a spin of 3 to 4 times the spe
 
 
 def find_free_columns(launches: Array) -> NDArray[np.bool_]:
-    """Which numbers of launches (clips, p) a fit may change; a rolling ball's slip and a side spin of zero are fixed.
-
-    Returns
-    -------
-    (clips, p) array of bool
-    """
+    """Which numbers of launches (clips, p) a fit may change: not a rolling ball's slip, nor a side spin of zero."""
     out = np.ones(launches.shape, dtype=bool)
     if launches.shape[1] == WITH_SPIN:
         out[:, SLIP] = np.any(launches[:, SLIP] != 0, axis=1)[:, None]
@@ -72,16 +67,8 @@ def equalise_launches(launches: list[Array], rejected: list[bool] | None = None)
     If most strikers have a side spin, the fit may give one to each. A striker whose side spin is zero then starts from
     a hundredth of the others' median.
 
-    Parameters
-    ----------
-    launches : list of (6,) or (9,) arrays
-    rejected : list of bool, optional
-        Whether the tracker's model of each clip is rejected. Such a clip does not count as one without spin, unless
-        fewer than `SearchPolicy.min_collisions` others remain.
-
-    Returns
-    -------
-    list of (6,) or (9,) arrays
+    rejected: whether the tracker's model of each clip is rejected. Such a clip does not count as one without spin,
+    unless fewer than `SearchPolicy.min_collisions` others remain.
     """
     if all(len(launch) == len(LAUNCH_COLUMNS) or not launch[len(LAUNCH_COLUMNS) :].any() for launch in launches):
         return [launch[: len(LAUNCH_COLUMNS)] for launch in launches]

@@ -51,23 +51,12 @@ class SearchNoteKind(Enum):
 
 @dataclass(frozen=True)
 class SearchNote:
-    """One note; `str` gives its text.
-
-    Attributes
-    ----------
-    kind : SearchNoteKind
-    clip : int, optional
-        The clip that it concerns; None where it concerns all.
-    frames : tuple of int
-        The frames that it concerns.
-    values : dict
-        The numbers and words that the text of this kind contains.
-    """
+    """One note; `str` gives its text."""
 
     kind: SearchNoteKind
-    clip: int | None = None
-    frames: tuple[int, ...] = ()
-    values: dict[str, Any] = field(default_factory=dict)
+    clip: int | None = None  # that it concerns; None: it concerns all
+    frames: tuple[int, ...] = ()  # that it concerns
+    values: dict[str, Any] = field(default_factory=dict)  # the numbers and words that the text of this kind contains
 
     def __str__(self) -> str:
         text = self.kind.value.format(frames=", ".join(map(str, self.frames)), **self.values)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -26,30 +26,18 @@ def remove_outliers(
 ) -> list[MeasuredCollision]:
     """Remove outlier positions from clips.
 
-    Parameters
-    ----------
-    clips : sequence of MeasuredCollision
-    expected : sequence of (n, 2) array, optional
-        Positions that a model predicts for each clip, m; see `find_outliers`. An outlier that both balls, or several
-        clips, have in the same frame is then kept: it is a fault of the clock.
-
-    Returns
-    -------
-    list of MeasuredCollision
+    expected: positions (n, 2) that a model predicts for each clip, m; see `find_outliers`. An outlier that both balls,
+    or several clips, have in the same frame is then kept: it is a fault of the clock.
     """
     found = [find_outliers(clip, expected[k] if expected else None) for k, clip in enumerate(clips)]
     if expected:
         both = [Counter(c.frame[sorted(rows)].tolist()) for c, rows in zip(clips, found, strict=True)]
         often = Counter(frame for own in both for frame in own)
+        same = {frame for frame, count in often.items() if count >= current_policy().same_frame_clips}
         for c, own, rows in zip(clips, both, found, strict=True):
-            rows -= {
-                k
-                for k in rows
-                if own[int(c.frame[k])] > 1 or often[int(c.frame[k])] >= current_policy().same_frame_clips
-            }
-    return [
-        c.select(np.delete(np.arange(len(c.frame)), sorted(r))) if r else c for c, r in zip(clips, found, strict=True)
-    ]
+            rows -= {k for k in rows if own[int(c.frame[k])] > 1 or int(c.frame[k]) in same}
+    kept = (np.delete(np.arange(len(c.frame)), sorted(rows)) for c, rows in zip(clips, found, strict=True))
+    return [c.select(k) if rows else c for c, rows, k in zip(clips, found, kept, strict=True)]
 
 
 def note_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[SearchNote]:
@@ -67,51 +55,36 @@ def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set
     """Rows that are outliers.
 
     A position is compared with a parabola through its neighbours of the same ball and phase. It is an outlier if it is
-    more than `SearchPolicy.outlier_point_sigma` typical distances off and the neighbours themselves are smooth. The
+    more than `SearchPolicy.outlier_position_sigma` typical distances off and the neighbours themselves are smooth. The
     worst outlier is removed first and its neighbours are tested again, because it distorts their parabolas.
 
-    Parameters
-    ----------
-    clip : MeasuredCollision
-    expected : (n, 2) array, optional
-        Positions that a model predicts, m. If the model is nearly right, its residuals are smooth through a slide's
-        end too. Outliers are then also found near events and at both ends of the clip: positions outside both
-        extrapolations, from the past and from the future.
-
-    Returns
-    -------
-    set of int
+    expected: positions (n, 2) that a model predicts, m. If the model is nearly right, its residuals are smooth through
+    a slide's end too. Outliers are then also found near events and at both ends of the clip: positions outside both
+    extrapolations, from the past and from the future.
     """
-    paths, gone = _Paths.of(clip, expected), set[int]()
-    if (
-        expected is not None
-        and float(np.median(np.abs(paths.xy) / paths.claimed[:, None])) > current_policy().max_model_error_sigma
-    ):
-        return gone
-    todo = range(len(clip.frame))
-    inner = paths.inner(todo, gone)
+    policy, paths = current_policy(), _Paths.of(clip, expected)
+    if expected is not None and np.median(np.abs(paths.xy) / paths.claimed[:, None]) > policy.max_model_error_sigma:
+        return set()
+    every = range(len(clip.frame))
+    inner = paths.inner(every)
     typical = max(1.4826 * float(np.median(np.abs([o.off for o in inner.values()]))), 1e-300) if inner else 1.0
+    smooth = policy.max_neighbour_rms * typical
     outer: dict[int, _Offset] | None = None
     while True:
         wrong = {row: offset for row, offset in inner.items() if offset.is_outlier(typical)}
         if expected is not None and not wrong:
             if outer is None:
-                outer = paths.outer(todo, gone, current_policy().max_neighbour_rms * typical)
-            explained = {
-                row for row, offset in inner.items() if offset.rest < current_policy().max_neighbour_rms * typical
-            }
-            wrong = {
-                row: offset for row, offset in outer.items() if row not in explained and offset.is_outlier(typical)
-            }
+                outer = paths.outer(every, smooth)
+            explained = {row for row, offset in inner.items() if offset.rest < smooth}
+            wrong = {row: o for row, o in outer.items() if row not in explained and o.is_outlier(typical)}
         if not wrong:
-            return gone
+            return paths.gone
         worst = max(wrong, key=lambda row: float(np.abs(wrong[row].off).max()))
-        gone.add(worst)
+        paths.gone.add(worst)
         near = paths.near(worst)
-        inner = {row: offset for row, offset in inner.items() if row not in near} | paths.inner(near, gone)
+        inner = {row: offset for row, offset in inner.items() if row not in near} | paths.inner(near)
         if outer is not None:
-            again = paths.outer(near, gone, current_policy().max_neighbour_rms * typical)
-            outer = {row: offset for row, offset in outer.items() if row not in near} | again
+            outer = {row: offset for row, offset in outer.items() if row not in near} | paths.outer(near, smooth)
 
 
 @dataclass(frozen=True)
@@ -123,10 +96,8 @@ class _Offset:
 
     def is_outlier(self, typical: float) -> bool:
         """typical: the size of such distances where there are only errors."""
-        return bool(
-            np.abs(self.off).max() > current_policy().outlier_position_sigma * typical
-            and self.rest < current_policy().max_neighbour_rms * typical
-        )
+        far = bool(np.abs(self.off).max() > current_policy().outlier_position_sigma * typical)
+        return far and self.rest < current_policy().max_neighbour_rms * typical
 
 
 @dataclass(frozen=True)
@@ -148,36 +119,28 @@ def _parabola(frames: tuple[int, ...]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class _Paths:
-    """frame, ball (n,); xy (n, 2), m; phase (n,), -1 in an exposure that holds an event; claimed (n,), m.
+    """The rows of a clip, and those that are removed as outliers."""
 
-    unsure: a quarter of the time in which that event may be, frames.
-    """
-
-    frame: Ints
-    ball: Ints
-    xy: Array
-    phase: Ints
-    claimed: Array
-    unsure: float = 0.0
+    frame: Ints  # (n,)
+    ball: Ints  # (n,)
+    xy: Array  # (n, 2), m; less the positions that a model predicts
+    phase: Ints  # (n,), -1 in an exposure that holds an event
+    claimed: Array  # (n,), m
+    unsure: float = 0.0  # a quarter of the time in which that event may be, frames
+    gone: set[int] = field(default_factory=set)
 
     @classmethod
     def of(cls, clip: MeasuredCollision, expected: Array | None) -> _Paths:
         if expected is None:
             return cls(clip.frame, clip.ball, clip.xy, clip.phases(), clip.claimed_std())
-        contact, wide = clip.launch[T_C] * clip.fps, clip.exposure * clip.fps
-        early, late = (
-            clip.frame + wide + current_policy().contact_error_frames <= contact,
-            clip.frame - current_policy().contact_error_frames >= contact,
+        contact, wide, error = (
+            clip.launch[T_C] * clip.fps,
+            clip.exposure * clip.fps,
+            current_policy().contact_error_frames,
         )
-        phase = np.where(early, 0, np.where(late, 1, -1))
-        return cls(
-            clip.frame,
-            clip.ball,
-            clip.xy - expected,
-            phase,
-            clip.claimed_std(),
-            (wide + current_policy().contact_error_frames) / 4,
-        )
+        phases = [clip.frame + wide + error <= contact, clip.frame - error >= contact]
+        phase = np.select(phases, [0, 1], -1)
+        return cls(clip.frame, clip.ball, clip.xy - expected, phase, clip.claimed_std(), (wide + error) / 4)
 
     def _through(self, rows: Ints, row: int) -> _Path:
         """The smoothest path through these rows, or through all but one, which may be an outlier itself."""
@@ -190,17 +153,15 @@ class _Paths:
         design, inverse = _parabola(tuple((self.frame[rows] - self.frame[row]).tolist()))
         fitted = inverse @ self.xy[rows]
         left = (self.xy[rows] - design @ fitted) / self.claimed[rows, None]
-        rest = float(np.sqrt((left**2).sum() / (2 * (len(rows) - 3))))
-        return _Path(
-            fitted[0], fitted[1] / NEIGHBOUR_FRAMES, float(np.linalg.norm(self.claimed[rows] * inverse[0])), rest
-        )
+        std, rest = np.linalg.norm(self.claimed[rows] * inverse[0]), np.sqrt((left**2).sum() / (2 * (len(rows) - 3)))
+        return _Path(fitted[0], fitted[1] / NEIGHBOUR_FRAMES, float(std), float(rest))
 
     def near(self, row: int) -> list[int]:
         """The rows whose distances an outlier in this row distorts, itself among them."""
         within = np.abs(self.frame - self.frame[row]) <= ONE_SIDE_FRAMES
         return np.flatnonzero(within & (self.ball == self.ball[row])).tolist()
 
-    def inner(self, rows: Iterable[int], gone: set[int]) -> dict[int, _Offset]:
+    def inner(self, rows: Iterable[int]) -> dict[int, _Offset]:
         """Distances of these rows from the path through their neighbours, of those with two or more on either side.
 
         Neighbours are positions of the same ball and phase. The distance is in units of the total standard deviation,
@@ -208,11 +169,10 @@ class _Paths:
         """
         found: dict[int, _Offset] = {}
         for row in rows:
-            if row in gone or self.phase[row] < 0:
+            if row in self.gone or self.phase[row] < 0:
                 continue
             off = self.frame - self.frame[row]
-            same = (self.phase == self.phase[row]) & (self.ball == self.ball[row])
-            near = self._rows(same & (np.abs(off) <= NEIGHBOUR_FRAMES) & (off != 0), gone)
+            near = self._neighbours(row, self.phase[row], (np.abs(off) <= NEIGHBOUR_FRAMES) & (off != 0))
             early = int(np.sum(off[near] < 0))
             if min(early, len(near) - early) >= 2 and len(near) > 4:
                 path = self._through(near, row)
@@ -220,18 +180,17 @@ class _Paths:
                 found[row] = _Offset((self.xy[row] - path.position) / std, path.rest)
         return found
 
-    def outer(self, rows: Iterable[int], gone: set[int], smooth: float) -> dict[int, _Offset]:
+    def outer(self, rows: Iterable[int], smooth: float) -> dict[int, _Offset]:
         """Distances of these rows from the interval between two extrapolations, from the past and from the future.
 
         One extrapolation is enough where no event is near. Paths with an rms above `smooth` do not count.
         """
         found: dict[int, _Offset] = {}
         for row in rows:
-            if row in gone:
+            if row in self.gone:
                 continue
-            sides = [
-                s for s in (self._extrapolate(row, direction, gone) for direction in (-1, 1)) if s and s.rest < smooth
-            ]
+            both = (self._extrapolate(row, direction) for direction in (-1, 1))
+            sides = [side for side in both if side and side.rest < smooth]
             event = self.phase[row] < 0
             if len(sides) < 1 + event:
                 continue
@@ -242,15 +201,15 @@ class _Paths:
             found[row] = _Offset(np.maximum(beyond, 0.0) / std, max(s.rest for s in sides))
         return found
 
-    def _extrapolate(self, row: int, direction: int, gone: set[int]) -> _Path | None:
+    def _extrapolate(self, row: int, direction: int) -> _Path | None:
         """The path through the next five of the ball on one side, in one phase; None where they are too few."""
         phase = self.phase[row] if self.phase[row] >= 0 else (direction + 1) // 2
         off = direction * (self.frame - self.frame[row])
-        near = self._rows(
-            (self.ball == self.ball[row]) & (self.phase == phase) & (off > 0) & (off <= ONE_SIDE_FRAMES), gone
-        )
+        near = self._neighbours(row, phase, (off > 0) & (off <= ONE_SIDE_FRAMES))
         kept = near[np.argsort(off[near], kind="stable")][:5]
         return self._through(kept, row) if len(kept) >= MIN_PATH_POSITIONS else None
 
-    def _rows(self, mask: NDArray[np.bool_], gone: set[int]) -> Ints:
-        return np.array([k for k in np.flatnonzero(mask).tolist() if k not in gone], dtype=np.int64)
+    def _neighbours(self, row: int, phase: int, within: NDArray[np.bool_]) -> Ints:
+        """The rows of the same ball in this phase, without those that are removed."""
+        some = np.flatnonzero(within & (self.phase == phase) & (self.ball == self.ball[row]))
+        return np.array([k for k in some.tolist() if k not in self.gone], dtype=np.int64)

@@ -60,9 +60,8 @@ def _detect_grid(clips: Sequence[MeasuredCollision], min_values: int = 30, share
                 continue
             step = float(rows.min())
             whole = np.abs(rows / step - np.round(rows / step)) < 0.02 + table_step / step
-            steps.append(
-                step if np.mean(whole) > share and step > current_policy().max_grid_step_to_error * errors else 0.0
-            )
+            coarse = step > current_policy().max_grid_step_to_error * errors
+            steps.append(step if coarse and np.mean(whole) > share else 0.0)
     return float(np.median(steps)) if steps else 0.0
 
 

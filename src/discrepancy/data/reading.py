@@ -34,17 +34,8 @@ def read_collisions(
 ) -> tuple[list[MeasuredCollision], list[SearchNote]]:
     """Read the collisions of a tracker's RESULTS, of a table of tracks, or of results in memory.
 
-    Parameters
-    ----------
-    measured : Path or sequence of Result
-    camera : Path, optional
-        camera.json of a table; RESULTS contain their own.
-
-    Returns
-    -------
-    clips : list of MeasuredCollision
-    left_out : list of SearchNote
-        One for each clip, or positions of a clip, that cannot be used.
+    A table needs its camera.json, `camera`; RESULTS contain their own. A note is returned for each clip, or positions
+    of a clip, that cannot be used.
 
     Raises
     ------
@@ -84,13 +75,13 @@ def read_collisions(
 
 @dataclass(frozen=True)
 class _Source:
-    """A clip before it is measured. estimates: gives the tracker's rows; strays: frames of removed positions."""
+    """A clip before it is measured."""
 
     number: int
     tracks: Tracks
     camera: Camera
-    estimates: Callable[[], list[dict[Any, Any]]]
-    strays: list[int] = field(default_factory=list)
+    estimates: Callable[[], list[dict[Any, Any]]]  # gives the tracker's rows
+    strays: list[int] = field(default_factory=list)  # frames of removed positions
 
 
 def _build(source: _Source) -> tuple[MeasuredCollision | SearchNote, bool]:

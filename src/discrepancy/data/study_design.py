@@ -23,9 +23,8 @@ def find_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[SearchNo
     # the speeds on which these laws depend; friction's varies within a clip
     laws = {"restitution": normal_speed(launches), "spin transfer": speeds}
     if same := [law for law, v in laws.items() if v.max() < policy.same_speed_ratio * v.min()]:
-        notes.append(
-            SearchNote(SearchNoteKind.ONE_SPEED, values={"speed": np.median(speeds), "laws": " or ".join(same)})
-        )
+        values = {"speed": np.median(speeds), "laws": " or ".join(same)}
+        notes.append(SearchNote(SearchNoteKind.ONE_SPEED, values=values))
     if np.ptp(b) < policy.same_impact_parameter:
         notes.append(SearchNote(SearchNoteKind.ONE_IMPACT_PARAMETER, values={"b": np.median(b)}))
     mean = np.exp(1j * headings).mean()

@@ -31,10 +31,8 @@ def detect_wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
     if not nearest:
         return None
     least = float(np.quantile(nearest, 0.25))
-    if (
-        policy.min_distance_diameters * touching < least < policy.max_distance_diameters * touching
-        and np.median(far) < policy.max_picture_sizes
-    ):
+    near = policy.min_distance_diameters * touching < least < policy.max_distance_diameters * touching
+    if near and np.median(far) < policy.max_picture_sizes:
         return None
     message = f"the balls come as near as {least:.3g}; expected px, and {touching:.3g} of them, a diameter"
     for unit, factor in units.items():
@@ -69,19 +67,7 @@ def _pair(tracks: Tracks) -> tuple[NDArray[np.int64], Array, Array]:
 def remove_strays(tracks: Tracks, camera: Camera) -> tuple[Tracks, list[int]]:
     """Remove short runs of positions to which a ball jumps and from which it jumps back onto its straight path.
 
-    A tracker took another ball for this one there.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    camera : Camera
-
-    Returns
-    -------
-    tracks : Tracks
-        Without these positions.
-    frames : list of int
-        The frames in which they were.
+    A tracker took another ball for this one there. Returns the other positions, and the frames of those removed.
     """
     if not camera.metric:
         return tracks, []
@@ -91,17 +77,14 @@ def remove_strays(tracks: Tracks, camera: Camera) -> tuple[Tracks, list[int]]:
         gone[rows[_find_strays(tracks.frame[rows], tracks.xy[rows], camera.diameter_px)]] = True
     if not gone.any():
         return tracks, []
-    arrays = "frame particle x y cov flux flags glint_x glint_y fixed time".split()
-    return replace(tracks, **{name: getattr(tracks, name)[~gone] for name in arrays}), np.unique(
-        tracks.frame[gone]
-    ).tolist()
+    kept = replace(tracks, **{name: values[~gone] for name, values in vars(tracks).items()})
+    return kept, np.unique(tracks.frame[gone]).tolist()
 
 
 def _find_strays(frame: Ints, xy: Array, diameter: float) -> Ints:
     """The stray rows of one track, in order of frames."""
     policy = current_policy()
-    steps = np.diff(xy, axis=0)
-    jumps = np.flatnonzero(np.hypot(*steps.T) > policy.stray_jump_diameters * diameter) + 1
+    jumps = np.flatnonzero(np.hypot(*np.diff(xy, axis=0).T) > policy.stray_jump_diameters * diameter) + 1
     out = list[int]()
     for first in jumps.tolist():
         for last in jumps[(jumps > first) & (jumps - first <= policy.max_stray_positions)].tolist():
@@ -111,11 +94,9 @@ def _find_strays(frame: Ints, xy: Array, diameter: float) -> Ints:
     return np.array(sorted(set(out)), dtype=np.int64)
 
 
-def _is_stray(frame: Ints, xy: Array, first: int, last: int, diameter: float, beside_count: int = 4) -> bool:
-    """True if the path is straight without rows first to last - 1, and all these are off it.
-
-    The straight line is fitted to `beside_count` positions on either side.
-    """
+def _is_stray(frame: Ints, xy: Array, first: int, last: int, diameter: float) -> bool:
+    """True if the path is straight without rows first to last - 1, and all these are off it."""
+    beside_count = 4  # positions on either side to which the straight line is fitted
     beside = np.r_[max(first - beside_count, 0) : first, last : min(last + beside_count, len(frame))]
     if first < beside_count // 2 or len(frame) - last < beside_count // 2:
         return False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -47,17 +47,9 @@ def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: 
     tracks : Tracks
         With their own times, which begin at frame 0.
     balls : sequence of (n,) arrays of int
-        Rows of the target and of the striker.
-    t_c : float
-        Time of contact, s.
-    ends : (2,) array
-        When each ball stops sliding, s.
-    camera : Camera
-
-    Returns
-    -------
-    Tracks
-        Of these two balls.
+        Rows of the target and of the striker; other rows are left out.
+    t_c, ends : float, (2,) array
+        Time of contact, and when each ball stops sliding, s.
     """
     even, spans = tracks.frame / camera.fps, _frame_offsets(tracks, camera)
     first, last = even + np.minimum(spans, 0) / camera.fps, even + np.maximum(spans, 0) / camera.fps + camera.exposure
@@ -74,7 +66,7 @@ def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: 
             moved[piece] += at_even - at_own
             kept[piece] = True
     rows = np.flatnonzero(kept)
-    some = {f.name: getattr(tracks, f.name)[rows] for f in fields(tracks)}
+    some = {name: values[rows] for name, values in vars(tracks).items()}
     return replace(tracks, **some | {"x": moved[rows, 0], "y": moved[rows, 1], "time": even[rows]})
 
 
@@ -82,6 +74,5 @@ def note_uneven_times(tracks: Tracks, camera: Camera, clip: int) -> SearchNote |
     """A note where a clip's positions are too far off an even rate to be moved to even times, else None."""
     if np.abs(_frame_offsets(tracks, camera)).max(initial=0.0) <= current_policy().max_time_shift_frames:
         return None
-    return SearchNote(
-        SearchNoteKind.UNEVEN_TIMES, clip, values={"off": measure_unevenness(tracks, camera), "fps": camera.fps}
-    )
+    values = {"off": measure_unevenness(tracks, camera), "fps": camera.fps}
+    return SearchNote(SearchNoteKind.UNEVEN_TIMES, clip, values=values)

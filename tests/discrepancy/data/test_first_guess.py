@@ -1,4 +1,4 @@
-"""Tracks that start at the hit: what the balls do afterwards tells the launch, and a search names what it hides."""
+"""The first guess of a launch: its spin, and what the balls do after a hit tells where tracks begin at it."""
 
 import dataclasses
 import json
@@ -9,7 +9,7 @@ import pytest
 from discrepancy_files import NOISE, SCENE
 from repository import ROOT
 
-from discrepancy.data.first_guess import guess_hit_from_outgoing
+from discrepancy.data.first_guess import guess_hit_from_outgoing, guess_spin
 from discrepancy.data.reading import read_collisions
 from discrepancy.policy import current_policy
 from discrepancy.search import search
@@ -88,3 +88,26 @@ def test_frames_that_are_missing_after_the_hit_are_few(filmed):
     fast = [k for k in range(CLIPS) if filmed[2]["v0"][k] > 0.4]
     assert len(fast) > 3
     assert all(guess_hit_from_outgoing(given.clips[k][0], given.camera) is None for k in fast)
+
+
+def test_a_spin_is_that_of_the_estimates_along_the_heading():
+    row = {"status": "ok", "u2ix": 0.3, "u2iy": 0.1, "side2i": -0.2}
+    assert guess_spin(row, np.pi / 2, 0.5, np.zeros(2)) == pytest.approx([0.1, -0.3, -0.2])
+    assert not guess_spin({"status": "ok"}, 0.3, 0.5, np.array([5.0, 0.0])).any()
+
+
+def test_of_a_misfit_only_a_ball_that_slows_down_slides():
+    row = {"status": "misfit", "u2ix": 0.3, "u2iy": 0.1, "side2i": -0.2}
+    assert not guess_spin(row, 0.0, 0.5, np.array([-0.1, 0.0])).any()
+    assert guess_spin(row, 0.0, 0.5, np.array([-2.0, 0.0])) == pytest.approx([0.3, 0.1, -0.2])
+    unseen = guess_spin({"status": "misfit"}, 0.0, 0.5, np.array([-2.0, 0.0]))
+    assert unseen[0] > 0  # friction is against the slip
+    assert unseen[1] == 0
+
+
+@pytest.mark.parametrize(("chi2", "believed"), [(602.0, True), (700.0, False)])
+def test_a_spin_is_believed_where_only_the_errors_are_claimed_too_small(chi2, believed):
+    """The tied fit agrees with the free one, both at 1.6 a degree of freedom; or it does not."""
+    row = {"status": "misfit", "u2ix": 0.0, "u2iy": 0.0, "side2i": -0.2, "chi2": chi2, "dof": 376}
+    said = guess_spin(row | {"chi2_free": 592.0, "dof_free": 370}, 0.0, 0.5, np.array([-0.1, 0.0]))
+    assert said.tolist() == [0.0, 0.0, -0.2 if believed else 0.0]

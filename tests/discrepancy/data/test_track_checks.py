@@ -1,30 +1,33 @@
-"""Tracks in wrong units, and balls that take each other's name."""
+"""Checks of tracks before a fit: wrong units, exchanged balls, and positions of another ball."""
+
+import dataclasses
 
 import numpy as np
 import pytest
-from discrepancy_clips import CAMERA
+from discrepancy_clips import CAMERA, collisions
 
-from discrepancy.data.track_checks import detect_wrong_units, find_exchange
+from discrepancy.data.track_checks import detect_wrong_units, find_exchange, remove_strays
+from synthcam.model import Model
 from tracker.detection.link import Tracks
 
 DIAMETER = CAMERA.diameter_px
+CLIPS = collisions(Model(), 6, 5)
+
+
+def tracks_of(particle, frame, xy):
+    """Tracks of balls at positions xy (n, 2), px."""
+    unseen, cov = np.full(len(xy), np.nan), np.tile(1e-4 * np.eye(2), (len(xy), 1, 1))
+    return Tracks(frame, particle, *xy.T.copy(), cov, unseen, np.full(len(xy), ""), unseen, unseen)
 
 
 def tracks(one, two):
-    """Of two balls with places (n, 2), px."""
-    n, xy = len(one), np.concatenate([one, two])
-    empty = np.full(2 * n, np.nan)
-    return Tracks(
-        frame=np.tile(np.arange(n), 2),
-        particle=np.repeat([0, 1], n),
-        x=xy[:, 0],
-        y=xy[:, 1],
-        cov=np.tile(1e-4 * np.eye(2), (2 * n, 1, 1)),
-        flux=empty,
-        flags=np.full(2 * n, ""),
-        glint_x=empty,
-        glint_y=empty,
-    )
+    """Of two balls at positions (n, 2), px."""
+    return tracks_of(np.repeat([0, 1], len(one)), np.tile(np.arange(len(one)), 2), np.concatenate([one, two]))
+
+
+def tracks_of_clip(clip):
+    height = np.full((len(clip.xy), 1), CAMERA.radius)
+    return tracks_of(clip.ball, clip.frame, CAMERA.project(np.concatenate([clip.xy, height], axis=1)))
 
 
 def head_on(step, frames=40):
@@ -104,3 +107,34 @@ def test_a_unit_is_told_where_the_nearest_places_are_a_diameter_apart_within_a_t
     one, two = (100 * CAMERA.scale * factor * places for places in head_on(0.3))
     said = detect_wrong_units([(tracks(one, two), CAMERA)])
     assert said.startswith("the positions look like cm: ") is unit
+
+
+def test_a_hit_is_no_stray():
+    for clip in CLIPS:
+        tracks = tracks_of_clip(clip)
+        assert remove_strays(tracks, CAMERA)[0] is tracks
+
+
+def test_a_gap_is_no_stray():
+    for clip in CLIPS:
+        tracks = tracks_of_clip(clip.select(np.flatnonzero(clip.frame % 7 != 3)))
+        assert remove_strays(tracks, CAMERA)[1] == []
+
+
+@pytest.mark.parametrize("count", [1, 3, 8])
+@pytest.mark.parametrize("far", [1.2, 2.5])
+def test_another_ball_is_taken_out_and_no_more(count, far):
+    for clip in CLIPS:
+        tracks, first = tracks_of_clip(clip), int(clip.launch[2] * clip.fps) + 12
+        taken = (tracks.particle == 1) & (tracks.frame >= first) & (tracks.frame < first + count)
+        moved = dataclasses.replace(tracks, x=tracks.x + far * CAMERA.diameter_px * taken)
+        left, frames = remove_strays(moved, CAMERA)
+        assert frames == list(range(first, first + count))
+        np.testing.assert_array_equal(left.xy, tracks.xy[~taken])
+
+
+def test_a_ball_that_is_changed_for_good_is_left():
+    tracks = tracks_of_clip(CLIPS[0])
+    late = (tracks.particle == 1) & (tracks.frame >= 50)
+    moved = dataclasses.replace(tracks, x=tracks.x + 3 * CAMERA.diameter_px * late)
+    assert remove_strays(moved, CAMERA)[1] == []
