@@ -388,9 +388,8 @@ def minimise(cost: Callable[[Array], float], start: Array) -> Array:
     """Minimise a smooth cost from `start` (BFGS). A slope of 2 is flat enough: the curvature is some hundreds."""
     if not len(start):
         return start
-    options = {"eps": 1e-4, "gtol": 2.0, "maxiter": 40}
-    found = minimize(partial(finite_cost, cost), start, method="BFGS", options=options)
-    return np.asarray(found.x)
+    safe = partial(finite_cost, cost)
+    return np.asarray(minimize(safe, start, method="BFGS", options={"eps": 1e-4, "gtol": 2.0, "maxiter": 40}).x)
 
 
 class BallPairs:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,8 @@ class BallTrack:
         """The same ball, only those rows."""
         if rows.all():
             return self
-        return replace(self, **{name: v[rows] for name, v in vars(self).items() if isinstance(v, np.ndarray)})
+        arrays: dict[str, Any] = {name: v[rows] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **arrays)
 
 
 def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:

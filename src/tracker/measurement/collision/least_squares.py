@@ -131,6 +131,12 @@ class WhitenedResiduals:
         out[self.index] = x
         return out
 
+    def whole_cov(self, cov: Floats) -> Floats:
+        """Covariance of all parameters from that of the fitted ones (p, p): zero where one is held."""
+        out = np.zeros((self.size, self.size))
+        out[np.ix_(self.index, self.index)] = cov
+        return out
+
     def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
         full = self.whole(x)
         position, slope = self._path(full)
@@ -216,8 +222,7 @@ def fit_motion(
     best, converged = _try_across_frame_edge(problem, best, converged)
     residual, rows = problem(best)
     n = 2 * len(problem.pair)
-    cov, chi2, dof = np.zeros((problem.size, problem.size)), float(residual[:n] @ residual[:n]), n - len(best)
-    cov[np.ix_(problem.index, problem.index)] = covariance(rows)
+    cov, chi2, dof = problem.whole_cov(covariance(rows)), float(residual[:n] @ residual[:n]), n - len(best)
     return CollisionFit(problem.whole(best), cov, chi2, dof, problem.pair, dropped, converged)
 
 

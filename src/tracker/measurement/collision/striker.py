@@ -40,11 +40,12 @@ def alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerH
     rolling: the tied parameters (16,) by which both balls roll.
     """
     late = [((Flag.ROLLS_LATE,), one) for one in _without_first_positions(contact)]
-    for flags, one in late:
-        yield StrikerHypothesis(flags, one, [rolling])
-    for flags, one in [((), contact), *late]:
+    either: list[tuple[tuple[Flag, ...], Contact]] = [((), contact), *late]
+    for late_flag, one in late:
+        yield StrikerHypothesis(late_flag, one, [rolling])
+    for flags, one in either:
         yield StrikerHypothesis((*flags, Flag.STRIKER_SPINS), _with_spin(one, ("side",)), [rolling])
-    for flags, one in [((), contact), *late]:
+    for flags, one in either:
         if starts := _sliding_starts(one.pair, rolling):
             yield StrikerHypothesis((*flags, Flag.STRIKER_SLIDES), _with_spin(one, SPIN), starts)
 
