@@ -9,6 +9,7 @@ import math
 import sys
 import textwrap
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -85,16 +86,15 @@ def generate(
     if withhold_truth:
         check_apart(output, withhold_truth)
     if withhold_truth and seed is None:
-        raise InputError(
-            "--withhold-truth: expected --seed too, which nobody can guess: scene and seed determine the truth"
-        )
+        reason = "which nobody can guess: scene and seed determine the truth"
+        raise InputError(f"--withhold-truth: expected --seed too, {reason}")
     changes = (*(set_ or ()), *_encoding(encode))
     read = tuple(read_scene(s, changes, model) for s in scenes)
     plan = GenerationPlan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
     if plan.shard and withhold_truth:
         raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
     with progress_bar("clips") as progress:
-        tell = _print_estimate if sys.stderr.isatty() and not scheduler else None
+        tell = partial(print, file=sys.stderr) if sys.stderr.isatty() and not scheduler else None
         outcome = generate_dataset(plan, output, workers or 0, progress, withhold_truth, scheduler, tell)
     listed = 20  # failed clips; --json lists all
     for line in outcome.failed[:listed]:
@@ -110,9 +110,8 @@ def generate(
         "failures": list(outcome.failed),
         "seconds": round(seconds, 2),
     }
-    _print_result(
-        summary, as_json, f"{output}: {plan.total} clips, {outcome.made} of them made in this run, in {seconds:.1f} s"
-    )
+    made = f"{plan.total} clips, {outcome.made} of them made in this run, in {seconds:.1f} s"
+    _print_result(summary, as_json, f"{output}: {made}")
     if outcome.failed:
         kept = f"; the rest are kept in {output}.partial" if len(outcome.failed) < plan.total else ""
         raise InputError(f"{output}: {len(outcome.failed)} of {plan.total} clips could not be made{kept}")
@@ -143,10 +142,6 @@ def _compression(name: str) -> str:
     return name
 
 
-def _print_estimate(text: str) -> None:
-    print(text, file=sys.stderr)
-
-
 @app.command()
 def merge(
     shards: Annotated[list[Path], typer.Argument(metavar="SHARD...", help="Finished shards, in any order.")],
@@ -164,9 +159,8 @@ def merge(
 
     with progress_bar("clips") as progress:
         clips = merge_shards(shards, output, progress, withhold_truth)
-    _print_result(
-        {"dataset": str(output), "clips": clips}, as_json, f"{output}: {clips} clips from {len(shards)} shards"
-    )
+    summary = {"dataset": str(output), "clips": clips}
+    _print_result(summary, as_json, f"{output}: {clips} clips from {len(shards)} shards")
 
 
 @app.command()
@@ -196,16 +190,14 @@ def preview(
     if kind not in (".png", ".gif", ".mp4"):
         raise InputError(f"{output}: expected a name that ends in .png, .gif or .mp4")
     drawn = read_scene(scene, tuple(set_ or ()), model).draw(clip, seed)
+    summary: dict[str, Any] = {"output": str(output)}
     if kind == ".png":
         write_preview(drawn, output, frame, magnify)
-        _print_result({"output": str(output)}, as_json, f"{output}: a frame of clip {clip} of {scene}")
+        _print_result(summary, as_json, f"{output}: a frame of clip {clip} of {scene}")
     else:
         slower = write_animation(drawn, output)
-        _print_result(
-            {"output": str(output), "slower": slower},
-            as_json,
-            f"{output}: clip {clip} of {scene}, in {slower:.3g} times slow motion",
-        )
+        text = f"{output}: clip {clip} of {scene}, in {slower:.3g} times slow motion"
+        _print_result(summary | {"slower": slower}, as_json, text)
 
 
 @app.command()
@@ -223,13 +215,10 @@ def verify(
         found = verify_dataset(dataset, progress)
     for problem in found.problems:
         print(problem, file=sys.stderr)
-    ok = not found.problems
-    _print_result(
-        {"dataset": str(dataset), "files": found.files, "problems": list(found.problems)},
-        as_json,
-        f"{dataset}: {found.files} files, {'all unchanged' if ok else f'{len(found.problems)} problems'}",
-    )
-    if not ok:
+    summary = {"dataset": str(dataset), "files": found.files, "problems": list(found.problems)}
+    verdict = f"{len(found.problems)} problems" if found.problems else "all unchanged"
+    _print_result(summary, as_json, f"{dataset}: {found.files} files, {verdict}")
+    if found.problems:
         raise typer.Exit(1)
 
 
@@ -270,17 +259,15 @@ def effects(
 
     known = library()
     if name is not None and name not in known:
-        raise InputError(
-            f"{name}: no such effect{did_you_mean(name, known) or '; expected one of ' + ', '.join(known)}"
-        )
+        near = did_you_mean(name, known) or f"; expected one of {', '.join(known)}"
+        raise InputError(f"{name}: no such effect{near}")
     if output is not None and (name is None or output.suffix.lower() != ".png"):
         raise InputError(f"-o {output}: expected the NAME of one effect, and a file that ends in .png")
     for effect in known.values() if name is None else [known[name]]:
         doc = inspect.cleandoc(effect.__doc__ or "")
         if as_json:
-            parameters = [_as_json(p) for p in effect.parameters()]
-            laws = list(effect.laws)
-            print(json.dumps({"effect": effect.name(), "law": doc, "bends": laws, "parameters": parameters}))
+            about = {"effect": effect.name(), "law": doc, "bends": list(effect.laws)}
+            print(json.dumps(about | {"parameters": [_as_json(p) for p in effect.parameters()]}))
             continue
         print(f"{effect.name()}: {doc.splitlines()[0]}")
         if name is not None:

@@ -28,19 +28,7 @@ GAUSSIAN_REACH = 9.0  # standard deviations: beyond, a Gaussian is zero in doubl
 class SmoothTable:
     """The smooth curve through the values of a table, periodic over an angle; or a map, smooth along each axis.
 
-    Attributes
-    ----------
-    x : tuple of float, or of pairs
-        Points, rising; for a map: pairs that form a whole grid, in any order.
-    y : tuple of float, or of pairs
-        One or two values at each point.
-    turn : bool
-        Whether x is an angle, rad, within one turn. A last point a whole turn after the first must have its value.
-
-    Raises
-    ------
-    ValueError
-        With what was expected.
+    Raises ValueError with what was expected.
 
     Examples
     --------
@@ -49,9 +37,9 @@ class SmoothTable:
     [0.23, 0.237, 0.24]
     """
 
-    x: tuple[Any, ...]
-    y: tuple[Any, ...]
-    turn: bool = False
+    x: tuple[Any, ...]  # points, rising; for a map: pairs that form a whole grid, in any order
+    y: tuple[Any, ...]  # a number, or a pair, at each point
+    turn: bool = False  # x is an angle, rad, within one turn; a point a whole turn after the first must have its value
 
     def __post_init__(self) -> None:
         if not 2 <= len(self.x) <= MAX_POINTS:
@@ -126,17 +114,7 @@ class SmoothTable:
         return tuple(line.pieces(np.eye(len(line.x))) for line in self._lines)
 
     def __call__(self, *where: Any) -> Array:
-        """Return the values at given points.
-
-        Parameters
-        ----------
-        *where : (...) array
-            One array; two for a map.
-
-        Returns
-        -------
-        (...) array, or (..., 2)
-        """
+        """Return the values, (...) or (..., 2), at points: one array (...), two for a map."""
         inside = [line.inside(w) for line, w in zip(self._lines, where, strict=True)]
         if self.plane:
             one, other = (basis(w) for basis, w in zip(self._bases, inside, strict=True))
@@ -151,25 +129,13 @@ Table = SmoothTable  # effect files that `discrepancy adopt` wrote of 0.1 import
 
 @dataclass(frozen=True)
 class _RoundedLines:
-    """Lines that are straight between points except for their corners, which Gaussians round.
+    """Lines that are straight between points except for their corners, which Gaussians round."""
 
-    Attributes
-    ----------
-    x : (n,) array
-        Points at which the lines have heights.
-    period : float
-        0 for lines with ends.
-    corners, width : (k,) array
-        Positions of the corners, and the standard deviations of their Gaussians.
-    bend : (k, n) array
-        Change of slope at each corner for the line of height 1 at one point and 0 at the others.
-    """
-
-    x: Array
-    period: float
-    corners: Array
-    width: Array
-    bend: Array
+    x: Array  # points (n,) at which the lines have heights
+    period: float  # 0 for lines with ends
+    corners: Array  # their positions (k,)
+    width: Array  # standard deviations (k,) of their Gaussians
+    bend: Array  # change (k, n) of slope at each corner for the line of height 1 at one point and 0 at the others
 
     @classmethod
     def of(cls, x: Array, period: float = 0.0) -> _RoundedLines:
@@ -205,9 +171,8 @@ class _RoundedLines:
     def _ends(self) -> tuple[float, float]:
         if self.period:
             return float(self.x[0]), float(self.x[0] + self.period)
-        return float((self.corners - GAUSSIAN_REACH * self.width).min()), float(
-            (self.corners + GAUSSIAN_REACH * self.width).max()
-        )
+        reach = GAUSSIAN_REACH * self.width
+        return float((self.corners - reach).min()), float((self.corners + reach).max())
 
     def through(self, values: Array) -> Array:
         """Return the heights (n, ...) with which the rounded line passes through values (n, ...). Raises ValueError."""
@@ -269,10 +234,6 @@ def _number(value: Any) -> Any:
 def _are_uniform(values: tuple[Any, ...]) -> bool:
     """True when all values are finite numbers, or all are pairs of them."""
     pairs = isinstance(values[0], tuple)
-    rows = values if pairs else tuple((v,) for v in values)
-    size = 2 if pairs else 1
-    return all(isinstance(r, tuple) and len(r) == size and all(map(_finite, r)) for r in rows)
-
-
-def _finite(value: Any) -> bool:
-    return isinstance(value, float) and math.isfinite(value)
+    rows = values if pairs else [(v,) for v in values]
+    same = all(isinstance(row, tuple) and len(row) == 1 + pairs for row in rows)
+    return same and all(isinstance(v, float) and math.isfinite(v) for row in rows for v in row)

@@ -28,36 +28,20 @@ LINE, TURN, PLACE = "line", "turn", "place"
 
 @dataclass(frozen=True)
 class TableKind:
-    """One kind of table: the law that it gives and the quantity that this law depends on.
+    """One kind of table: the law that it gives and the quantity that this law depends on."""
 
-    Attributes
-    ----------
-    law, what : str
-        The law of `LAWS`, and the input that it depends on.
-    owners : tuple of (str, int)
-        The numbers of the base model that it replaces, each times x to a power; none: it adds to the law.
-    axis : str
-        LINE (of a vector: its size), TURN (the direction of a vector, rad) or PLACE (a map over both components).
-    unit, x_unit : str
-    parts : int
-        2: of a force its parts along x and y, or, over an angle, along the motion and across it, over the speed; of a
-        rolling loss a constant part, and one in proportion to the speed, as it is at REFERENCE_SPEED_M_S.
-    low, high : float
-        Limits of the law.
-    one_ball : bool
-        Whether it may apply to ball a or b alone: NAME_a, NAME_b.
-    """
-
-    law: str
-    what: str
-    owners: Owners = ()
-    axis: str = LINE
+    law: str  # of `LAWS`
+    what: str  # the input that it depends on
+    owners: Owners = ()  # the base model's numbers that it replaces, each times x to a power; none: it adds to the law
+    axis: str = LINE  # of a vector: its size; TURN: the direction of a vector, rad; PLACE: a map over both components
     unit: str = "1"
     x_unit: str = "m/s"
+    # 2: of a force its parts along x and y, or, over an angle, along the motion and across it, over the speed; of a
+    # rolling loss a constant part, and one in proportion to the speed, as it is at REFERENCE_SPEED_M_S.
     parts: int = 1
-    low: float = -math.inf
+    low: float = -math.inf  # limits of the law
     high: float = math.inf
-    one_ball: bool = False
+    one_ball: bool = False  # whether it may apply to ball a or b alone: NAME_a, NAME_b
 
 
 def _friction(what: str, axis: str = LINE, **more: Any) -> TableKind:
@@ -170,21 +154,11 @@ class AddedLaw(Effect):
 
 @dataclass(frozen=True)
 class TabulatedLaw(AddedLaw):
-    """A law from a table, in place of numbers of the base model.
+    """A law from a table, in place of numbers of the base model."""
 
-    Attributes
-    ----------
-    law : str
-        One of `table_names()`.
-    table : Table
-        The law's values, where those numbers are `stood_for`; where they are others, it is shifted by the difference.
-    stood_for : tuple of float
-        The values of `TableKind.owners`.
-    """
-
-    law: str
-    table: SmoothTable
-    base_numbers: tuple[float, ...] = ()
+    law: str  # one of `table_names()`
+    table: SmoothTable  # its values beside `base_numbers`; beside others, they are shifted by the difference
+    base_numbers: tuple[float, ...] = ()  # the values of `TableKind.owners`
 
     @classmethod
     def of(cls, law: str, x: Any, y: Any, numbers: Mapping[str, float]) -> TabulatedLaw:

@@ -79,7 +79,7 @@ LAYERS = {
         "reflections surface",
         "pinhole",
         "glints plate exposure",
-        "shutter sensor",
+        "renderer sensor",
         "render room",
     ],
     "synthcam.scene": [

@@ -16,29 +16,21 @@ from scipy.special import ndtr
 from synthcam.camera.pinhole import PinholeCamera
 
 Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Index = NDArray[np.intp]
 Box = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
 class Picture:
-    """The mean image over one exposure.
+    """The mean image over one exposure."""
 
-    Attributes
-    ----------
-    plate : ndarray of shape (h, w)
-        The image without balls; the same array for a whole film.
-    boxes : tuple of (slice, slice)
-        Disjoint rows and columns outside of which the image is the plate.
-    parts : tuple of ndarray
-        The image in each box.
-    """
-
-    plate: NDArray[np.float32]
-    boxes: tuple[Box, ...]
-    parts: tuple[NDArray[np.float32], ...]
+    plate: Float32  # the image (h, w) without balls; the same array for a whole film
+    boxes: tuple[Box, ...]  # disjoint rows and columns outside of which the image is the plate
+    parts: tuple[Float32, ...]  # the image in each box
 
     @cached_property
-    def image(self) -> NDArray[np.float32]:
+    def image(self) -> Float32:
         """(h, w)."""
         image = self.plate.copy()
         for box, part in zip(self.boxes, self.parts, strict=True):
@@ -52,10 +44,10 @@ class SubExposures:
 
     times: Array
     weights: Array
-    frames: NDArray[np.intp]
+    frames: Index
 
 
-def split_at_breaks(intervals: Array, breaks: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+def split_at_breaks(intervals: Array, breaks: Array) -> tuple[Array, Array, Index]:
     """Split exposures (F, 2), s, at the breaks.
 
     Returns bounds (P, 2), s, weights (P,), which sum to 1 in a frame, and numbers of the frames (P,).
@@ -71,38 +63,26 @@ def split_at_breaks(intervals: Array, breaks: Array) -> tuple[Array, Array, NDAr
 
 
 def place_sub_exposures(
-    bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Array, wave: Array | float = 0
+    bounds: Array, weights: Array, frames: Index, travel: Array, wave: Array | float = 0
 ) -> SubExposures:
-    """Place the Gauss-Legendre nodes of each piece.
+    """Place the Gauss-Legendre nodes of each piece that `split_at_breaks` returns.
 
     Their number keeps the blurred glint within 1e-4 of its peak. Its centroid is exact for any number if the motion is
-    a polynomial of low degree.
-
-    Parameters
-    ----------
-    bounds, weights, frames : ndarray of shape (P, 2), (P,), (P,)
-        As `split_at_breaks` returns them.
-    travel : ndarray of shape (P,)
-        Path of the balls over the blur's sigma.
-    wave : ndarray of shape (P,) or float
-        Change of the light's phase, rad.
+    a polynomial of low degree. travel: path (P,) of the balls over the blur's sigma. wave: change (P,) of the light's
+    phase, rad.
     """
     counts = np.select([travel < 0.02, travel < 0.5], [1, 2], 2 + np.ceil(travel)).astype(int)
     counts = np.maximum(counts, np.where(np.asarray(wave) > 0, 2 + np.ceil(wave), 1).astype(int))
     middles, halves = bounds.mean(axis=1), np.diff(bounds, axis=1)[:, 0] / 2
-    times, parts = [], []
-    for middle, half, weight, n in zip(middles, halves, weights, counts, strict=True):
-        nodes, shares = _rule(int(n))
+    times, parts = [np.zeros(0)], [np.zeros(0)]
+    for middle, half, weight, n in zip(middles, halves, weights, counts.tolist(), strict=True):
+        nodes, shares = _gauss_legendre(n)
         times.append(middle + half * nodes)
         parts.append(weight / 2 * shares)
-    if not times:
-        return SubExposures(np.zeros(0), np.zeros(0), frames)
     return SubExposures(np.concatenate(times), np.concatenate(parts), np.repeat(frames, counts))
 
 
-@cache
-def _rule(nodes: int) -> tuple[Array, Array]:
-    return np.polynomial.legendre.leggauss(nodes)
+_gauss_legendre = cache(np.polynomial.legendre.leggauss)
 
 
 def integrate_spots(pixels: Array, variances: Array, origins: Array, width: int, steps: int = 1) -> tuple[Array, Array]:
@@ -120,7 +100,7 @@ def integrate_spots(pixels: Array, variances: Array, origins: Array, width: int,
     return sides[0], sides[1]
 
 
-def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int = 1) -> NDArray[np.float32]:
+def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int = 1) -> Float32:
     """Make the matrix (width steps, (width - 2 margin) fineness) from samples of a line to blurred pixels.
 
     Each sample is 1/fineness px wide. It is blurred by a Gaussian and integrated over each pixel, at `steps` points per
@@ -132,7 +112,7 @@ def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int
     return ((below[steps:] - below[:-steps]) / fineness).astype(np.float32)
 
 
-def blur_tiles(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
+def blur_tiles(tiles: Float32, blur: Float32) -> Float32:
     """Compute blur @ tiles @ blur.T for tiles (n, s, s) and blur (w, s), by the band of the matrix and in pieces.
 
     OpenBLAS starts threads for products of more than 2.6e5 multiplications. The last bit then depends on their number.
@@ -144,7 +124,7 @@ def blur_tiles(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray
     return np.swapaxes(_multiply_by_bands(np.ascontiguousarray(np.swapaxes(across, 1, 2)), blur), 1, 2)
 
 
-def _multiply_by_bands(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
+def _multiply_by_bands(tiles: Float32, blur: Float32) -> Float32:
     out = np.empty((len(tiles), len(blur), tiles.shape[2]), np.float32)
     for first in range(0, len(blur), 16):
         rows = slice(first, first + 16)
@@ -160,18 +140,8 @@ def _multiply_by_bands(tiles: NDArray[np.float32], blur: NDArray[np.float32]) ->
 class PixelPatches:
     """Squares of pixels, one for each frame and ball in view, wide enough for the ball, its motion and the blur.
 
-    A patch depends on its own frame alone.
-
-    Attributes
-    ----------
-    frame, ball : ndarray of shape (P,)
-        Of each patch.
-    origins : ndarray of shape (P, 2)
-        First column and row.
-    widths : ndarray of shape (P,)
-        px.
-    number : ndarray of shape (F, N)
-        The patch of a frame and ball; -1 out of view.
+    A patch depends on its own frame alone. origins: first column and row (P, 2). widths: (P,) px. number: the patch of
+    a frame and ball (F, N); -1 out of view.
     """
 
     def __init__(
@@ -183,17 +153,17 @@ class PixelPatches:
         around = extent[..., None] + self.margin
         np.minimum.at(low, moments.frames, pixels - around)
         np.maximum.at(high, moments.frames, pixels + around)
-        self.frame, self.ball = np.nonzero(((high > 0) & (low < np.array(camera.size) - 1)).all(axis=2))
+        inside = ((high > 0) & (low < np.array(camera.size) - 1)).all(axis=2)
         self.number = np.full((frames, balls), -1)
-        self.number[self.frame, self.ball] = np.arange(len(self.frame))
-        self.origins = np.floor(low[self.frame, self.ball]).astype(int)
-        ends = np.ceil(high[self.frame, self.ball]).astype(int) + 1
+        self.number[inside] = np.arange(inside.sum())
+        self.origins = np.floor(low[inside]).astype(int)
+        ends = np.ceil(high[inside]).astype(int) + 1
         # In steps of 8 px, so that many patches have one width and are drawn together.
         self.widths = -(-(ends - self.origins).max(axis=1) // 8) * 8
 
-    def ranks(self, selected: NDArray[np.intp]) -> NDArray[np.intp]:
+    def ranks(self, selected: Index) -> Index:
         """Rank of each patch among the `selected`; -1 for others and, as the last entry, for no patch."""
-        ranks = np.full(len(self.frame) + 1, -1)
+        ranks = np.full(len(self.widths) + 1, -1)
         ranks[selected] = np.arange(len(selected))
         return ranks
 
@@ -224,13 +194,3 @@ def merge_boxes(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
             b, d = max(b, *(q[1] for q in touching)), max(d, *(q[3] for q in touching))
         apart.append((a, b, c, d))
     return tuple((slice(a, b), slice(c, d)) for a, b, c, d in apart)
-
-
-def compute_vignette(camera: PinholeCamera) -> NDArray[np.float32] | None:
-    """Share (h, w) of the light that reaches each pixel: 1 in the middle, less by the square of the distance."""
-    if not camera.vignetting:
-        return None
-    w, h = camera.size
-    across, down = (2 * np.arange(n) / (n - 1) - 1 for n in (w, h))
-    square = (w * w * across**2 + (h * h * down**2)[:, None]) / (w * w + h * h)
-    return (1 - camera.vignetting * square).astype(np.float32)

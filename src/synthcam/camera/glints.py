@@ -12,33 +12,20 @@ from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.surface import STEEL_ON_BLACK, Surface
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 MAX_PATHS_AT_ONCE = 4096  # larger batches save no time
 
 
 @dataclass(frozen=True)
 class GlintImages:
-    """Images of a lamp, or of its cells, in the balls.
+    """Images of a lamp, or of its cells, in the balls."""
 
-    Attributes
-    ----------
-    moment, ball : ndarray of shape (G,)
-        The sub-exposure, and the ball on which the image is seen.
-    pixels : ndarray of shape (G, 2)
-        Position, px.
-    spread : ndarray of shape (G, 2)
-        Variance of the lamp's image along columns and rows, px^2.
-    flux : ndarray of shape (G,)
-        Solid angle in px^2 times reflectance.
-    order : ndarray of shape (G,)
-        Number of bounces.
-    """
-
-    moment: NDArray[np.intp]
-    ball: NDArray[np.intp]
-    pixels: Array
-    spread: Array
-    flux: Array
-    order: NDArray[np.intp]
+    moment: Index  # of the sub-exposure (G,)
+    ball: Index  # on which the image is seen (G,)
+    pixels: Array  # position (G, 2), px
+    spread: Array  # variance of the lamp's image along columns and rows (G, 2), px^2
+    flux: Array  # solid angle in px^2 times reflectance (G,)
+    order: Index  # number of bounces (G,)
 
 
 def find_glints(
@@ -50,30 +37,15 @@ def find_glints(
     surface: Surface = STEEL_ON_BLACK,
     cell: float = np.inf,
 ) -> GlintImages:
-    """Find the images of a lamp in balls.
+    """Find the images of a lamp, without the further ones behind it, in balls.
 
     Images weaker than 1e-4 of the primary are left out (`reflections.widest_pairs`). The image of a cell is the cell
     under the exact derivative of the reflected path. Its flux and its second moments are therefore exact to first order
     in its size. The path of its middle decides whether it is hidden.
 
-    Parameters
-    ----------
-    camera : Camera
-    lamp : Lamp
-        Without the further ones behind it.
-    centres : ndarray of shape (T, N, 3)
-        Of the balls at each moment, m.
-    radii : ndarray of shape (N,)
-        m.
-    light : ndarray of shape (T, N)
-        Brightness of the lamp at each moment, relative to its mean; 0 for balls whose images are not wanted.
-    surface : Surface
-    cell : float
-        A wider lamp is cut into cells of this half-width, m, each with its own image.
-
-    Returns
-    -------
-    Glints
+    centres: (T, N, 3), m, at each moment. radii: (N,), m. light: (T, N), brightness of the lamp relative to its mean;
+    0 for balls whose images are not wanted. cell: a wider lamp is cut into cells of this half-width, m, each with its
+    own image.
     """
     eye, cells, axes = camera.centre, lamp.cells(cell), lamp.axes
     found = []
@@ -100,9 +72,8 @@ def find_glints(
             tilted = ((slope @ reflections.differentiate_by_tilt(source, eye, paths, positions, spheres)) ** 2).sum(2)
             lobes = _lobes(surface, tilted, spread, flux)
         found += [[x[seen] for x in (moment, ball, pixels, wide, bright, order)] for wide, bright in lobes]
-    if not found:
-        none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
-        return GlintImages(none, none, nowhere, nowhere, flat, none)
+    none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
+    found.append([none, none, nowhere, nowhere, flat, none])
     return GlintImages(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
 
 
@@ -117,11 +88,11 @@ def _lobes(surface: Surface, tilted: Array, spread: Array, flux: Array) -> list[
 
 def _batch_chains(
     chains: Iterable[tuple[tuple[int, ...], NDArray[np.bool_]]], wanted: NDArray[np.bool_], cells: int
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+) -> Iterator[tuple[Index, Index]]:
     """Batch the chains of one length: balls (n, k) and sub-exposures (n,)."""
     for _, of_length in groupby(chains, key=lambda found: len(found[0])):
-        balls: list[NDArray[np.intp]] = []
-        moments: list[NDArray[np.intp]] = []
+        balls: list[Index] = []
+        moments: list[Index] = []
         for chain, active in of_length:
             when = np.flatnonzero(active & wanted[:, chain[-1]])
             if len(when):
@@ -134,8 +105,12 @@ def _batch_chains(
             yield np.concatenate(balls), np.concatenate(moments)
 
 
+def narrow_cell(camera: PinholeCamera, lamp: Lamp, seen: Array) -> float:
+    """Half-width, m, of the cells of a lamp whose images have the variances `seen`, px^2: there, 0.4 of the blur's."""
+    share = lamp.cells(np.inf).spread[0, :2].sum() / max(seen.sum(), 1e-30)
+    return float(0.4 * camera.psf_sigma_px * np.sqrt(share))
+
+
 def join_glints(many: list[GlintImages]) -> GlintImages:
     """Join the glints of several lamps."""
-    if len(many) == 1:
-        return many[0]
     return GlintImages(*[np.concatenate([getattr(g, name) for g in many]) for name in GlintImages.__dataclass_fields__])

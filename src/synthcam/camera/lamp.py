@@ -28,53 +28,32 @@ class Flicker:
 
 @dataclass(frozen=True)
 class LampCells:
-    """Cells of a lamp.
+    """Cells of a lamp."""
 
-    positions: centroids (C, 3), m. areas: (C,), m^2. spread: second moments uu, vv, uv in the lamp's plane about the
-    centroids, (C, 3), m^2.
-    """
-
-    positions: Array
-    areas: Array
-    spread: Array
+    positions: Array  # centroids (C, 3), m
+    areas: Array  # (C,), m^2
+    spread: Array  # second moments uu, vv, uv in the lamp's plane about the centroids (C, 3), m^2
 
 
 @dataclass(frozen=True)
 class Lamp:
-    """A flat lamp of uniform radiance that shines to one side.
+    """A flat lamp of uniform radiance that shines to one side. Raises ValueError if it has no area.
 
-    Attributes
-    ----------
-    position : ndarray of shape (3,)
-        Centre, m.
-    radius, shape, inner, length, width, angle
-        A disc of `radius`; a ring between `inner` and `radius`; or a bar of `length` by `width`, turned by `angle` rad
-        from the world's x axis; m.
-    towards : ndarray of shape (3,) or None
-        The point that it faces, m; None: it faces straight down.
-    radiance : float
-        Relative to that of the first lamp.
-    flicker : Flicker
-    second : Lamp or None
-        A further lamp.
-
-    Raises
-    ------
-    ValueError
-        If the lamp has no area.
+    It is a disc of `radius`; a ring between `inner` and `radius`; or a bar of `length` by `width`, turned by `angle`,
+    rad, from the world's x axis. Lengths are in m.
     """
 
-    position: Array
+    position: Array  # of its centre (3,)
     radius: float
     shape: LampShape = "disc"
     inner: float = 0.0
     length: float = 0.0
     width: float = 0.0
     angle: float = 0.0
-    towards: Array | None = None
-    radiance: float = 1.0
+    towards: Array | None = None  # the point (3,) that it faces; None: it faces straight down
+    radiance: float = 1.0  # relative to that of the first lamp
     flicker: Flicker = Flicker()
-    second: "Lamp | None" = None
+    second: "Lamp | None" = None  # a further lamp
 
     def __post_init__(self) -> None:
         if self.shape == "ring" and not 0 < self.inner < self.radius:
@@ -86,6 +65,11 @@ class Lamp:
     def all(self) -> "tuple[Lamp, ...]":
         """This lamp and the further ones."""
         return (self, *(self.second.all if self.second else ()))
+
+    @property
+    def half_width(self) -> float:
+        """Half of its largest side, or its radius, m."""
+        return max(self.radius, self.length / 2) if self.shape == "bar" else self.radius
 
     def light(self, times: Array) -> Array:
         """Brightness at times, s, relative to its mean."""
@@ -130,12 +114,10 @@ def _disc(radius: float, inner: float, largest: float) -> tuple[Array, Array, Ar
         mean = 2 / 3 * (high**3 - low**3) / (high**2 - low**2) * np.sinc(opening / (2 * np.pi))
         square, lobe = (low**2 + high**2) / 2, np.sin(opening) / opening
         along, across = square * (1 + lobe) / 2 - mean**2, square * (1 - lobe) / 2
-        turn = opening * np.arange(count)
-        c, s = np.cos(turn), np.sin(turn)
-        at.append(mean * np.stack([c, s], axis=1))
+        turn = np.asarray(opening * np.arange(count), float)
+        at.append(mean * np.stack([np.cos(turn), np.sin(turn)], axis=1))
         areas.append(np.full(count, area))
-        moments = [along * c * c + across * s * s, along * s * s + across * c * c, (along - across) * c * s]
-        spread.append(np.stack(moments, axis=1))
+        spread.append(_turn_moments(along, across, turn))
     return np.concatenate(at), np.concatenate(areas), np.concatenate(spread)
 
 
@@ -146,6 +128,11 @@ def _bar(length: float, width: float, angle: float, largest: float) -> tuple[Arr
     y = ((np.arange(m) + 0.5) / m - 0.5) * width
     c, s = np.cos(angle), np.sin(angle)
     flat = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) @ np.array([[c, s], [-s, c]])
-    along, across = (length / n) ** 2 / 12, (width / m) ** 2 / 12
-    moments = [along * c * c + across * s * s, along * s * s + across * c * c, (along - across) * c * s]
-    return flat, np.full(n * m, length * width / (n * m)), np.tile(moments, (n * m, 1))
+    moments = _turn_moments((length / n) ** 2 / 12, (width / m) ** 2 / 12, np.full(n * m, angle))
+    return flat, np.full(n * m, length * width / (n * m)), moments
+
+
+def _turn_moments(along: float, across: float, turn: Array) -> Array:
+    """Second moments uu, vv, uv (n, 3) of cells with moments `along` and `across` their axes at `turn`, rad."""
+    c, s = np.cos(turn), np.sin(turn)
+    return np.stack([along * c * c + across * s * s, along * s * s + across * c * c, (along - across) * c * s], axis=1)

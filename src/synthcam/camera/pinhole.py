@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,50 +22,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A calibrated camera.
+    """A calibrated camera."""
 
-    Attributes
-    ----------
-    K : ndarray of shape (3, 3)
-        Camera matrix, px.
-    dist : ndarray of shape (5,)
-        Distortion.
-    R, t : ndarray of shape (3, 3), ndarray of shape (3,)
-        Rotation and translation, m, from world to camera.
-    size : tuple of int
-        Width and height, px.
-    fps, exposure : float
-        Frame rate, 1/s, and exposure time, s.
-    scale : float
-        m/px at the height of the balls' centres.
-    psf_sigma_px : float
-        Standard deviation of the optics' blur.
-    defocus_px : float
-        Radius of the disc to which defocus spreads a point.
-    airy_px : float
-        Wavelength times f-number over the pixel pitch; 0 without diffraction.
-    vignetting : float
-        Share of the light that is lost in the corners of the picture.
-    line_time : float
-        Delay of the exposure from one row to the next, s; 0 for a global shutter.
-    camera_json : dict
-        The experimenter's knowledge of this camera, with the keys of ``camera.json``; of the camera of a clip only.
-        It lets `tracker.track` take the camera.
-    """
-
-    K: Array
-    dist: Array
-    R: Array
-    t: Array
-    size: tuple[int, int]
-    fps: float
-    exposure: float
-    scale: float
-    psf_sigma_px: float
-    defocus_px: float = 0.0
-    airy_px: float = 0.0
-    vignetting: float = 0.0
-    line_time: float = 0.0
+    K: Array  # camera matrix (3, 3), px
+    dist: Array  # distortion (5,)
+    R: Array  # rotation (3, 3) from world to camera
+    t: Array  # translation (3,), m
+    size: tuple[int, int]  # width and height, px
+    fps: float  # frame rate, 1/s
+    exposure: float  # s
+    scale: float  # m/px at the height of the balls' centres
+    psf_sigma_px: float  # standard deviation of the optics' blur
+    defocus_px: float = 0.0  # radius of the disc to which defocus spreads a point
+    airy_px: float = 0.0  # wavelength times f-number over the pixel pitch; 0 without diffraction
+    vignetting: float = 0.0  # share of the light that is lost in the corners of the picture
+    line_time: float = 0.0  # delay of the exposure from one row to the next, s; 0 for a global shutter
+    # What the experimenter knows, with the keys of camera.json; of a clip's camera only. `tracker.track` takes it.
     camera_json: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -81,27 +54,11 @@ class PinholeCamera:
     ) -> "PinholeCamera":
         """Make a camera at a distance of `height` m from the world's origin, at which it looks.
 
-        Parameters
-        ----------
-        size : tuple of int
-            Width and height, px.
-        scale : float
-            m/px at z = ball_radius.
-        height : float
-            m.
-        tilt : (float, float)
-            Angles a, b, rad. The camera is rotated about the origin by a about the world's x axis, then by b about y:
-            its centre is Ry(b) Rx(a) (0, 0, height).
-        distortion : sequence of 5 floats
-        ball_radius : float
-            m.
-        **fields
-            fps, exposure, psf_sigma_px and other fields that are numbers.
+        size: width and height, px. scale: m/px at z = ball_radius. tilt: angles a, b, rad. The camera is rotated about
+        the origin by a about the world's x axis, then by b about y: its centre is Ry(b) Rx(a) (0, 0, height).
+        ball_radius: m. fields: fps, exposure, psf_sigma_px and other fields that are numbers.
 
-        Raises
-        ------
-        ValueError
-            If height does not exceed ball_radius.
+        Raises ValueError if height does not exceed ball_radius.
         """
         if height <= ball_radius:
             raise ValueError(f"camera height {height} m must be over the balls' centres at {ball_radius} m")
@@ -142,6 +99,15 @@ class PinholeCamera:
         slope[..., 2] = -flat
         slope /= depth[..., None, None]
         return pixels, lens @ bend @ slope @ self.R
+
+    def unproject(self, pixels: Array) -> Array:
+        """Directions (..., 3) in the world, of depth 1, of the rays of pixels (..., 2)."""
+        flat = (pixels - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
+        if self.dist.any():
+            steps = (cv2.TERM_CRITERIA_MAX_ITER, 60, 0)
+            bent = pixels.reshape(-1, 1, 2).astype(float)
+            flat = np.asarray(cv2.undistortPoints(bent, self.K, self.dist, criteria=steps)).reshape(pixels.shape)
+        return np.asarray(np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1) @ self.R)
 
     def _distort(self, flat: Array) -> tuple[Array, Array]:
         """Apply OpenCV's lens model to normalised coordinates (..., 2); return also its Jacobian (..., 2, 2)."""

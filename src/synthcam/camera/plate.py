@@ -3,7 +3,8 @@
 The plate does not move: it is computed once for a film, in double precision.
 """
 
-import cv2
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,25 +15,24 @@ from synthcam.camera.surface import Surface
 Array = NDArray[np.float64]
 
 BLACK_PLATE_RADIANCE = 0.05  # of the plate under the lamp, over that of the room seen in a ball
+SMALL_LAMP_M = 0.03  # radius of a disc below which its shadows are those of a point
 
 
 def is_plain(lamp: Lamp, surface: Surface) -> bool:
     """Tell whether a small lamp faces down on a dull, even plate without shadows."""
     even = not (surface.plate_gloss or surface.plate_texture or surface.plate_shadow)
-    return even and lamp.second is None and lamp.towards is None and lamp.shape == "disc" and lamp.radius < 0.03
+    return even and lamp.second is None and lamp.towards is None and lamp.shape == "disc" and lamp.radius < SMALL_LAMP_M
 
 
 def irradiance(lamp: Lamp, points: Array) -> Array:
     """Irradiance of the plate at points (..., 3), m, over that below the first lamp if it faces down."""
     total = np.zeros(points.shape[:-1])
     factor = lamp.position[2] ** 2 / lamp.cells(np.inf).areas[0]
-    for each in lamp.all:
-        cells = each.cells(_part(each))
-        for position, area in zip(cells.positions, cells.areas, strict=True):
-            way = points - position
-            square = (way * way).sum(-1)
-            fall = np.maximum(way @ each.axes[:, 2], 0) * -way[..., 2] / square**2
-            total += factor * each.radiance * area * fall
+    for each, position, area in _iterate_parts(lamp):
+        way = points - position
+        square = (way * way).sum(-1)
+        fall = np.maximum(way @ each.axes[:, 2], 0) * -way[..., 2] / square**2
+        total += factor * each.radiance * area * fall
     return total
 
 
@@ -45,17 +45,15 @@ def gloss(lamp: Lamp, surface: Surface, eye: Array, points: Array) -> Array:
     total, wide = np.zeros(points.shape[:-1]), 2 * surface.plate_roughness**2
     out = eye - points
     out /= np.linalg.norm(out, axis=-1, keepdims=True)
-    for each in lamp.all:
-        cells = each.cells(_part(each))
-        for position, area in zip(cells.positions, cells.areas, strict=True):
-            way = position - points
-            square = (way * way).sum(-1)
-            way /= np.sqrt(square)[..., None]
-            half = way + out
-            up = half[..., 2] / np.linalg.norm(half, axis=-1)
-            lobe = np.exp(-(1 / up**2 - 1) / wide) / (np.pi * wide * up**4)
-            solid = area * np.maximum(-(way @ each.axes[:, 2]), 0) / square
-            total += each.radiance * surface.plate_gloss * lobe / (4 * out[..., 2]) * solid
+    for each, position, area in _iterate_parts(lamp):
+        way = position - points
+        square = (way * way).sum(-1)
+        way /= np.sqrt(square)[..., None]
+        half = way + out
+        up = half[..., 2] / np.linalg.norm(half, axis=-1)
+        lobe = np.exp(-(1 / up**2 - 1) / wide) / (np.pi * wide * up**4)
+        solid = area * np.maximum(-(way @ each.axes[:, 2]), 0) / square
+        total += each.radiance * surface.plate_gloss * lobe / (4 * out[..., 2]) * solid
     return total
 
 
@@ -75,13 +73,8 @@ def grain(surface: Surface, points: Array) -> Array:
 
 def plate_points(camera: PinholeCamera) -> Array:
     """Points (h, w, 3), m, of the plate that are seen at the centres of the pixels."""
-    w, h = camera.size
-    pixels = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 1, 2).astype(float)
-    steps = (cv2.TERM_CRITERIA_MAX_ITER, 60, 0)
-    flat = cv2.undistortPoints(pixels, camera.K, camera.dist, criteria=steps).reshape(h, w, 2)
-    way = np.concatenate([flat, np.ones((h, w, 1))], axis=-1) @ camera.R
-    eye = camera.centre
-    return np.asarray(eye - way * (eye[2] / way[..., 2])[..., None])
+    way = camera.unproject(np.stack(np.meshgrid(*map(np.arange, camera.size)), axis=-1))
+    return np.asarray(camera.centre - way * (camera.centre[2] / way[..., 2])[..., None])
 
 
 def shadow_casters(lamp: Lamp, at: Array) -> Array:
@@ -90,18 +83,18 @@ def shadow_casters(lamp: Lamp, at: Array) -> Array:
     Each is a position, m, the radius of a disc of equal area, m, and the share of the light.
     """
     found = []
-    for each in lamp.all:
-        cells = each.cells(_part(each))
-        for position, area in zip(cells.positions, cells.areas, strict=True):
-            way = at - position
-            fall = max(float(way @ each.axes[:, 2]), 0.0) * -way[2] / (way @ way) ** 2
-            found.append([*position, np.sqrt(area / np.pi), each.radiance * area * fall])
+    for each, position, area in _iterate_parts(lamp):
+        way = at - position
+        fall = max(float(way @ each.axes[:, 2]), 0.0) * -way[2] / (way @ way) ** 2
+        found.append([*position, np.sqrt(area / np.pi), each.radiance * area * fall])
     discs = np.array(found)
     discs[:, 4] /= max(discs[:, 4].sum(), 1e-30)
     return discs
 
 
-def _part(lamp: Lamp, parts: int = 4) -> float:
-    """Half-width of the parts of a lamp that cast separate shadows; a small disc is one part."""
-    whole = max(lamp.radius, lamp.length / 2) if lamp.shape == "bar" else lamp.radius
-    return np.inf if lamp.shape == "disc" and lamp.radius < 0.03 else whole / parts
+def _iterate_parts(lamp: Lamp) -> Iterator[tuple[Lamp, Array, float]]:
+    """Lamp, position, m, and area, m^2, of each part that casts its own shadow: small discs, cells of larger lamps."""
+    for each in lamp.all:
+        cells = each.cells(np.inf if each.shape == "disc" and each.radius < SMALL_LAMP_M else each.half_width / 4)
+        for position, area in zip(cells.positions, cells.areas, strict=True):
+            yield each, position, area

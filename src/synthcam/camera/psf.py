@@ -16,14 +16,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Psf:
-    """Widths of the three parts.
+    """Widths of the three parts, px."""
 
-    sigma: of the Gaussian, px. defocus: radius of the disc, px. airy: wavelength x f-number / pixel pitch, px.
-    """
-
-    sigma: float
-    defocus: float = 0.0
-    airy: float = 0.0
+    sigma: float  # of the Gaussian
+    defocus: float = 0.0  # radius of the disc
+    airy: float = 0.0  # wavelength x f-number / pixel pitch
 
     @property
     def is_gaussian(self) -> bool:
@@ -56,6 +53,8 @@ class Psf:
 
     def spread(self, patches: NDArray[np.float32]) -> NDArray[np.float32]:
         """Blur patches (n, w steps, w steps), and sample them at the pixels (n, w, w)."""
+        if self.is_gaussian:
+            return patches
         side = patches.shape[-1]
         rows, columns = fft.fftfreq(side, 1 / self.steps), fft.rfftfreq(side, 1 / self.steps)
         transfer = self.transfer(np.hypot(rows[:, None], columns)).astype(np.float32)

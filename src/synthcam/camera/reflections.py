@@ -5,6 +5,7 @@ solid balls, either every corner is on a surface and reflects outwards, or none 
 most one path, which Newton's method on the spheres finds.
 """
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -17,40 +18,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Paths:
-    """Reflected paths of one order k.
+    """Reflected paths of one order k."""
 
-    points: (M, k, 3) reflection points, lamp side first, m.
-    transfer: (M, 3, 3) derivative of the last point by the lamp's position.
-    cosines: (M, k) cosine of the angle of incidence at each point.
-    exists: (M,) False if the straight line crosses a ball, so that nothing is reflected.
-    """
-
-    points: Array
-    transfer: Array
-    cosines: Array
-    exists: NDArray[np.bool_]
+    points: Array  # reflection points (M, k, 3), lamp side first, m
+    transfer: Array  # derivative (M, 3, 3) of the last point by the lamp's position
+    cosines: Array  # cosine (M, k) of the angle of incidence at each point
+    exists: NDArray[np.bool_]  # (M,) False if the straight line crosses a ball, so that nothing is reflected
 
 
 def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
-    """Find the path of light over mirror spheres in the given order.
+    """Find the path of light from a lamp (3,) or lamps (M, 3) over k mirror spheres, in this order, to an eye (3,).
 
-    Parameters
-    ----------
-    lamp : ndarray of shape (3,) or (M, 3)
-        m.
-    eye : ndarray of shape (3,)
-        m.
-    centres, radii : ndarray of shape (M, k, 3), ndarray of shape (M, k)
-        Of the k spheres of each path, m.
-
-    Returns
-    -------
-    Paths
+    centres: (M, k, 3). radii: (M, k). All are in m.
     """
     count, order = centres.shape[:2]
     normals = _first_guess(lamp, eye, centres)
-    ends = np.empty((count, order + 2, 3))
-    ends[:, 0], ends[:, -1] = lamp, eye
+    ends = _join(lamp, centres, eye)
     step = np.full((count, order, 2), np.inf)
     for _ in range(40):
         ends[:, 1:-1] = centres + radii[..., None] * normals
@@ -82,22 +65,23 @@ def differentiate_by_tilt(lamp: Array, eye: Array, paths: Paths, centres: Array,
 
     A tilt by a changes the gradient of the length along the facet by a times the pressure: H dq = -a pressure.
     """
-    count, order = centres.shape[:2]
-    ends = np.empty((count, order + 2, 3))
-    ends[:, 0], ends[:, 1:-1], ends[:, -1] = lamp, paths.points, eye
     normals = (paths.points - centres) / radii[..., None]
     tangents = _tangents(normals)
-    _, curvature, pressure, _ = _expand(ends, normals, tangents, radii)
-    push = np.eye(2 * order) * np.repeat(pressure, 2, axis=1)[:, None, :]
+    _, curvature, pressure, _ = _expand(_join(lamp, paths.points, eye), normals, tangents, radii)
+    push = np.eye(2 * centres.shape[1]) * np.repeat(pressure, 2, axis=1)[:, None, :]
     return np.asarray(-tangents[:, -1] @ np.linalg.solve(curvature, push)[:, -2:])
+
+
+def _join(lamp: Array, points: Array, eye: Array) -> Array:
+    """Corners (M, k + 2, 3) of the broken lines from the lamp over points (M, k, 3) to the eye."""
+    ends = np.empty((len(points), points.shape[1] + 2, 3))
+    ends[:, 0], ends[:, 1:-1], ends[:, -1] = lamp, points, eye
+    return ends
 
 
 def _first_guess(lamp: Array, eye: Array, centres: Array) -> Array:
     """Normals (M, k, 3) half-way between the directions to the centres before and after."""
-    count, order = centres.shape[:2]
-    chain = np.empty((count, order + 2, 3))
-    chain[:, 0], chain[:, 1:-1], chain[:, -1] = lamp, centres, eye
-    legs = np.diff(chain, axis=1)
+    legs = np.diff(_join(lamp, centres, eye), axis=1)
     legs /= np.linalg.norm(legs, axis=2, keepdims=True)
     normals = legs[:, 1:] - legs[:, :-1]
     # A chain to and fro between two balls leaves their line towards lamp and eye.
@@ -151,11 +135,9 @@ def find_hidden(
     lamp: Array, eye: Array, paths: Paths, balls: NDArray[np.intp], centres: Array, radii: Array
 ) -> NDArray[np.bool_]:
     """Find the paths (M,) that a third ball blocks: balls (M, k) of each path, centres (M, N, 3), radii (N,)."""
-    count, order = balls.shape
-    ends = np.empty((count, order + 2, 3))
-    ends[:, 0], ends[:, 1:-1], ends[:, -1] = lamp, paths.points, eye
-    blocked = np.zeros(count, bool)
-    for leg in range(order + 1):
+    ends = _join(lamp, paths.points, eye)
+    blocked = np.zeros(len(balls), bool)
+    for leg in range(balls.shape[1] + 1):
         touching = balls[:, max(leg - 1, 0) : leg + 1]
         start, way = ends[:, leg], ends[:, leg + 1] - ends[:, leg]
         for ball in range(len(radii)):
@@ -202,19 +184,15 @@ def iterate_chains(centres: Array, radii: Array, mirror: float) -> Iterator[tupl
     gaps = np.linalg.norm(centres[:, :, None] - centres[:, None], axis=-1)
     gaps /= (radii[:, None] + radii) / 2
     gaps[:, np.arange(balls), np.arange(balls)] = np.inf
-    growing: list[tuple[tuple[int, ...], NDArray[np.bool_], Array]]
-    growing = [((ball,), np.ones(times, bool), np.zeros(times)) for ball in range(balls)]
-    order = 1
+    growing: deque[tuple[tuple[int, ...], NDArray[np.bool_], Array]]
+    growing = deque(((ball,), np.ones(times, bool), np.zeros(times)) for ball in range(balls))
     while growing:
-        for chain, mask, _ in growing:
-            yield chain, mask
-        order += 1
-        longer: list[tuple[tuple[int, ...], NDArray[np.bool_], Array]] = []
-        for chain, _, widest in growing if order in widest_pair else ():
-            for ball in range(balls):
-                if ball != chain[-1] and (order <= 4 or len({*chain, ball}) == 2):
-                    widened = np.maximum(widest, gaps[:, chain[-1], ball])
-                    mask = widened < widest_pair[order]
-                    if mask.any():
-                        longer.append(((*chain, ball), mask, widened))
-        growing = longer
+        chain, mask, widest = growing.popleft()
+        yield chain, mask
+        order = len(chain) + 1
+        for ball in range(balls) if order in widest_pair else ():
+            if ball != chain[-1] and (order <= 4 or len({*chain, ball}) == 2):
+                widened = np.maximum(widest, gaps[:, chain[-1], ball])
+                mask = widened < widest_pair[order]
+                if mask.any():
+                    growing.append(((*chain, ball), mask, widened))

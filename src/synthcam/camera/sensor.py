@@ -26,44 +26,19 @@ MAX_TABLES = 96  # kept, .8 MB each: mains light at 250 frames/s shows 5 to 25 d
 
 @dataclass(frozen=True)
 class Sensor:
-    """A camera's chip.
+    """A camera's chip. Raises ValueError for settings that no camera has."""
 
-    Attributes
-    ----------
-    bits : int
-        Of the converter.
-    gain : float
-        e-/count.
-    read_noise, full_well : float
-        e-.
-    dark : float
-        Dark current, e-/s.
-    prnu, dsnu : float
-        Standard deviation of the pixels' response, relative, and of their offset, e-.
-    black_level : float
-        Counts.
-    glint_peak : float
-        Counts above black at the peak of the glint of a ball at rest, before clipping.
-    hot_pixels, hot_dark : float
-        Share of the pixels that leak, and the mean of their exponentially distributed dark currents, e-/s.
-
-    Raises
-    ------
-    ValueError
-        For settings that no camera has.
-    """
-
-    bits: int = 8
-    gain: float = 20.0
-    read_noise: float = 20.0
-    dark: float = 0.0
-    full_well: float = 6000.0
-    prnu: float = 0.005
-    dsnu: float = 4.0
-    black_level: float = 8.0
-    glint_peak: float = 200.0
-    hot_pixels: float = 0.0
-    hot_dark: float = 1e6
+    bits: int = 8  # of the converter
+    gain: float = 20.0  # e-/count
+    read_noise: float = 20.0  # e-
+    dark: float = 0.0  # dark current, e-/s
+    full_well: float = 6000.0  # e-
+    prnu: float = 0.005  # standard deviation of the pixels' response, relative
+    dsnu: float = 4.0  # standard deviation of their offset, e-
+    black_level: float = 8.0  # counts
+    glint_peak: float = 200.0  # counts above black at the peak of the glint of a ball at rest, before clipping
+    hot_pixels: float = 0.0  # share of the pixels that leak
+    hot_dark: float = 1e6  # mean of their exponentially distributed dark currents, e-/s
 
     def __post_init__(self) -> None:
         if not 1 <= self.bits <= 16:
@@ -125,15 +100,15 @@ class Chip:
         return mean + self.leak[rows, columns] * self.exposure if len(self.hot) else mean
 
     def _tables(self, plate: Float32) -> "_Background":
-        for same in (_Background.holds, _Background.fits):
-            for background in self._backgrounds:
-                if same(background, plate):
-                    background.plate = plate  # recognised by its identity the next time
-                    return background
-        self._backgrounds.append(_Background(self, plate))
-        while len(self._backgrounds) > 1 and sum(len(b.groups) for b in self._backgrounds) > MAX_TABLES:
-            del self._backgrounds[0]
-        return self._backgrounds[-1]
+        found = next((b for b in self._backgrounds if b.plate is plate), None)
+        found = found or next((b for b in self._backgrounds if np.array_equal(b.plate, plate)), None)
+        if not found:
+            found = _Background(self, plate)
+            self._backgrounds.append(found)
+            while len(self._backgrounds) > 1 and sum(len(b.groups) for b in self._backgrounds) > MAX_TABLES:
+                del self._backgrounds[0]
+        found.plate = plate  # recognised by its identity the next time
+        return found
 
     def _exact(self, picture: NDArray[Any], rows: Part, columns: Part, rng: np.random.Generator) -> Counts:
         sensor = self.sensor
@@ -180,15 +155,12 @@ class _Background:
                 self.owner[members] = len(self.groups)
                 mean = float(means.flat[members].mean())
                 shift.flat[members] = means.flat[members] - mean
-                body, tails = noise_tables(mean, sensor.read_noise)
-                self.groups.append((members, _to_counts(body, sensor.gain), _to_counts(tails, sensor.gain)))
+                body, tails = (
+                    np.ascontiguousarray(electrons / sensor.gain, dtype=np.float32)
+                    for electrons in noise_tables(mean, sensor.read_noise)
+                )
+                self.groups.append((members, body, tails))
         self.level = ((shift + chip.offset) / sensor.gain + sensor.black_level).astype(np.float32)
-
-    def holds(self, plate: Float32) -> bool:
-        return plate is self.plate
-
-    def fits(self, plate: Float32) -> bool:
-        return bool(np.array_equal(plate, self.plate))
 
     def expose(self, rng: np.random.Generator) -> Counts:
         shape, bits = self.level.shape, self.sensor.bits
@@ -215,10 +187,6 @@ class _Background:
         for k, (_, _, tails) in enumerate(self.groups):
             own = slice(None) if len(self.groups) == 1 else owner == k
             noise[outer[own]] = tails[side[own], finer[own]]
-
-
-def _to_counts(electrons: Array, gain: float) -> Float32:
-    return np.ascontiguousarray(electrons / gain, dtype=np.float32)
 
 
 def _look_up(table: Float32, cells: NDArray[np.uint16]) -> Float32:

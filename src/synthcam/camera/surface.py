@@ -15,33 +15,19 @@ IRON_N_K = (2.95, 2.93)  # at 549 nm: Johnson & Christy 1974, Phys. Rev. B 9, 50
 
 @dataclass(frozen=True)
 class Surface:
-    """Surfaces of balls and plate.
+    """Surfaces of balls and plate. Roughness broadens a glint by a Gaussian; its flux stays the same."""
 
-    Attributes
-    ----------
-    steel : (float, float) or None
-        n and k of the balls' metal (IRON_N_K: 51 % at normal incidence); None: Schlick's law with 55 %.
-    roughness : float
-        rms slope of the balls' surface along each axis. It broadens a glint by a Gaussian; the flux stays the same.
-    scratches, scratch_slope : float
-        Share of the light in a wider lobe, and the rms slope of that lobe.
-    plate_gloss, plate_roughness : float
-        Reflectance of the plate as a mirror at normal incidence, and the rms slope of that mirror.
-    plate_texture, plate_grain : float
-        rms of the plate's relative brightness, and the size of its grains, m.
-    plate_shadow : bool
-        The balls cast shadows on the plate.
-    """
-
-    steel: tuple[float, float] | None = None
-    roughness: float = 0.0
-    scratches: float = 0.0
-    scratch_slope: float = 0.1
-    plate_gloss: float = 0.0
-    plate_roughness: float = 0.2
-    plate_texture: float = 0.0
-    plate_grain: float = 3e-4
-    plate_shadow: bool = False
+    steel: tuple[float, float] | None = (
+        None  # n and k of the balls' metal (IRON_N_K: 51 % head-on); None: Schlick's law
+    )
+    roughness: float = 0.0  # rms slope of the balls' surface along each axis
+    scratches: float = 0.0  # share of the light in a wider lobe
+    scratch_slope: float = 0.1  # rms, of that lobe
+    plate_gloss: float = 0.0  # reflectance of the plate as a mirror at normal incidence
+    plate_roughness: float = 0.2  # rms slope of that mirror
+    plate_texture: float = 0.0  # rms of the plate's relative brightness
+    plate_grain: float = 3e-4  # size of its grains, m
+    plate_shadow: bool = False  # whether the balls cast shadows on the plate
 
     def mirror(self, cosines: Array) -> Array:
         """Reflectance of a ball at an angle of incidence, for unpolarised light."""

@@ -33,28 +33,11 @@ def _module(name: str) -> Any:
 
 
 def export(dataset: Path, kind: str, output: Path, progress: Progress, truth: Path | None = None) -> int:
-    """Write a dataset in another program's format, in a temporary folder that is then moved into place.
+    """Write a dataset in another program's format, in a temporary folder that then becomes `output`.
 
-    Parameters
-    ----------
-    dataset : Path
-    kind : str
-        Name of the format: a file of the folder `exports`. Settings follow a colon, as in h264:crf=28.
-    output : Path
-        A new or empty folder.
-    progress : callable
-        Takes the clips done and the clips in all.
-    truth : Path, optional
-        Another folder with the truth, if it was withheld.
-
-    Returns
-    -------
-    int
-        The number of clips.
-
-    Raises
-    ------
-    InputError
+    kind: name of the format, a file of the folder `exports`. Settings follow a colon, as in h264:crf=28. output: a new
+    or empty folder. progress: takes the clips done and the clips in all. truth: the folder with the truth if it was
+    withheld. Returns the number of clips. Raises InputError.
     """
     kind, _, wishes = kind.partition(":")
     if kind not in formats():
@@ -72,13 +55,13 @@ def export(dataset: Path, kind: str, output: Path, progress: Progress, truth: Pa
     output = output.resolve()
     check_writable(output)
     with as_input_error(output), open_exclusively(output) as beside:
-        rows = _rows(table)
-        write(_clips(dataset, truth or dataset, rows, progress), beside)
+        rows = _read_rows(table)
+        write(_iterate_clips(dataset, truth or dataset, rows, progress), beside)
         beside.rename(output)
     return len(rows)
 
 
-def _rows(table: Path) -> pd.DataFrame:
+def _read_rows(table: Path) -> pd.DataFrame:
     """Read the truth's row of each clip. Raises InputError if the table is damaged."""
     try:
         rows = pd.read_parquet(table)
@@ -87,7 +70,7 @@ def _rows(table: Path) -> pd.DataFrame:
         raise InputError(f"{table}: damaged ({first_line(error)})") from None
 
 
-def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, progress: Progress) -> Iterator[RecordedClip]:
+def _iterate_clips(dataset: Path, truth: Path, rows: pd.DataFrame, progress: Progress) -> Iterator[RecordedClip]:
     each, folders = rows["scene"].value_counts(), clip_folders(dataset)
     if [int(f.name) for f in folders] != rows["clip"].tolist():
         raise InputError(f"{dataset}: {len(folders)} clips for {len(rows)} rows of its truth")

@@ -39,18 +39,8 @@ def write_clip(
 ) -> None:
     """Write one clip's folder.
 
-    Parameters
-    ----------
-    folder : Path
-    clip : Clip
-    frames : iterator of ndarray or None
-        None: no video.
-    meta : dict
-        Further keys of the clip's scene.json.
-    secret : Path, optional
-        Another folder, for the clip's truth.
-    compression : {"none", "zstd"}
-        Both are lossless.
+    frames: None: no video. meta: further keys of the clip's scene.json. secret: another folder, for the truth.
+    compression: "none" or "zstd"; both are lossless.
     """
     folder.mkdir(parents=True, exist_ok=True)
     secret = secret or folder / "truth"
@@ -67,20 +57,18 @@ def write_clip(
         pixels, file = _write_tiff(folder / VIDEO, clip, frames, compression)
         if film:
             film.close()
-    row = {"clip": clip.number, "seed_key": f"{meta['seed']}/{clip.number}", "scene": clip.drawn["name"]}
-    row |= clip.truth
-    row |= {
+    row = {
+        "clip": clip.number,
+        "seed_key": f"{meta['seed']}/{clip.number}",
+        "scene": clip.drawn["name"],
+        **clip.truth,
         "striker": clip.drawn["launch"]["striker"],
         "effects": json.dumps(clip.drawn["effects"], sort_keys=True),
         "frames_sha256": file,
         "pixels_sha256": pixels,
     }
     _write_json(secret / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
-    tables = {
-        "tracks": clip.tracks,
-        "events": clip.solve().events,
-    }
-    for name, table in tables.items():
+    for name, table in (("tracks", clip.tracks), ("events", clip.solve().events)):
         # by way of memory, so that a full disk is the same error as for other files
         (secret / f"{name}.parquet").write_bytes(table.to_parquet(index=False))
 
@@ -149,11 +137,10 @@ def finish_shard(folder: Path, about: dict[str, Any], unlisted: str = "") -> Non
 
 def _write_rows(root: Path) -> tuple[int, list[str]]:
     """Gather the clips' rows into truth/clips.parquet. Returns their number and the names of their scenes."""
-    text = ("seed_key", "scene", "striker", "effects", "frames_sha256", "pixels_sha256")
-    before = [("clip", pa.int64()), ("seed_key", pa.string()), ("scene", pa.string())]
-    schema = pa.schema(
-        [*before, *((c, pa.float64()) for c in ground_truth.COLLISION_COLUMNS), *((c, pa.string()) for c in text[2:])]
-    )
+    columns = {"clip": pa.int64(), "seed_key": pa.string(), "scene": pa.string()}
+    columns |= dict.fromkeys(ground_truth.COLLISION_COLUMNS, pa.float64())
+    columns |= dict.fromkeys(("striker", "effects", "frames_sha256", "pixels_sha256"), pa.string())
+    schema = pa.schema(columns)
     clips, names = clip_folders(root), dict[str, None]()
     with (root / "truth" / "clips.parquet").open("wb") as file, pq.ParquetWriter(file, schema) as writer:
         for start in range(0, len(clips), 1024):  # rows in memory at a time
@@ -170,17 +157,11 @@ def write_sums(folder: Path, root: Path, unlisted: str = "") -> None:
     with (folder / SUMS).open("w", encoding="utf-8") as sums:
         for path in _files(folder):
             if path.name not in (SUMS, unlisted):
-                digest = _as_written(path, root) if path.name == VIDEO else sha256(path)
-                sums.write(f"{digest}  {path.relative_to(folder).as_posix()}\n")
-
-
-def _as_written(video: Path, root: Path) -> str:
-    """Read a video's SHA-256 from its clip's truth.
-
-    Hashing the file again would take a tenth of the whole time, and miss changes since it was written.
-    """
-    scene = root / "clips" / video.parent.name / "truth" / "scene.json"
-    return str(json.loads(scene.read_text())["row"]["frames_sha256"])
+                # The truth has a video's SHA-256 as it was written. Hashing it again would take a tenth of the whole
+                # time, and miss changes since.
+                scene = root / "clips" / path.parent.name / "truth" / "scene.json"
+                recorded = json.loads(scene.read_text())["row"]["frames_sha256"] if path.name == VIDEO else None
+                sums.write(f"{recorded or sha256(path)}  {path.relative_to(folder).as_posix()}\n")
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -217,10 +198,10 @@ def _finite(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Check:
-    """Outcome of `verify`: the number of files checked, and a line for each problem."""
+    """Outcome of `verify`."""
 
-    files: int
-    problems: tuple[str, ...]
+    files: int  # number of those checked
+    problems: tuple[str, ...]  # a line each
 
 
 def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Check:

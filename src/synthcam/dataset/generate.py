@@ -16,14 +16,13 @@ import numpy as np
 import pandas as pd
 
 from synthcam.dataset.files import finish, finish_shard, write_clip
-from synthcam.dataset.partial_dataset import PLAN, PartialDataset, open_partial
+from synthcam.dataset.partial_dataset import PLAN, PartialDataset, open_partial, place_clip
 from synthcam.library import add_effects, digest, list_added_folders
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
 from synthcam_shared.errors import InputError, NoGL
 from synthcam_shared.job_result import LostJob
 from synthcam_shared.jobs import Progress, Trial, run_jobs
-from synthcam_shared.outputs import move_into_place, name_temporary
 
 
 @dataclass(frozen=True)
@@ -54,6 +53,8 @@ class GenerationPlan:
 
     def document(self) -> dict[str, Any]:
         """Everything that must agree for two runs to make the same dataset, or the same shard of it."""
+        used = sorted({name for s in self.scenes for name in s.settings.get("effects") or {}})
+        files = {name: found for name in used if (found := digest(name))}  # SHA-256 of those that users added
         return {
             "scenes": [s.settings for s in self.scenes],
             "clips_per_scene": self.clips,
@@ -62,21 +63,15 @@ class GenerationPlan:
             "version": version("synthcam"),
             **({"compression": self.compression} if self.compression != "none" else {}),
             **({"shard": list(self.shard)} if self.shard else {}),
-            **({"effect_files": files} if (files := self._effect_files()) else {}),
+            **({"effect_files": files} if files else {}),
         }
-
-    def _effect_files(self) -> dict[str, str]:
-        """SHA-256 of the files of those effects in the scenes that are not from a package."""
-        used = sorted({name for s in self.scenes for name in s.settings.get("effects") or {}})
-        return {name: found for name in used if (found := digest(name))}
 
     @classmethod
     def from_document(cls, document: dict[str, Any]) -> GenerationPlan:
         """Make the plan of a document without its shard."""
         scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
-        wanted = {"clips_per_scene", "seed", "video"}
-        clips, seed, video = (document[k] for k in sorted(wanted))
-        return cls(scenes, clips, seed, video, document.get("compression", "none"))
+        numbers = document["clips_per_scene"], document["seed"], document["video"]
+        return cls(scenes, *numbers, document.get("compression", "none"))
 
     def estimate_bytes(self, clips: int) -> int:
         """Estimate the disk space of the frames of so many clips before compression, bytes."""
@@ -91,21 +86,11 @@ class GenerationPlan:
 
 @dataclass(frozen=True)
 class GenerationOutcome:
-    """What one run made.
+    """What one run made."""
 
-    Attributes
-    ----------
-    made : int
-        Clips written by this run.
-    failed : tuple of str
-        A line for each clip that could not be made: its number and the reason.
-    root : Path or None
-        The folder with the truth; None while clips are missing.
-    """
-
-    made: int
-    failed: tuple[str, ...]
-    root: Path | None
+    made: int  # clips written by this run
+    failed: tuple[str, ...]  # a line for each clip that could not be made: its number and the reason
+    root: Path | None  # the folder with the truth; None while clips are missing
 
     @property
     def table(self) -> pd.DataFrame | None:
@@ -122,37 +107,16 @@ def generate_dataset(
     scheduler: str = "",
     announce: Callable[[str], None] | None = None,
 ) -> GenerationOutcome:
-    """Make a dataset.
+    """Make a dataset in the folder `output`, with its truth in another folder, `withheld`, if that is given.
 
     The dataset is made in a folder beside `output`, `output`.partial, and moved into place when it is complete. A run
     that was killed continues where it stopped.
 
-    Parameters
-    ----------
-    plan : GenerationPlan
-    output : Path
-        Folder to make.
-    workers : int
-        Processes; 0: one for each core, where so many are quicker.
-    progress : callable
-        Takes the clips done and the clips in all, after each clip.
-    withheld : Path, optional
-        Another folder, for the truth.
-    scheduler : str
-        Address of a Dask scheduler, whose workers see the same folders.
-    announce : callable, optional
-        Takes an estimate of time and disk, as text, after the first clips.
+    workers: processes; 0: one for each core, where so many are quicker. progress: takes the clips done and the clips in
+    all, after each clip. scheduler: address of a Dask scheduler, whose workers see the same folders. announce: takes an
+    estimate of time and disk, as text, after the first clips.
 
-    Returns
-    -------
-    GenerationOutcome
-
-    Raises
-    ------
-    InputError
-        If a folder holds something else, or the disk is full.
-    NoGL
-        If OpenGL cannot draw.
+    Raises InputError if a folder holds something else or the disk is full, NoGL if OpenGL cannot draw.
     """
     with open_partial(output, plan.document(), withheld) as made:
         if made is None:
@@ -225,42 +189,19 @@ def _make_in_worker(
 
 
 def make_clip(plan: GenerationPlan, number: int, folder: Path, secret: Path | None = None) -> str | None:
-    """Make one clip of a plan in `folder`/clips.
+    """Make one clip of a plan in `folder`/clips. secret: another folder, for the truth.
 
-    Parameters
-    ----------
-    plan : GenerationPlan
-    number : int
-    folder : Path
-    secret : Path, optional
-        Another folder, for the truth.
-
-    Returns
-    -------
-    str or None
-        Why the clip could not be made, in one line; None if it was made.
-
-    Raises
-    ------
-    OSError
-        If the disk is full or read-only, for then no other clip can be made either.
-    NoGL
-        If OpenGL cannot draw.
+    Returns, in one line, why the clip could not be made; None if it was made. Raises OSError if the disk is full or
+    read-only, for then no other clip can be made either, and NoGL if OpenGL cannot draw.
     """
-    name = f"{number:06d}"
-    final, secret = folder / "clips" / name, secret or folder
-    final_truth = None if secret == folder else secret / "clips" / name / "truth"
-    aside, truth_aside = name_temporary(final), name_temporary(final_truth) if final_truth else None
+    inside = Path("clips", f"{number:06d}")
+    truth = None if secret in (None, folder) else secret / inside / "truth"
     try:
-        clip = plan.clip(number)
-        frames = clip.pictures() if plan.video else None
-        write_clip(aside, clip, frames, {"seed": plan.seed}, truth_aside, plan.compression)
-        if truth_aside and final_truth:
-            move_into_place(truth_aside, final_truth)
-        move_into_place(aside, final)
+        with place_clip(folder / inside, truth) as (aside, truth_aside):
+            clip = plan.clip(number)
+            frames = clip.pictures() if plan.video else None
+            write_clip(aside, clip, frames, {"seed": plan.seed}, truth_aside, plan.compression)
     except Exception as error:
-        for leftover in filter(None, (aside, truth_aside)):
-            shutil.rmtree(leftover, ignore_errors=True)
         no_clip_can_be_made = isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
         if no_clip_can_be_made or isinstance(error, NoGL):
             raise
@@ -278,16 +219,7 @@ def describe_machine(video: bool) -> dict[str, Any]:
         from synthcam.camera.render import gl_info
 
         gl = {k: v for k, v in gl_info().items() if k != "why"}  # asked for or found, the pixels are the same
-    return {"gl": gl, "machine": _machine()}
-
-
-def _machine() -> dict[str, str]:
-    vendor = platform.processor() or platform.machine()
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("vendor_id"):
-                vendor = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
-    return {"cpu_vendor": vendor, "architecture": platform.machine()}
+    cpu = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    vendors = (line.partition(":")[2].strip() for line in cpu if line.startswith("vendor_id"))
+    vendor = next(vendors, platform.processor() or platform.machine())
+    return {"gl": gl, "machine": {"cpu_vendor": vendor, "architecture": platform.machine()}}

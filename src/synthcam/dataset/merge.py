@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -13,11 +12,10 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, model_validator
 
 from synthcam.dataset.files import VIDEO, read_sums
 from synthcam.dataset.generate import GenerationPlan, complete_dataset
-from synthcam.dataset.partial_dataset import PartialDataset, check_apart, open_partial
+from synthcam.dataset.partial_dataset import PartialDataset, check_apart, open_partial, place_clip
 from synthcam.dataset.video import VIDEO_FILES
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
-from synthcam_shared.outputs import move_into_place, name_temporary
 
 FILES_OF_CLIP = VIDEO_FILES | {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "truth/events.parquet"}
 KEYS_OF_SHARD = {"shard", "clips", "gl", "machine", "drawn_by"}  # in which two shards of a dataset may differ
@@ -60,30 +58,11 @@ class _ShardDocument(_Machine):
 
 
 def merge(shards: list[Path], output: Path, progress: Progress, withheld: Path | None = None) -> int:
-    """Copy the clips of finished shards into one dataset. If interrupted, the same call continues.
+    """Copy the clips of finished shards, in any order, into the dataset `output`. Returns the number of clips.
 
-    Every file is compared with its shard's checksum on the way.
-
-    Parameters
-    ----------
-    shards : list of Path
-        All shards of one dataset, in any order.
-    output : Path
-        Folder to make.
-    progress : callable
-        Takes the clips done and the clips in all.
-    withheld : Path, optional
-        Another folder, for the truth.
-
-    Returns
-    -------
-    int
-        The number of clips.
-
-    Raises
-    ------
-    InputError
-        If the shards are not all those of one dataset, or one of their files has changed.
+    Every file is compared with its shard's checksum on the way. If interrupted, the same call continues. progress:
+    takes the clips done and the clips in all. withheld: another folder, for the truth. Raises InputError if the shards
+    are not all those of one dataset, or one of their files has changed.
     """
     if withheld:
         check_apart(output, withheld)
@@ -150,16 +129,13 @@ def _list_machines(abouts: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: PartialDataset) -> None:
     name = f"clips/{number:06d}/"
-    final, hidden = made.clip(number)
-    apart = made.withheld is not None
-    folder = name_temporary(final)
-    secret = name_temporary(hidden) if apart else folder / "truth"
     files = [f for f in sums if f.startswith(name)]
     if not files:
         raise InputError(f"{shard}: clip {number} is missing in its SHA256SUMS")
     if strange := next((f for f in files if f.removeprefix(name) not in FILES_OF_CLIP), None):
         raise InputError(f"{shard}: {strange}: not a file of a clip")
-    try:
+    final, truth = made.clip(number)
+    with place_clip(final, truth if made.withheld else None) as (folder, secret):
         for file in files:
             inside = file.removeprefix(name)
             target = secret / inside.removeprefix("truth/") if inside.startswith("truth/") else folder / inside
@@ -167,13 +143,6 @@ def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: PartialData
             if (shard / file).resolve() != shard.resolve() / file:
                 raise InputError(f"{shard / file}: leads out of its place by a link; expected a file of the shard")
             _copy(shard / file, target, sums[file])
-        if apart:
-            move_into_place(secret, hidden)
-        move_into_place(folder, final)
-    except BaseException:
-        for leftover in (folder, secret):
-            shutil.rmtree(leftover, ignore_errors=True)
-        raise
 
 
 def _copy(source: Path, target: Path, digest: str) -> None:

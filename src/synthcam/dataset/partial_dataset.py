@@ -12,29 +12,26 @@ from typing import Any
 
 from synthcam.dataset.files import SUMS, clip_folders
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import RESUMES, as_input_error, lock_folder, resume_folder
+from synthcam_shared.outputs import (
+    RESUMES,
+    as_input_error,
+    lock_folder,
+    move_into_place,
+    name_temporary,
+    resume_folder,
+)
 
 PLAN = "plan.json"
 
 
 @dataclass(frozen=True)
 class PartialDataset:
-    """The folders in which a dataset is made.
+    """The folders in which a dataset is made."""
 
-    Attributes
-    ----------
-    folder : Path
-        For what everybody may see.
-    truth : Path
-        For the truth; the same folder unless the truth is withheld.
-    output, withheld : Path
-        Where both go when they are complete; `withheld` is None if the truth stays in the dataset.
-    """
-
-    folder: Path
-    truth: Path
-    output: Path
-    withheld: Path | None
+    folder: Path  # for what everybody may see
+    truth: Path  # the same folder unless the truth is withheld
+    output: Path  # where `folder` goes when it is complete
+    withheld: Path | None  # where `truth` goes then; None if the truth stays in the dataset
 
     def clip(self, number: int) -> tuple[Path, Path]:
         """Folders of one clip: what everybody may see, and the truth."""
@@ -70,11 +67,8 @@ def open_partial(
 ) -> Iterator[PartialDataset | None]:
     """Open the folder in which the dataset of `document` is made; None if the dataset is complete.
 
-    Raises
-    ------
-    InputError
-        If a folder holds something else, another process is at work there, the disk is full, or the withheld truth
-        would lie in the dataset.
+    Raises InputError if a folder holds something else, another process is at work there, the disk is full, or the
+    withheld truth would lie in the dataset.
     """
     output, withheld = output.resolve(), withheld.resolve() if withheld else None
     if withheld:
@@ -114,6 +108,25 @@ def check_apart(output: Path, withheld: Path) -> None:
         for other in (withheld.resolve(), _beside(withheld.resolve())):
             if one == other or one in other.parents or other in one.parents:
                 raise InputError(f"--withhold-truth {withheld}: expected a folder apart from {output}")
+
+
+@contextmanager
+def place_clip(final: Path, truth: Path | None) -> Iterator[tuple[Path, Path]]:
+    """Make temporary folders for a clip and for its truth, moved into place at the end, or removed if the work fails.
+
+    truth: place of the truth if it is withheld; None: it is in the clip's folder.
+    """
+    aside = name_temporary(final)
+    truth_aside = name_temporary(truth) if truth else aside / "truth"
+    try:
+        yield aside, truth_aside
+        if truth:
+            move_into_place(truth_aside, truth)
+        move_into_place(aside, final)
+    except BaseException:
+        for leftover in (aside, truth_aside):
+            shutil.rmtree(leftover, ignore_errors=True)
+        raise
 
 
 @contextmanager

@@ -27,14 +27,8 @@ ANIMATION_FPS = 20  # GIF counts in hundredths of a second
 def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> None:
     """Write one frame of a clip as a PNG.
 
-    Parameters
-    ----------
-    clip : Clip
-    path : Path
-    frame : int or None
-        Its number; None: the last frame before the contact.
-    magnify : int
-        Above 0: the balls so many times larger are shown below the frame, with dark parts brightened.
+    frame: its number; None: the last frame before the contact. magnify: above 0, the balls so many times larger are
+    shown below the frame, with dark parts brightened.
     """
     check_writable(path)
     view = clip.view
@@ -58,19 +52,15 @@ def write_animation(clip: Clip, path: Path) -> float:
     """Write a clip as .gif or .mp4, cropped to the paths of the balls and magnified.
 
     Dark parts are brightened as in `write_preview`, and noise is removed. A strip below the picture shows the speed and
-    the time.
-
-    Returns
-    -------
-    float
-        How many times slower than the motion the animation plays.
+    the time. Returns how many times slower than the motion the animation plays.
     """
     slower = clip.camera.fps / ANIMATION_FPS
     positions = clip.view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
     rows, columns = _crop_to_paths(clip, positions)
     size = max(rows.stop - rows.start, columns.stop - columns.start)
     zoom = max(1, -(-640 // size))  # to 640 px or a little more
-    floor = _black(clip) + _noise(clip) / 2 ** (clip.sensor.bits - 8)
+    noise = float(np.hypot(clip.sensor.read_noise, clip.sensor.dsnu) / clip.sensor.gain) + 0.5  # of the plate, counts
+    floor = _black(clip) + noise / 2 ** (clip.sensor.bits - 8)
 
     def render_frames() -> Iterator[NDArray[np.uint8]]:
         for k, counts in enumerate(clip.pictures()):
@@ -118,12 +108,6 @@ def _crop_to_paths(clip: Clip, positions: NDArray[np.float64]) -> tuple[slice, s
     high = np.clip(np.ceil(inside.max(axis=0) + margin), None, [width, height]).astype(int)
     high -= (high - low) % 2
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
-
-
-def _noise(clip: Clip) -> float:
-    """Standard deviation of the dark plate, counts."""
-    electrons = np.hypot(clip.sensor.read_noise, clip.sensor.dsnu)
-    return float(electrons / clip.sensor.gain) + 0.5
 
 
 def _remove_noise(picture: NDArray[np.uint8], floor: float) -> NDArray[np.uint8]:

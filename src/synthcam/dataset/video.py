@@ -33,17 +33,8 @@ ENCODER_OF_CODEC = {"h264": "libx264", "mjpeg": "mjpeg", "ffv1": "ffv1"}
 class VideoWriter:
     """A video file that takes frames (h, w) or, in colour, (h, w, 3), one at a time.
 
-    Parameters
-    ----------
-    folder : Path
-    how : dict
-        codec, gamma, chroma and crf or q, as in a scene's `video`.
-    fps : float
-        Frame rate, 1/s.
-    size : tuple of int
-        Width and height, px.
-    bits : int
-        Of the frames.
+    how: codec, gamma, chroma and crf or q, as in a scene's `video`. fps: frame rate, 1/s. size: width and height, px.
+    bits: of the frames.
     """
 
     def __init__(self, folder: Path, how: dict[str, Any], fps: float, size: tuple[int, int], bits: int) -> None:
@@ -74,12 +65,12 @@ class VideoWriter:
         picture = av.VideoFrame.from_ndarray(shown, format=kind)
         picture.pts, picture.time_base = self._taken, 1 / self._rate
         self._taken += 1
-        self._mux(self._stream.encode(picture))
+        self._write_packets(self._stream.encode(picture))
 
     def close(self) -> None:
         """Write the remaining frames. Raises OSError if a frame is missing."""
         if self._stream is not None:
-            self._mux(self._stream.encode())
+            self._write_packets(self._stream.encode())
         self._file.close()
         if self._written != self._taken:
             raise OSError(f"{self.path}: {self._written} frames encoded, expected {self._taken}")
@@ -102,7 +93,7 @@ class VideoWriter:
             stream.options |= {"crf": str(self._how["crf"]), "bf": "0"}
         return stream
 
-    def _mux(self, packets: list[Any]) -> None:
+    def _write_packets(self, packets: list[Any]) -> None:
         for packet in packets:
             self._written += 1
             self._file.mux(packet)

@@ -174,19 +174,14 @@ def find_video_problem(how: dict[str, Any], size: Sequence[int], fps: float) -> 
 def build_camera(drawn: dict[str, Any], ball_radius: float) -> PinholeCamera:
     """Build the nominal camera of checked settings."""
     camera, timing = drawn["camera"], drawn["timing"]
+    same = ("scale", "height", "tilt", "distortion", "psf_sigma_px", "defocus_px", "vignetting")
     return PinholeCamera.overhead(
         size=tuple(camera["size"]),
-        scale=camera["scale"],
-        height=camera["height"],
-        tilt=camera["tilt"],
-        distortion=camera["distortion"],
         ball_radius=ball_radius,
+        **{key: camera[key] for key in same},
         fps=timing["fps"],
         exposure=timing["exposure"],
-        psf_sigma_px=camera["psf_sigma_px"],
-        defocus_px=camera["defocus_px"],
         airy_px=camera["wavelength"] * camera["f_number"] / camera["pixel_pitch"],
-        vignetting=camera["vignetting"],
         line_time=camera["line_time"] if camera["shutter"] == "rolling" else 0.0,
     )
 
@@ -230,14 +225,9 @@ def list_deviations(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
 def camera_json(nominal: PinholeCamera, drawn: dict[str, Any]) -> dict[str, Any]:
     """Make the keys of camera.json: the experimenter's knowledge of camera, lamp and sensor, and the launched ball."""
     known: dict[str, Any] = {
-        "K": nominal.K.tolist(),
-        "dist": nominal.dist.tolist(),
-        "R": nominal.R.tolist(),
-        "t": nominal.t.tolist(),
+        **{key: getattr(nominal, key).tolist() for key in ("K", "dist", "R", "t")},
         "size": list(nominal.size),
-        "fps": nominal.fps,
-        "exposure": nominal.exposure,
-        "scale": nominal.scale,
+        **{key: getattr(nominal, key) for key in ("fps", "exposure", "scale")},
         "ball_diameter": drawn["ball"]["diameter"],
         "striker": drawn["launch"]["striker"],
         "lamp": {"position": list(drawn["lamp"]["position"]), "radius": drawn["lamp"]["radius"]},

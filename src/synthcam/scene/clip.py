@@ -51,9 +51,6 @@ class Clip:
         The camera that the experimenter knows.
     camera : PinholeCamera
         The real camera, which differs from the nominal one by the effects.
-    lamp : Lamp
-    surface : Surface
-    sensor : Sensor
     frames : int
         Their number.
     seed : int
@@ -228,7 +225,11 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         model=model,
         launch=_build_launch(model, launch, timing["contact_frame"] / timing["fps"]),
         nominal=nominal,
-        camera=replace(_apply_effects(model, nominal), camera_json=camera_json(nominal, drawn)),
+        camera=replace(
+            model.laws("camera", nominal, {}),
+            exposure=float(model.laws("exposure", nominal.exposure, {"fps": nominal.fps})),
+            camera_json=camera_json(nominal, drawn),
+        ),
         lamp=lamp,
         surface=build_surface(drawn["surface"]),
         sensor=Sensor(**sensor),
@@ -237,14 +238,10 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
     )
 
 
-def _apply_effects(model: Model, nominal: PinholeCamera) -> PinholeCamera:
-    bent: PinholeCamera = model.laws("camera", nominal, {})
-    return replace(bent, exposure=float(model.laws("exposure", nominal.exposure, {"fps": nominal.fps})))
-
-
 def _ball_labels(launch: dict[str, Any]) -> tuple[str, ...]:
     """Labels of ball 1, the target, and ball 2, the striker."""
-    return (launch["striker"],) if launch["kind"] == "single" else {"a": ("b", "a"), "b": ("a", "b")}[launch["striker"]]
+    striker = launch["striker"]
+    return (striker,) if launch["kind"] == "single" else ("b" if striker == "a" else "a", striker)
 
 
 def _build_launch(model: Model, launch: dict[str, Any], time: float) -> Launch:

@@ -21,30 +21,18 @@ TURNS_AND_ROUNDING_S = 20, 1e-14
 
 @dataclass(frozen=True)
 class FilmedMotion:
-    """A motion as a camera films it. On the film's own clock, frame k opens at k/fps.
+    """A motion as a camera films it. On the film's own clock, frame k opens at k/fps."""
 
-    Attributes
-    ----------
-    model : Model
-        Its effects on the clock are applied.
-    camera : PinholeCamera
-        The real camera, not the nominal one.
-    motion : Trajectory
-        In true time.
-    """
-
-    model: Model
-    camera: PinholeCamera
-    motion: Trajectory
+    model: Model  # its effects on the clock are applied
+    camera: PinholeCamera  # the real one, not the nominal one
+    motion: Trajectory  # in true time
 
     @classmethod
     def solve(cls, model: Model, launch: Launch, camera: PinholeCamera, frames: int) -> FilmedMotion:
         """Solve the motion for the duration of `frames` frames."""
         corners = np.array([[0.0], [frames / camera.fps]])
         rows = np.array([0.0, camera.size[1] - 1.0])
-        times = model.laws("clock", corners + camera.line_time * rows, {"fps": camera.fps, "row": rows}) + np.zeros(
-            (2, 2)
-        )
+        times = np.asarray(model.laws("clock", corners + camera.line_time * rows, {"fps": camera.fps, "row": rows}))
         return cls(model, camera, solve(model, launch, min(float(times.min()), 0.0), float(times.max())))
 
     def spans(self, frames: int) -> Array:

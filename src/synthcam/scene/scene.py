@@ -106,7 +106,6 @@ class Scene:
 
     Attributes
     ----------
-    name : str
     settings : dict
         By section, as in the scene's file. Missing keys have the paper's value. See docs/format.md.
     where : str
@@ -137,10 +136,6 @@ class Scene:
         **sections
             Values that replace the file's. ``launch={"v0": 0.3}`` changes only that key of its section;
             ``effects={"plate_tilt": {"x": 1e-3}}`` adds an effect to those of the file.
-
-        Returns
-        -------
-        Scene
 
         Raises
         ------
@@ -212,24 +207,9 @@ def read_scene(path: Path, overrides: tuple[str, ...] = (), model: Path | None =
 
 
 def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] = ()) -> Scene:
-    """Check settings: both extremes of every distribution must be valid numbers.
+    """Check settings as in a YAML file: both extremes of every distribution must be valid numbers. Raises InputError.
 
-    Parameters
-    ----------
-    loaded : dict
-        As in the YAML file.
-    where : str
-        Name of the file, for messages.
-    overrides : tuple of str
-        As "launch.v0=0.2".
-
-    Returns
-    -------
-    Scene
-
-    Raises
-    ------
-    InputError
+    where: name of the file, for messages. overrides: as "launch.v0=0.2".
     """
     settings = resolve_symbols(copy.deepcopy(loaded), where)
     for text in overrides:

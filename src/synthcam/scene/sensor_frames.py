@@ -24,31 +24,15 @@ Counts = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class OpticalSetup(NamedTuple):
-    """Everything that decides a picture except where the balls are.
-
-    Attributes
-    ----------
-    camera : PinholeCamera
-    lamp : Lamp
-    radii : list of float
-        One a ball, m.
-    room : float
-        Radiance of the surroundings that a mirror ball shows, over the peak of its glint.
-    surface : Surface
-        Of mirror balls on a black plate.
-    finish : SurfaceFinish or None
-        Of matte balls, or of a plate with texture.
-    varnish : Surface or None
-        The mirror on the balls of a `finish`; None: they are dull.
-    """
+    """Everything that decides a picture except where the balls are."""
 
     camera: PinholeCamera
     lamp: Lamp
-    radii: list[float]
-    room: float
-    surface: Surface
-    finish: SurfaceFinish | None = None
-    varnish: Surface | None = None
+    radii: list[float]  # one a ball, m
+    room: float  # radiance of the surroundings that a mirror ball shows, over the peak of its glint
+    surface: Surface  # of mirror balls on a black plate
+    finish: SurfaceFinish | None = None  # of matte balls, or of a plate with texture
+    varnish: Surface | None = None  # the mirror on the balls of a `finish`; None: they are dull
 
 
 def expose_frames(
@@ -62,19 +46,8 @@ def expose_frames(
 ) -> Iterator[Counts]:
     """Yield the frames as the sensor gives them.
 
-    Parameters
-    ----------
-    motion : FilmedMotion
-    setup : OpticalSetup
-    sensor : Sensor
-    frames : int
-        Their number.
-    key : tuple of int
-        Seed and number of the clip, for the chips' noise.
-    orientation : OrientationHistory or None
-        Of balls with a pattern.
-    colour : bool
-        Three channels, each with a chip of its own: (h, w, 3).
+    frames: their number. key: seed and number of the clip, for the chips' noise. orientation: of balls with a pattern.
+    colour: three channels, each with a chip of its own: (h, w, 3).
     """
     seed, number = key
     apart = 1 << 64  # the seeds of the three chips are further apart than any two seeds that a user may give

@@ -153,23 +153,19 @@ class Canvas:
         uniforms, defines: of the shader.
         """
         self._renderer._program_cache.wanted = defines
-        total: Float32 | None = None
-        screen = self._screen
+        screen, drawn = self._screen, []
         screen.viewport_height, screen.viewport_width = max(BUFFER_SIDE, size[0]), max(BUFFER_SIDE, size[1])
         self._renderer.rows = size[0]
-        columns = screen.viewport_width
-        self._renderer.uniforms = uniforms | {"atlas": np.array([columns, screen.viewport_height], float)}
-        self._renderer.uniforms["others"] = 0
+        atlas = np.array([screen.viewport_width, screen.viewport_height], float)
+        self._renderer.uniforms = uniforms | {"atlas": atlas, "others": 0}
         for first in range(0, len(jobs), MAX_BALLS_PER_CALL):
             batch = slice(first, first + MAX_BALLS_PER_CALL)
             jobs[batch, 3, 2] = np.arange(len(jobs[batch]))
             self._renderer.jobs = np.ascontiguousarray(jobs[batch])
             screen._platform.make_current()
             self._renderer.load_others(np.ascontiguousarray(others[batch]))
-            drawn = screen.render(self._scene)
-            total = drawn if total is None else total + drawn
-        assert total is not None
-        return total[:, : size[1]]
+            drawn.append(screen.render(self._scene))
+        return np.asarray(sum(drawn[1:], drawn[0]))[:, : size[1]]
 
 
 _canvas: tuple[int, Canvas] | None = None

@@ -1,6 +1,7 @@
 """Write a clip in three dimensions for other programs: a glTF scene with the motion as an animation.
 
 Khronos glTF 2.0 and KHR_lights_punctual. Lengths are m; glTF's y points up, so the world's axes hang in a turned node.
+Colours are linear, and 1 is white.
 """
 
 from collections.abc import Callable
@@ -17,61 +18,52 @@ Array = NDArray[np.float64]
 untyped: Any = trimesh
 material: Any = untyped.visual.material.PBRMaterial
 
+UPRIGHT = np.eye(3)
 LAMP_MATERIAL = material(name="lamp", baseColorFactor=[0.0, 0.0, 0.0, 1.0], emissiveFactor=[1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class BallMotion:
-    """The motion of one ball.
-
-    Attributes
-    ----------
-    radius : float
-        m.
-    times, positions : ndarray of shape (T,), ndarray of shape (T, 3)
-        Increasing times, s, of positions, m.
-    turn_times, turns : ndarray of shape (S,), ndarray of shape (S, 4)
-        Times, s, of unit quaternions x, y, z, w from the ball's axes to the world's.
-    paint : callable or None
-        Of matte balls: unit vectors (n, 3) on the ball's axes -> reflectance of red, green, blue (n, 3).
-    """
+    """The motion of one ball of `radius` m."""
 
     radius: float
-    times: Array
-    positions: Array
-    turn_times: Array
-    turns: Array
+    times: Array  # increasing (T,), s
+    positions: Array  # at these times (T, 3), m
+    turn_times: Array  # increasing (S,), s
+    turns: Array  # unit quaternions x, y, z, w (S, 4) from the ball's axes to the world's
+    # Of matte balls: unit vectors (n, 3) on the ball's axes -> reflectance of red, green, blue (n, 3).
     paint: Callable[[Array], Array] | None = None
 
 
-@dataclass(frozen=True)
-class Appearance:
-    """Lamps and materials in glTF's units: linear, 1 is white.
+def glb(
+    camera: dict[str, Any],
+    balls: list[BallMotion],
+    lamps: list[tuple[Lamp, float]],
+    steel: float,
+    roughness: float,
+    plate: float | tuple[float, ...],
+    dull: bool,
+) -> bytes:
+    """A binary glTF file of one clip.
 
-    lamps: each with its candela. steel, plate: base colours of metals; a dull plate is not a metal. roughness: glTF's.
+    camera: the keys of camera.json; glTF has no lens distortion. lamps: each with its candela. steel, plate: base
+    colours of metals; a `dull` plate is not a metal. roughness: glTF's, of the balls.
     """
-
-    lamps: tuple[tuple[Lamp, float], ...]
-    steel: float
-    roughness: float
-    plate: float | tuple[float, ...]
-    dull: bool = False
-
-
-def glb(camera: dict[str, Any], balls: list[BallMotion], appearance: Appearance) -> bytes:
-    """A binary glTF file of one clip. camera: the keys of camera.json; glTF has no lens distortion."""
-    metals = {"plate": (appearance.plate, 1.0), "steel": (appearance.steel, appearance.roughness)}
-    lights = {f"light{k or ''}": each for k, each in enumerate(appearance.lamps)}
+    colours = {"plate": plate, "steel": steel}
+    lights = {f"light{k or ''}": each for k, each in enumerate(lamps)}
 
     def animate(buffers: dict[Any, bytes], tree: dict[str, Any]) -> None:
         names = {node["name"]: k for k, node in enumerate(tree["nodes"])}
-        tree["animations"] = [{"name": "motion", "samplers": [], "channels": []}]
+        motion: dict[str, Any] = {"name": "motion", "samplers": [], "channels": []}
         for k, ball in enumerate(balls):
-            for path, times, values in (
-                ("translation", ball.times, ball.positions),
-                ("rotation", ball.turn_times, ball.turns),
-            ):
-                _channel(tree, buffers, names[f"ball{k}"], path, times, values)
+            keys = {"translation": (ball.times, ball.positions), "rotation": (ball.turn_times, ball.turns)}
+            for path, (times, values) in keys.items():
+                node, number = names[f"ball{k}"], len(motion["samplers"])
+                at = _add_accessor(tree, buffers, f"{node} {path} times", times[:, None])
+                to = _add_accessor(tree, buffers, f"{node} {path}", values)
+                motion["channels"].append({"sampler": number, "target": {"node": node, "path": path}})
+                motion["samplers"].append({"input": at, "output": to, "interpolation": "LINEAR"})
+        tree["animations"] = [motion]
 
     def complete(tree: dict[str, Any]) -> None:
         nodes = {node["name"]: node for node in tree["nodes"]}
@@ -80,7 +72,9 @@ def glb(camera: dict[str, Any], balls: list[BallMotion], appearance: Appearance)
             nodes[f"ball{k}"].pop("matrix", None)
             nodes[f"ball{k}"] |= {"translation": ball.positions[0].tolist(), "rotation": ball.turns[0].tolist()}
         tree["cameras"] = [_perspective(camera)]
-        nodes["camera"] |= {"camera": 0, "matrix": _pose(camera).T.ravel().tolist()}
+        turn = np.array(camera["R"], float).T  # glTF's cameras look along -z with y up, OpenCV's along z with y down
+        pose = _at(-turn @ np.array(camera["t"], float), turn @ np.diag([1.0, -1.0, -1.0]))
+        nodes["camera"] |= {"camera": 0, "matrix": pose.T.ravel().tolist()}
         tree["extensionsUsed"] = [*tree.get("extensionsUsed", []), "KHR_lights_punctual"]
         punctual = []
         for k, (name, (lamp, candela)) in enumerate(lights.items()):
@@ -88,55 +82,55 @@ def glb(camera: dict[str, Any], balls: list[BallMotion], appearance: Appearance)
             nodes[name] |= {"extensions": {"KHR_lights_punctual": {"light": k}}, "translation": lamp.position.tolist()}
         tree.setdefault("extensions", {})["KHR_lights_punctual"] = {"lights": punctual}
         for made_of in tree["materials"]:  # trimesh would round colours to 255ths
-            if made_of["name"] in metals:
-                colour = np.broadcast_to(metals[made_of["name"]][0], 3).tolist()
+            if made_of["name"] in colours:
+                colour = np.broadcast_to(colours[made_of["name"]], 3).tolist()
                 made_of["pbrMetallicRoughness"]["baseColorFactor"] = [*colour, 1.0]
-            if made_of["name"] == "plate" and appearance.dull:
+            if made_of["name"] == "plate" and dull:
                 made_of["pbrMetallicRoughness"]["metallicFactor"] = 0.0
         for k in (k for k, ball in enumerate(balls) if ball.paint):
             tree["meshes"][nodes[f"ball{k}"]["mesh"]]["primitives"][0]["material"] = len(tree["materials"])
-            surface = {"metallicFactor": 0.0, "roughnessFactor": appearance.roughness}
+            surface = {"metallicFactor": 0.0, "roughnessFactor": roughness}
             tree["materials"].append({"name": f"matte{k}", "pbrMetallicRoughness": surface})
 
-    return bytes(
-        untyped.exchange.gltf.export_glb(
-            _scene(camera, balls, metals, lights),
-            include_normals=True,
-            buffer_postprocessor=animate,
-            tree_postprocessor=complete,
-        )
-    )
+    scene = _scene(camera, balls, lights, roughness)
+    export = untyped.exchange.gltf.export_glb
+    return bytes(export(scene, include_normals=True, buffer_postprocessor=animate, tree_postprocessor=complete))
 
 
 def _scene(
-    camera: dict[str, Any],
-    balls: list[BallMotion],
-    metals: dict[str, tuple[Any, float]],
-    lights: dict[str, tuple[Lamp, float]],
+    camera: dict[str, Any], balls: list[BallMotion], lights: dict[str, tuple[Lamp, float]], roughness: float
 ) -> Any:
-    """Plate, balls, lamps and camera as trimesh's scene. metals: base colour and roughness."""
+    """Plate, balls, lamps and camera as trimesh's scene."""
     scene = untyped.Scene(base_frame="scene")
     scene.graph.update(frame_from="scene", frame_to="table")
+
+    def add(name: str, mesh: Any, position: ArrayLike, made_of: Any, axes: ArrayLike = UPRIGHT) -> None:
+        if made_of:
+            mesh.visual = untyped.visual.TextureVisuals(material=made_of)
+        scene.add_geometry(
+            mesh, node_name=name, geom_name=name, parent_node_name="table", transform=_at(position, axes)
+        )
+
     thickness = 1e-3  # of the plate, m
     subdivisions = 4  # of an icosahedron: outlines are then round to 1e-3 of the radius
     side = 1.5 * max(camera["size"]) * camera["scale"]
     plate = untyped.creation.box([side, side, thickness])
     plate.unmerge_vertices()  # with shared corners it would be shaded like a dome
     black, steel = (
-        material(name=name, metallicFactor=1.0, roughnessFactor=rough) for name, (_, rough) in metals.items()
+        material(name=name, metallicFactor=1.0, roughnessFactor=rough)
+        for name, rough in (("plate", 1.0), ("steel", roughness))
     )
-    _add(scene, "plate", plate, black, _at([0.0, 0.0, -thickness / 2]))
+    add("plate", plate, [0.0, 0.0, -thickness / 2], black)
     for k, ball in enumerate(balls):
         sphere = untyped.creation.icosphere(subdivisions + (ball.paint is not None), ball.radius)
-        _add(scene, f"ball{k}", sphere, steel, _at(ball.positions[0]), ball.paint)
+        if ball.paint:  # as colours of the corners, which glTF takes as linear; its material is set later
+            corners = sphere.vertices / np.linalg.norm(sphere.vertices, axis=1, keepdims=True)
+            shown = np.rint(255 * np.broadcast_to(ball.paint(corners), corners.shape)).astype(np.uint8)
+            opaque = np.pad(shown, ((0, 0), (0, 1)), constant_values=255)
+            sphere.visual = untyped.visual.ColorVisuals(sphere, vertex_colors=opaque)
+        add(f"ball{k}", sphere, ball.positions[0], None if ball.paint else steel)
     for name, (lamp, _) in lights.items():
-        _add(
-            scene,
-            name.replace("light", "lamp"),
-            _shape(lamp),
-            LAMP_MATERIAL,
-            _at(lamp.position, lamp.axes * [1, 1, -1]),
-        )
+        add(name.replace("light", "lamp"), _shape(lamp), lamp.position, LAMP_MATERIAL, lamp.axes * [1, 1, -1])
     for name in (*lights, "camera"):
         scene.graph.update(frame_from="table", frame_to=name)
     return scene
@@ -165,52 +159,14 @@ def _shape(lamp: Lamp) -> Any:
     return untyped.creation.cylinder(lamp.radius, lamp.radius / 100)
 
 
-def _at(position: ArrayLike, axes: Array | None = None) -> Array:
+def _at(position: ArrayLike, axes: ArrayLike) -> Array:
+    """Transformation (4, 4) to the world."""
     pose = np.eye(4)
-    pose[:3, 3] = position
-    if axes is not None:
-        pose[:3, :3] = axes
+    pose[:3, :3], pose[:3, 3] = axes, position
     return pose
 
 
-def _add(
-    scene: Any, name: str, mesh: Any, made_of: Any, pose: Array, paint: Callable[[Array], Array] | None = None
-) -> None:
-    """paint: of BallMotion, as colours of the corners, which glTF takes as linear; its material is set later."""
-    if paint:
-        corners = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
-        shown = np.rint(255 * np.broadcast_to(paint(corners), corners.shape)).astype(np.uint8)
-        mesh.visual = untyped.visual.ColorVisuals(
-            mesh, vertex_colors=np.pad(shown, ((0, 0), (0, 1)), constant_values=255)
-        )
-    else:
-        mesh.visual = untyped.visual.TextureVisuals(material=made_of)
-    scene.add_geometry(mesh, node_name=name, geom_name=name, parent_node_name="table", transform=pose)
-
-
-def _pose(camera: dict[str, Any]) -> Array:
-    """Camera to world (4, 4): glTF's cameras look along -z with y up, OpenCV's along z with y down."""
-    turn, shift = np.array(camera["R"], float), np.array(camera["t"], float)
-    pose = np.eye(4)
-    pose[:3, :3] = turn.T @ np.diag([1.0, -1.0, -1.0])
-    pose[:3, 3] = -turn.T @ shift
-    return pose
-
-
-def _channel(
-    tree: dict[str, Any], buffers: dict[Any, bytes], node: int, path: str, times: Array, values: Array
-) -> None:
-    motion = tree["animations"][0]
-    sampler = {
-        "input": _accessor(tree, buffers, f"{node} {path} times", times[:, None]),
-        "output": _accessor(tree, buffers, f"{node} {path}", values),
-        "interpolation": "LINEAR",
-    }
-    motion["channels"].append({"sampler": len(motion["samplers"]), "target": {"node": node, "path": path}})
-    motion["samplers"].append(sampler)
-
-
-def _accessor(tree: dict[str, Any], buffers: dict[Any, bytes], key: str, values: Array) -> int:
+def _add_accessor(tree: dict[str, Any], buffers: dict[Any, bytes], key: str, values: Array) -> int:
     """Number of a new accessor to float32 values (n, m)."""
     data = np.ascontiguousarray(values, "<f4")
     number = len(tree["accessors"])

@@ -4,42 +4,38 @@ Our own shader ray-traces the balls into one float32 channel without the lamp. T
 bright; they are added from their exact positions, fluxes and second moments.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from synthcam.camera.exposure import (
     Array,
+    Float32,
+    Index,
     Picture,
     PixelPatches,
     SubExposures,
     blur_matrix,
     blur_tiles,
-    compute_vignette,
     integrate_spots,
     merge_boxes,
     outline_half_width,
     place_sub_exposures,
-    split_at_breaks,
 )
-from synthcam.camera.glints import GlintImages, find_glints, join_glints
+from synthcam.camera.glints import GlintImages, find_glints, join_glints, narrow_cell
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.plate import BLACK_PLATE_RADIANCE, gloss, grain, irradiance, is_plain, plate_points, shadow_casters
-from synthcam.camera.psf import Psf
-from synthcam.camera.render.canvas import BUFFER_SIDE, Float32, get_canvas
-from synthcam.camera.shutter import roll_shutter
+from synthcam.camera.render.canvas import BUFFER_SIDE, get_canvas
+from synthcam.camera.renderer import Centres, Renderer
 from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
-
-Index = NDArray[np.intp]
-Centres = Callable[[Array], Array]
 
 FINENESS = 3  # samples of a ball per pixel, along rows and along columns
 EXPOSURES_PER_BATCH = 128
 BALLS, ON_PLATE, SHADES, PLATE_ALONE = 0, 1, 2, 3  # what the shader draws, by its SCENE
 
 
-class MirrorRenderer:
+class MirrorRenderer(Renderer):
     """The view of one camera on a black plate under one lamp or two, with any number of steel balls.
 
     Parameters
@@ -70,18 +66,15 @@ class MirrorRenderer:
         surface: Surface = STEEL_ON_BLACK,
     ) -> None:
         self._canvas = get_canvas()
-        self.camera, self.lamp, self.room, self.surface = camera, lamp, room, surface
-        self.radii = np.array(radii, float)
-        if not (len(self.radii) and np.all(self.radii > 0)):
-            raise ValueError(f"radii: expected at least one ball, all larger than 0, got {self.radii.tolist()}")
-        for each in lamp.all:
-            self._check_lamp(each)
+        self.room, self.surface = room, surface
+        if not (len(radii) and np.all(np.array(radii, float) > 0)):
+            raise ValueError(
+                f"radii: expected at least one ball, all larger than 0, got {np.array(radii, float).tolist()}"
+            )
+        super().__init__(camera, lamp, np.array(radii, float))
         self._check_lens()
-        self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
-        self._cells = [self._cell(each) for each in lamp.all]
-        self._unit = self._measure()
-        self._vignette = compute_vignette(camera)
-        self._plates: dict[float, Float32] = {}
+        self._cells = [narrow_cell(camera, each, self._find_resting_glint(each, np.inf).spread) for each in lamp.all]
+        self._unit = self._measure_unit()
         self._uniforms = {
             "up": camera.R[:, 2].copy(),
             "zenith": float(room / surface.head_on),
@@ -91,23 +84,19 @@ class MirrorRenderer:
             "lamp": np.zeros(3),
         }
         self._plain = is_plain(lamp, surface)
-        self._slope = 0.0 if self._plain else self._steepest()
+        self._slope = 0.0 if self._plain else self._find_steepest()
         self._lit = np.zeros((1, 1), np.float32)
         self.plate = self._draw_plate() if self._plain else self._compute_plate()
         self.plate.flags.writeable = False
+        self.plates = (self.plate,)
 
-    def _resting(self, lamp: Lamp, cell: float) -> GlintImages:
+    def _find_resting_glint(self, lamp: Lamp, cell: float) -> GlintImages:
         rest, one = np.array([[[0, 0, self.radii[0]]]]), np.ones((1, 1), bool)
         return find_glints(self.camera, lamp, rest, self.radii[:1], one, self.surface, cell)
 
-    def _cell(self, lamp: Lamp) -> float:
-        """Half-width, m, of the cells of a lamp: in the image, 0.4 times the blur's sigma."""
-        seen, spread = self._resting(lamp, np.inf).spread, lamp.cells(np.inf).spread[0, :2]
-        return float(0.4 * self.camera.psf_sigma_px * np.sqrt(spread.sum() / max(seen.sum(), 1e-30)))
-
-    def _measure(self) -> float:
+    def _measure_unit(self) -> float:
         """The factor that makes the peak of the glint of a ball at rest 1."""
-        whole, glints = self._resting(self.lamp, np.inf), self._resting(self.lamp, self._cells[0])
+        whole, glints = (self._find_resting_glint(self.lamp, cell) for cell in (np.inf, self._cells[0]))
         lone = len(glints.flux) == 1 and self.psf.is_gaussian
         half = 0 if lone else self.psf.margin + int(np.ceil(np.abs(glints.pixels - whole.pixels[:1]).max()))
         position = glints.pixels - whole.pixels[0] + half
@@ -116,14 +105,7 @@ class MirrorRenderer:
         if lone:
             return float(1 / (glints.flux * rows[0, 0] * columns[0, 0])[0])
         spot = ((rows * glints.flux[:, None]).T @ columns)[None].astype(np.float32)
-        return float(1 / (spot if self.psf.is_gaussian else self.psf.spread(spot)).max())
-
-    def _check_lamp(self, lamp: Lamp) -> None:
-        w, h = self.camera.size
-        at = self.camera.project(lamp.position)
-        if np.all((at > -0.5) & (at < [w - 0.5, h - 0.5])):
-            where = lamp.position.tolist()
-            raise ValueError(f"lamp position {where} is between the camera and the plate")
+        return float(1 / self.psf.spread(spot).max())
 
     def _check_lens(self) -> None:
         """Refuse a lens that is not nearly linear within a ball: its curvature must be far below a sample."""
@@ -172,7 +154,7 @@ class MirrorRenderer:
         self._lit = (lit * shade).astype(np.float32)
         return ((lit + mirrored) * shade).astype(np.float32)
 
-    def _steepest(self) -> float:
+    def _find_steepest(self) -> float:
         """Tangent of the largest angle of incidence of the lamps' light on the plate in view."""
         w, h = self.camera.size
         corners = plate_points(self.camera)[:: h - 1, :: w - 1].reshape(-1, 3)
@@ -222,36 +204,16 @@ class MirrorRenderer:
         if (spans[:, 1] < spans[:, 0]).any():
             raise ValueError("intervals: an exposure ends before it starts")
         if self.camera.line_time:
-            yield from (self._roll(centres, span, cuts) for span in spans)
-            return
-        for first in range(0, len(spans), EXPOSURES_PER_BATCH):
-            yield from self._gather(centres, spans[first : first + EXPOSURES_PER_BATCH], cuts)
+            for span in spans:
+                yield self._roll(centres, span, cuts, lambda spans: [(p,) for p in self._expose(centres, spans, cuts)])[
+                    0
+                ]
+        else:
+            for first in range(0, len(spans), EXPOSURES_PER_BATCH):
+                yield from self._expose(centres, spans[first : first + EXPOSURES_PER_BATCH], cuts)
 
-    def _roll(self, centres: Centres, span: Array, cuts: Array) -> Picture:
-        def project_balls(times: Array) -> tuple[Array, Array]:
-            positions = np.asarray(centres(times), float)
-            pixels, slope = self.camera.project_with_slope(positions)
-            return pixels, outline_half_width(self.camera, positions, self.radii, slope) + self.psf.margin
-
-        starts = span[0] + np.arange(self.camera.size[1]) * self.camera.line_time
-        light = self.lamp.flicker.mean(starts, starts + span[1] - span[0])
-        plate = (self.plate * light[:, None]).astype(np.float32) if self.lamp.flicker.depth else self.plate
-        return roll_shutter(
-            self.camera, project_balls, span, cuts, lambda spans: list(self._gather(centres, spans, cuts)), plate
-        )
-
-    def _plate_in(self, light: float) -> Float32:
-        """The plate in so much light. Light equal to 1e-5 returns the same array, for which the sensor keeps tables."""
-        if not self.lamp.flicker.depth:
-            return self.plate
-        light = round(light, 5)
-        if light not in self._plates:
-            self._plates[light] = self.plate * np.float32(light)
-            self._plates[light].flags.writeable = False
-        return self._plates[light]
-
-    def _gather(self, centres: Centres, spans: Array, cuts: Array) -> Iterator[Picture]:
-        moments, coarse = self._moments(centres, spans, cuts)
+    def _expose(self, centres: Centres, spans: Array, cuts: Array) -> Iterator[Picture]:
+        moments, coarse = self._place_moments(centres, spans, cuts)
         positions = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(positions)
         extent = self._reach(positions, slope)
@@ -272,15 +234,12 @@ class MirrorRenderer:
                 selected = same[first : first + room_for]
                 images = self._draw_balls(centres, coarse, patches, selected, BALLS if self._plain else ON_PLATE)
                 self._add_glints(images, glints, moments, patches, selected)
-                if not self.psf.is_gaussian:
-                    images = self.psf.spread(images)
-                drawn |= zip(selected.tolist(), images, strict=True)
+                drawn |= zip(selected.tolist(), self.psf.spread(images), strict=True)
                 if not self._plain:
                     shade = self._draw_balls(centres, coarse, patches, selected, SHADES)
-                    shade = shade if self.psf.is_gaussian else self.psf.spread(shade)
-                    shades |= zip(selected.tolist(), shade, strict=True)
+                    shades |= zip(selected.tolist(), self.psf.spread(shade), strict=True)
         for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
-            plate = self._plate_in(bright)
+            (plate,) = self._plates_in(bright)
             numbers = patches.number[frame][patches.number[frame] >= 0].tolist()
             corners = [patches.box(number, self.camera.size) for number in numbers]
             boxes = merge_boxes(corners)
@@ -298,19 +257,13 @@ class MirrorRenderer:
                     spot += self._lit[here] * shades[number][there]
             yield Picture(plate, boxes, tuple(parts))
 
-    def _moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[SubExposures, SubExposures]:
+    def _place_moments(self, centres: Centres, spans: Array, cuts: Array) -> list[SubExposures]:
         """Sub-exposures for the glints, and fewer for the balls, which are wide and faint."""
-        bounds, weights, frames = split_at_breaks(spans, cuts)
-        ends = self.camera.project(np.asarray(centres(bounds.ravel()), float))
-        ends = ends.reshape(len(bounds), 2, -1, 2)
-        w, h = self.camera.size
-        near = np.all((ends > [-w, -h]) & (ends < [2 * w, 2 * h]), axis=(1, 3))
-        travel = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=2)
-        farthest = np.where(near, travel, 0).max(axis=1, initial=0)
-        farthest /= np.hypot(self.camera.psf_sigma_px, 12**-0.5)
+        size = np.array(self.camera.size)
+        bounds, weights, frames, travel = self._split_exposures(centres, spans, cuts, -size, 2 * size)
         waves = [2 * np.pi * lamp.flicker.frequency for lamp in self.lamp.all if lamp.flicker.depth]
         wave = np.diff(bounds, axis=1)[:, 0] * max(waves, default=0.0)
-        return tuple(place_sub_exposures(bounds, weights, frames, far, wave) for far in (farthest, farthest / 4))  # type: ignore[return-value]
+        return [place_sub_exposures(bounds, weights, frames, path, wave) for path in (travel, travel / 4)]
 
     def _draw_balls(
         self, centres: Centres, moments: SubExposures, patches: PixelPatches, selected: Index, scene: int

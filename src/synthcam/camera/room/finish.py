@@ -20,15 +20,11 @@ GREY_WEIGHTS = np.array([0.299, 0.587, 0.114])  # of red, green and blue in a gr
 
 @dataclass(frozen=True)
 class BallFinish:
-    """The surface of a ball.
+    """The surface of a ball, with a pattern that rotates with it."""
 
-    colour: Lambert's reflectance. second: the other colour of the pattern. pattern: "plain"; "half" and half;
-    a "stripe" around the equator; or 14 "spots". It rotates with the ball.
-    """
-
-    colour: Colour
-    second: Colour
-    pattern: Pattern = "plain"
+    colour: Colour  # Lambert's reflectance
+    second: Colour  # the other colour of the pattern
+    pattern: Pattern = "plain"  # or "half" and half, a "stripe" around the equator, 14 "spots"
 
     @property
     def mean(self) -> Array:
@@ -61,25 +57,14 @@ class BallFinish:
 
 @dataclass(frozen=True)
 class SurfaceFinish:
-    """Finish of balls and plate for a camera of one channel or three.
-
-    Attributes
-    ----------
-    balls : tuple of BallFinish
-    plate : tuple of float
-        Reflectance by channel.
-    texture, contrast, seed
-        Of the plate: its kind, a factor on its relief, and the seed of its random numbers.
-    ambient : float
-        Share of the light at the world's origin that comes uniformly from the sky. The lamps give the rest.
-    """
+    """Finish of balls and plate for a camera of one channel or three."""
 
     balls: tuple[BallFinish, ...]
-    plate: Colour
+    plate: Colour  # reflectance
     texture: PlateTexture = "plain"
-    contrast: float = 1.0
-    seed: int = 0
-    ambient: float = 0.3
+    contrast: float = 1.0  # factor on the texture's relief
+    seed: int = 0  # of the texture's random numbers
+    ambient: float = 0.3  # share of the light at the world's origin that comes uniformly from the sky, not the lamps
 
     @property
     def channels(self) -> int:

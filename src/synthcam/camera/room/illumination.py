@@ -4,7 +4,7 @@ The unit is the light on the plate at the world's origin without balls. `radiosi
 to each other.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -43,12 +43,12 @@ REACH_RADII, FADE_RADII = 7.0, 3.0
 
 @dataclass(frozen=True)
 class LampCell:
-    """A cell of a lamp: its middle, m, its area, m^2, the direction it faces, and its radiance over pi."""
+    """A cell of a lamp."""
 
-    position: Array
-    area: float
-    facing: Array
-    strength: float
+    position: Array  # its middle (3,), m
+    area: float  # m^2
+    facing: Array  # the direction (3,) in which it shines
+    strength: float  # radiance over pi
 
 
 class BallsAtMoment(NamedTuple):
@@ -66,9 +66,9 @@ class Illumination:
         self.colours = [ball.mean for ball in finish.balls]
         self.plate = np.array(finish.plate)
         cells = [cell for each in lamp.all for cell in _cells(each)]
-        whole = sum(_irradiance(cell, np.zeros((1, 3)), UP[None])[0, 0] for cell in cells)
+        whole = sum(_irradiance(cell, np.zeros((1, 3)), UP[None])[0] for cell in cells)
         self.unit = (1 - finish.ambient) / whole  # of a radiance over pi
-        self.cells = [LampCell(c.position, c.area, c.facing, c.strength * self.unit) for c in cells]
+        self.cells = [replace(cell, strength=cell.strength * self.unit) for cell in cells]
         tables: dict[tuple[bytes, float], PlateExchange] = {}
         for colour, radius in zip(self.colours, radii.tolist(), strict=True):
             if (colour.tobytes(), radius) not in tables:
@@ -81,9 +81,7 @@ class Illumination:
     def _sources(self, radius: float, spots: Array) -> list[LightSource]:
         """The lamps as seen from spots (n, 3) on the plate, in radii of a ball."""
         points, up = spots * radius, np.broadcast_to(UP, spots.shape)
-        return [
-            LightSource(*_direction_and_size(cell, points), _irradiance(cell, points, up)[:, 0]) for cell in self.cells
-        ]
+        return [LightSource(*_direction_and_size(cell, points), _irradiance(cell, points, up)) for cell in self.cells]
 
     def bare(self, points: Array) -> Array:
         """Light (n,) on the plate without balls, at points (n, 3), m."""
@@ -92,8 +90,8 @@ class Illumination:
     def _lights(self, points: Array) -> Array:
         """Light (n, 1 + cells) of the sky and of the lamps on the plate without balls."""
         up = np.broadcast_to(UP, points.shape)
-        sky = np.full((len(points), 1), self.finish.ambient)
-        return np.concatenate([sky, *(_irradiance(cell, points, up) for cell in self.cells)], axis=1)
+        sky = np.full(len(points), self.finish.ambient)
+        return np.stack([sky, *(_irradiance(cell, points, up) for cell in self.cells)], axis=1)
 
     def on_plate(self, points: Array, centres: Array, soft: float = 0.0) -> Array:
         """Light (n, c) on the plate at points (n, 3), m, among balls (N, 3).
@@ -115,17 +113,17 @@ class Illumination:
             total[near] += (local[ball] * fade * dim)[:, None] * thrown
         return total
 
-    def _near(self, ball: int, points: Array, centre: Array) -> tuple[Index, Array]:
+    def _near(self, ball: int, points: Array, centre: Array, reach: float = REACH_RADII) -> tuple[Index, Array]:
         """Points of the plate near a ball, and the weight of its reflected light there, which falls to 0 smoothly."""
         r = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1]) / self.radii[ball]
-        near = np.flatnonzero(r < REACH_RADII)
-        return near, _smooth((REACH_RADII - r[near]) / FADE_RADII)
+        near = np.flatnonzero(r < reach)
+        x = np.clip((REACH_RADII - r[near]) / FADE_RADII, 0, 1)
+        return near, x * x * (3 - 2 * x)
 
     def _unshadowed_shares(self, ball: int, points: Array, centre: Array, soft: float = 0.0) -> tuple[Index, Array]:
         """Points that a ball shadows, and the shares (n, 1 + cells) of the light of sky and lamps that it leaves."""
-        r = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1]) / self.radii[ball]
-        near = np.flatnonzero(r < self.reach)
-        fade, offset = _smooth((REACH_RADII - r[near]) / FADE_RADII), centre - points[near]
+        near, fade = self._near(ball, points, centre, self.reach)
+        offset = centre - points[near]
         far = np.sqrt(dot(offset, offset))
         wide = np.arcsin(np.clip(self.radii[ball] / far, 0, 1))
         shares = [1 - fade * form_factor(np.broadcast_to(UP, offset.shape), offset, self.radii[ball])]
@@ -141,10 +139,9 @@ class Illumination:
         """Light (n, c) on a ball at points (n, 3), m. exchange: the light between balls."""
         lamps = np.zeros(len(points))
         for cell in self.cells:
-            light = _irradiance(cell, points, normals)[:, 0]
-            for k in range(len(centres)):
-                if k != ball:
-                    light = light * self._visible_share(cell, points, centres[k], self.radii[k])
+            light = _irradiance(cell, points, normals)
+            for k in (k for k in range(len(centres)) if k != ball):
+                light = light * _visible_share(cell, points, centres[k], self.radii[k])
             lamps += light
         sky = self.finish.ambient * (1 + normals[:, 2]) / 2
         total = (lamps + sky)[:, None] + self._from_plate(ball, normals, centres)
@@ -162,10 +159,9 @@ class Illumination:
         looks = foot + 4 * self.radii[ball] * normals * [1, 1, 0]
         bare = self._lights(looks)
         left = bare.copy()
-        for k in range(len(centres)):
-            if k != ball:
-                near, kept = self._unshadowed_shares(k, looks, centres[k])
-                left[near] *= kept
+        for k in (k for k in range(len(centres)) if k != ball):
+            near, kept = self._unshadowed_shares(k, looks, centres[k])
+            left[near] *= kept
         return np.asarray(out * (left.sum(axis=1) / bare.sum(axis=1))[:, None])
 
     def exchange(self, centres: Array) -> BallExchange | None:
@@ -195,14 +191,6 @@ class Illumination:
                 tables[a, b] = axes, ReflectionTable((share[:, None] * net).reshape(*EXCHANGE_CELLS, -1))
             found = BallExchange(tables)
         return found
-
-    def _visible_share(self, cell: LampCell, points: Array, centre: Array, radius: float) -> Array:
-        """Share (n,) of a lamp's cell that a ball leaves visible."""
-        offset = centre - points
-        far = np.maximum(np.sqrt(dot(offset, offset)), radius)
-        way, size = _direction_and_size(cell, points)
-        apart = np.arccos(np.clip(dot(offset, way) / far, -1, 1))
-        return np.asarray(visible_fraction(size, np.arcsin(np.clip(radius / far, 0, 1)), apart))
 
     def radiance(
         self, ball: int, points: Array, ways: Array, among: BallsAtMoment, paint: Array, mirrors: int | None = None
@@ -251,14 +239,10 @@ class Illumination:
 
 def _cells(lamp: Lamp) -> list[LampCell]:
     """Cut a lamp into cells: one of a disc that looks narrow, 4 of half a wider lamp's width."""
-    whole = max(lamp.radius, lamp.length / 2) if lamp.shape == "bar" else lamp.radius
     one = lamp.shape == "disc" and lamp.radius < 0.12 * float(np.linalg.norm(lamp.position))
-    cells = lamp.cells(np.inf if one else whole / 4)
-    facing = lamp.axes[:, 2]
-    return [
-        LampCell(position, float(area), facing, lamp.radiance)
-        for position, area in zip(cells.positions, cells.areas, strict=True)
-    ]
+    cells = lamp.cells(np.inf if one else lamp.half_width / 4)
+    each = zip(cells.positions, cells.areas.tolist(), strict=True)
+    return [LampCell(position, area, lamp.axes[:, 2], lamp.radiance) for position, area in each]
 
 
 def _direction_and_size(cell: LampCell, points: Array) -> tuple[Array, Array]:
@@ -270,17 +254,20 @@ def _direction_and_size(cell: LampCell, points: Array) -> tuple[Array, Array]:
     return way, np.sqrt(area / np.pi) / far
 
 
-def _irradiance(cell: LampCell, points: Array, normals: Array) -> Array:
-    """Light (n, 1) of a lamp's cell."""
+def _visible_share(cell: LampCell, points: Array, centre: Array, radius: float) -> Array:
+    """Share (n,) of a lamp's cell that a ball leaves visible."""
+    offset = centre - points
+    far = np.maximum(np.sqrt(dot(offset, offset)), radius)
     way, size = _direction_and_size(cell, points)
-    return np.asarray(
-        (cell.strength * size * size * np.pi * mean_cosine_above_horizon(dot(normals, way), np.sin(size)))[:, None]
-    )
+    apart = np.arccos(np.clip(dot(offset, way) / far, -1, 1))
+    return np.asarray(visible_fraction(size, np.arcsin(np.clip(radius / far, 0, 1)), apart))
 
 
-def _smooth(x: Array) -> Array:
-    x = np.clip(x, 0, 1)
-    return np.asarray(x * x * (3 - 2 * x))
+def _irradiance(cell: LampCell, points: Array, normals: Array) -> Array:
+    """Light (n,) of a lamp's cell."""
+    way, size = _direction_and_size(cell, points)
+    mean_cosine = mean_cosine_above_horizon(dot(normals, way), np.sin(size))
+    return np.asarray(cell.strength * size * size * np.pi * mean_cosine)
 
 
 def _units(vectors: Array) -> Array:

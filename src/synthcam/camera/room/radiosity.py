@@ -23,11 +23,11 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class LightSource:
-    """A cell of a lamp seen from n points: unit directions (n, 3), angular radii (n,), rad, light (n,) on a plate."""
+    """A cell of a lamp seen from n points."""
 
-    way: Array
-    wide: Array
-    light: Array
+    way: Array  # unit directions (n, 3)
+    wide: Array  # angular radii (n,), rad
+    light: Array  # on a plate (n,)
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,10 @@ class ReflectionTable:
 
 @dataclass(frozen=True)
 class PlateExchange:
-    """Light that a ball and its plate exchange.
+    """Light that a ball and its plate exchange."""
 
-    below: the ball's light from the plate, by (1 + n_z)/2. glow: the plate's light from the ball, by r/(1 + r).
-    """
-
-    below: ReflectionTable
-    glow: ReflectionTable
+    below: ReflectionTable  # the ball's light from the plate, by (1 + n_z)/2
+    glow: ReflectionTable  # the plate's light from the ball, by r/(1 + r)
 
     def on_ball(self, normals: Array) -> Array:
         return self.below.at((1 + normals[..., 2]) / 2, np.arctan2(normals[..., 1], normals[..., 0]))

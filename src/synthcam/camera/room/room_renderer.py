@@ -6,103 +6,71 @@ of the optics is a product with exact weights. The images of the lamps in varnis
 
 from collections.abc import Callable, Iterator, Sequence
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from synthcam.camera.exposure import (
+    Array,
     Box,
+    Float32,
+    Index,
     Picture,
-    SubExposures,
     blur_matrix,
     blur_tiles,
-    compute_vignette,
     integrate_spots,
     merge_boxes,
     outline_half_width,
     place_sub_exposures,
-    split_at_breaks,
 )
-from synthcam.camera.glints import GlintImages, find_glints, join_glints
+from synthcam.camera.glints import find_glints, join_glints, narrow_cell
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.pinhole import PinholeCamera
-from synthcam.camera.psf import Psf
+from synthcam.camera.renderer import Centres, Pictures, Renderer
 from synthcam.camera.room import texture
 from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.room.illumination import BallsAtMoment, Illumination
 from synthcam.camera.room.view_factors import dot
-from synthcam.camera.shutter import roll_shutter
 from synthcam.camera.surface import Surface
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Pictures = tuple[Picture, ...]
+Turns = Callable[[Array], Array]  # times (T,), s -> rotations (T, N, 3, 3) from ball axes to the world's
 
 FINENESS = 3  # samples of balls and plate per pixel, along rows and along columns
 
 
-class RoomRenderer:
-    """The view of one camera.
+class RoomRenderer(Renderer):
+    """The view of one camera on balls with a `finish` and, unless they are dull, a `mirror`: varnish or bare metal.
 
-    The unit of a picture is the white of a plate of reflectance 1 at the world's origin.
-
-    Parameters
-    ----------
-    camera : PinholeCamera
-    lamp : Lamp
-    radii : sequence of float
-        One a ball, m.
-    finish : SurfaceFinish
-        Of balls and plate.
-    mirror : Surface or None
-        The balls' varnish or bare metal; None: they are dull.
-
-    Raises
-    ------
-    ValueError
-        If a lamp is in view or a radius is not above 0.
+    The unit of a picture is the white of a plate of reflectance 1 at the world's origin. Raises ValueError if a lamp is
+    in view or a radius, m, is not above 0.
     """
 
     def __init__(
         self, camera: PinholeCamera, lamp: Lamp, radii: Sequence[float], finish: SurfaceFinish, mirror: Surface | None
     ) -> None:
-        self.camera, self.lamp, self.finish = camera, lamp, finish
-        self.radii = np.array(radii, float)
-        if not (len(self.radii) == len(finish.balls) and np.all(self.radii > 0)):
-            raise ValueError(f"radii: expected {len(finish.balls)}, all larger than 0, got {self.radii.tolist()}")
-        for each in lamp.all:
-            at = camera.project(each.position)
-            if np.all((at > -0.5) & (at < np.array(camera.size) - 0.5)):
-                raise ValueError(f"lamp position {each.position.tolist()} is between the camera and the plate")
-        self.shade = Illumination(lamp, finish, self.radii, mirror)
-        self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
-        self._vignette = compute_vignette(camera)
-        self._points, _ = self._on_plate(*(np.arange(n, dtype=float) for n in camera.size))
+        sizes = np.array(radii, float)
+        if not (len(sizes) == len(finish.balls) and np.all(sizes > 0)):
+            raise ValueError(f"radii: expected {len(finish.balls)}, all larger than 0, got {sizes.tolist()}")
+        super().__init__(camera, lamp, sizes)
+        self.finish = finish
+        self.shade = Illumination(lamp, finish, sizes, mirror)
+        self.reach = self.shade.reach
+        self._points = self._meet_plate(*(np.arange(n, dtype=float) for n in camera.size))
         self._bare = self.shade.bare(self._points.reshape(-1, 3)).reshape(self._points.shape[:2])
-        self.plate = self._draw_plate()
-        self._plates: dict[float, tuple[Float32, ...]] = {}
+        self.plate = self.plates = self._draw_plates()
 
     def _rays(self, x: Array, y: Array) -> Array:
         """Unit directions (len(y), len(x), 3) of the rays of pixels at columns x and rows y."""
-        pixels = np.stack(np.meshgrid(x, y), axis=-1)
-        camera = self.camera
-        if camera.dist.any():
-            steps = (cv2.TERM_CRITERIA_MAX_ITER, 60, 0)
-            flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.K, camera.dist, criteria=steps)
-            flat = np.asarray(flat).reshape(pixels.shape)
-        else:
-            flat = (pixels - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
-        way = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], axis=-1) @ camera.R
+        way = self.camera.unproject(np.stack(np.meshgrid(x, y), axis=-1))
         return np.asarray(way / np.sqrt(dot(way, way))[..., None])
 
-    def _on_plate(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """The plate's points (len(y), len(x), 3), m, and the directions to them."""
+    def _meet_plate(self, x: Array, y: Array) -> Array:
+        """The plate's points (len(y), len(x), 3), m, at columns x and rows y of the picture."""
         way, eye = self._rays(x, y), self.camera.centre
-        points = eye - way * (eye[2] / way[..., 2:])
+        points: Array = eye - way * (eye[2] / way[..., 2:])
         points[..., 2] = 0
-        return points, way
+        return points
 
-    def _draw_plate(self) -> tuple[Float32, ...]:
+    def _draw_plates(self) -> tuple[Float32, ...]:
         """Render the plate without balls: (h, w) of each channel. In strips of rows, to save memory."""
         w, h = self.camera.size
         sigma = np.hypot(self.camera.psf_sigma_px, self.camera.defocus_px / 2)
@@ -116,7 +84,7 @@ class RoomRenderer:
             for top in range(0, h, 64):
                 n = min(64, h - top)
                 down = (np.arange((n + 2 * margin) * FINENESS) + 0.5) / FINENESS - 0.5 - margin + top
-                points, _ = self._on_plate(across, down)
+                points = self._meet_plate(across, down)
                 fine = texture.factors(self.finish, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:2], -1)
                 columns = blur_matrix(n + 4 * margin, margin, FINENESS, sigma)[2 * margin : 2 * margin + n]
                 for c in range(fine.shape[2]):
@@ -128,69 +96,25 @@ class RoomRenderer:
         return plates
 
     def frames(
-        self,
-        centres: Callable[[Array], Array],
-        turns: Callable[[Array], Array],
-        intervals: ArrayLike,
-        breaks: ArrayLike = (),
+        self, centres: Centres, turns: Turns, intervals: ArrayLike, breaks: ArrayLike = ()
     ) -> Iterator[Pictures]:
         """Render the mean pictures over exposures, one per channel.
 
-        centres: times (T,), s -> ball centres (T, N, 3), m. turns: -> rotations (T, N, 3, 3) from ball axes to the
-        world's. intervals: (F, 2) start and end of each exposure, s. breaks: times at which velocities jump.
+        intervals: (F, 2) start and end of each exposure, s. breaks: times at which velocities jump.
         """
         cuts = np.sort(np.asarray(breaks, float))
+
+        def expose(spans: Array) -> list[Pictures]:
+            return [self._expose(centres, turns, span, cuts) for span in spans]
+
         for span in np.asarray(intervals, float).reshape(-1, 2):
-            if self.camera.line_time:
-                yield self._roll(centres, turns, span, cuts)
-            else:
-                yield self._expose(centres, turns, span, cuts)
+            yield self._roll(centres, span, cuts, expose) if self.camera.line_time else expose(span[None])[0]
 
-    def _roll(
-        self, centres: Callable[[Array], Array], turns: Callable[[Array], Array], span: Array, cuts: Array
-    ) -> Pictures:
-        def project_balls(times: Array) -> tuple[Array, Array]:
-            positions = np.asarray(centres(times), float)
-            return self.camera.project(positions), self._extent(positions)
-
-        starts = span[0] + np.arange(self.camera.size[1]) * self.camera.line_time
-        light = self.lamp.flicker.mean(starts, starts + span[1] - span[0])[:, None]
-        made: dict[bytes, list[Pictures]] = {}
-
-        def gather(spans: Array, channel: int) -> list[Picture]:
-            key = spans.tobytes()
-            if key not in made:
-                made[key] = [self._expose(centres, turns, s, cuts) for s in spans]
-            return [pictures[channel] for pictures in made[key]]
-
-        plates = [(plate * light).astype(np.float32) for plate in self.plate]
-        if not self.lamp.flicker.depth:
-            plates = list(self.plate)
-        return tuple(
-            roll_shutter(self.camera, project_balls, span, cuts, lambda spans, c=c: gather(spans, c), plate)  # type: ignore[misc]
-            for c, plate in enumerate(plates)
-        )
-
-    def _extent(self, positions: Array) -> Array:
-        """Half width (T, N) px of the region that a ball changes: itself, its shadow and its light on the plate."""
-        slope = self.camera.project_with_slope(positions)[1]
-        return np.asarray(
-            outline_half_width(self.camera, positions, self.radii, slope) * self.shade.reach + self.psf.margin
-        )
-
-    def _moments(self, centres: Callable[[Array], Array], span: Array, cuts: Array) -> SubExposures:
-        bounds, weights, frames = split_at_breaks(span[None], cuts)
-        ends = self.camera.project(np.asarray(centres(bounds.ravel()), float)).reshape(len(bounds), 2, -1, 2)
-        travel = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=2)
-        near = np.all(np.abs(ends) < 3 * max(self.camera.size), axis=(1, 3))
-        farthest = np.where(near, travel, 0).max(axis=1, initial=0) / np.hypot(self.camera.psf_sigma_px, 12**-0.5)
-        return place_sub_exposures(bounds, weights, frames, farthest / 2)
-
-    def _expose(
-        self, centres: Callable[[Array], Array], turns: Callable[[Array], Array], span: Array, cuts: Array
-    ) -> Pictures:
+    def _expose(self, centres: Centres, turns: Turns, span: Array, cuts: Array) -> Pictures:
         """One exposure of a global shutter."""
-        moments = self._moments(centres, span, cuts)
+        far = 3 * max(self.camera.size)
+        bounds, weights, frames, travel = self._split_exposures(centres, span[None], cuts, -far, far)
+        moments = place_sub_exposures(bounds, weights, frames, travel / 2)
         positions = np.asarray(centres(moments.times), float)
         turned = turns(moments.times)
         boxes = merge_boxes(self._find_boxes(positions))
@@ -203,8 +127,12 @@ class RoomRenderer:
             shown = [np.zeros((1 + len(plates), *plates[0][box].shape), np.float32) for box in boxes]
             for k, weight in zip(together.tolist(), weights, strict=True):
                 among = BallsAtMoment(positions[k], exchange)
-                balls = [b for b in range(len(self.radii)) if self._in_view(positions[k], b)]
-                tiles = [self._ball(ball, among, turned[k]) for ball in balls]
+                placed = ((ball, *self._place(positions[k], ball)) for ball in range(len(self.radii)))
+                tiles = [
+                    (low, self._draw_ball(ball, low, width, among, turned[k][ball]))
+                    for ball, low, width in placed
+                    if np.all(low + width > 0) and np.all(low < self.camera.size)
+                ]
                 for total, box in zip(shown, boxes, strict=True):
                     total += np.float32(weight) * self._lay_tiles(tiles, box)
             middle = np.average(positions[together], axis=0, weights=weights)
@@ -216,7 +144,7 @@ class RoomRenderer:
                     parts[c][number] += plate[box] * (lit[..., c] * open_) + light * shown[number][1 + c]
         return tuple(Picture(plate, boxes, tuple(part)) for plate, part in zip(plates, parts, strict=True))
 
-    def _group_moments(self, positions: Array, travel_px: float = 1.5) -> list[NDArray[np.intp]]:
+    def _group_moments(self, positions: Array, travel_px: float = 1.5) -> list[Index]:
         """Group moments so that no ball moves further than `travel_px`: they share the light on the plate."""
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(axis=1, initial=0) / self.camera.scale
         count = max(1, min(len(positions), int(np.ceil(steps.sum() / travel_px))))
@@ -234,18 +162,11 @@ class RoomRenderer:
         camera = self.camera
         return float(camera.scale * np.sqrt(camera.psf_sigma_px**2 + camera.defocus_px**2 / 4 + 1 / 12))
 
-    def _plates_in(self, light: float) -> tuple[Float32, ...]:
-        """The plate in so much light. The same light returns the same arrays, for which the sensor keeps tables."""
-        light = round(light, 5)
-        if light not in self._plates:
-            self._plates[light] = self.plate if light == 1 else tuple(p * np.float32(light) for p in self.plate)
-        return self._plates[light]
-
     def _find_boxes(self, positions: Array) -> list[tuple[int, int, int, int]]:
         """Find the boxes (top, bottom, left, right) of the picture that each ball changes during an exposure."""
-        pixels, extent = self.camera.project(positions), self._extent(positions)[..., None]
-        low = np.floor((pixels - extent).min(axis=0)).astype(int)
-        high = np.ceil((pixels + extent).max(axis=0)).astype(int) + 1
+        pixels, extent = self._see_balls(positions)
+        low = np.floor((pixels - extent[..., None]).min(axis=0)).astype(int)
+        high = np.ceil((pixels + extent[..., None]).max(axis=0)).astype(int) + 1
         w, h = self.camera.size
         boxes = []
         for (left, top), (right, bottom) in zip(low.tolist(), high.tolist(), strict=True):
@@ -254,24 +175,17 @@ class RoomRenderer:
                 boxes.append(box)
         return boxes
 
-    def _in_view(self, centres: Array, ball: int) -> bool:
-        low, width = self._place(centres, ball)
-        return bool(np.all(low + width > 0) and np.all(low < self.camera.size))
-
-    def _place(self, centres: Array, ball: int) -> tuple[NDArray[np.intp], int]:
+    def _place(self, centres: Array, ball: int) -> tuple[Index, int]:
         """First column and row, and width, of a square that holds a ball and its blur."""
-        slope = self.camera.project_with_slope(centres[None, ball : ball + 1])[1]
-        half = float(
-            outline_half_width(self.camera, centres[None, ball : ball + 1], self.radii[ball : ball + 1], slope)[0, 0]
-        )
+        own = np.s_[None, ball : ball + 1]
+        pixels, slope = self.camera.project_with_slope(centres[own])
+        half = float(outline_half_width(self.camera, centres[own], self.radii[own[1]], slope)[0, 0])
         half += 1 + self.psf.margin
-        low = np.floor(self.camera.project(centres[ball]) - half).astype(int)
-        return low, int(2 * half) + 3
+        return np.floor(pixels[0, 0] - half).astype(int), int(2 * half) + 3
 
-    def _ball(self, ball: int, among: BallsAtMoment, turned: Array) -> tuple[NDArray[np.intp], Float32]:
-        """Render a ball: first column and row, and (1 + c, width, width), its share of each pixel and its radiance."""
+    def _draw_ball(self, ball: int, low: Index, width: int, among: BallsAtMoment, turn: Array) -> Float32:
+        """Render a ball in the square at `low`: (1 + c, width, width), its share of each pixel and its radiance."""
         centres = among.centres
-        low, width = self._place(centres, ball)
         side = width - 2 * self.psf.margin
         at = (np.arange(side * FINENESS) + 0.5) / FINENESS - 0.5 + self.psf.margin
         way = self._rays(at + low[0], at + low[1])
@@ -284,14 +198,14 @@ class RoomRenderer:
             points = self._meet_ball(centres[ball], self.radii[ball], ways)
             own_finish = self.finish.balls[ball]
             sharp = self.camera.scale / (FINENESS * self.radii[ball])
-            paint = own_finish.paint((points - centres[ball]) / self.radii[ball] @ turned[ball], sharp)
+            paint = own_finish.paint((points - centres[ball]) / self.radii[ball] @ turn, sharp)
             seen = self.shade.radiance(ball, points, ways, among, paint)
             tiles[1:, rows, columns] = (share[rows, columns, None] * seen).T
         blur = blur_matrix(width, self.psf.margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
         images = blur_tiles(tiles, blur)
         if self.shade.mirror is not None:
-            images[1:] += self._glints(ball, centres, low, width, self.shade.mirror)
-        return low, images if self.psf.is_gaussian else self.psf.spread(images)
+            images[1:] += self._draw_glints(ball, centres, low, width, self.shade.mirror)
+        return self.psf.spread(images)
 
     def _shares(self, ball: int, centres: Array, way: Array) -> Array:
         """Share of each sample in which this ball is in front. Outlines are ramps one sample wide."""
@@ -310,26 +224,21 @@ class RoomRenderer:
         out = offset + far[:, None] * ways
         return np.asarray(centre + out * (radius / np.sqrt(dot(out, out)))[:, None])
 
-    def _glints(
-        self, ball: int, centres: Array, low: NDArray[np.intp], width: int, mirror: Surface
-    ) -> NDArray[np.float32]:
+    def _draw_glints(self, ball: int, centres: Array, low: Index, width: int, mirror: Surface) -> Float32:
         """Images (width steps, width steps) of the lamps in a ball."""
         light = (np.arange(len(centres)) == ball)[None].astype(float)
         found = []
         for lamp in self.lamp.all:
             whole = find_glints(self.camera, lamp, centres[None], self.radii, light, mirror)
-            cell = np.inf
-            if len(whole.flux):
-                spread = lamp.cells(np.inf).spread[0, :2].sum()
-                cell = 0.4 * self.camera.psf_sigma_px * float(np.sqrt(spread / max(whole.spread[0].sum(), 1e-30)))
+            cell = narrow_cell(self.camera, lamp, whole.spread[:1])
             found.append(find_glints(self.camera, lamp, centres[None], self.radii, light, mirror, cell))
-        glints: GlintImages = join_glints(found)
+        glints = join_glints(found)
         variances = glints.spread + self.camera.psf_sigma_px**2
         rows, columns = integrate_spots(glints.pixels, variances, low[None].astype(float), width, self.psf.steps)
         rows *= (glints.flux * np.pi * self.shade.unit)[:, None]
         return (rows.T @ columns).astype(np.float32)
 
-    def _lay_tiles(self, tiles: list[tuple[NDArray[np.intp], Float32]], box: Box) -> Float32:
+    def _lay_tiles(self, tiles: list[tuple[Index, Float32]], box: Box) -> Float32:
         """Sum the tiles of balls in a box: the share that they cover, and their radiance by channel, (1 + c, h, w)."""
         rows, columns = box
         shape = (rows.stop - rows.start, columns.stop - columns.start)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,14 +24,11 @@ from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
 
-if TYPE_CHECKING:
-    from synthcam.camera.render.gltf import Appearance
-
 Array = NDArray[np.float64]
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
-    from synthcam.camera.render.gltf import BallMotion, glb
+    from synthcam.camera.render.gltf import BallMotion, glb  # here alone: trimesh is slow to load
 
     for clip in clips:
         balls = []
@@ -46,66 +43,58 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             first = ball[["qx", "qy", "qz", "qw"]].iloc[0].to_numpy(float) if "qx" in ball else None
             paint = partial(finish.balls[number].paint, sharp=0.02) if finish and matte else None
             balls.append(BallMotion(radius, times, positions, *_turns(times, spins, first), paint))
-        appearance = (_lit if finish else _appearance)(drawn)
-        (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls, appearance))
+        look = _light_room(drawn) if finish else _light_mirrors(drawn)
+        (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls, steel=drawn.surface.head_on, **look))
 
 
-def _lit(clip: Clip) -> Appearance:
-    """Appearance of matte balls, or of a plate with a colour. glTF has no ambient light: the lamps give it too."""
-    from synthcam.camera.render.gltf import Appearance
-
+def _light_room(clip: Clip) -> dict[str, Any]:
+    """Lamps and materials of matte balls, or of a plate with a colour. glTF has no ambient light: the lamps give it."""
     assert clip.finish
-    lamps = clip.lamp.all
-    middle = np.zeros(3)
-    each = [lamp.radiance * _area(lamp) * _towards(lamp, middle) for lamp in lamps]
-    lux = sum(
-        i * lamp.position[2] / float(np.linalg.norm(lamp.position)) ** 3 for i, lamp in zip(each, lamps, strict=True)
-    )
-    white = np.pi * clip.sensor.glint_peak / (2**clip.sensor.bits - 1) / lux
-    return Appearance(
-        lamps=tuple(zip(lamps, (i * white for i in each), strict=True)),
-        steel=clip.surface.head_on,
-        roughness=0.3,
-        plate=clip.finish.plate * (3 // clip.finish.channels),
-        dull=True,
-    )
+    intensities = _intensities(clip.lamp, 1.0)
+    white = np.pi * clip.sensor.glint_peak / (2**clip.sensor.bits - 1) / _light_origin(clip.lamp, intensities)
+    return {
+        "lamps": [(lamp, each * white) for lamp, each in zip(clip.lamp.all, intensities, strict=True)],
+        "roughness": 0.3,
+        "plate": clip.finish.plate * (3 // clip.finish.channels),
+        "dull": True,
+    }
 
 
-def _appearance(clip: Clip) -> Appearance:
-    """Appearance of mirror balls. Lamps are points in glTF, so the steel's roughness makes the glint as wide as it is.
+def _light_mirrors(clip: Clip) -> dict[str, Any]:
+    """Lamps and materials of mirror balls: lamps are points in glTF, so the steel's roughness makes the glint as wide.
 
     The plate is a metal of GGX's width 1. It reflects 1 / (4 pi) of its colour to all sides, nearly as Lambert's law
     does. A dielectric would add 4 % of its own, more than such a plate.
     """
-    from synthcam.camera.render.gltf import Appearance
-
     camera, first, radius = clip.nominal, clip.lamp, clip.model.ball.radius
     rest = np.array([[[0.0, 0.0, radius]]])
     glint = find_glints(camera, first, rest, np.array([radius]), np.ones((1, 1), bool), clip.surface)
     blur = camera.psf_sigma_px**2 + camera.defocus_px**2 / 4
     peak = float((glint.flux / (2 * np.pi * np.sqrt(np.prod(blur + glint.spread, axis=1)))).sum())
     white = clip.sensor.glint_peak / (2**clip.sensor.bits - 1)  # of the glint's peak
-    middle = np.zeros(3)  # what the camera looks at
-    candela = [white / peak * lamp.radiance * _area(lamp) * _towards(lamp, middle) for lamp in first.all]
-    lux = sum(
-        i * lamp.position[2] / float(np.linalg.norm(lamp.position)) ** 3
-        for i, lamp in zip(candela, first.all, strict=True)
-    )
-    plate = BLACK_PLATE_RADIANCE * clip.room * white * float(irradiance(first, middle)) / lux
+    candela = _intensities(first, white / peak)
+    lit = float(irradiance(first, np.zeros(3)))
+    plate = BLACK_PLATE_RADIANCE * clip.room * white * lit / _light_origin(first, candela)
     seen = np.sqrt(_area(first) / np.pi) / np.linalg.norm(first.position - rest[0, 0])  # half-angle of the lamp, rad
     slope = np.hypot(clip.surface.roughness, seen / 4)  # rms: a mirror that throws a point as wide as the lamp
-    return Appearance(
-        lamps=tuple(zip(first.all, candela, strict=True)),
-        steel=clip.surface.head_on,
-        roughness=float(min(1.0, np.sqrt(np.sqrt(2) * slope))),
-        plate=min(1.0, 4 * np.pi * plate),
-    )
+    return {
+        "lamps": list(zip(first.all, candela, strict=True)),
+        "roughness": float(min(1.0, np.sqrt(np.sqrt(2) * slope))),
+        "plate": min(1.0, 4 * np.pi * plate),
+        "dull": False,
+    }
 
 
-def _towards(lamp: Lamp, position: Array) -> float:
-    """Cosine between where a lamp faces and a position."""
-    way = position - lamp.position
-    return max(float(way @ lamp.axes[:, 2] / np.linalg.norm(way)), 0.0)
+def _intensities(first: Lamp, unit: float) -> list[float]:
+    """Intensity of each lamp towards the world's origin, at which the camera looks. unit: of radiance times area."""
+    cosines = [max(float(x.position @ -x.axes[:, 2] / np.linalg.norm(x.position)), 0.0) for x in first.all]
+    return [unit * lamp.radiance * _area(lamp) * cosine for lamp, cosine in zip(first.all, cosines, strict=True)]
+
+
+def _light_origin(first: Lamp, intensities: list[float]) -> float:
+    """Light of lamps of these intensities on the plate at the world's origin."""
+    pairs = zip(intensities, first.all, strict=True)
+    return float(sum(each * lamp.position[2] / float(np.linalg.norm(lamp.position)) ** 3 for each, lamp in pairs))
 
 
 def _area(lamp: Lamp) -> float:
@@ -115,7 +104,7 @@ def _area(lamp: Lamp) -> float:
 
 def _jumps(events: pd.DataFrame, ball: int) -> Array:
     """Times of a ball's impacts, at which velocity and spin jump, s."""
-    own = events["kind"].isin(("contact", "land")) & ((events["i"] == ball) | (events["j"] == ball))
+    own = events["kind"].isin(("contact", "land")) & (events[["i", "j"]] == ball).any(axis=1)
     return events.loc[own, "t_s"].to_numpy(float)
 
 

@@ -44,10 +44,10 @@ def _info(clip: RecordedClip) -> str:
 def _boxes(clip: RecordedClip) -> Iterator[str]:
     side, size = clip.diameter_px, np.array(clip.camera["size"], float)
     tracks = clip.tracks.sort_values(["frame", "particle"])
-    corners = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float) - side / 2 + MOT_CORNER_PX
+    positions = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float)
+    corners = positions - side / 2 + MOT_CORNER_PX
     seen = np.clip(np.minimum(corners + side, size + 1) - np.maximum(corners, 1), 0, None).prod(axis=1) / side**2
     names = tracks[["frame", "particle", "visible"]].to_numpy(int)
-    positions = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float)
     for (frame, ball, whole), (x, y), share in zip(names, positions, seen, strict=True):
         if share > 0:
             yield mot_box(frame, ball, x, y, side, f"{whole},1,{share:.4f}")
