@@ -44,41 +44,30 @@ class TableKind:
     one_ball: bool = False  # whether it may apply to ball a or b alone: NAME_a, NAME_b
 
 
-def _friction(what: str, axis: str = LINE, **more: Any) -> TableKind:
-    return TableKind("friction", what, (("sliding_friction", 0),), axis, low=0.0, **more)
-
-
-def _restitution(what: str, axis: str = LINE, **more: Any) -> TableKind:
-    return TableKind("restitution", what, (("restitution", 0),), axis, low=0.0, high=1.0, **more)
-
-
-def _spin_transfer(what: str, axis: str = LINE, **more: Any) -> TableKind:
-    return TableKind("spin_transfer", what, (("spin_transfer", 0),), axis, low=0.0, high=5 / 7, **more)
-
-
-def _rolling(what: str, axis: str = LINE, owners: Owners = (), **more: Any) -> TableKind:
-    return TableKind("rolling", what, owners, axis, "m/s^2", **more)
-
-
+_friction = partial(TableKind, "friction", owners=(("sliding_friction", 0),), low=0.0)
+_restitution = partial(TableKind, "restitution", owners=(("restitution", 0),), low=0.0, high=1.0)
+_spin_transfer = partial(TableKind, "spin_transfer", owners=(("spin_transfer", 0),), low=0.0, high=5 / 7)
+_rolling = partial(TableKind, "rolling", unit="m/s^2")
+_force = partial(TableKind, "push", unit="m/s^2")
 _LOSS: Owners = (("rolling_decel", 0), ("rolling_drag", 1))
 TABLE_KINDS: dict[str, TableKind] = {
     "friction_speed": _friction("slip_speed", one_ball=True),
     "friction_ball_speed": _friction("velocity"),
-    "friction_heading": _friction("slip", TURN, x_unit="rad"),
-    "friction_place": _friction("position", PLACE, x_unit="m"),
+    "friction_heading": _friction("slip", axis=TURN, x_unit="rad"),
+    "friction_place": _friction("position", axis=PLACE, x_unit="m"),
     "restitution_speed": _restitution("normal_speed"),
-    "restitution_heading": _restitution("heading", TURN, x_unit="rad"),
+    "restitution_heading": _restitution("heading", axis=TURN, x_unit="rad"),
     "restitution_obliqueness": _restitution("obliqueness", x_unit="1"),
     "spin_transfer_speed": _spin_transfer("contact_speed"),
-    "spin_transfer_heading": _spin_transfer("heading", TURN, x_unit="rad"),
+    "spin_transfer_heading": _spin_transfer("heading", axis=TURN, x_unit="rad"),
     "spin_transfer_obliqueness": _spin_transfer("obliqueness", x_unit="1"),
     "rolling_speed": _rolling("speed", owners=_LOSS, low=0.0, one_ball=True),
-    "rolling_heading": _rolling("velocity", TURN, x_unit="rad", parts=2),
-    "rolling_place": _rolling("position", PLACE, x_unit="m", parts=2),
-    "force_speed": TableKind("push", "velocity", unit="m/s^2", one_ball=True),
-    "force_velocity": TableKind("push", "velocity", (), PLACE, "m/s^2", "m/s", parts=2, one_ball=True),
-    "force_heading": TableKind("push", "velocity", (), TURN, "1/s", "rad", parts=2),
-    "force_place": TableKind("push", "position", (), PLACE, "m/s^2", "m", parts=2, one_ball=True),
+    "rolling_heading": _rolling("velocity", axis=TURN, x_unit="rad", parts=2),
+    "rolling_place": _rolling("position", axis=PLACE, x_unit="m", parts=2),
+    "force_speed": _force("velocity", one_ball=True),
+    "force_velocity": _force("velocity", axis=PLACE, parts=2, one_ball=True),
+    "force_heading": _force("velocity", axis=TURN, unit="1/s", x_unit="rad", parts=2),
+    "force_place": _force("position", axis=PLACE, x_unit="m", parts=2, one_ball=True),
 }
 SEARCH_ONLY_LAWS = {  # free laws of a search that a model cannot hold, and why
     **dict.fromkeys(("lag_speed", "warp_place"), "of the instrument; a model holds only laws of motion"),

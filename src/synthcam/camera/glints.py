@@ -68,22 +68,16 @@ def find_glints(
             seen &= (paths.points[:, 0] - source) @ axes[:, 2] > 0
         order, ball = np.full(len(moment), balls.shape[1]), balls[:, -1]
         lobes = [(spread, flux)]
-        if surface.roughness or surface.scratches:
+        if surface.roughness or surface.scratches:  # tilted: spread by facets of 1 rad rms
             tilted = ((slope @ reflections.differentiate_by_tilt(source, eye, paths, positions, spheres)) ** 2).sum(2)
-            lobes = _lobes(surface, tilted, spread, flux)
+            slopes = surface.roughness, np.hypot(surface.roughness, surface.scratch_slope)
+            shares = 1 - surface.scratches, surface.scratches
+            both = zip(slopes, shares, strict=True)
+            lobes = [(spread + rms**2 * tilted, share * flux) for rms, share in both if share]
         found += [[x[seen] for x in (moment, ball, pixels, wide, bright, order)] for wide, bright in lobes]
     none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
     found.append([none, none, nowhere, nowhere, flat, none])
     return GlintImages(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
-
-
-def _lobes(surface: Surface, tilted: Array, spread: Array, flux: Array) -> list[tuple[Array, Array]]:
-    """Spread (n, 2) px^2 and flux (n,) of each lobe of a rough surface. tilted: spread by facets of 1 rad rms."""
-    slopes = (
-        (surface.roughness, 1 - surface.scratches),
-        (np.hypot(surface.roughness, surface.scratch_slope), surface.scratches),
-    )
-    return [(spread + rms**2 * tilted, share * flux) for rms, share in slopes if share]
 
 
 def _batch_chains(

@@ -15,11 +15,15 @@ def write_card(about: dict[str, Any], clips: int, names: list[str], holds: str =
     """
     video, plain = about.get("video", bool(about["gl"])), about.get("compression", "none") == "none"
     matte = any(scene.get("surface", {}).get("ball", "steel") != "steel" for scene in about.get("scenes", ()))
-    made_of = "" if matte else "steel "
+    title = f"{clips} clips of rolling {'' if matte else 'steel '}balls"
+    if holds == "frames":
+        title = f"A challenge: {title}"
+    else:
+        title = f"{', '.join(map(_plain, names))}: {'truth of ' if holds == 'truth' else ''}{title}"
     readers = _readers(video and holds != "truth", plain, holds != "truth", holds != "frames")
     return "\n".join(
         [
-            f"# {_title(clips, names, holds, made_of)}",
+            f"# {title}",
             "",
             *_provenance(about, holds),
             "SI units; x right and y down in the image, (0, 0) the centre of the top-left pixel.",
@@ -57,13 +61,6 @@ def _readers(frames: bool, plain: bool, camera: bool, truth: bool) -> Iterator[t
         )
         read_events = 'events = pandas.read_parquet("clips/000000/truth/events.parquet")'
         yield "contacts, slide ends", f"`import pandas; {read_events}`"
-
-
-def _title(clips: int, names: list[str], holds: str, made_of: str) -> str:
-    if holds == "frames":
-        return f"A challenge: {clips} clips of rolling {made_of}balls"
-    what = "truth of " if holds == "truth" else ""
-    return f"{', '.join(map(_plain, names))}: {what}{clips} clips of rolling {made_of}balls"
 
 
 def _plain(text: Any) -> str:

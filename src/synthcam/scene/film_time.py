@@ -62,8 +62,10 @@ class FilmedMotion:
     def at(self, film: Array) -> Array:
         """States (balls, m, 9) at film times (m,), s."""
         times = self.times(film)
-        if not self._has_own_clock:
-            return self.motion.at(times[0])
+        return self.at_own_times(times) if self._has_own_clock else self.motion.at(times[0])
+
+    def at_own_times(self, times: Array) -> Array:
+        """States (balls, m, 9) of each ball at true times of its own (balls, m), s."""
         return np.stack([self.motion.at(t)[k] for k, t in enumerate(times)])
 
     def breaks(self) -> Array:
@@ -86,9 +88,7 @@ class FilmedMotion:
     def _clock(self, film: Array, times: Array) -> Array:
         if not self._has_own_clock:
             return times
-        inside = np.clip(times, self.motion.t0, self.motion.t1)
-        positions = np.stack([self.motion.at(t)[k] for k, t in enumerate(inside)])
-        rows = self.camera.project(positions[..., :3])[..., 1]
-        rows = np.clip(rows, 0, self.camera.size[1] - 1)
+        states = self.at_own_times(np.clip(times, self.motion.t0, self.motion.t1))
+        rows = np.clip(self.camera.project(states[..., :3])[..., 1], 0, self.camera.size[1] - 1)
         bent = self.model.laws("clock", film + self.camera.line_time * rows, {"fps": self.camera.fps, "row": rows})
         return np.asarray(np.clip(bent, self.motion.t0, self.motion.t1))

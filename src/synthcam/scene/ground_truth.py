@@ -87,7 +87,7 @@ def tracks(
     """
     spans, camera = view.spans(frames), view.camera
     times = view.times(spans.mean(axis=1))
-    states = np.stack([view.motion.at(t)[k] for k, t in enumerate(times)])
+    states = view.at_own_times(times)
     kinds = [view.motion.motion(t)[k] for k, t in enumerate(times)]
     means = view.mean(spans, lambda states: camera.project(states[..., :3]))
     balls = []

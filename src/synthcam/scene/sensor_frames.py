@@ -88,7 +88,4 @@ def _renderer(setup: bytes) -> Any:
     return MirrorRenderer(camera, lamp, radii, room, surface)
 
 
-@lru_cache(maxsize=6)
-def _chip(sensor: Sensor, size: tuple[int, int], exposure: float, seed: int) -> Chip:
-    """The chip of all clips of a camera: its fixed pattern takes as long to draw as many frames."""
-    return Chip(sensor, size, exposure, seed)
+_chip = lru_cache(maxsize=6)(Chip)  # of all clips of a camera: its fixed pattern takes as long to draw as many frames

@@ -83,6 +83,7 @@ class MirrorRenderer(Renderer):
             "gloss": surface.plate_gloss,
             "lamp": np.zeros(3),
         }
+        self._defines = ({"PAIR": 1} if len(self.radii) <= 2 else {}) | ({"METAL": 1} if surface.steel else {})
         self._plain = is_plain(lamp, surface)
         self._slope = 0.0 if self._plain else self._find_steepest()
         self._lit = np.zeros((1, 1), np.float32)
@@ -173,10 +174,6 @@ class MirrorRenderer(Renderer):
             far = np.maximum(far, extent * shadow)
         return np.asarray(np.minimum(far, 12 * extent))
 
-    def _defines(self, scene: int) -> dict[str, int]:
-        pair = {"PAIR": 1} if len(self.radii) <= 2 else {}
-        return {"SCENE": scene} | pair | ({"METAL": 1} if self.surface.steel else {})
-
     def _jobs(self, centres: Array, radii: Array, fineness: int) -> Float32:
         """Instance matrices (n, 4, 4) for balls (n, 3), (n,), without position and neighbours."""
         camera = self.camera
@@ -243,19 +240,16 @@ class MirrorRenderer(Renderer):
             numbers = patches.number[frame][patches.number[frame] >= 0].tolist()
             corners = [patches.box(number, self.camera.size) for number in numbers]
             boxes = merge_boxes(corners)
-            parts = [plate[box].copy() for box in boxes]
+            image = plate.copy()
             for number, (top, bottom, left, right) in zip(numbers, corners, strict=True):
                 here = np.s_[top:bottom, left:right]
-                (k,) = (k for k, (r, c) in enumerate(boxes) if r.start <= top < r.stop and c.start <= left < c.stop)
-                rows, columns = boxes[k]
-                spot = parts[k][top - rows.start : bottom - rows.start, left - columns.start : right - columns.start]
                 x, y = patches.origins[number]
                 there = np.s_[top - y : bottom - y, left - x : right - x]
-                image_of_ball = drawn[number][there]
-                spot += image_of_ball if self._vignette is None else image_of_ball * self._vignette[here]
+                ball = drawn[number][there]
+                image[here] += ball if self._vignette is None else ball * self._vignette[here]
                 if number in shades:
-                    spot += self._lit[here] * shades[number][there]
-            yield Picture(plate, boxes, tuple(parts))
+                    image[here] += self._lit[here] * shades[number][there]
+            yield Picture(plate, boxes, tuple(image[box] for box in boxes))
 
     def _place_moments(self, centres: Centres, spans: Array, cuts: Array) -> list[SubExposures]:
         """Sub-exposures for the glints, and fewer for the balls, which are wide and faint."""
@@ -290,7 +284,8 @@ class MirrorRenderer(Renderer):
         if scene != BALLS:
             others = self._with_notes(jobs, others, positions[moment, ball], ball, scene)
         rows = -(-len(selected) // across)
-        drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms, **self._defines(scene))
+        defines = {"SCENE": scene} | self._defines
+        drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms, **defines)
         tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(selected)]
         blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
         return blur_tiles(tiles, blur)

@@ -98,9 +98,10 @@ def solve_plate_exchange(
     for _ in range(6):
         glow = to_ball @ (ball * (on_ball + below))
         below = to_plate @ (plate * (on_plate + glow))
+    beyond = max(1, round(RINGS_OF_PLATE / PLATE_RADIUS))  # rows of zeros from r = PLATE_RADIUS to r/(1 + r) = 1
     return PlateExchange(
         ReflectionTable(below.reshape(BELTS_OF_BALL, SECTORS, -1)),
-        ReflectionTable(_up_to_one(glow.reshape(RINGS_OF_PLATE, SECTORS, -1))),
+        ReflectionTable(np.pad(glow.reshape(RINGS_OF_PLATE, SECTORS, -1), ((0, beyond), (0, 0), (0, 0)))),
     )
 
 
@@ -123,11 +124,6 @@ def _exchange(normals: Array, spots: Array, areas: Array) -> tuple[Array, Array]
     return to_plate, to_ball
 
 
-def _up_to_one(values: Array) -> Array:
-    """Continue the rows from r = PLATE_RADIUS with zeros to r/(1 + r) = 1, in cells of the same width."""
-    return np.concatenate([values, np.zeros((max(1, round(RINGS_OF_PLATE / PLATE_RADIUS)), *values.shape[1:]))])
-
-
 @dataclass(frozen=True)
 class BallExchange:
     """Light that balls exchange, by pair (receiver, sender): axes (3, 3), and a table over angle and azimuth."""
@@ -141,10 +137,8 @@ class BallExchange:
             if own == ball:
                 x, y, z = (normals @ axes).T
                 angle = np.arccos(np.clip(z, -1, 1))
-                total = (
-                    total
-                    + table.at(np.sqrt(angle / EXCHANGE_ANGLE), np.arctan2(y, x)) * (angle < EXCHANGE_ANGLE)[:, None]
-                )
+                light = table.at(np.sqrt(angle / EXCHANGE_ANGLE), np.arctan2(y, x))
+                total = total + light * (angle < EXCHANGE_ANGLE)[:, None]
         return total
 
 

@@ -34,10 +34,12 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
         balls = []
         drawn = check_scene(clip.drawn, f"{clip.stack.parent}, scene.json").draw(0, 0)
         finish, matte = drawn.finish, drawn.drawn["surface"].get("ball") == "matte"
-        tracks = clip.tracks.sort_values("frame")
+        tracks, events = clip.tracks.sort_values("frame"), clip.events
+        jumps = events[events["kind"].isin(("contact", "land"))]  # of velocity and spin
         for number in range(int(tracks["particle"].max()) + 1):
             ball = tracks[tracks["particle"] == number]
-            times, positions, spins = _keys(ball, _jumps(clip.events, number))
+            own = (jumps["i"] == number) | (jumps["j"] == number)
+            times, positions, spins = _keys(ball, jumps.loc[own, "t_s"].to_numpy(float))
             resting = ball.loc[ball["state"] != "fly", "z"]
             radius = float(resting.median()) if len(resting) else clip.camera["ball_diameter"] / 2
             first = ball[["qx", "qy", "qz", "qw"]].iloc[0].to_numpy(float) if "qx" in ball else None
@@ -100,12 +102,6 @@ def _light_origin(first: Lamp, intensities: list[float]) -> float:
 def _area(lamp: Lamp) -> float:
     """m^2."""
     return float(lamp.cells(np.inf).areas.sum())
-
-
-def _jumps(events: pd.DataFrame, ball: int) -> Array:
-    """Times of a ball's impacts, at which velocity and spin jump, s."""
-    own = events["kind"].isin(("contact", "land")) & (events[["i", "j"]] == ball).any(axis=1)
-    return events.loc[own, "t_s"].to_numpy(float)
 
 
 def _keys(ball: pd.DataFrame, jumps: Array) -> tuple[Array, Array, Array]:
