@@ -38,23 +38,10 @@ BALLS, ON_PLATE, SHADES, PLATE_ALONE = 0, 1, 2, 3  # what the shader draws, by i
 class MirrorRenderer(Renderer):
     """The view of one camera on a black plate under one lamp or two, with any number of steel balls.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-    lamp : Lamp
-    radii : sequence of float
-        One a ball, m.
-    room : float
-        Radiance of the dim surroundings that a ball shows at its top, over the peak of its glint. Towards the horizon
-        it fades to the radiance of the plate.
-    surface : Surface
+    radii: one a ball, m. room: radiance of the dim surroundings that a ball shows at its top, over the peak of its
+    glint; towards the horizon it fades to the radiance of the plate.
 
-    Raises
-    ------
-    NoGL
-        If OpenGL cannot draw.
-    ValueError
-        If a lamp is in view, or the lens bends too strongly within one ball.
+    Raises NoGL if OpenGL cannot draw, ValueError if a lamp is in view or the lens bends too strongly within one ball.
     """
 
     def __init__(
@@ -67,10 +54,6 @@ class MirrorRenderer(Renderer):
     ) -> None:
         self._canvas = get_canvas()
         self.room, self.surface = room, surface
-        if not (len(radii) and np.all(np.array(radii, float) > 0)):
-            raise ValueError(
-                f"radii: expected at least one ball, all larger than 0, got {np.array(radii, float).tolist()}"
-            )
         super().__init__(camera, lamp, np.array(radii, float))
         self._check_lens()
         self._cells = [narrow_cell(camera, each, self._find_resting_glint(each, np.inf).spread) for each in lamp.all]
@@ -198,8 +181,6 @@ class MirrorRenderer(Renderer):
         s; they may be of zero length. breaks: times at which velocities jump; exposures are split there.
         """
         spans, cuts = np.asarray(intervals, float).reshape(-1, 2), np.sort(np.asarray(breaks, float))
-        if (spans[:, 1] < spans[:, 0]).any():
-            raise ValueError("intervals: an exposure ends before it starts")
         if self.camera.line_time:
             for span in spans:
                 yield self._roll(centres, span, cuts, lambda spans: [(p,) for p in self._expose(centres, spans, cuts)])[

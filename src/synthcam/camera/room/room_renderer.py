@@ -40,19 +40,16 @@ FINENESS = 3  # samples of balls and plate per pixel, along rows and along colum
 class RoomRenderer(Renderer):
     """The view of one camera on balls with a `finish` and, unless they are dull, a `mirror`: varnish or bare metal.
 
-    The unit of a picture is the white of a plate of reflectance 1 at the world's origin. Raises ValueError if a lamp is
-    in view or a radius, m, is not above 0.
+    The unit of a picture is the white of a plate of reflectance 1 at the world's origin. radii: one a ball, m. Raises
+    ValueError if a lamp is in view.
     """
 
     def __init__(
         self, camera: PinholeCamera, lamp: Lamp, radii: Sequence[float], finish: SurfaceFinish, mirror: Surface | None
     ) -> None:
-        sizes = np.array(radii, float)
-        if not (len(sizes) == len(finish.balls) and np.all(sizes > 0)):
-            raise ValueError(f"radii: expected {len(finish.balls)}, all larger than 0, got {sizes.tolist()}")
-        super().__init__(camera, lamp, sizes)
+        super().__init__(camera, lamp, np.array(radii, float))
         self.finish = finish
-        self.shade = Illumination(lamp, finish, sizes, mirror)
+        self.shade = Illumination(lamp, finish, self.radii, mirror)
         self.reach = self.shade.reach
         self._points = self._meet_plate(*(np.arange(n, dtype=float) for n in camera.size))
         self._bare = self.shade.bare(self._points.reshape(-1, 3)).reshape(self._points.shape[:2])

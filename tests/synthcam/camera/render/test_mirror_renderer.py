@@ -359,10 +359,6 @@ def test_settings_it_cannot_draw_are_refused():
         MirrorRenderer(overhead(), Lamp(np.array([0.0, 0.0, 0.3]), 0.01), [R])
     with pytest.raises(ValueError, match="distortion"):
         MirrorRenderer(overhead(distortion=(-20, 0, 0, 0, 0)), LAMP, [R])
-    with pytest.raises(ValueError, match="radii"):
-        MirrorRenderer(overhead(), LAMP, [R, -R])
-    with pytest.raises(ValueError, match="ends before"):
-        next(MirrorRenderer(overhead(), LAMP, [R]).frames(still([0, 0, R]), [[1.0, 0.0]]))
 
 
 def test_a_wide_lamp_is_the_sum_of_its_parts():
