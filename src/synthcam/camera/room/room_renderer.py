@@ -53,7 +53,7 @@ class RoomRenderer(Renderer):
         self.reach = self.shade.reach
         self._points = self._meet_plate(*(np.arange(n, dtype=float) for n in camera.size))
         self._bare = self.shade.bare(self._points.reshape(-1, 3)).reshape(self._points.shape[:2])
-        self.plate = self.plates = self._draw_plates()
+        self.plates = self._draw_plates()
 
     def _rays(self, x: Array, y: Array) -> Array:
         """Unit directions (len(y), len(x), 3) of the rays of pixels at columns x and rows y."""

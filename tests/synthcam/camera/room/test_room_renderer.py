@@ -54,7 +54,7 @@ def test_a_black_ball_hides_its_outline(shift, change):
     film.shade.finish = SurfaceFinish((BLACK,), (0.5,), ambient=1.0)
     film.shade._unshadowed_shares = lambda ball, points, centre, soft=0.0: (np.zeros(0, int), np.ones((0, 1)))
     film._bare = np.ones(film._bare.shape)
-    image = one(film, centre)[0].image / film.plate[0]
+    image = one(film, centre)[0].image / film.plates[0]
     missing = 1 - image
     eye = camera.centre - centre
     far = np.linalg.norm(eye)
@@ -125,7 +125,7 @@ def test_the_lamp_shows_in_varnish_and_metal():
 
 def test_shadows_fall_away_from_the_lamp():
     film = RoomRenderer(overhead(), LAMP, [R], look(ambient=0.2), None)
-    image = one(film, [0, 0, R])[0].image / film.plate[0]
+    image = one(film, [0, 0, R])[0].image / film.plates[0]
     x, y = film.camera.project([-1.3 * R * 0.83, -1.3 * R * 0.55, 0.0])
     u, v = film.camera.project([1.5 * R * 0.83, 1.5 * R * 0.55, 0.0])
     assert image[round(y), round(x)] < 0.5
