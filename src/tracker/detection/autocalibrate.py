@@ -20,9 +20,8 @@ def estimate_unknown_settings(camera: Camera, plate: EmptyPlate, frames: Sequenc
     """The camera with black level, read noise, gain and width of the PSF estimated where its file lacks them."""
     sensor = camera.sensor
     encoded = getattr(frames, "lossy", False) and not sensor.codec_noise
-    if not encoded and not {"sensor.bits", "sensor.black_level", "sensor.read_noise", "sensor.gain", "psf.sigma_px"} & {
-        *camera.assumed
-    }:
+    estimated = {"sensor.bits", "sensor.black_level", "sensor.read_noise", "sensor.gain", "psf.sigma_px"}
+    if not encoded and estimated.isdisjoint(camera.assumed):
         return camera
     level = float(np.median(plate.level))
     if "sensor.bits" in camera.assumed:
@@ -51,11 +50,11 @@ def estimate_unknown_settings(camera: Camera, plate: EmptyPlate, frames: Sequenc
     return camera
 
 
-def _bits(container: int, frames: Sequence[Any], searched_frames: int = 400) -> int:
-    """Bits of the converter: the fewest that cameras have and that the brightest pixel fits into."""
+def _bits(container: int, frames: Sequence[Any]) -> int:
+    """Bits of the converter: the fewest that cameras have and that the brightest pixel of 400 frames fits into."""
     if container <= 8:
         return container
-    top = max(int(np.max(frames[k])) for k in range(min(len(frames), searched_frames)))
+    top = max(int(np.max(frames[k])) for k in range(min(len(frames), 400)))
     return next(bits for bits in (8, 10, 12, 14, 16) if top < 2**bits)
 
 
@@ -68,40 +67,17 @@ def _with_read_noise(camera: Camera, sensor: SensorSpec, noise: float, level: fl
     return replace(sensor, read_noise=sensor.gain * math.sqrt(rest))
 
 
-def _cut_bright_glints(
-    camera: Camera,
-    plate: EmptyPlate,
-    frames: Sequence[Any],
-    *,
-    used_frames: int = 40,
-    first_sigma: float = 1.2,
-    min_sigma: float = 20.0,
-    max_blur_px: float = 2.5,
-    short_share: float = 0.3,
-) -> GlintWindows | None:
-    """Windows about clear glints; the blur of each follows from its nearest neighbour one frame before.
-
-    Parameters
-    ----------
-    camera : Camera
-    plate : EmptyPlate
-    frames : sequence of frames
-    used_frames : int
-        Frames in the middle of the clip.
-    first_sigma : float
-        A first width of the glints, px.
-    min_sigma : float
-        Least strength of a candidate, standard deviations of a box sum over the plate.
-    max_blur_px : float
-        Glints that move by more during the exposure are not used.
-    short_share : float
-        Share of the frame time up to which whole-pixel positions give the blur well enough. Of longer exposures only
-        glints at rest are used.
-    """
+def _cut_bright_glints(camera: Camera, plate: EmptyPlate, frames: Sequence[Any]) -> GlintWindows | None:
+    """Windows about clear glints; the blur of each follows from its nearest neighbour one frame before."""
+    used_frames = 40  # in the middle of the clip
+    max_blur_px = 2.5  # glints that move by more during the exposure are not used
+    # Share of the frame time up to which whole-pixel positions give the blur well enough. Of longer exposures only
+    # glints at rest are used.
+    short_share = 0.3
     radius = camera.diameter_px / 2.0 if camera.metric else 8.0
-    search = CandidateSearch(plate, first_sigma, apart=1.6 * radius)
+    search = CandidateSearch(plate, sigma=1.2, apart=1.6 * radius)  # px, a first width of the glints
     half = max(3, min(6, round(0.58 * radius)))
-    least = min_sigma * search.box * plate.noise
+    least = 20.0 * search.box * plate.noise  # 20 standard deviations of a box sum over the plate
     share = camera.exposure * camera.fps if camera.metric else 0.125
     start = max(0, (len(frames) - used_frames) // 2)
     cuts, blurs = [], []
@@ -120,16 +96,14 @@ def _cut_bright_glints(
         before = here
     if not cuts:
         return None
-    counts = np.stack(cuts).astype(np.float64)
-    n = len(counts)
-    nothing = np.zeros((n, 2))
+    counts, nothing = np.stack(cuts).astype(np.float64), np.zeros((len(cuts), 2))
     return GlintWindows(
         counts=counts,
         used=np.ones_like(counts),
         start=nothing,
         blur=np.array(blurs, dtype=np.float64),
         bowl=nothing,
-        secondaries=np.zeros((n, 0, 3)),
+        secondaries=np.zeros((len(cuts), 0, 3)),
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tracker.camera.lens import Array
 from tracker.settings import DetectionSettings
 
+Ints = NDArray[np.int64]
 ROUNDING_NOISE_COUNTS = 0.29  # standard deviation of rounding to whole counts, 1/sqrt(12)
 # Sorting network for the median of nine (Paeth 1990, Graphics Gems): exact, and as fast as the minimum.
 MEDIAN_OF_NINE = (
@@ -25,21 +26,19 @@ MEDIAN_OF_NINE = (
 
 @dataclass(frozen=True, eq=False)
 class EmptyPlate:
-    """The plate without balls.
-
-    Attributes
-    ----------
-    level : ndarray of shape (h, w)
-        Counts, in the type of the frames.
-    noise : float
-        Standard deviation of one pixel in one frame, counts.
-    hot : ndarray of int, shape (k,)
-        Indices into the flattened plate of single bright pixels that are no ball.
-    """
+    """The plate without balls."""
 
     level: NDArray[Any]
+    """Counts (h, w), in the type of the frames."""
     noise: float
-    hot: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    """Standard deviation of one pixel in one frame, counts."""
+    hot: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    """Indices into the flattened plate of single bright pixels that are no ball."""
+
+
+def spread_frames(frames: Sequence[Any], count: int = 9) -> list[int]:
+    """Numbers of `count` frames that are spread over a film; some come twice in a short one."""
+    return [round(k * (len(frames) - 1) / (count - 1)) for k in range(count)]
 
 
 def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
@@ -48,8 +47,7 @@ def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
     The median of the nine contains no moving ball. A ball at rest stays in the median. It is recognised because it is
     brighter than its surroundings, and is replaced by the smooth part of the plate, a median over about 60 px.
     """
-    last = len(frames) - 1
-    sample = [np.array(frames[round(k * last / 8)]) for k in range(9)]
+    sample = [np.array(frames[k]) for k in spread_frames(frames)]
     noise = estimate_noise(sample)
     middle = median_of_nine(sample)
     smooth = _smooth(middle)
@@ -64,13 +62,10 @@ def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
     return EmptyPlate(middle, noise, hot)
 
 
-def _find_hot_pixels(
-    over: NDArray[np.float32], risen: NDArray[np.int64], noise: float, neighbour_share: float = 0.25
-) -> NDArray[np.int64]:
-    """Those of the risen pixels (k,) whose neighbours are too dark for a glint.
-
-    The sharpest glint that optics give, .55 px wide, has at least a quarter of its peak in a neighbouring pixel.
-    """
+def _find_hot_pixels(over: NDArray[np.float32], risen: Ints, noise: float) -> Ints:
+    """Those of the risen pixels (k,) whose neighbours are too dark for a glint."""
+    # The sharpest glint that optics give, .55 px wide, has at least a quarter of its peak in a neighbouring pixel.
+    neighbour_share = 0.25
     h, w = over.shape
     row, column = risen // w, risen % w
     around = [
@@ -90,10 +85,10 @@ def median_of_nine(sheets: list[NDArray[Any]]) -> NDArray[Any]:
     return sheets[4]
 
 
-def _smooth(picture: NDArray[Any], cell_px: int = 12) -> NDArray[np.float32]:
-    """The smooth part of a picture: a median over 5 x 5 cells."""
+def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
+    """The smooth part of a picture: a median over 5 x 5 cells of 12 px."""
     h, w = picture.shape
-    rows, columns = max(h // cell_px, 1), max(w // cell_px, 1)
+    rows, columns = max(h // 12, 1), max(w // 12, 1)
     coarse = cv2.resize(picture.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
     calm = cv2.medianBlur(coarse, 5)
     return np.asarray(cv2.resize(calm, (w, h), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
@@ -108,31 +103,29 @@ def estimate_noise(sample: list[NDArray[Any]]) -> float:
     differences = steps[np.any(steps != 0.0, axis=(1, 2))].ravel()  # a repeated frame shows no noise
     if len(differences) == 0:
         return ROUNDING_NOISE_COUNTS
-    spread = float(np.std(differences))
-    for _ in range(4):  # without the pixels over which a ball moved
-        kept = differences[np.abs(differences) <= 4.0 * spread + 1.0]
-        spread = float(np.std(kept)) if len(kept) else 0.0
-    return max(spread / math.sqrt(2.0), ROUNDING_NOISE_COUNTS)
+    return max(spread_at_rest(differences) / math.sqrt(2.0), ROUNDING_NOISE_COUNTS)
+
+
+def spread_at_rest(change: NDArray[np.float32]) -> float:
+    """Standard deviation of the change of pixels between frames, without those over which a ball moved."""
+    spread = float(np.std(change))
+    for _ in range(4):
+        kept = change[np.abs(change) <= 4.0 * spread + 1.0]
+        spread = float(np.std(kept)) if kept.size else 0.0
+    return spread
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Candidates of one frame, brightest first.
+    """Candidates of one frame, brightest first."""
 
-    Attributes
-    ----------
-    column, row : ndarray of int, shape (n,)
-        Their pixels.
-    strength : ndarray of shape (n,)
-        Sum of the counts above the plate in a box about the pixel.
-    crowded : bool
-        So many pixels are bright that the frame does not show a few balls; then there are no candidates.
-    """
-
-    column: NDArray[np.int64]
-    row: NDArray[np.int64]
+    column: Ints
+    """Their pixels (n,), as `row`."""
+    row: Ints
     strength: Array
+    """Sums (n,) of the counts above the plate in a box about the pixel."""
     crowded: bool = False
+    """So many pixels are bright that the frame does not show a few balls; then there are no candidates."""
 
     @staticmethod
     def none(crowded: bool = False) -> Candidates:
@@ -143,14 +136,7 @@ class Candidates:
 class CandidateSearch:
     """Finds the local maxima of a box sum over the plate.
 
-    Parameters
-    ----------
-    plate : EmptyPlate
-    sigma : float
-        Gaussian width of a glint, px.
-    apart : float
-        Least distance of two candidates, px: each is the strongest within it.
-    settings : DetectionSettings
+    `sigma` is the Gaussian width of a glint, px. Each candidate is the strongest within the distance `apart`, px.
     """
 
     def __init__(
@@ -195,14 +181,14 @@ class CandidateSearch:
         rows, columns = np.divmod(hits, frame.shape[1])
         return self._strongest(columns, rows, self.sums.ravel()[hits].astype(np.float64))
 
-    def _over(self, frame: NDArray[Any], floor: NDArray[Any]) -> NDArray[np.int64]:
+    def _over(self, frame: NDArray[Any], floor: NDArray[Any]) -> Ints:
         """Indices (k,) of the pixels whose box sum above `floor` exceeds the threshold; `sums` holds the sums."""
         lifted = cv2.subtract(frame, floor, dst=self.lifted)
         box, edge = (self.box, self.box), cv2.BORDER_REFLECT
         sums = cv2.boxFilter(lifted, self.depth, box, dst=self.sums, normalize=False, borderType=edge)
         return np.flatnonzero(np.greater(sums, self.threshold, out=self.over).ravel())
 
-    def _strongest(self, columns: NDArray[np.int64], rows: NDArray[np.int64], values: Array) -> Candidates:
+    def _strongest(self, columns: Ints, rows: Ints, values: Array) -> Candidates:
         left = values.copy()
         chosen: list[int] = []
         while len(chosen) < self.most:

@@ -17,43 +17,19 @@ Box = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class ContrastRegion:
-    """A connected region of about one contrast, with its moments.
+    """A connected region of about one contrast, with its moments."""
 
-    Attributes
-    ----------
-    mask : ndarray of uint8
-        The region with its holes filled, and a rim of one pixel.
-    left, top : int
-        Where the mask lies in the picture, px.
-    area : float
-        px^2.
-    middle : ndarray of shape (2,)
-        Centroid; of a ball lit from one side the middle of the smallest circle around it, px.
-    minor : float
-        Short half axis, px; of a ball lit from one side, whose far side is dark, the long one.
-    fullness : float
-        Area over that of the ellipse with the same moments.
-    blur : ndarray of shape (2,)
-        The displacement during the exposure that gives a disc this shape, px.
-    contrast : float
-        Median difference from the background, counts.
-    sign : int
-        1 brighter than the background, -1 darker, 0 either.
-    lean : ndarray of shape (2,)
-        Relative change of its contrast over a radius: the direction from which it is lit.
-    """
-
-    mask: NDArray[np.uint8]
-    left: int
+    mask: NDArray[np.uint8]  # the region with its holes filled, and a rim of one pixel
+    left: int  # where the mask lies in the picture, px
     top: int
-    area: float
-    middle: Array
-    minor: float
-    fullness: float
-    blur: Array
-    contrast: float
-    sign: int
-    lean: Array
+    area: float  # px^2
+    middle: Array  # (2,): centroid, px; of a ball lit from one side that of the smallest circle around it
+    minor: float  # short half axis, px; of a ball lit from one side, whose far side is dark, the long one
+    fullness: float  # area over that of the ellipse with the same moments
+    blur: Array  # (2,): the displacement during the exposure that gives a disc this shape, px
+    contrast: float  # median difference from the background, counts
+    sign: int  # 1 brighter than the background, -1 darker, 0 either
+    lean: Array  # (2,): relative change of its contrast over a radius, the direction from which it is lit
 
     @property
     def radius(self) -> float:
@@ -63,18 +39,11 @@ class ContrastRegion:
             return self.minor
         return float((np.sqrt(long**2 + np.pi * self.area) - long) / np.pi)
 
-    def is_disc(
-        self,
-        radius: float,
-        tolerance: float = 0.25,
-        *,
-        min_fullness: float = 0.9,
-        max_blur_radii: float = 2.2,
-    ) -> bool:
+    def is_disc(self, radius: float, tolerance: float) -> bool:
         """True if it has the shape of one disc of this radius (px, relative tolerance) that moved a little."""
         long = float(np.hypot(*self.blur))
         sized = abs(self.minor - radius) < tolerance * radius and abs(self.radius - radius) < tolerance * radius
-        return sized and self.fullness > min_fullness and long < max_blur_radii * radius
+        return sized and self.fullness > 0.9 and long < 2.2 * radius
 
     def fill(self, picture: NDArray[np.uint8]) -> None:
         """Set the region's pixels in a picture (h, w) to 1."""
@@ -99,10 +68,8 @@ def split_region(
     sign : int
         1 takes only what is brighter than the background, -1 what is darker, 0 both. A brighter part may have a quarter
         of the contrast at its rim: it may be a ball that is lit from one side.
-    low : float
-        Least contrast, counts.
-    min_radius : float
-        Smaller parts are left out, px.
+    low, min_radius : float
+        Least contrast, counts, and least radius, px, of a part.
     """
     max_lean_ratio = 1.4  # long half axis over short one of a ball whose dark side does not show
     min_blur_share = 0.8  # of the long axis' standard deviation; a shorter blur is an effect of the pixels

@@ -9,6 +9,7 @@ import pkgutil
 from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from importlib.metadata import entry_points
+from types import ModuleType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -47,14 +48,17 @@ def list_detectors() -> dict[str, DetectorClass]:
 
 def _load_file(name: str) -> DetectorClass:
     module = importlib.import_module(f"{detector_files.__name__}.{name}")
-    own: list[Any] = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
-    classes = [c for c in own if {"__call__", "detect"} & set(vars(c))]
+    classes = [c for c in _own_classes(module) if {"__call__", "detect"} & set(vars(c))]
     if len(classes) != 1:
         raise PluginError(
             f"{module.__file__}: expected one class with __call__(frame) or detect(frames), found {len(classes)}"
         )
     found: DetectorClass = classes[0]
     return found
+
+
+def _own_classes(module: ModuleType) -> list[Any]:
+    return [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
 
 
 def load_detector(name: DetectorChoice) -> DetectorClass:
@@ -84,8 +88,7 @@ def load_linker(name: DetectorChoice, camera: Camera, settings: LinkSettings | N
     if wanted not in there:
         raise InputError(f"--detector: no linker {wanted!r} behind +, expected one of {', '.join(there)}")
     module = importlib.import_module(f"{linker_files.__name__}.{wanted}")
-    made: list[Any] = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
-    linker: Linker = made[0](camera, settings or LinkSettings())
+    linker: Linker = _own_classes(module)[0](camera, settings or LinkSettings())
     return linker
 
 
@@ -117,23 +120,9 @@ def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracker
 
 
 def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detections:
-    """Detect the balls of all frames of a clip.
+    """Detect the balls of all frames of a clip, in the order of frames.
 
-    Parameters
-    ----------
-    clip : Recording
-    view : View
-    name : str or class
-
-    Returns
-    -------
-    Detections
-        In the order of frames.
-
-    Raises
-    ------
-    InputError
-        Where the detector returns anything but `Glints` of finite numbers and of consistent shapes.
+    Raises InputError where the detector returns anything but `Glints` of finite numbers and of consistent shapes.
     """
     return run_detector(load_detector(name)(view), enumerate(clip.frames), detector_name(name))
 
@@ -146,7 +135,7 @@ def run_detector(detector: AnyDetector, frames: Iterable[tuple[int, NDArray[Any]
             raise InputError(f"detector {name}: returned {type(found).__name__}, expected Detections")
         _check_glints(found.glints, f"detector {name}")
         return found
-    parts = []
+    parts = [Glints.none()]
     for number, frame in frames:
         glints = _check_glints(detector(frame), f"detector {name}, frame {number}")
         parts.append(replace(glints, frame=np.full(len(glints), number, dtype=np.int64)))
@@ -158,21 +147,8 @@ def detect_until_blur_converges(clip: Recording, view: View, name: DetectorChoic
 
     The exposure is taken from the blur where the two differ by more than ``blur_sigma`` standard errors and by more
     than ``min_blur_change`` (see `DetectionSettings`). Detection is repeated with each new exposure until the blur
-    agrees with it. If that does not converge, the camera file's exposure holds.
-
-    Parameters
-    ----------
-    clip : Recording
-    view : View
-    name : str or class
-        The detector.
-
-    Returns
-    -------
-    Detections
-        In the order of frames.
-    View
-        With ``camera.exposure_from_blur`` where the exposure was taken from the blur; otherwise as given.
+    agrees with it. If that does not converge, the camera file's exposure holds. The second result is the view, with
+    ``camera.exposure_from_blur`` where the exposure was taken from the blur.
     """
     settings = view.settings.detection
     first = detect(clip, view, name)

@@ -32,27 +32,18 @@ Point: TypeAlias = Literal["glint", "centre"]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The knowledge of a detector about a clip. It contains no truth.
-
-    Attributes
-    ----------
-    camera : Camera
-        The camera file; for a detector of glints, what the file left open is estimated from the clip.
-    plate : EmptyPlate
-        The picture without balls: ``level`` (h, w) counts, ``noise`` counts a pixel a frame, ``hot`` pixels.
-    frames : sequence of (h, w) arrays
-        All frames, grey, uint8 or uint16; each is read when it is indexed.
-    takes : Takes or None
-        For a detector of centres: the takes of the film, repeated frames, and the noise of a pixel.
-    settings : TrackerSettings
-        The user's settings; detectors use ``settings.detection``.
-    """
+    """The knowledge of a detector about a clip. It contains no truth."""
 
     camera: Camera
+    """The camera file; for a detector of glints, what the file left open is estimated from the clip."""
     plate: EmptyPlate
+    """The picture without balls: ``level`` (h, w) counts, ``noise`` counts a pixel a frame, ``hot`` pixels."""
     frames: Sequence[Any] = ()
+    """All frames, grey (h, w), uint8 or uint16; each is read when it is indexed."""
     takes: Takes | None = None
+    """For a detector of centres: the takes of the film, repeated frames, and the noise of a pixel."""
     settings: TrackerSettings = field(default_factory=TrackerSettings)
+    """The user's settings; detectors use ``settings.detection``."""
 
     @property
     def sigma(self) -> float:
@@ -72,24 +63,16 @@ class OutlineRadius:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """The result of a detector for a clip.
-
-    Attributes
-    ----------
-    glints : Glints
-        Of all frames; ``frame`` holds their numbers.
-    notes : tuple of str
-        What a user has to know: a sentence each.
-    blur : MotionBlurEvidence or None
-        What the glints show of the exposure; None where the detector does not measure their motion blur.
-    outline_radius : OutlineRadius or None
-        Of balls that are seen whole.
-    """
+    """The result of a detector for a clip."""
 
     glints: Glints
+    """Of all frames; ``frame`` holds their numbers."""
     notes: tuple[str, ...] = ()
+    """Sentences for the user."""
     blur: MotionBlurEvidence | None = None
+    """What the glints show of the exposure; None where the detector does not measure their motion blur."""
     outline_radius: OutlineRadius | None = None
+    """Of balls that are seen whole."""
 
 
 @runtime_checkable

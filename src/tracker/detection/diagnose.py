@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tracker.detection.candidates import CandidateSearch
+from tracker.detection.candidates import CandidateSearch, spread_frames
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks
@@ -21,7 +21,7 @@ def explain_no_glints(frames: Sequence[Any], view: View, glints: Glints) -> str:
     still = np.array_equal(frames[0], frames[-1])
     if len(glints) >= MIN_DETECTIONS and not still:
         return ""
-    sample = [np.array(frames[k]) for k in _nine(frames)]
+    sample = [np.array(frames[k]) for k in spread_frames(frames)]
     level, noise = view.plate.level, view.plate.noise
     if np.mean([np.mean(s >= view.camera.sensor.ceiling) for s in sample]) > 0.5:  # of the pixels
         return "overexposed: most of the picture is at the sensor's limit"
@@ -43,7 +43,7 @@ def explain_no_glints(frames: Sequence[Any], view: View, glints: Glints) -> str:
 
 def explain_no_discs(frames: Sequence[Any], view: View) -> str:
     """The reason in one line why a film shows no disc that moves on a still background."""
-    sample = [np.asarray(frames[k]).astype(np.float32) for k in _nine(frames)]
+    sample = [np.asarray(frames[k]).astype(np.float32) for k in spread_frames(frames)]
     if all(np.array_equal(s, sample[0]) for s in sample):
         return "nothing moves: all frames are the same picture"
     level = np.median(np.array(sample), axis=0).astype(np.float32)
@@ -68,40 +68,19 @@ def explain_no_discs(frames: Sequence[Any], view: View) -> str:
     return "nothing round moves on a still background"
 
 
-def _nine(frames: Sequence[Any]) -> list[int]:
-    """Nine frames spread over a clip."""
-    return [round(k * (len(frames) - 1) / 8) for k in range(9)]
-
-
-def warn_of_loose_ends(
-    tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]], *, rim_share: float = 0.06
-) -> tuple[str, ...]:
+def warn_of_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]]) -> tuple[str, ...]:
     """Warn where most tracks begin or end inside the picture and inside a take, which balls do not do.
 
     Ends at the picture's rim count as well if their track stays there: what flickers in one position does not come in
-    from outside.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    size : tuple of int
-        Width and height of the picture, px.
-    spans : sequence of (int, int)
-        First and last frame of each take.
-    rim_share : float
-        Width of the rim, as a share of the picture's longer side.
-
-    Returns
-    -------
-    tuple of str
-        The warning, or nothing.
+    from outside. `size` is the width and height of the picture, px; `spans` are the first and last frames of the takes.
     """
     rows = [np.flatnonzero(tracks.particle == one) for one in np.unique(tracks.particle)]
     ends = np.array([r[[tracks.frame[r].argmin(), tracks.frame[r].argmax()]] for r in rows], dtype=int).ravel()
     x, y, frame = tracks.x[ends], tracks.y[ends], tracks.frame[ends]
     travel = np.array([max(np.ptp(tracks.x[r]), np.ptp(tracks.y[r])) for r in rows])
-    rim = np.minimum.reduce([x, y, size[0] - 1 - x, size[1] - 1 - y]) < rim_share * max(size)
-    rim &= np.repeat(travel, 2) > rim_share * max(size)
+    rim_px = 0.06 * max(size)
+    rim = np.minimum.reduce([x, y, size[0] - 1 - x, size[1] - 1 - y]) < rim_px
+    rim &= np.repeat(travel, 2) > rim_px
     cut = np.abs(frame[:, None] - np.array(spans).ravel()).min(axis=1) <= 2  # frames
     loose = ~(rim | cut)
     if loose.sum() < max(4, 0.5 * len(ends)):

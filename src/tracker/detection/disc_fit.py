@@ -21,47 +21,23 @@ Picture = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class DiscFit:
-    """A fitted disc.
+    """A fitted disc."""
 
-    Attributes
-    ----------
-    position : ndarray of shape (2,)
-        px.
-    cov, fixed : ndarray of shape (2, 2)
-        Covariance, px^2, and the part of it that is the same in every frame of a ball at rest.
-    radius : float
-        px.
-    spread : float
-        Rms of the residuals, counts.
-    """
-
-    position: Array
-    cov: Array
-    fixed: Array
-    radius: float
-    spread: float
+    position: Array  # (2,): px
+    cov: Array  # (2, 2): px^2
+    fixed: Array  # (2, 2): the part of the covariance that is the same in every frame of a ball at rest
+    radius: float  # px
+    spread: float  # rms of the residuals, counts
 
 
 @dataclass(frozen=True)
 class DiscAppearance:
-    """Properties that the balls of a film have in common.
+    """Properties that the balls of a film have in common."""
 
-    Attributes
-    ----------
-    radius : float
-        px.
-    noise : float
-        Standard deviation of one pixel in one frame, counts.
-    shaded : bool
-        One side is brighter, and balls cast shadows.
-    radius_std : float
-        Standard deviation by which radii differ, px; 0 where the radius is free in each frame.
-    """
-
-    radius: float
-    noise: float
-    shaded: bool = False
-    radius_std: float = 0.0
+    radius: float  # px
+    noise: float  # standard deviation of one pixel in one frame, counts
+    shaded: bool = False  # one side is brighter, and balls cast shadows
+    radius_std: float = 0.0  # standard deviation by which radii differ, px; 0 where each frame has its own
 
 
 def fit_disc(
@@ -77,34 +53,25 @@ def fit_disc(
     Pixels have Huber's weights; errors follow from the residuals. A shaded ball has the brightness of a matte sphere
     under one lamp and uniform light. The ground around it has the brightness of this frame, its shadow included.
 
-    Parameters
-    ----------
-    frame : (h, w) array
-    ground : Background
-    start : (2,) array
-        First position, px.
-    look : Look
-    blur : (2,) array
-        Displacement during the exposure, px. It is fitted if it is long enough to show (`MIN_BLUR_PX`).
-    others : list of (x, y)
-        Positions of balls that touch this one in the picture, px.
-
-    Returns
-    -------
-    Found or None
-        None where there is no disc.
+    The fit starts from the position `start` (2,), px. The displacement `blur` (2,), px, is fitted if it is long enough
+    to show (`MIN_BLUR_PX`); `others` are the positions, px, of balls that touch this one in the picture. The result is
+    None where there is no disc.
     """
+
+    def fit_from(at: Array) -> DiscFit | None:
+        return _fit_from(at, _pixels(frame, ground, at, look, blur, others), ground, look, blur)
+
     if not look.shaded:
-        return _fit_from(frame, ground, start, look, blur, others)
+        return fit_from(start)
     # The first position is that of the bright part. The fit starts there and at two points further from the lamp.
     starts = [start - share * look.radius * _lit_side(frame, start, look.radius) for share in (0.0, 0.2, 0.4)]
-    tried = [f for f in (_fit_from(frame, ground, at, look, blur, others) for at in starts) if f is not None]
+    tried = [f for f in map(fit_from, starts) if f is not None]
     best = min(tried, key=lambda f: f.spread, default=None)
     for _ in range(3):
         if best is None or np.hypot(*(best.position - start)) > _max_shift(look):
             return None
         at = best.position
-        best = _fit_from(frame, ground, at, look, blur, others)
+        best = fit_from(at)
         if best is not None and np.hypot(*(best.position - at)) < 0.3:  # px
             break
     return best
@@ -117,37 +84,25 @@ def _max_shift(look: DiscAppearance) -> float:
 
 def _lit_side(frame: Picture, at: Array, radius: float) -> Array:
     """The direction (2,) in which a disc becomes brighter; zero where none of it is in the picture."""
-    rows, columns = np.mgrid[_about(at, radius / 2, frame.shape)]
+    (column, row), reach = np.round(at).astype(int), int(radius / 2) + 1
+    rows, columns = np.mgrid[
+        max(row - reach, 0) : min(row + reach + 1, frame.shape[0]),
+        max(column - reach, 0) : min(column + reach + 1, frame.shape[1]),
+    ]
     dx, dy = columns - at[0], rows - at[1]
     inside = np.hypot(dx, dy) < radius / 2
     light = frame[rows[inside], columns[inside]]
     if len(light) == 0:
         return np.zeros(2)
-    slope = np.array([np.mean(dx[inside] * (light - light.mean())), np.mean(dy[inside] * (light - light.mean()))])
+    slope = np.array([np.mean(away[inside] * (light - light.mean())) for away in (dx, dy)])
     return slope / max(float(np.hypot(*slope)), 1e-9)
 
 
-def _about(at: Array, reach: float, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Rows and columns of a picture about a position."""
-    (column, row), far = np.round(at).astype(int), int(reach) + 1
-    return slice(max(row - far, 0), min(row + far + 1, shape[0])), slice(
-        max(column - far, 0), min(column + far + 1, shape[1])
-    )
-
-
 def _fit_from(
-    frame: Picture,
-    ground: StillBackground,
-    start: Array,
-    look: DiscAppearance,
-    blur: Array,
-    others: list[tuple[float, float]],
+    start: Array, pixels: tuple[Array, ...], ground: StillBackground, look: DiscAppearance, blur: Array
 ) -> DiscFit | None:
-    """One fit, from ``start``.
-
-    Fitted are x, y, radius, width of the edge, the blur where it is long enough, and the terms of the brightness.
-    """
-    x, y, light, level, doubt = _pixels(frame, ground, start, look, blur, others)
+    """Fit x, y, radius, width of the edge, the blur where it is long enough, and the terms of the brightness."""
+    x, y, light, level, doubt = pixels
     long = float(np.hypot(*blur))
     if len(x) < 16:
         return None
@@ -185,32 +140,31 @@ def _fit_from(
         return None
     inverse = np.linalg.inv(normal)
     usual = min(look.noise**2, spread**2)
-    lever = _pool_unknown_cells(inverse @ (slopes * weight * doubt * (1 - cover)), x, y, ground)
+    # errors of a ground that was never seen are common to cells of its texture
+    lever = _add_up(inverse @ (slopes * weight * doubt * (1 - cover)), _texture_cells(x, y, ground))
     fixed = inverse * (spread**2 - usual) + lever @ lever.T
     if look.shaded:  # errors of the model are common to sectors of the outline
         sectors = 16
         sector = (np.arctan2(y - now[1], x - now[0]) // (2 * np.pi / sectors)).astype(int) + sectors
-        pulls = np.stack([np.bincount(sector, line) for line in inverse @ (slopes * weight * left)])
+        pulls = _add_up(inverse @ (slopes * weight * left), sector)
         fixed = pulls @ pulls.T + lever @ lever.T
         fixed[:2, :2] += (SHADED_POSITION_ERROR_RADII * look.radius) ** 2 * np.eye(2)
-    return DiscFit(
-        position=now[:2],
-        cov=(inverse * usual + fixed)[:2, :2],
-        fixed=fixed[:2, :2],
-        radius=float(now[2]),
-        spread=spread,
-    )
+    cov = inverse * usual + fixed
+    return DiscFit(position=now[:2], cov=cov[:2, :2], fixed=fixed[:2, :2], radius=float(now[2]), spread=spread)
 
 
-def _pool_unknown_cells(
-    lever: NDArray[np.float64], x: Array, y: Array, ground: StillBackground, cell_px: int = 4
-) -> NDArray[np.float64]:
-    """Effects (parameters, n) of pixels' errors, pooled over cells of the ground's texture where it was never seen."""
+def _add_up(effects: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Effects (parameters, n) of the pixels' errors, added up over groups of pixels (n,)."""
+    return np.stack([np.bincount(group, line) for line in effects])
+
+
+def _texture_cells(x: Array, y: Array, ground: StillBackground) -> NDArray[np.int64]:
+    """The cell of 4 x 4 px of each pixel (n,) where the ground was never seen; elsewhere a pixel is its own."""
     column, row = x.astype(int), y.astype(int)
-    own = np.arange(len(x)) + (row.max() + 1) * (column.max() + 1)
-    cell = np.where(ground.known[row, column], own, row // cell_px * (column.max() + 1) + column // cell_px)
-    cells = np.unique(cell, return_inverse=True)[1]
-    return np.stack([np.bincount(cells, line) for line in lever])
+    width = column.max() + 1
+    own = np.arange(len(x)) + (row.max() + 1) * width
+    cell = np.where(ground.known[row, column], own, row // 4 * width + column // 4)
+    return np.unique(cell, return_inverse=True)[1]
 
 
 def _brightness_terms(dx: Array, dy: Array, look: DiscAppearance) -> NDArray[np.float64]:

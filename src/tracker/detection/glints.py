@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from enum import IntFlag
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,25 @@ class PositionFlag(IntFlag):
 
 
 @dataclass(frozen=True, eq=False)
-class Glints:
+class RowArrays:
+    """Base of a table whose columns are arrays of equal length."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))
+
+    def take(self, rows: Any) -> Self:
+        """The rows that indices or a mask select."""
+        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    @classmethod
+    def join(cls, parts: Iterable[Self]) -> Self:
+        """The rows of all parts, of which there must be one at least, in their order."""
+        kept = list(parts)
+        return replace(kept[0], **{f.name: np.concatenate([getattr(p, f.name) for p in kept]) for f in fields(cls)})
+
+
+@dataclass(frozen=True, eq=False)
+class Glints(RowArrays):
     """Detections of balls in one or more frames.
 
     The positions are those of glints, or of the centres of outlines where the detector's ``point`` is "centre".
@@ -76,24 +94,15 @@ class Glints:
         if len(self.fixed) == 0:
             object.__setattr__(self, "fixed", np.zeros_like(self.cov))
 
-    def __len__(self) -> int:
-        return len(self.frame)
-
     @property
     def xy(self) -> Array:
         """Positions (n, 2), px."""
         return np.stack([self.x, self.y], axis=1)
 
-    def take(self, rows: Any) -> Glints:
-        """The detections of ``rows``: indices or a mask."""
-        return Glints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
-    def put(self, rows: Any, part: Glints) -> Glints:
-        """A copy in which ``part`` replaces the detections of ``rows``."""
-        changed = {name: getattr(self, name).copy() for name in self.__dataclass_fields__}
-        for name, values in changed.items():
-            values[rows] = getattr(part, name)
-        return Glints(**changed)
+    def put(self, rows: Any, part: Glints) -> None:
+        """Replace the detections of ``rows`` by ``part``."""
+        for column in fields(self):
+            getattr(self, column.name)[rows] = getattr(part, column.name)
 
     @staticmethod
     def none() -> Glints:
@@ -123,13 +132,6 @@ class Glints:
         cov = np.square(columns[2])[:, None, None] * np.eye(2)
         flags = np.array(np.broadcast_to(np.where(full, PositionFlag.CLIPPED, 0), (n,)), np.int64)
         return Glints(np.zeros(n, np.int64), columns[0], columns[1], cov, columns[3], np.zeros(n), flags)
-
-    @staticmethod
-    def join(parts: Iterable[Glints]) -> Glints:
-        """The detections of all parts, in their order."""
-        kept = list(parts) or [Glints.none()]
-        names = Glints.__dataclass_fields__
-        return Glints(*(np.concatenate([getattr(p, name) for p in kept]) for name in names))
 
 
 def describe_flags(flags: NDArray[np.int64], always: Sequence[str] = ()) -> NDArray[np.str_]:

@@ -97,7 +97,7 @@ def link(
     linker: Callable[[Glints], Ints] | None = None,
     settings: LinkSettings | None = None,
 ) -> Tracks:
-    """Join the detections of a clip into tracks of ball centres.
+    """Join the detections of a clip into tracks of ball centres, without those that belong to no track.
 
     Parameters
     ----------
@@ -112,18 +112,17 @@ def link(
     linker : callable, optional
         Another program in place of `assign`: glints -> particles.
     settings : LinkSettings, optional
-
-    Returns
-    -------
-    Tracks
-        Without the detections that belong to no track.
     """
     settings = settings or LinkSettings()
     diameter = 2 * float(np.sqrt(np.median(glints.flux) / np.pi)) if point == "centre" and len(glints) else None
     if linker is not None:
         ids = linker(glints)
     elif len(takes) > 1:
-        ids = _assign_by_take(glints, camera, diameter, takes, settings)
+        ids = np.full(len(glints), -1, dtype=np.int64)
+        for first, last in takes:  # particles are numbered on through all takes
+            rows = np.flatnonzero((glints.frame >= first) & (glints.frame <= last))
+            own = assign(glints.take(rows), camera, diameter, settings)
+            ids[rows] = np.where(own >= 0, own + ids.max(initial=-1) + 1, -1)
     else:
         ids = assign(glints, camera, diameter, settings)
     kept = np.flatnonzero(ids >= 0)
@@ -149,33 +148,11 @@ def link(
     )
 
 
-def _assign_by_take(
-    glints: Glints, camera: Camera, diameter: float | None, takes: Sequence[tuple[int, int]], settings: LinkSettings
-) -> Ints:
-    """`assign` for each take separately; particles are numbered on through all takes."""
-    ids = np.full(len(glints), -1, dtype=np.int64)
-    for first, last in takes:
-        rows = np.flatnonzero((glints.frame >= first) & (glints.frame <= last))
-        own = assign(glints.take(rows), camera, diameter, settings)
-        ids[rows] = np.where(own >= 0, own + ids.max(initial=-1) + 1, -1)
-    return ids
-
-
 def assign(glints: Glints, camera: Camera, diameter: float | None = None, settings: LinkSettings | None = None) -> Ints:
-    """Number the particle that each detection belongs to.
+    """Number the particle (n,) that each detection belongs to.
 
-    Parameters
-    ----------
-    glints : Glints
-    camera : Camera
-    diameter : float, optional
-        Diameter of balls that are seen whole, px; without it the detections are glints.
-    settings : LinkSettings, optional
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        From 0 by first appearance, then by position; -1 for detections of no track.
+    Particles count from 0 by first appearance, then by position; -1 stands for detections of no track. `diameter` is
+    that of balls that are seen whole, px; without it the detections are glints.
     """
     settings = settings or LinkSettings()
     ids = np.full(len(glints), -1, dtype=np.int64)
@@ -189,22 +166,10 @@ def assign(glints: Glints, camera: Camera, diameter: float | None = None, settin
 
 
 def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
-    """Velocities of detections from differences within their tracks.
+    """Velocities (n, 2), px per frame, of detections from differences within their tracks; 0 in a track of one.
 
-    Next to a collision the differences before and after disagree. The result is then that of the side which agrees with
-    the step beyond it.
-
-    Parameters
-    ----------
-    frame, ids : ndarray of int, shape (n,)
-        Frame and particle of each detection.
-    xy : ndarray of shape (n, 2)
-        Positions, px.
-
-    Returns
-    -------
-    ndarray of shape (n, 2)
-        px per frame; 0 for a track of one detection.
+    Takes frame and particle of each detection (n,), and their positions (n, 2), px. Next to a collision the differences
+    before and after disagree. The result is then that of the side which agrees with the step beyond it.
     """
     out = np.zeros_like(xy)
     for number in np.unique(ids[ids >= 0]):
@@ -216,11 +181,12 @@ def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
         before, after = np.vstack([steps[:1], steps]), np.vstack([steps, steps[-1:]])
         far_before = np.vstack([steps[:1], steps[:1], steps[:-1]])[: len(rows)]
         far_after = np.vstack([steps[1:], steps[-1:], steps[-1:]])[: len(rows)]
-        rough_before = np.sum((before - far_before) ** 2, axis=1, keepdims=True)
-        rough_after = np.sum((after - far_after) ** 2, axis=1, keepdims=True)
-        kink = np.sum((before - after) ** 2, axis=1, keepdims=True) > 1.0
+        rough_before, rough_after, kink = (
+            np.sum(difference**2, axis=1, keepdims=True)
+            for difference in (before - far_before, after - far_after, before - after)
+        )
         one_sided = np.where(rough_before <= rough_after, before, after)
-        out[rows] = np.where(kink, one_sided, (before + after) / 2.0)
+        out[rows] = np.where(kink > 1.0, one_sided, (before + after) / 2.0)
     return out
 
 
@@ -242,7 +208,8 @@ def _follow(
         live = [b for b in live if k - b.frame <= kept_for]
         _predict(live, k, diameter, settings)
         found = rows.tolist()
-        pairs = _match(live, found, x, y, k, (reach, 0.6 * diameter, tolerance))
+        gates = [_gate(b, k, reach, 0.6 * diameter, tolerance) ** 2 for b in live]
+        pairs = _match(live, found, x, y, gates)
         for ball, row in pairs:
             _extend(ball, row, k, x[row], y[row])
         taken, seen = {row for _, row in pairs}, {id(ball) for ball, _ in pairs}
@@ -293,18 +260,12 @@ def _bounce(one: _OpenTrack, two: _OpenTrack, frame: int, diameter: float, setti
 
 
 def _match(
-    live: list[_OpenTrack],
-    found: list[int],
-    x: list[float],
-    y: list[float],
-    frame: int,
-    gate: tuple[float, float, float],
+    live: list[_OpenTrack], found: list[int], x: list[float], y: list[float], gates: list[float]
 ) -> list[tuple[_OpenTrack, int]]:
-    """Pairs of ball and detection of least summed squared distance, none further apart than its gate."""
+    """Pairs of ball and detection of least summed squared distance, none further apart than its gate, px^2."""
     if not live or not found:
         return []
     cost = [[(b.ahead[0] - x[r]) ** 2 + (b.ahead[1] - y[r]) ** 2 for r in found] for b in live]
-    gates = [_gate(b, frame, *gate) ** 2 for b in live]
     if len(live) == len(found) == 1:
         chosen = [(0, 0)]
     else:
@@ -349,5 +310,4 @@ def _keep_ball_tracks(
         whole = len(ball.rows) >= settings.min_track_frames or 0.4 * typical < flux < 2.5 * typical
         if flux >= settings.min_relative_flux * brightest and whole and len(ball.rows) >= min_frames:
             kept.append(ball)
-    first = [(int(glints.frame[b.rows[0]]), glints.x[b.rows[0]], glints.y[b.rows[0]]) for b in kept]
-    return [kept[i] for i in sorted(range(len(kept)), key=first.__getitem__)]
+    return sorted(kept, key=lambda b: (glints.frame[b.rows[0]], glints.x[b.rows[0]], glints.y[b.rows[0]]))

@@ -23,19 +23,10 @@ class MotionBlurEvidence:
         self.score.append(score[kept])
         self.information.append(information[kept])
 
-    def estimate_length(
-        self, max_deviation: float = 8.0, step_limits: tuple[float, float] = (0.4, 2.5)
-    ) -> tuple[float, float, float]:
+    def estimate_length(self) -> tuple[float, float, float]:
         """Estimate how much longer the blur is than it was assumed to be.
 
         The estimate is one Newton step in the square of the length, to which a glint's second moment is proportional.
-
-        Parameters
-        ----------
-        max_deviation : float
-            Most standard deviations with which one glint enters the significance, so that a few misfits cannot decide.
-        step_limits : tuple of float
-            Least and greatest factor of one step.
 
         Returns
         -------
@@ -53,9 +44,9 @@ class MotionBlurEvidence:
         whole = float(information.sum())
         step = float(score.sum()) / whole
         scatter = float(np.sum((score - step * information) ** 2))
-        most = max_deviation * np.sqrt(information)
+        most = 8.0 * np.sqrt(information)  # so that a few misfits cannot decide the significance
         clipped = np.clip(score, -most, most)
         noise = max(whole, min(scatter, len(clipped) * float(clipped.var())))
-        low, high = step_limits
+        low, high = 0.4, 2.5  # of one step
         factor = math.sqrt(min(max(1.0 + 2.0 * step, low**2), high**2))
         return factor, math.sqrt(max(whole, scatter)) / whole, abs(float(clipped.sum())) / math.sqrt(noise)

@@ -14,16 +14,7 @@ Picture = NDArray[np.floating[Any]]
 
 
 def fit_outline_circle(
-    frame: Picture,
-    level: Array,
-    at: tuple[float, float],
-    radius: float,
-    others: list[tuple[float, float]],
-    low: float,
-    *,
-    rays: int = 72,
-    step: float = 0.25,
-    max_scatter: float = 0.1,
+    frame: Picture, level: Array, at: tuple[float, float], radius: float, others: list[tuple[float, float]], low: float
 ) -> Array | None:
     """Fit a circle to the outline, which is where rays from the middle cross half the contrast.
 
@@ -39,18 +30,13 @@ def fit_outline_circle(
         Positions of balls that touch this one, px.
     low : float
         Least contrast, counts.
-    rays : int
-        Number of rays.
-    step : float
-        Distance of the points along a ray, px.
-    max_scatter : float
-        Greatest scatter of the outline about the circle, in radii. An outline that scatters more is no ball's.
 
     Returns
     -------
     ndarray of shape (2,) or None
         The centre, px. None where less than .55 of the outline is visible, or .3 where other balls touch.
     """
+    rays, step = 72, 0.25  # number of rays; distance of the points along a ray, px
     h, w = frame.shape
     angles = 2 * np.pi * np.arange(rays) / rays
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -73,7 +59,7 @@ def fit_outline_circle(
         if edge.sum() < (0.3 if others else 0.55) * rays:
             return None
         middle, scatter = _circle(tips[edge], middle, radius)
-    return middle if scatter < max_scatter * radius else None
+    return middle if scatter < 0.1 * radius else None  # an outline that scatters more is no ball's
 
 
 def _at(picture: Picture, points: Array) -> Array:

@@ -20,38 +20,17 @@ def measure_ground_light(
     at: Array,
     radius: float,
     others: list[tuple[float, float]],
-    *,
-    ring_px: tuple[float, float] = (1.5, 4.5),
-    arc_px: float = 2.5,
-    min_sigma: float = 4.0,
 ) -> Callable[[Array, Array], tuple[Array, Array]]:
     """Measure, by direction from a ball, the brightness of the ground relative to the still background.
 
-    Parameters
-    ----------
-    frame : (h, w) array
-    ground : Background
-    at : (2,) array
-        Centre of the ball, px.
-    radius : float
-        px.
-    others : list of (x, y)
-        Positions of balls that touch this one, px.
-    ring_px : tuple of float
-        Least and greatest distance of the ground from the outline.
-    arc_px : float
-        Length along the outline over which the brightness is averaged.
-    min_sigma : float
-        How significantly darker than the background the ground must be, in standard errors, to be in shadow.
-
-    Returns
-    -------
-    function of dx, dy
-        Of offsets from the ball, px. It returns the relative brightness, 1 outside the shadow, and its difference
-        from the neighbouring directions.
+    `at` (2,) is the centre of the ball, px; `others` are those of balls that touch it. The result is a function of
+    offsets dx and dy from the ball, px. It returns the relative brightness, 1 outside the shadow, and its difference
+    from the neighbouring directions.
     """
     height, width = frame.shape
-    nearest, furthest = ring_px
+    nearest, furthest = 1.5, 4.5  # distance of the ground from the outline, px
+    arc_px = 2.5  # length along the outline over which the brightness is averaged
+    min_sigma = 4.0  # standard errors by which ground in shadow is darker than the background
     reach = int(radius + furthest + 2)
     column, row = np.round(at).astype(int)
     rows, columns = np.mgrid[

@@ -11,53 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
+from tracker.detection.candidates import spread_frames
 
 SURROUNDINGS_PX = (11, 31, 91, 271)  # widths of the neighbourhoods that are averaged, the smallest first
 
 
 @dataclass(frozen=True, eq=False)
 class StillBackground:
-    """The picture without balls.
+    """The picture (h, w) without balls, but with everything else that never moves."""
 
-    Attributes
-    ----------
-    level, error : ndarray of shape (h, w)
-        Counts and their standard errors.
-    known : ndarray of bool, shape (h, w)
-        Whether the pixel was seen without a ball. Elsewhere the level is that of the surroundings, and the error is
-        that of the texture.
-    """
-
-    level: Array
-    error: Array
+    level: Array  # counts
+    error: Array  # standard errors of the level, counts
     known: NDArray[np.bool_]
+    """Whether the pixel was seen without a ball. Elsewhere the level is that of the surroundings, and the error is that
+    of the texture."""
 
 
-def estimate_still_background(
-    frames: Sequence[Any], noise: float, *, samples: int = 31, rest_share: float = 0.1
-) -> StillBackground:
-    """Estimate the picture without balls.
+def estimate_still_background(frames: Sequence[Any], noise: float) -> StillBackground:
+    """Estimate the picture without balls from 31 frames spread over a film.
 
     A pixel's level is the median of its samples. The exception is a pixel that differs from it in more than a tenth of
     the samples: a ball rested there. The level is then the cluster of samples that is most like the surroundings. If
-    the ball was there in all samples, it is the level of the surroundings.
-
-    Parameters
-    ----------
-    frames : sequence of (h, w) arrays
-    noise : float
-        Standard deviation of one pixel in one frame, counts.
-    samples : int
-        Frames used, spread over the film.
-    rest_share : float
-        Share of the samples in which a pixel must differ from its median for a ball to have rested there.
-
-    Returns
-    -------
-    StillBackground
-        With everything that never moves.
+    the ball was there in all samples, it is the level of the surroundings. `noise` is the standard deviation of one
+    pixel in one frame, counts.
     """
-    picks = sorted({round(k * (len(frames) - 1) / (samples - 1)) for k in range(samples)})
+    picks = sorted({*spread_frames(frames, 31)})
     stack = np.stack([np.asarray(frames[k]) for k in picks])
     step = max(6.0 * noise, 3.0)  # counts between a pixel with and without a ball, at least
     level = np.empty(stack.shape[1:])
@@ -66,7 +44,7 @@ def estimate_still_background(
     for top in range(0, len(level), rows):
         part = stack[:, top : top + rows].astype(float)
         level[top : top + rows] = np.median(part, axis=0)
-        often[top : top + rows] = (np.abs(part - level[top : top + rows]) > step).mean(axis=0) > rest_share
+        often[top : top + rows] = (np.abs(part - level[top : top + rows]) > step).mean(axis=0) > 0.1
     rested = np.asarray(cv2.morphologyEx(often, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), dtype=np.uint8)
     outlines, _ = cv2.findContours(rested, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(rested, outlines, -1, 1, cv2.FILLED)  # a hole: covered all the time
@@ -87,15 +65,7 @@ def estimate_still_background(
 
 
 def average_uncovered(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]], noise: float) -> StillBackground:
-    """Estimate the picture without balls where it is known which pixels balls cover: by the mean of the middle half.
-
-    Parameters
-    ----------
-    frames : sequence of (h, w) arrays
-    covered : sequence of (h, w) arrays of bool
-    noise : float
-        Standard deviation of one pixel in one frame, counts.
-    """
+    """As `estimate_still_background`, where the pixels that balls cover are known: by the mean of the middle half."""
     count: NDArray[np.int64] = np.add.reduce([~c for c in covered], axis=0, dtype=np.int64)
     level = np.empty(count.shape)
     rows = _rows_at_once(len(frames) * count.shape[1])
@@ -115,9 +85,9 @@ def average_uncovered(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]
     return StillBackground(level, error, never == 0)
 
 
-def _rows_at_once(pixels_of_a_row: int, held_pixels: int = 1 << 21) -> int:
-    """How many rows of all samples are sorted at once, so that memory stays small."""
-    return max(held_pixels // pixels_of_a_row, 1)
+def _rows_at_once(pixels_of_a_row: int) -> int:
+    """How many rows of all samples are sorted at once, so that memory stays small: 2 million pixels."""
+    return max((1 << 21) // pixels_of_a_row, 1)
 
 
 def _texture(level: Array, hidden: NDArray[np.uint8]) -> float:
@@ -143,12 +113,12 @@ def _most_like_surroundings(samples: Array, around: Array, step: float, texture:
     return np.where(np.abs(found - around) < texture, found, np.nan)
 
 
-def _average_surroundings(middle: Array, rested: NDArray[np.uint8], min_free_share: float = 0.05) -> Array:
-    """Means (h, w) of near pixels on which no ball has rested, in the smallest neighbourhood with enough of them."""
+def _average_surroundings(middle: Array, rested: NDArray[np.uint8]) -> Array:
+    """Means (h, w) of near pixels on which no ball has rested, in the smallest neighbourhood with 5 % of them."""
     free, out = (rested == 0).astype(float), np.full(middle.shape, np.nan)
     for wide in SURROUNDINGS_PX:
         weight = cv2.boxFilter(free, -1, (wide, wide), normalize=True)
-        found = np.isnan(out) & (weight > min_free_share)
+        found = np.isnan(out) & (weight > 0.05)
         out[found] = (cv2.boxFilter(middle * free, -1, (wide, wide), normalize=True) / np.maximum(weight, 1e-6))[found]
     out[np.isnan(out)] = np.median(middle)
     return out

@@ -11,29 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.candidates import ROUNDING_NOISE_COUNTS
+from tracker.detection.candidates import ROUNDING_NOISE_COUNTS, spread_at_rest
 
 
 @dataclass(frozen=True, eq=False)
 class Takes:
-    """Result of one pass over a film.
-
-    Attributes
-    ----------
-    spans : tuple of (int, int)
-        First and last frame of each take.
-    scenes : tuple of int
-        A number for each take: takes of one number show the same scene.
-    repeated : set of int
-        Frames that show the previous one again.
-    noise : float
-        Standard deviation of one pixel in one frame, counts.
-    """
+    """Result of one pass over a film."""
 
     spans: tuple[tuple[int, int], ...]
+    """First and last frame of each take."""
     scenes: tuple[int, ...]
+    """A number for each take: takes of one number show the same scene."""
     repeated: frozenset[int]
+    """Frames that show the previous one again."""
     noise: float
+    """Standard deviation of one pixel in one frame, counts."""
 
     def describe(self) -> list[str]:
         """Notes for the user on cuts and repeated frames."""
@@ -53,20 +45,13 @@ class Takes:
         return {k: scene for k, scene in every.items() if k not in self.repeated}
 
 
-def find_takes(frames: Sequence[Any], compared_pixels: int = 16_000, min_take_frames: int = 8) -> Takes:
-    """Find the takes in one pass over a film.
+def find_takes(frames: Sequence[Any]) -> Takes:
+    """Find the takes in one pass over the frames, (h, w) arrays, of a film.
 
-    A cut is where half of all pixels change by more than 3 counts and by more than 6 times the usual change.
-
-    Parameters
-    ----------
-    frames : sequence of (h, w) arrays
-    compared_pixels : int
-        How many pixels of a frame are compared with those of the next.
-    min_take_frames : int
-        Shorter pieces are no takes, and neither are those that never change by a tenth of the usual change.
+    A cut is where half of all pixels change by more than 3 counts and by more than 6 times the usual change. Pieces of
+    less than 8 frames are no takes, and neither are those that never change by a tenth of the usual change.
     """
-    step = max(1, int(np.sqrt(np.prod(np.shape(frames[0])) / compared_pixels)))
+    step = max(1, int(np.sqrt(np.prod(np.shape(frames[0])) / 16_000)))  # 16,000 pixels of each frame are compared
     half, mean, spread, previous = [], [], [], None
     for frame in frames:
         thin = np.asarray(frame)[step // 2 :: step, step // 2 :: step].astype(np.float32)
@@ -74,7 +59,7 @@ def find_takes(frames: Sequence[Any], compared_pixels: int = 16_000, min_take_fr
             change = np.abs(thin - previous)
             half.append(float(np.median(change)))
             mean.append(float(change.mean()))
-            spread.append(_spread_at_rest(thin - previous))
+            spread.append(spread_at_rest(thin - previous))
         previous = thin
     changes, means = np.array(half), np.array(mean)
     repeated = _find_repeated(means)
@@ -82,9 +67,7 @@ def find_takes(frames: Sequence[Any], compared_pixels: int = 16_000, min_take_fr
     starts = [0, *(np.flatnonzero(changes > max(6.0 * usual, 3.0)) + 1).tolist(), len(frames)]
     lively = 0.1 * float(np.median(means))
     spans = [
-        (a, b - 1)
-        for a, b in pairwise(starts)
-        if len(starts) == 2 or (b - a >= min_take_frames and means[a : b - 1].max() > lively)
+        (a, b - 1) for a, b in pairwise(starts) if len(starts) == 2 or (b - a >= 8 and means[a : b - 1].max() > lively)
     ] or [(0, len(frames) - 1)]
     fresh = np.delete(np.array(spread), [k - 1 for k in repeated])
     noise = max(float(np.median(fresh)) / np.sqrt(2), ROUNDING_NOISE_COUNTS)
@@ -94,24 +77,10 @@ def find_takes(frames: Sequence[Any], compared_pixels: int = 16_000, min_take_fr
     return Takes(tuple(spans), scenes, frozenset(repeated), noise)
 
 
-def _spread_at_rest(change: NDArray[np.float32]) -> float:
-    """Standard deviation of the pixels over which nothing moved."""
-    kept, spread = change, float(change.std())
-    for _ in range(4):
-        kept = change[np.abs(change) <= 4 * spread + 1]
-        spread = float(kept.std()) if kept.size else 0.0
-    return spread
-
-
-def _find_repeated(means: Array, share: float = 0.2, beside: int = 3) -> list[int]:
-    """Frames that repeat the previous one: they change by less than a share of the frames beside them."""
-    found = []
-    for k, change in enumerate(means):
-        first = max(min(k - beside, len(means) - 2 * beside - 1), 0)
-        about = means[first : first + 2 * beside + 1]
-        if change < share * np.quantile(about, 0.8):
-            found.append(k + 1)
-    return found
+def _find_repeated(means: Array) -> list[int]:
+    """Frames that repeat the previous one: they change by less than a fifth of the three frames on either side."""
+    firsts = [max(min(k - 3, len(means) - 7), 0) for k in range(len(means))]
+    return [k + 1 for k, at in enumerate(firsts) if means[k] < 0.2 * np.quantile(means[at : at + 7], 0.8)]
 
 
 def _number_scenes(pictures: list[NDArray[np.float32]], tolerance: float) -> tuple[int, ...]:

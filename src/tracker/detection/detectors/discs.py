@@ -11,19 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.contrast_regions import (
-    Box,
-    ContrastRegion,
-    casts_shadow,
-    find_disc_centres,
-    split_region,
-)
+from tracker.detection.candidates import spread_frames
+from tracker.detection.contrast_regions import ContrastRegion, casts_shadow, find_disc_centres, split_region
 from tracker.detection.detector import Detections, OutlineRadius, View
 from tracker.detection.disc_fit import DiscAppearance, DiscFit, fit_disc
 from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.outline import fit_outline_circle
 from tracker.detection.still_background import StillBackground, average_uncovered, estimate_still_background
 from tracker.detection.takes import find_takes
+
+MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 
 
 class Discs:
@@ -87,7 +84,7 @@ class Discs:
         """
         # More discs than this in one frame, in positions that were never seen empty, are parts of a shaking background.
         max_always_there = 4
-        refused, parts = dict[int, int](), []
+        refused, parts = dict[int, int](), [Glints.none()]
         self.shadows = 0
         for number, frame in frames:
             if number in self.scene_of:
@@ -141,8 +138,7 @@ class Discs:
     def _samples(self, scene: int) -> list[NDArray[Any]]:
         """Frames spread over all takes of a scene."""
         fresh = sorted(k for k, own in self.scene_of.items() if own == scene)
-        picks = sorted({fresh[round(i * (len(fresh) - 1) / 30)] for i in range(31)})
-        return [np.asarray(self.view.frames[k]) for k in picks]
+        return [np.asarray(self.view.frames[fresh[i]]) for i in sorted({*spread_frames(fresh, 31)})]
 
     def _clean_background(self, scene: int) -> StillBackground:
         """The background of a scene, without the balls, shadows and other objects in its frames."""
@@ -154,18 +150,11 @@ class Discs:
         rim_px = 4  # around an object, which it may still affect
         frames, covered = [], []
         for frame in self._samples(scene):
-            light = frame.astype(np.float32)
-            light -= _brighter(light, ground.level)
-            apart = (light - ground.level).astype(np.float32)
-            boxes, labels = self._regions(apart)
+            light = _match_brightness(frame, ground.level)
+            parts, labels = self._regions((light - ground.level).astype(np.float32))
             mask = ((labels > 0) & ground.known).view(np.uint8)  # elsewhere a difference may be the plate's
             for x, y in self._in_frame(frame, ground)[0].xy:
                 cv2.circle(mask, (round(x), round(y)), round(self.radius), 1, -1)
-            parts = [
-                part
-                for number, box in boxes[: self.settings.max_objects_per_frame]
-                for part in self._parts(apart, labels, number, box)
-            ]
             balls = [part for part in parts if part.sign > 0 and self._is_disc(part, self.radius)]
             for part in parts:
                 if any(casts_shadow(ball, part) for ball in balls):
@@ -176,16 +165,9 @@ class Discs:
 
     def _in_frame(self, frame: NDArray[Any], ground: StillBackground) -> tuple[Glints, int]:
         """Discs of one frame, and how many objects are not discs."""
-        light = frame.astype(np.float32)
-        light -= _brighter(light, ground.level)
-        apart = light - ground.level.astype(np.float32)
-        boxes, labels = self._regions(apart)
-        parts = [
-            part
-            for number, box in boxes[: self.settings.max_objects_per_frame]
-            for part in self._parts(apart, labels, number, box)
-        ]
-        rows, refused, balls = list[tuple[float, ...]](), 0, list[ContrastRegion]()
+        light = _match_brightness(frame, ground.level)
+        parts, _ = self._regions(light - ground.level.astype(np.float32))
+        fits, refused, balls = list[tuple[DiscFit, int, float]](), 0, list[ContrastRegion]()
         for part in sorted(parts, key=lambda p: -p.sign):
             radius = min(self.radii, key=lambda r: abs(r - part.minor))
             if part.sign > 0 and self._is_disc(part, radius):
@@ -198,42 +180,31 @@ class Discs:
             dark = part.sign < 0 and not self.dark_balls
             fitted = [] if dark else self._in_part(light, ground, part, radius)
             refused += not fitted and part.area > 0.5 * np.pi * radius**2
-            rows += [self._row(f, flag, radius, light.shape) for f, flag in fitted]
-        if not rows:
-            return Glints.none(), refused
-        x, y, xx, xy, yy, fxx, fxy, fyy, area, flags = np.array(rows).T
-        cov = np.stack([xx, xy, xy, yy], -1).reshape(-1, 2, 2)
-        fixed = np.stack([fxx, fxy, fxy, fyy], -1).reshape(-1, 2, 2)
-        nothing = np.zeros(len(rows))
-        found = Glints(
-            frame=nothing.astype(np.int64),
-            x=x,
-            y=y,
-            cov=cov,
-            flux=area,
-            background=nothing,
-            flags=flags.astype(np.int64),
-            fixed=fixed,
-        )
-        return found, refused
+            fits += [(f, flag, radius) for f, flag in fitted]
+        return self._glints(fits, light.shape) if fits else Glints.none(), refused
 
-    def _regions(self, apart: NDArray[np.float32]) -> tuple[list[tuple[int, Box]], NDArray[np.int32]]:
-        """Connected regions that differ from the background, largest first: number and box; and their picture."""
+    def _regions(
+        self, apart: NDArray[np.float32], inside: bool = False
+    ) -> tuple[list[ContrastRegion], NDArray[np.int32]]:
+        """The parts of the regions, largest first, that differ from the background; and the picture of the regions.
+
+        A part is a ball without its shadow, or the brighter or darker part of a region. `inside`: only those of regions
+        that do not touch the picture's rim.
+        """
         mask = (np.abs(cv2.blur(apart, self.box)) > self.low).view(np.uint8)
         count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
         large = [k for k in range(1, count) if boxes[k][4] > np.pi * self.settings.min_disc_radius_px**2]
         large.sort(key=lambda k: -int(boxes[k][4]))
-        return [(k, tuple(boxes[k].tolist())) for k in large], np.asarray(labels, dtype=np.int32)
-
-    def _parts(
-        self, apart: NDArray[np.float32], labels: NDArray[np.int32], number: int, box: Box
-    ) -> list[ContrastRegion]:
-        """The parts of a region: a ball without its shadow, or the brighter and the darker parts."""
-        at = slice(box[1], box[1] + box[3]), slice(box[0], box[0] + box[2])
-        smooth = cv2.blur(apart[at], (3, 3)) if self.is_noisy else apart[at]
-        least = self.settings.min_disc_radius_px
-        own = labels[at] == number
-        return [p for sign in self.signs for p in split_region(smooth, own, box, sign, self.low, least)]
+        parts, (h, w), least = list[ContrastRegion](), apart.shape, self.settings.min_disc_radius_px
+        for k in large[: self.settings.max_objects_per_frame]:
+            left, top, width, height, _ = box = tuple(boxes[k].tolist())
+            if inside and (min(left, top) == 0 or left + width == w or top + height == h):
+                continue
+            at = slice(top, top + height), slice(left, left + width)
+            smooth = cv2.blur(apart[at], (3, 3)) if self.is_noisy else apart[at]
+            for sign in self.signs:
+                parts += split_region(smooth, labels[at] == k, box, sign, self.low, least)
+        return parts, np.asarray(labels, dtype=np.int32)
 
     def _usual_radius(self, given: float | None) -> tuple[list[float], float]:
         """The common radii of discs in frames spread over the film, px, or the given one; and their contrast."""
@@ -245,7 +216,7 @@ class Discs:
         weight = np.cumsum((contrasts * radii**2)[order])  # a ball counts more than many specks
         usual = float(contrasts[order][np.searchsorted(weight, weight[-1] / 2)])
         strong = contrasts > 0.35 * usual  # fainter discs do not enter the radius
-        still = strong & [float(np.hypot(*p.blur)) < self.max_blur_at_rest * p.minor for p in seen]
+        still = strong & [float(np.hypot(*p.blur)) < MAX_BLUR_AT_REST * p.minor for p in seen]
         return [given] if given else _common_radii(
             radii[still if still.sum() > 3 else strong], self.settings.disc_radius_tolerance
         ), usual
@@ -272,21 +243,10 @@ class Discs:
     def _survey(self) -> Iterator[list[ContrastRegion]]:
         """The regions of each of 25 frames spread over the film that do not touch the picture's rim."""
         frames = sorted(self.scene_of)
-        for k in sorted({frames[round(i * (len(frames) - 1) / 24)] for i in range(25)}):
-            ground = self.scenes[self.scene_of[k]]
-            light = np.asarray(self.view.frames[k]).astype(np.float32)
-            apart = (light - _brighter(light, ground.level) - ground.level).astype(np.float32)
-            boxes, labels = self._regions(apart)
-            height, width = apart.shape
-            inside = [
-                (k, b)
-                for k, b in boxes[: self.settings.max_objects_per_frame]
-                if min(b[:2]) > 0 and b[0] + b[2] < width and b[1] + b[3] < height
-            ]
-            yield [part for number, box in inside for part in self._parts(apart, labels, number, box)]
-
-    max_blur_at_rest: ClassVar[float] = 0.35
-    """Displacement during the exposure, in radii, up to which a disc counts as at rest."""
+        for k in (frames[i] for i in sorted({*spread_frames(frames, 25)})):
+            level = self.scenes[self.scene_of[k]].level
+            apart = (_match_brightness(np.asarray(self.view.frames[k]), level) - level).astype(np.float32)
+            yield self._regions(apart, inside=True)[0]
 
     def _is_disc(self, region: ContrastRegion, radius: float) -> bool:
         return region.is_disc(radius, self.settings.disc_radius_tolerance)
@@ -298,7 +258,7 @@ class Discs:
         found: list[tuple[DiscFit, int]] = []
         if self._is_disc(part, radius):
             fitted = fit_disc(light, ground, part.middle, self._look(radius), part.blur, [])
-            flag = PositionFlag.STREAK if np.hypot(*part.blur) > self.max_blur_at_rest * radius else 0
+            flag = PositionFlag.STREAK if np.hypot(*part.blur) > MAX_BLUR_AT_REST * radius else 0
             found = [(fitted, flag)] if fitted is not None else []
         elif 0.3 < part.area / (np.pi * radius**2) < 6:
             found = self._touching(light, ground, part, radius)
@@ -335,31 +295,46 @@ class Discs:
                 found.append((fitted, PositionFlag.NEAR if others else 0))
         return found
 
-    def _row(self, found: DiscFit, flag: int, radius: float, shape: tuple[int, ...]) -> tuple[float, ...]:
-        x, y = found.position
-        flag |= PositionFlag.SHADED if self.is_shaded else 0
-        whole = radius < x < shape[1] - 1 - radius and radius < y < shape[0] - 1 - radius
-        cov = [m[i, j] for m in (found.cov, found.fixed) for i, j in ((0, 0), (0, 1), (1, 1))]
-        return x, y, *cov, np.pi * radius**2, flag | (0 if whole else PositionFlag.EDGE)
+    def _glints(self, fits: list[tuple[DiscFit, int, float]], shape: tuple[int, ...]) -> Glints:
+        """Fits of one frame with their flags and radii as glints; the flux is the area of a ball, px^2."""
+        found, flags, radii = zip(*fits, strict=True)
+        x, y = np.array([f.position for f in found]).T
+        cov, fixed = np.array([f.cov for f in found]), np.array([f.fixed for f in found])
+        for matrix in (cov, fixed):
+            matrix[:, 1, 0] = matrix[:, 0, 1]
+        rim = np.minimum.reduce([x, y, shape[1] - 1 - x, shape[0] - 1 - y]) <= radii
+        flags |= np.where(rim, PositionFlag.EDGE, 0) | (PositionFlag.SHADED if self.is_shaded else 0)
+        nothing = np.zeros(len(fits))
+        return Glints(
+            frame=nothing.astype(np.int64),
+            x=x,
+            y=y,
+            cov=cov,
+            flux=np.array([np.pi * r**2 for r in radii]),
+            background=nothing,
+            flags=flags.astype(np.int64),
+            fixed=fixed,
+        )
 
 
-def _brighter(light: NDArray[np.float32], level: Array) -> float:
-    """Counts by which the whole picture is brighter than the background, because the camera adapts its exposure."""
+def _match_brightness(frame: NDArray[Any], level: Array) -> NDArray[np.float32]:
+    """A frame with the brightness of the background, where the camera has adapted its exposure by over a count."""
+    light = frame.astype(np.float32)
     step = max(1, int(np.sqrt(light.size / 16_000)))
     change = float(np.median(light[::step, ::step] - level[::step, ::step]))
-    return change if abs(change) > 1 else 0.0
+    return light - change if abs(change) > 1 else light
 
 
-def _lit_from_one_side(discs: list[ContrastRegion], *, min_lean: float = 0.15, min_share: float = 0.8) -> bool:
+def _lit_from_one_side(discs: list[ContrastRegion]) -> bool:
     """True if discs are brighter on one side, all on the same.
 
-    The median of their relative change of contrast over a radius must exceed `min_lean`; `min_share` of the discs must
-    have half of it in that direction.
+    The median of their relative change of contrast over a radius must exceed .15; four fifths of the discs must have
+    half of it in that direction.
     """
     leans = np.array([disc.lean for disc in discs])
     mean = np.median(leans, axis=0)
     size = float(np.hypot(*mean))
-    return size > min_lean and float(np.quantile(leans @ mean / size, 1 - min_share)) > min_lean / 2
+    return size > 0.15 and float(np.quantile(leans @ mean / size, 1 - 0.8)) > 0.15 / 2
 
 
 def _are_equal(radii: Array, radius: Any) -> NDArray[np.bool_]:

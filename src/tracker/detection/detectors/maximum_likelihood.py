@@ -38,27 +38,17 @@ from tracker.detection.motion_blur import MotionBlurEvidence
 
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+SMEARED_RADII = 0.3  # displacement during the exposure from which on a ball's profile is not the learnt one
 
 
 @dataclass(frozen=True, eq=False)
 class _BlockFit:
-    """Fitted glints of a block.
-
-    Attributes
-    ----------
-    glints : Glints
-    good : ndarray of bool, shape (n,)
-        Which fits are a glint's.
-    light : ndarray of shape (n, 3)
-        Covariance of position and log flux, px, and variance of the log flux.
-    secondary : ndarray of shape (n, 4)
-        Flux of the secondary glint, counts; its covariance with the position; its variance.
-    """
+    """Fitted glints of a block."""
 
     glints: Glints
-    good: Mask
-    light: Array
-    secondary: Array
+    good: Mask  # which fits are a glint's
+    light: Array  # (n, 3): covariance of position and log flux, px, and variance of the log flux
+    secondary: Array  # (n, 4): flux of the secondary glint, counts; its covariance with the position; its variance
 
 
 class MaximumLikelihood:
@@ -85,26 +75,21 @@ class MaximumLikelihood:
 
     def detect(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Detections:
         """Glints of numbered frames, their motion blur from the glints' own motion from frame to frame."""
-        parts: list[Glints] = []
-        waiting: list[Patches] = []
-        windows = 0
+        parts = [Glints.none()]
+        waiting, windows = list[Patches](), 0
         for number, frame in frames:
-            patches = self._cut_candidates(number, frame)
-            if patches is not None:
-                waiting.append(patches)
-                windows += len(patches.frame)
+            found = self.search(frame)
+            if self.dsnu and not found.crowded:
+                self.dsnu.add(frame, found.row, found.column)
+            if len(found.row):
+                waiting.append(Patches.cut(frame, number, found, self.geometry.reach, self.sound))
+                windows += len(found.row)
             if windows >= self.settings.block_windows:
                 parts.append(self._fit_block(Patches.join(waiting)))
                 waiting, windows = [], 0
         if waiting:
             parts.append(self._fit_block(Patches.join(waiting)))
         return Detections(glints=Glints.join(parts), blur=self.blur)
-
-    def _cut_candidates(self, number: int, frame: NDArray[Any]) -> Patches | None:
-        found = self.search(frame)
-        if self.dsnu and not found.crowded:
-            self.dsnu.add(frame, found.row, found.column)
-        return Patches.cut(frame, number, found, self.geometry.reach, self.sound) if len(found.row) else None
 
     def _fit_block(self, patches: Patches) -> Glints:
         """The glints of a block of candidates."""
@@ -115,7 +100,10 @@ class MaximumLikelihood:
         blur = self._blurs(rough, ids)
         clipped = np.any((patches.counts >= self.sensor.ceiling) & patches.inside, axis=(1, 2))
         patches = self._subtract_offsets(patches)
-        bowl = self._bowl(position)
+        # From the glints to the middles of the ball profiles; it hardly depends on the exact position. The image of the
+        # sky at an angle a from the zenith is a circle about cos(a/2) of the line from the ball's centre to where it
+        # mirrors the zenith. The profile's middle is that for a ring at half the ball's radius, cos 30 deg.
+        bowl = locate_zenith_point(self.camera, position, 0.866) - position
         # Encoders leave nothing of the mirrored room, so that there is no profile to learn.
         if self.profile is None and self.geometry.is_bounded and not self.sensor.codec_noise:
             self._learn_profile(patches, position, blur, bowl)
@@ -131,19 +119,14 @@ class MaximumLikelihood:
         changed = np.max(np.abs(better - blur), axis=1) > 0.03 * self.sigma
         rows = np.flatnonzero(changed | near.is_near | (near.secondary[:, 2] > 0))
         if len(rows):
-            position = np.where(good[:, None], found.xy, position)
+            bowl_of_own |= near.is_near & ~clipped
             again = self._fit(
-                patches.take(rows),
-                position[rows],
-                better[rows],
-                bowl[rows],
-                (bowl_of_own | near.is_near & ~clipped)[rows],
-                near.secondary[rows],
+                patches.take(rows), found.xy[rows], better[rows], bowl[rows], bowl_of_own[rows], near.secondary[rows]
             )
             light[rows], good[rows] = again.light, again.good
             is_open = again.good & ~clipped[rows]
             _correct_by_reflectance(again.glints, again.secondary, near.flux_ratio[rows], is_open)
-            found = found.put(rows, again.glints)
+            found.put(rows, again.glints)
         found.flags[near.is_near] |= PositionFlag.NEAR
         found, light = found.take(good), light[good]
         if not clipped.any():  # position and flux of an open glint are hardly correlated
@@ -165,34 +148,19 @@ class MaximumLikelihood:
         self.levelled = replace(self.sensor, dsnu=left * self.sensor.gain)
         return replace(patches, counts=patches.counts - own, level=known)
 
-    def _bowl(self, position: Array) -> Array:
-        """From the glints (n, 2) to the middles of the ball profiles, px; it hardly depends on the exact position.
-
-        The image of the sky at an angle a from the zenith is a circle about cos(a/2) of the line from the ball's centre
-        to where it mirrors the zenith. The profile's middle is that for a ring at half the ball's radius, cos 30 deg.
-        """
-        return locate_zenith_point(self.camera, position, 0.866) - position
-
     def _blurs(self, glints: Glints, ids: Ints) -> Array:
         """Displacements (n, 2) of glints during the exposure, px, from their tracks."""
-        if self.camera.effective_exposure == 0.0:
-            return np.zeros((len(glints), 2))
         exposed_frames = self.camera.effective_exposure * self.camera.fps
         return estimate_velocities(glints.frame, ids, glints.xy) * exposed_frames
 
-    def _is_smeared(self, blur: Array) -> Mask:
-        """True if a ball moves by so much, .3 radii, during the exposure that its profile is not the learnt one."""
-        return np.asarray(np.hypot(*blur.T) >= 0.3 * self.camera.diameter_px / 2.0)
+    def _is_isolated(self, patches: Patches, position: Array) -> Mask:
+        return find_isolated(patches.frame, position, 3.0 * self.camera.diameter_px)
 
-    def _find_isolated(self, frame: Ints, position: Array) -> Mask:
-        return find_isolated(frame, position, 3.0 * self.camera.diameter_px)
-
-    def _collect_blur_evidence(
-        self, patches: Patches, found: Glints, blur: Array, bowl: Array, good: Mask, *, count: int = 24
-    ) -> None:
-        """Add what the fastest and the slowest isolated glints, `count` of each, show of the length of the blur."""
+    def _collect_blur_evidence(self, patches: Patches, found: Glints, blur: Array, bowl: Array, good: Mask) -> None:
+        """Add what the 24 fastest and the 24 slowest isolated glints show of the length of the blur."""
+        count = 24
         length = np.hypot(*blur.T)
-        rows = np.flatnonzero(good & self._find_isolated(patches.frame, found.xy))
+        rows = np.flatnonzero(good & self._is_isolated(patches, found.xy))
         rows = rows[np.argsort(-length[rows], kind="stable")]
         if len(rows) < 2 * count or length[rows[count - 1]] < 0.05 * self.sigma:  # too short to be measured
             return
@@ -204,16 +172,14 @@ class MaximumLikelihood:
         still = np.arange(len(rows)) >= count
         self.blur.add(*score_blur_length(windows, known, still, self.sigma, self.sensor))
 
-    def _learn_profile(
-        self, patches: Patches, position: Array, blur: Array, bowl: Array, *, least: int = 24, most: int = 128
-    ) -> None:
-        """Learn the clip's ball profile from bright isolated glints; ``position`` gets their better positions."""
-        clear = patches.strength > 0.5 * float(np.median(patches.strength))
-        clear &= ~self._is_smeared(blur)
-        rows = np.flatnonzero(clear & self._find_isolated(patches.frame, position))
-        if len(rows) < least:
+    def _learn_profile(self, patches: Patches, position: Array, blur: Array, bowl: Array) -> None:
+        """Learn the profile from 24 to 128 bright isolated glints; ``position`` gets their better positions."""
+        bright = patches.strength > 0.5 * float(np.median(patches.strength))
+        still = np.hypot(*blur.T) < SMEARED_RADII * self.geometry.radius
+        rows = np.flatnonzero(bright & still & self._is_isolated(patches, position))
+        if len(rows) < 24:
             return
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, most).round().astype(np.int64))]
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, 128).round().astype(np.int64))]
         half = self.geometry.half + 1
         windows, origin = self._windows(patches, position, blur, bowl, rows, half, with_profile=True)
         self.profile, found = learn_profile(windows, self.sigma, self.levelled, self.geometry.profile_end)
@@ -229,22 +195,11 @@ class MaximumLikelihood:
     def _fit(
         self, patches: Patches, position: Array, blur: Array, bowl: Array, bowl_of_own: Mask, secondaries: Array
     ) -> _BlockFit:
-        """Fit glints in groups of one kind of window.
-
-        Parameters
-        ----------
-        patches : Patches
-        position, blur, bowl : ndarray of shape (n, 2)
-            As `make_windows` takes them.
-        bowl_of_own : ndarray of bool, shape (n,)
-            Which get a free bowl instead of the learnt profile.
-        secondaries : ndarray of shape (n, 3)
-            Positions of secondary glints, px, and 1; or zeros.
-        """
+        """Fit n glints in groups of one kind of window; `secondaries` (n, 3): their positions, px, and 1, or zeros."""
         halves = self.geometry.half_of_blur(blur)
         # Near a neighbour, or smeared, a ball has another profile than the learnt one. A clipped glint keeps the
         # learnt one beside a neighbour: a free bowl would cost it more.
-        bowl_of_own = bowl_of_own | (np.hypot(*blur.T) > 0.3 * self.camera.diameter_px / 2.0)
+        bowl_of_own = bowl_of_own | (np.hypot(*blur.T) > SMEARED_RADII * self.geometry.radius)
         has_secondary = secondaries[:, 2] > 0
         kinds = np.column_stack([halves, patches.level, bowl_of_own, has_secondary])
         light, second = np.zeros((len(position), 3)), np.zeros((len(position), 4))
@@ -273,20 +228,22 @@ class MaximumLikelihood:
 
     def _flags(self, result: GlintFit, windows: GlintWindows, blur: Array) -> Ints:
         full = ((windows.counts >= self.sensor.ceiling) & (windows.used > 0)).any(axis=(1, 2))
-        flags = np.where(full, PositionFlag.CLIPPED, 0)
-        flags |= np.where(np.hypot(blur[:, 0], blur[:, 1]) > 0.5 * self.sigma, PositionFlag.STREAK, 0)
-        flags |= np.where(_inflation(result, windows) > 1.0, PositionFlag.MISFIT, 0)
         cut = windows.used[:, windows.half, windows.half] == 0
         whole = min((2 * self.geometry.half + 1) ** 2, math.pi * self.geometry.limit**2)  # pixels
-        edge = windows.used.sum(axis=(1, 2)) < 0.8 * whole
-        return np.asarray(flags | np.where(edge | cut, PositionFlag.EDGE, 0), dtype=np.int64)
+        properties = {
+            PositionFlag.CLIPPED: full,
+            PositionFlag.STREAK: np.hypot(*blur.T) > 0.5 * self.sigma,
+            PositionFlag.MISFIT: _inflation(result, windows) > 1.0,
+            PositionFlag.EDGE: cut | (windows.used.sum(axis=(1, 2)) < 0.8 * whole),
+        }
+        return np.asarray(sum(flag * holds for flag, holds in properties.items()), dtype=np.int64)
 
     def _is_good(self, result: GlintFit, xy: Array, half: int) -> Mask:
         """True if fits converged in their window, in the picture, on a significant flux."""
         in_view = np.all((xy > -0.5) & (xy < np.array(self.geometry.size) - 0.5), axis=1)
         in_window = np.max(np.abs(result.xy), axis=1) < half
         bright = result.flux > self.settings.glint_sigma * result.flux_std
-        return np.asarray(in_view & in_window & bright & (result.converged > 0))
+        return np.asarray(in_view & in_window & bright & result.converged)
 
 
 def _rough_glints(patches: Patches, position: Array) -> Glints:
@@ -304,10 +261,7 @@ def _rough_glints(patches: Patches, position: Array) -> Glints:
 
 
 def _correct_by_reflectance(found: Glints, second: Array, ratio: Array, is_open: Mask) -> None:
-    """Correct positions and covariances by the common reflectance of the secondary glints.
-
-    second : fluxes of the secondaries as in `_BlockFit`; ratio : their flux ratio from geometry, (n,).
-    """
+    """Correct glints by the common reflectance; `second` as in `_BlockFit`, flux ratios (n,) from geometry."""
     rows = np.flatnonzero(is_open & (ratio > 0) & (second[:, 3] > 0))
     unit = ratio[rows] * found.flux[rows]
     ratios = second[rows] / np.column_stack([unit, unit, unit, unit**2])

@@ -6,22 +6,14 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from tracker.detection.detector import View
 from tracker.detection.glints import Glints
-from tracker.detection.trackpy_features import import_trackpy, locate_features, odd_diameter
+from tracker.detection.trackpy_features import TrackpyDetector, odd_diameter
 
 
-class TrackpyDefaults:
+class TrackpyDefaults(TrackpyDetector):
     """``trackpy.locate(frame, diameter)``."""
 
-    point = "either"
-
-    def __init__(self, view: View) -> None:
-        self.trackpy: Any = import_trackpy("trackpy_defaults")
-        self.view = view
-        # a feature spans 8 widths of a glint, or a ball
-        self.diameter = odd_diameter(8.0 * view.sigma if view.takes is None else view.camera.diameter_px)
-
     def __call__(self, frame: NDArray[Any]) -> Glints:
-        """All features of one frame."""
-        return locate_features(self.trackpy, frame, self.diameter, self.view)
+        """All features of one frame, each of 8 widths of a glint, or of a ball."""
+        view = self.view
+        return self.locate(frame, odd_diameter(8.0 * view.sigma if view.takes is None else view.camera.diameter_px))

@@ -14,37 +14,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.detection.detector import Detections, View
+from tracker.detection.detector import Detections
 from tracker.detection.glints import Glints
-from tracker.detection.trackpy_features import import_trackpy, locate_features, odd_diameter
+from tracker.detection.trackpy_features import TrackpyDetector, odd_diameter
 
 Floats = NDArray[np.float64]
 
 
-class TrackpySpiff:
+class TrackpySpiff(TrackpyDetector):
     """``trackpy.locate`` of all frames, then SPIFF along each axis over the whole clip."""
 
-    point = "either"
-
-    def __init__(self, view: View) -> None:
-        self.trackpy: Any = import_trackpy("trackpy_spiff")
-        self.view = view
-
     def __call__(self, frame: NDArray[Any]) -> Glints:
-        """Glints of one frame, before SPIFF."""
-        apart = 0.8 * self.view.camera.diameter_px
+        """Glints of one frame, before SPIFF; the settings are those of trackpy_locate for dim glints."""
         if self.view.takes is not None:
-            diameter = odd_diameter(self.view.camera.diameter_px)
-            return locate_features(self.trackpy, frame, diameter, self.view, separation=apart, topn=2)
-        diameter = odd_diameter(8.0 * self.view.sigma)  # this and the next as trackpy_locate for dim glints
-        limits = {"minmass": 68.0 * self.view.plate.noise, "percentile": 99.9}
-        return locate_features(
-            self.trackpy, frame, diameter, self.view, separation=max(apart, diameter + 1.0), **limits
-        )
+            return self.locate_balls(frame)
+        return self.locate_glints(frame, odd_diameter(8.0 * self.view.sigma), 68.0)
 
     def detect(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Detections:
         """Glints of a whole clip."""
-        parts = []
+        parts = [Glints.none()]
         for number, frame in frames:
             one = self(frame)
             parts.append(replace(one, frame=np.full(len(one), number, dtype=np.int64)))
@@ -53,16 +41,16 @@ class TrackpySpiff:
         return Detections(replace(found, x=x, y=y))
 
 
-def flatten_subpixel_distribution(positions: Floats, *, min_step_px: float = 0.05, min_count: int = 20) -> Floats:
+def flatten_subpixel_distribution(positions: Floats) -> Floats:
     """Positions along one axis, px, corrected so that their parts within the pixel are uniformly distributed.
 
-    Positions within `min_step_px` of one another are those of a ball at rest and count once. With fewer than
-    `min_count` there is no distribution to correct by.
+    Positions within .05 px of one another are those of a ball at rest and count once. With fewer than 20 there is no
+    distribution to correct by.
     """
     pixel = np.rint(positions)
     order = np.sort(positions)
-    moving = order[np.concatenate([[True], np.diff(order) > min_step_px])] if len(order) else order
-    if len(moving) < min_count:
+    moving = order[np.concatenate([[True], np.diff(order) > 0.05])] if len(order) else order
+    if len(moving) < 20:
         return positions
     inside = np.sort(moving - np.rint(moving))
     share = (np.arange(len(inside)) + 0.5) / len(inside)

@@ -13,45 +13,28 @@ POWERS = (2, 3, 4)  # of 1 - q in the profile: at q = 1 it ends without a kink
 
 @dataclass(frozen=True, eq=False)
 class BallProfile:
-    """The profile of one clip's balls, a polynomial in 1 - q with q = (distance from the middle / ``end``)^2.
+    """The profile of one clip's balls, a polynomial in 1 - q with q = (distance from the middle / ``end``)^2."""
 
-    Attributes
-    ----------
-    end : float
-        Radius beyond which the ball mirrors no room, px.
-    coefficients : ndarray of shape (3,)
-        Counts, of the powers of 1 - q.
-    """
-
-    end: float
-    coefficients: Array
+    end: float  # radius beyond which the ball mirrors no room, px
+    coefficients: Array  # (3,): counts, of the powers of 1 - q
 
     def basis(self, middle: Array, half: int) -> Array:
         """The profile's terms (n, 3, s, s) on windows of s = 2 half + 1 pixels; middle (n, 2) px from the central."""
-        left, _, _ = self._left(middle, half)
+        left = self._left(middle, half)[0]
         return np.stack([left**power for power in POWERS], axis=1)
 
     def height(self, middle: Array, blur: Array, half: int) -> tuple[Array, Array, Array]:
-        """The profile's brightness on windows of s = 2 half + 1 pixels.
+        """The profile's brightness (n, s, s) on windows of s = 2 half + 1 pixels, and its derivatives by x and y.
 
-        Parameters
-        ----------
-        middle : (n, 2) array
-            Of the profile halfway through the exposure, px from the central pixel.
-        blur : (n, 2) array
-            Its displacement during the exposure, px.
-        half : int
-
-        Returns
-        -------
-        tuple of (n, s, s) array
-            Counts above what is beyond the profile, and their derivatives by the middle's x and y.
+        The brightness is in counts above what is beyond the profile. `middle` (n, 2) is that of the profile halfway
+        through the exposure, px from the central pixel, and `blur` (n, 2) its displacement during the exposure, px.
         """
         if not blur.any():
             return self._height(middle, half)
         node = 0.5 / np.sqrt(3.0)  # of the blur, on either side of its middle: Gauss-Legendre with two nodes
         one, two = (self._height(middle + side * blur, half) for side in (node, -node))
-        return (one[0] + two[0]) / 2.0, (one[1] + two[1]) / 2.0, (one[2] + two[2]) / 2.0
+        height, by_x, by_y = ((a + b) / 2.0 for a, b in zip(one, two, strict=True))
+        return height, by_x, by_y
 
     def _height(self, middle: Array, half: int) -> tuple[Array, Array, Array]:
         left, across, down = self._left(middle, half)

@@ -22,37 +22,17 @@ def apply_flux_prior(
     log_flux: Array,
     cross: Array,
     own: Array,
-    *,
-    min_glints: int = 30,
-    max_deviation: float = 5.0,
 ) -> tuple[Array, Array]:
     """Condition the positions of glints on the flux that the other glints of the film predict for them.
 
-    Parameters
-    ----------
-    xy : ndarray of shape (n, 2)
-        Positions, px.
-    cov : ndarray of shape (n, 2, 2)
-        Their covariances, px^2.
-    log_flux : ndarray of shape (n,)
-    cross : ndarray of shape (n, 2)
-        Covariance of position and log flux, px.
-    own : ndarray of shape (n,)
-        Variance of the log flux.
-    min_glints : int
-        With fewer glints there is no prior.
-    max_deviation : float
-        Glints that deviate by more standard deviations are left alone: they may be another lamp's.
-
-    Returns
-    -------
-    xy, cov : ndarray
-        Of the same shapes.
+    Takes positions (n, 2), px, their covariances (n, 2, 2), px^2, and log fluxes (n,). `cross` (n, 2) is the covariance
+    of position and log flux, px, and `own` (n,) the variance of the log flux. Returns positions and covariances.
     """
-    if len(xy) < min_glints:
+    if len(xy) < 30:  # too few for a prior
         return xy, cov
     rest = np.abs(log_flux - np.median(log_flux))
-    usual = np.flatnonzero(rest <= max_deviation * 1.4826 * np.median(rest))  # 1.4826: of a normal distribution
+    # Glints that deviate by more than 5 standard deviations are left alone: they may be another lamp's.
+    usual = np.flatnonzero(rest <= 5.0 * 1.4826 * np.median(rest))  # 1.4826: of a normal distribution
     x, y = ((xy[usual] - xy[usual].mean(axis=0)) / max(float(np.ptp(xy[usual])), 1.0)).T
     field = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     scatter = 0.0
@@ -69,32 +49,16 @@ def apply_flux_prior(
 
 
 def apply_common_reflectance(
-    xy: Array, cov: Array, reflectance: Array, cross: Array, own: Array, *, geometry_error: float = 0.1
+    xy: Array, cov: Array, reflectance: Array, cross: Array, own: Array
 ) -> tuple[Array, Array]:
     """Condition the positions of glints on the reflectance that the other pairs of balls show.
 
-    Parameters
-    ----------
-    xy : ndarray of shape (n, 2)
-        Positions, px.
-    cov : ndarray of shape (n, 2, 2)
-        Their covariances, px^2.
-    reflectance : ndarray of shape (n,)
-        Of each window on its own.
-    cross : ndarray of shape (n, 2)
-        Covariance of position and reflectance, px.
-    own : ndarray of shape (n,)
-        Variance of the reflectance.
-    geometry_error : float
-        Relative error of the ratio from geometry: it lacks images of higher order and the neighbour's dark side.
-
-    Returns
-    -------
-    xy, cov : ndarray
-        Of the same shapes.
+    Arguments and results are those of `apply_flux_prior`, with the reflectance (n,) of each window on its own in place
+    of the log flux.
     """
     if len(xy) < 2:
         return xy, cov
+    geometry_error = 0.1  # relative; the ratio lacks images of higher order and the neighbour's dark side
     scatter = 0.0
     for _ in range(3):
         weight = 1.0 / (own + scatter)

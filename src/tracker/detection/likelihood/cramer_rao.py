@@ -31,14 +31,6 @@ class GlintShape:
     by_y: Array
 
 
-def line_nodes(blurs: Array, sigma: float) -> tuple[Array, Array]:
-    """Gauss-Legendre positions (n, k, 2), px, and weights (k,) along lines (n, 2), px, centred on 0."""
-    longest = float(np.max(np.hypot(blurs[:, 0], blurs[:, 1]), initial=0.0))
-    count = 1 if longest < 0.02 * sigma else 2 + math.ceil(0.8 * longest / sigma)
-    nodes, weights = _legendre(count)
-    return 0.5 * nodes[:, None] * blurs[:, None, :], weights / 2.0
-
-
 @lru_cache(maxsize=256)
 def _legendre(count: int) -> tuple[Array, Array]:
     return np.polynomial.legendre.leggauss(count)
@@ -49,33 +41,27 @@ def glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> GlintShape:
 
     Parameters
     ----------
-    xy : (n, 2) array
-        Middles of the glints, px from the windows' central pixel.
-    blurs : (n, 2) array
-        Their displacements during the exposure, px.
+    xy, blurs : (n, 2) array
+        Middles of the glints, px from the windows' central pixel, and their displacements during the exposure, px.
     sigma : float
         Width of a glint at rest, px.
     half : int
         Windows are 2 half + 1 pixels wide.
-
-    Returns
-    -------
-    Shape
-        Shares of the flux in each pixel, and their derivatives by x and y.
     """
-    offsets, weights = line_nodes(blurs, sigma)
+    # Gauss-Legendre nodes (n, k, 2), px, along the lines of motion, and their weights (k,)
+    longest = float(np.max(np.hypot(blurs[:, 0], blurs[:, 1]), initial=0.0))
+    nodes, weights = _legendre(1 if longest < 0.02 * sigma else 2 + math.ceil(0.8 * longest / sigma))
+    offsets, weights = 0.5 * nodes[:, None] * blurs[:, None, :], weights / 2.0
     edges = np.arange(-half, half + 2) - 0.5
     u = (edges - (xy[:, None, :] + offsets)[..., None]) / sigma  # (n, k, axis, edge)
     below, height = ndtr(u), np.exp(-0.5 * u * u)
     step = below[..., 1:] - below[..., :-1]
     slope = (height[..., :-1] - height[..., 1:]) / (ROOT_TWO_PI * sigma)
-    col, row = step[:, :, 0], step[:, :, 1] * weights[:, None]
-    col_slope, row_slope = slope[:, :, 0], slope[:, :, 1] * weights[:, None]
+    col, col_slope = step[:, :, 0], slope[:, :, 0]
+    row, row_slope = ((part[:, :, 1] * weights[:, None]).transpose(0, 2, 1) for part in (step, slope))
     if len(weights) == 1:
-        row, row_slope = row.transpose(0, 2, 1), row_slope.transpose(0, 2, 1)
         return GlintShape(row * col, row * col_slope, row_slope * col)
-    up, up_slope = row.transpose(0, 2, 1), row_slope.transpose(0, 2, 1)
-    return GlintShape(up @ col, up @ col_slope, up_slope @ col)
+    return GlintShape(row @ col, row @ col_slope, row_slope @ col)
 
 
 def pixel_noise(mean: Array, sensor: SensorSpec) -> tuple[Array, Array]:
@@ -136,6 +122,7 @@ def localisation_bound(
     Parameters
     ----------
     camera : Camera
+        Raises ValueError if it has no width of the PSF.
     flux : array_like of shape (n,)
         Counts.
     xy : array_like of shape (n, 2)
@@ -148,16 +135,7 @@ def localisation_bound(
     Returns
     -------
     ndarray of shape (n, 2, 2)
-        px^2.
-
-    Raises
-    ------
-    ValueError
-        If the camera has no width of the PSF.
-
-    References
-    ----------
-    Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), section 3.9.
+        px^2. Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), section 3.9.
     """
     return _bound(camera, flux, xy, blur, background)[0]
 

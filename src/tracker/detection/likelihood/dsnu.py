@@ -20,14 +20,7 @@ SURROUNDINGS_PX = 9  # width of the neighbourhood from which an offset differs; 
 
 
 class DsnuEstimator:
-    """Averages the frames of a film, of each all but squares around its candidates.
-
-    Parameters
-    ----------
-    plate : EmptyPlate
-    reach : int
-        Half width of the squares, px.
-    """
+    """Averages the frames of a film, of each all but squares of half width `reach`, px, around its candidates."""
 
     def __init__(self, plate: EmptyPlate, reach: int) -> None:
         self.plate, self.frames, self.reach = plate, 0, reach
@@ -46,24 +39,11 @@ class DsnuEstimator:
             self.sums[part], self.hidden[part] = before, hidden
 
     def offsets(self, rows: Ints, columns: Ints, spread: float) -> tuple[Array, float]:
-        """The best linear estimate of pixels' own offsets.
+        """The best linear estimate of pixels' own offsets, counts, and the standard deviation of its residuals.
 
         A pixel's mean differs from its surroundings by its offset, the remaining noise and the texture of the plate.
-        The film shows how large these are together; the estimate is the offset's share of that.
-
-        Parameters
-        ----------
-        rows, columns : int arrays
-            The pixels; broadcast together.
-        spread : float
-            Standard deviation of offsets, counts.
-
-        Returns
-        -------
-        offsets : array
-            Counts; NaN where the plate was seen in less than a quarter of the frames.
-        left : float
-            Standard deviation of the offsets' residuals, counts.
+        The film shows how large these are together; the estimate is the offset's share of that. It is NaN where the
+        plate was seen in less than a quarter of the frames. `spread` is the standard deviation of offsets, counts.
         """
         if self.frames < MIN_FRAMES:
             return np.full(np.broadcast_shapes(rows.shape, columns.shape), np.nan), spread

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from scipy.special import log_ndtr
 
 from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
+from tracker.detection.glints import RowArrays
 from tracker.detection.likelihood.ball_profile import POWERS, BallProfile
 from tracker.detection.likelihood.cramer_rao import ROOT_TWO_PI, fisher, glint_shape, information, pixel_noise
 
@@ -28,78 +28,36 @@ MAX_COUNTS = 1e6  # the same of the background's parameters
 
 
 @dataclass(frozen=True, eq=False)
-class GlintWindows:
-    """Pixels in which glints are fitted.
+class GlintWindows(RowArrays):
+    """Pixels in which n glints are fitted, each in a window of s by s."""
 
-    Attributes
-    ----------
-    counts : ndarray of shape (n, s, s)
-    used : ndarray of shape (n, s, s)
-        1 where a pixel enters the fit, else 0.
-    start : ndarray of shape (n, 2)
-        First positions, px from the central pixel.
-    blur : ndarray of shape (n, 2)
-        Displacements during the exposure, px.
-    bowl : ndarray of shape (n, 2)
-        From the glints to the middles of the ball profiles, px.
-    secondaries : ndarray of shape (n, g, 3)
-        Positions of secondary glints, px from the central pixel, and 1 where there is one, else 0.
-    """
-
-    counts: Array
-    used: Array
-    start: Array
-    blur: Array
-    bowl: Array
-    secondaries: Array
-
-    def __len__(self) -> int:
-        return len(self.counts)
+    counts: Array  # (n, s, s)
+    used: Array  # (n, s, s): 1 where a pixel enters the fit, else 0
+    start: Array  # (n, 2): first positions, px from the central pixel
+    blur: Array  # (n, 2): displacements during the exposure, px
+    bowl: Array  # (n, 2): from the glints to the middles of the ball profiles, px
+    secondaries: Array  # (n, g, 3): secondary glints, px from the central pixel, and 1 where there is one, else 0
 
     @property
     def half(self) -> int:
         return int(self.counts.shape[1]) // 2
 
-    def take(self, rows: Any) -> GlintWindows:
-        """The windows of ``rows``."""
-        return GlintWindows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
 
 @dataclass(frozen=True, eq=False)
-class GlintFit:
-    """Fits of n windows.
+class GlintFit(RowArrays):
+    """Fits of n windows."""
 
-    Attributes
-    ----------
-    xy : ndarray of shape (n, 2)
-        Positions, px from the central pixel.
-    flux, background, flux_std : ndarray of shape (n,)
-        Counts.
-    cov, fixed : ndarray of shape (n, 2, 2)
-        Covariances of the positions, px^2, and the part that is the same in every frame of a ball at rest.
-    chi2 : ndarray of shape (n,)
-        Per degree of freedom, over open pixels.
-    loglik : ndarray of shape (n,)
-        Log likelihood.
-    converged : ndarray of shape (n,)
-        1 where the fit converged, else 0.
-    cross : ndarray of shape (n, 2)
-        Covariance of position and log flux, px.
-    secondary : ndarray of shape (n, 4)
-        Flux of the first secondary glint, counts; its covariance with the position; its variance. NaN without one.
-    """
-
-    xy: Array
-    flux: Array
+    xy: Array  # (n, 2): px from the central pixel
+    flux: Array  # counts, as the next two
     background: Array
-    cov: Array
-    fixed: Array
     flux_std: Array
-    chi2: Array
+    cov: Array  # (n, 2, 2): covariances of the positions, px^2
+    fixed: Array  # (n, 2, 2): the part that is the same in every frame of a ball at rest
+    chi2: Array  # per degree of freedom, over open pixels
     loglik: Array
-    converged: Array
-    cross: Array
-    secondary: Array
+    converged: NDArray[np.bool_]
+    cross: Array  # (n, 2): covariance of position and log flux, px
+    secondary: Array  # (n, 4): flux of the first secondary glint, counts; its covariance with x and y; its variance
 
 
 def fit_glints(
@@ -109,64 +67,32 @@ def fit_glints(
     profile: BallProfile | None = None,
     tolerance: float = 0.003,
 ) -> GlintFit:
-    """Fit a glint to each window, on a ball profile of known shape or on a bowl of its own.
+    """Fit a glint of width `sigma`, px, to each window, on a ball profile of known shape or on a bowl of its own.
 
-    Parameters
-    ----------
-    windows : Windows
-    sigma : float
-        Width of a glint, px.
-    sensor : Sensor
-    profile : BallProfile, optional
-    tolerance : float
-        A smaller step, px and log flux, is the last one: the next would be a hundredth of it.
-
-    Returns
-    -------
-    Fit
+    A step below `tolerance`, px and log flux, is the last one: the next would be a hundredth of it.
     """
-    theta, n = _start(windows, sigma, sensor, profile), len(windows)
-    active = np.arange(n)
-    _clip_parameters(theta, active, windows.half)
-    part, values = windows, np.full((n, 17), np.nan)
-    limit = _step_limits(sigma)
+    theta = _clip_parameters(_start(windows, sigma, sensor, profile), windows.half)
+    active, part, limit = np.arange(len(windows)), windows, _step_limits(sigma)
+    ended, fits = [], []
     for number in range(MAX_STEPS):
-        if len(active) == 0:
-            break
-        seen = _evaluate(theta[active], part, sigma, sensor, profile)
+        seen = _compare(part, *_model(theta[active], part, sigma, profile), sensor)
         step = np.asarray(np.linalg.solve(seen.info, seen.slope[..., None])[..., 0], dtype=np.float64)
         step[:, :3] = np.clip(step[:, :3], -limit, limit)
         if number >= 8:  # a glint that still moves swings about its position
             step *= 0.5
-        theta[active] += step
-        _clip_parameters(theta, active, part.half)
+        theta[active] = _clip_parameters(theta[active] + step, windows.half)
         still = np.max(np.abs(step[:, :3]), axis=1) > tolerance
-        if number == MAX_STEPS - 1 or not still.all():
-            ended = np.flatnonzero(~still) if number < MAX_STEPS - 1 else np.arange(len(active))
-            values[active[ended]] = _figures(seen.take(ended), part.take(ended), step[ended], ~still[ended], sensor)
-        if not still.all():
-            active = active[still]
+        ends = np.full(len(active), True) if number == MAX_STEPS - 1 else ~still
+        if ends.any():
+            ended.append(active[ends])
+            fits.append(
+                _finish(theta[active[ends]], seen.take(ends), part.take(ends), step[ends], ~still[ends], sensor)
+            )
+            active = active[~ends]
             part = windows.take(active)
-    cov, fixed = values[:, :4].reshape(n, 2, 2).copy(), values[:, 4:8].reshape(n, 2, 2).copy()
-    flux = np.exp(theta[:, 2])
-    return GlintFit(
-        xy=theta[:, :2].copy(),
-        flux=flux,
-        background=theta[:, 3].copy(),
-        cov=cov,
-        fixed=fixed,
-        flux_std=flux * values[:, 8],
-        chi2=values[:, 9],
-        loglik=values[:, 10],
-        converged=values[:, 11],
-        cross=values[:, 12:14],
-        secondary=np.column_stack([_secondary(theta, windows, profile), values[:, 14:]]),
-    )
-
-
-def _secondary(theta: Array, windows: GlintWindows, profile: BallProfile | None) -> Array:
-    """Flux (n,) of each window's first secondary glint."""
-    return theta[:, 4 + (profile is None)] if windows.secondaries.shape[1] else np.full(len(theta), np.nan)
+        if len(active) == 0:
+            break
+    return GlintFit.join(fits).take(np.argsort(np.concatenate(ended)))
 
 
 def _step_limits(sigma: float) -> Array:
@@ -174,11 +100,11 @@ def _step_limits(sigma: float) -> Array:
     return 0.7 * np.array([sigma, sigma, 1.0])
 
 
-def _clip_parameters(theta: Array, active: NDArray[np.int64], half: int) -> None:
+def _clip_parameters(theta: Array, half: int) -> Array:
     """Keep runaway fits where they can still be computed; they never converge."""
-    theta[active, :2] = np.clip(theta[active, :2], -half, half)
-    theta[active, 2] = np.clip(theta[active, 2], *LOG_FLUX_LIMITS)
-    theta[active, 3:] = np.clip(theta[active, 3:], -MAX_COUNTS, MAX_COUNTS)
+    low = [-half, -half, LOG_FLUX_LIMITS[0]] + [-MAX_COUNTS] * (theta.shape[1] - 3)
+    high = [half, half, LOG_FLUX_LIMITS[1]] + [MAX_COUNTS] * (theta.shape[1] - 3)
+    return np.clip(theta, low, high)
 
 
 def _model(
@@ -216,63 +142,25 @@ def _model(
 
 
 @dataclass(frozen=True, eq=False)
-class _Evaluation:
-    """A model compared with its windows.
+class _Comparison(RowArrays):
+    """A model compared with its windows."""
 
-    Attributes
-    ----------
-    mean, variance : ndarray of shape (n, s, s)
-        Of the pixels' counts.
-    parts : ndarray of shape (n, p, s, s)
-        Derivatives of the means by the parameters.
-    info : ndarray of shape (n, p, p)
-        Fisher information on the parameters.
-    slope : ndarray of shape (n, p)
-        Score: the derivative of the log likelihood by the parameters.
-    """
-
-    mean: Array
-    variance: Array
-    parts: Array
-    info: Array
-    slope: Array
-
-    @staticmethod
-    def of(windows: GlintWindows, mean: Array, parts: Array, sensor: SensorSpec) -> _Evaluation:
-        noise = pixel_noise(mean, sensor)
-        info = fisher(information(mean, sensor, noise) * windows.used, parts)
-        score = _score(windows.counts, mean, sensor, noise)
-        score *= windows.used
-        slope = parts.reshape(*parts.shape[:2], -1) @ score.reshape(len(parts), -1, 1)
-        return _Evaluation(mean, noise[0], parts, _add_ridge(info), slope[..., 0])
-
-    def take(self, rows: NDArray[np.int64]) -> _Evaluation:
-        if len(rows) == len(self.mean):
-            return self
-        return _Evaluation(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+    mean: Array  # (n, s, s): of the pixels' counts
+    variance: Array  # (n, s, s): the same
+    parts: Array  # (n, p, s, s): derivatives of the means by the parameters
+    info: Array  # (n, p, p): Fisher information on the parameters
+    slope: Array  # (n, p): score, the derivative of the log likelihood by the parameters
 
 
-def _evaluate(
-    theta: Array,
-    windows: GlintWindows,
-    sigma: float,
-    sensor: SensorSpec,
-    profile: BallProfile | None,
-    shared: bool = False,
-) -> _Evaluation:
-    """`shared`: the profile's coefficients are parameters too, the last ones."""
-    room = len(POWERS) if shared else 0
-    mean, parts = _model(theta, windows, sigma, profile, room)
-    if shared and profile is not None:
-        parts[:, -room:] = profile.basis(theta[:, :2] + windows.bowl, windows.half)
-    return _Evaluation.of(windows, mean, parts, sensor)
-
-
-def _add_ridge(info: Array) -> Array:
-    """A very small ridge, so that the equations of a window without a glint or a secondary have a solution."""
-    size = np.diagonal(info, axis1=1, axis2=2)
-    ridge = 1e-9 * size + 1e-12
-    return np.asarray(info + np.eye(info.shape[1]) * ridge[:, None, :], dtype=np.float64)
+def _compare(windows: GlintWindows, mean: Array, parts: Array, sensor: SensorSpec) -> _Comparison:
+    noise = pixel_noise(mean, sensor)
+    info = fisher(information(mean, sensor, noise) * windows.used, parts)
+    # a very small ridge, so that the equations of a window without a glint or a secondary have a solution
+    ridge = 1e-9 * np.diagonal(info, axis1=1, axis2=2) + 1e-12
+    score = _score(windows.counts, mean, sensor, noise)
+    score *= windows.used
+    slope = parts.reshape(*parts.shape[:2], -1) @ score.reshape(len(parts), -1, 1)
+    return _Comparison(mean, noise[0], parts, info + np.eye(info.shape[1]) * ridge[:, None, :], slope[..., 0])
 
 
 def _start(windows: GlintWindows, sigma: float, sensor: SensorSpec, profile: BallProfile | None) -> Array:
@@ -309,31 +197,17 @@ def learn_profile(windows: GlintWindows, sigma: float, sensor: SensorSpec, end: 
     """Learn the ball profile that maximises the joint likelihood of all windows.
 
     Each window has a position, flux and level of its own. These are eliminated (Schur complement); the remaining
-    problem is nearly linear, so that two steps are enough.
-
-    Parameters
-    ----------
-    windows : GlintWindows
-    sigma : float
-        Width of a glint, px.
-    sensor : SensorSpec
-    end : float
-        Radius beyond which the ball mirrors no room, px.
-
-    Returns
-    -------
-    BallProfile
-    ndarray of shape (n, 2)
-        Positions of the glints, px from the central pixel.
+    problem is nearly linear, so that two steps are enough. Beyond the radius `end`, px, the ball mirrors no room. The
+    second result are the positions (n, 2) of the glints, px from the central pixel.
     """
     profile, limit = BallProfile(end, np.zeros(len(POWERS))), _step_limits(sigma)
-    theta, own = (
-        _start(windows, sigma, sensor, profile),
-        fit_glints(windows, sigma, sensor, tolerance=0.1),
-    )  # clipped glints need a first fit
+    theta = _start(windows, sigma, sensor, profile)
+    own = fit_glints(windows, sigma, sensor, tolerance=0.1)  # clipped glints need a first fit
     theta[:, :3] = np.column_stack([own.xy, np.log(own.flux)])
     for _ in range(2):
-        seen = _evaluate(theta, windows, sigma, sensor, profile, shared=True)
+        mean, parts = _model(theta, windows, sigma, profile, room=len(POWERS))
+        parts[:, 4:] = profile.basis(theta[:, :2] + windows.bowl, windows.half)
+        seen = _compare(windows, mean, parts, sensor)
         of_own, across, of_profile = seen.info[:, :4, :4], seen.info[:, :4, 4:], seen.info[:, 4:, 4:]
         slope = seen.slope[..., None]
         solved = np.linalg.solve(of_own, np.concatenate([across, slope[:, :4]], axis=2))
@@ -342,8 +216,7 @@ def learn_profile(windows: GlintWindows, sigma: float, sensor: SensorSpec, end: 
         change = np.linalg.solve(left + 1e-9 * np.diag(np.diag(left)) + 1e-12 * np.eye(len(left)), push)
         step = (solved[:, :, -1:] - solved[:, :, :-1] @ change)[..., 0]
         step[:, :3] = np.clip(step[:, :3], -limit, limit)
-        theta += step
-        _clip_parameters(theta, np.arange(len(theta)), windows.half)
+        theta = _clip_parameters(theta + step, windows.half)
         profile = BallProfile(end, np.clip(profile.coefficients + change[:, 0], -MAX_COUNTS, MAX_COUNTS))
     return profile, theta[:, :2]
 
@@ -354,40 +227,26 @@ def score_blur_length(
     """Score and information of each window on the logarithm of the length of the motion blur.
 
     Nuisance parameters are eliminated (Schur complement): of each window its position, flux, level, bowl and width of
-    the glint; of all windows together an elliptical shape of resting glints.
-
-    Parameters
-    ----------
-    windows : Windows
-    known : ndarray of shape (n, 4)
-        Positions from the central pixel, px, log fluxes and levels.
-    still : ndarray of shape (n,)
-        Which hardly move. They give the width of a glint, which may differ from `sigma`.
-    sigma : float
-        px.
-    sensor : Sensor
-
-    Returns
-    -------
-    score, information : ndarray of shape (n,)
+    the glint; of all windows together an elliptical shape of resting glints. `known` (n, 4) are positions from the
+    central pixel, px, log fluxes and levels. The windows that are `still` hardly move: they give the width of a glint,
+    which may differ from `sigma`, px.
     """
     theta = np.column_stack([known, np.zeros(len(windows))])
     mean, parts = _model(theta, windows, sigma, None, room=1)
     along, twist, across = _bends(theta, windows, sigma)
     parts[:, 5] = wider = sigma**2 * (along + across)
-    seen = _Evaluation.of(windows, mean, parts, sensor)
+    seen = _compare(windows, mean, parts, sensor)
     step = np.linalg.solve(seen.info, seen.slope[..., None])[..., 0]
-    theta += step[:, :5]
-    _clip_parameters(theta, np.arange(len(theta)), windows.half)
+    theta = _clip_parameters(theta + step[:, :5], windows.half)
     sigma *= math.exp(float(np.clip(np.median(step[still, 5]), -0.5, 0.5)))
     mean, parts = _model(theta, windows, sigma, None, room=4)
     parts[:, 5], parts[:, 6], parts[:, 7] = wider, along - across, twist
     nudge = 0.05  # relative change of the blur, for a numerical derivative
     one, other = (
-        glint_shape(theta[:, :2], (1.0 + by) * windows.blur, sigma, windows.half).value for by in (-nudge, nudge)
+        glint_shape(theta[:, :2], by * windows.blur, sigma, windows.half).value for by in (1 - nudge, 1 + nudge)
     )
     parts[:, 8] = np.exp(theta[:, 2])[:, None, None] * (other - one) / (2.0 * nudge)
-    seen = _Evaluation.of(windows, mean, parts, sensor)
+    seen = _compare(windows, mean, parts, sensor)
     mixed = seen.info[:, :6, 6:]
     solved = np.linalg.solve(seen.info[:, :6, :6], np.concatenate([mixed, seen.slope[:, :6, None]], axis=2))
     left = seen.info[:, 6:, 6:] - mixed.transpose(0, 2, 1) @ solved[..., :3]
@@ -408,17 +267,17 @@ def _bends(theta: Array, windows: GlintWindows, sigma: float) -> tuple[Array, Ar
     return factor * (right.by_x - left.by_x), factor * (right.by_y - left.by_y), factor * (down.by_y - up.by_y)
 
 
-def _figures(
-    seen: _Evaluation, windows: GlintWindows, step: Array, converged: NDArray[np.bool_], sensor: SensorSpec
-) -> Array:
-    """The results of fits, (n, 17).
-
-    They are: cov and fixed of the position (4 + 4), error of the log flux, chi^2 per degree of freedom, log likelihood,
-    whether converged, covariance of position and log flux (2), and of the first secondary's flux its covariance with
-    the position (2) and its variance. The last ``step`` (n, p) increases the log likelihood by half of step . slope.
-    """
-    n, mean, variance = len(step), seen.mean, seen.variance
-    cov = np.linalg.inv(seen.info)
+def _finish(
+    theta: Array,
+    seen: _Comparison,
+    windows: GlintWindows,
+    step: Array,
+    converged: NDArray[np.bool_],
+    sensor: SensorSpec,
+) -> GlintFit:
+    """The results of fits whose last ``step`` (n, p) increases the log likelihood by half of step . slope."""
+    mean, variance, flux = seen.mean, seen.variance, np.exp(theta[:, 2])
+    cov = np.asarray(np.linalg.inv(seen.info), dtype=np.float64)
     full = windows.counts >= sensor.ceiling
     is_open = windows.used * ~full if full.any() else windows.used
     square = (windows.counts - mean) ** 2 / variance
@@ -430,10 +289,19 @@ def _figures(
     beyond = full & (windows.used > 0)
     if beyond.any():
         loglik[beyond] = log_ndtr((mean[beyond] - sensor.ceiling + 0.5) / np.sqrt(variance[beyond]))
-    chi2 = ((is_open * square).sum(axis=(1, 2)) - gain) / freedom
-    secondaries = windows.secondaries.shape[1]
-    secondary = cov[:, [0, 1, -secondaries], -secondaries] if secondaries else np.full((n, 3), np.nan)
-    return np.column_stack([
-        cov[:, :2, :2].reshape(n, 4), pattern[:, :2, :2].reshape(n, 4), np.sqrt(cov[:, 2, 2]), chi2,
-        loglik.sum(axis=(1, 2)) + gain / 2, converged, cov[:, :2, 2], secondary,
-    ])  # fmt: skip
+    secondary, g = np.full((len(theta), 4), np.nan), windows.secondaries.shape[1]
+    if g:
+        secondary = np.column_stack([theta[:, -g], cov[:, [0, 1, -g], -g]])
+    return GlintFit(
+        xy=theta[:, :2],
+        flux=flux,
+        background=theta[:, 3],
+        flux_std=flux * np.sqrt(cov[:, 2, 2]),
+        cov=cov[:, :2, :2],
+        fixed=pattern[:, :2, :2],
+        chi2=((is_open * square).sum(axis=(1, 2)) - gain) / freedom,
+        loglik=loglik.sum(axis=(1, 2)) + gain / 2,
+        converged=converged,
+        cross=cov[:, :2, 2],
+        secondary=secondary,
+    )

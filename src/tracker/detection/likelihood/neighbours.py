@@ -17,63 +17,54 @@ from tracker.camera.mirror_images import locate_secondary_glints, secondary_flux
 from tracker.detection.glints import Glints
 
 Ints = NDArray[np.int64]
+MAX_BALLS = 12  # in a frame
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """The nearest other ball of each glint, and the secondary glint that it makes.
+    """The nearest other ball of each of n glints, and the secondary glint that it makes."""
 
-    Attributes
-    ----------
-    is_near : ndarray of bool, shape (n,)
-        Whether the other ball is so near, 1.5 diameters between the glints, that it alters the profile of a glint.
-    secondary : ndarray of shape (n, 3)
-        Position of the secondary glint, px, and 1; or zeros.
-    flux_ratio : ndarray of shape (n,)
-        Its flux over that of the primary one, except for a factor of the balls' reflectance. Zero where it is too faint
-        to show that reflectance.
-    """
-
-    is_near: NDArray[np.bool_]
-    secondary: Array
+    is_near: NDArray[np.bool_]  # the other ball is so near, 1.5 diameters, that it alters the profile of the glint
+    secondary: Array  # (n, 3): position of the secondary glint, px, and 1; or zeros
     flux_ratio: Array
+    """Flux of the secondary glint over that of the primary one, except for a factor of the balls' reflectance. Zero
+    where it is too faint to show that reflectance."""
 
 
-def find_neighbours(glints: Glints, good: NDArray[np.bool_], camera: Camera, *, max_balls: int = 12) -> Neighbours:
-    """Find the neighbours of the good glints (n,) among `max_balls` in their frames."""
-    nearest = np.full(len(glints), np.inf)
-    other = np.zeros((len(glints), 2))
+def find_neighbours(glints: Glints, good: NDArray[np.bool_], camera: Camera) -> Neighbours:
+    """Find the neighbours of the good ones of the glints (n,) among `MAX_BALLS` in their frames."""
+    distance, other = np.full(len(glints), np.inf), np.zeros((len(glints), 2))
     rows = np.flatnonzero(good)
     order = rows[np.argsort(glints.frame[rows], kind="stable")]
-    frame, xy = glints.frame[order], glints.xy[order]
-    for lag in range(1, min(len(order), max_balls)):
+    xy = glints.xy
+    distance[order], nearest = _find_nearest(glints.frame[order], xy[order])
+    other[order] = np.where(nearest[:, None] >= 0, xy[order][nearest], 0.0)
+    diameter = camera.diameter_px
+    secondary, flux_ratio = np.zeros((len(glints), 3)), np.zeros(len(glints))
+    shows = distance < 5.0 * diameter  # a ball shows its neighbour's glint
+    if camera.corrects_glint and shows.any():
+        secondary[shows, :2] = locate_secondary_glints(camera, xy[shows], other[shows])
+        secondary[shows, 2] = 1.0
+    bright = distance < 2.5 * diameter  # bright enough to show the balls' reflectance
+    if camera.corrects_glint and bright.any():
+        flux_ratio[bright] = secondary_flux_ratio(camera, xy[bright], other[bright])
+    return Neighbours(distance < 1.5 * diameter, secondary, flux_ratio)
+
+
+def find_isolated(frame: Ints, position: Array, distance: float) -> NDArray[np.bool_]:
+    """Which detections (n,), sorted by frame, have no other within a distance, px, in their frame."""
+    return _find_nearest(frame, position)[0] >= distance
+
+
+def _find_nearest(frame: Ints, xy: Array) -> tuple[Array, Ints]:
+    """Distance (n,), px, of the nearest other detection in the frame, and its row; infinity and -1 without one."""
+    distance, nearest = np.full(len(frame), np.inf), np.full(len(frame), -1)
+    for lag in range(1, min(len(frame), MAX_BALLS)):
         pairs = np.flatnonzero(frame[lag:] == frame[:-lag])
         if len(pairs) == 0:
             break
         gap = np.hypot(*(xy[pairs + lag] - xy[pairs]).T)
         for one, two in ((pairs, pairs + lag), (pairs + lag, pairs)):
-            closer = gap < nearest[order[one]]
-            nearest[order[one[closer]]] = gap[closer]
-            other[order[one[closer]]] = xy[two[closer]]
-    diameter = camera.diameter_px
-    secondary, flux_ratio = np.zeros((len(glints), 3)), np.zeros(len(glints))
-    shows = nearest < 5.0 * diameter  # a ball shows its neighbour's glint
-    if camera.corrects_glint and shows.any():
-        secondary[shows, :2] = locate_secondary_glints(camera, glints.xy[shows], other[shows])
-        secondary[shows, 2] = 1.0
-    bright = nearest < 2.5 * diameter  # bright enough to show the balls' reflectance
-    if camera.corrects_glint and bright.any():
-        flux_ratio[bright] = secondary_flux_ratio(camera, glints.xy[bright], other[bright])
-    return Neighbours(nearest < 1.5 * diameter, secondary, flux_ratio)
-
-
-def find_isolated(frame: Ints, position: Array, distance: float, *, max_balls: int = 12) -> NDArray[np.bool_]:
-    """Which detections (n,), sorted by frame, have no other within a distance, px, in their frame."""
-    alone = np.ones(len(frame), dtype=bool)
-    for lag in range(1, min(len(frame), max_balls)):
-        same = np.flatnonzero(frame[lag:] == frame[:-lag])
-        if len(same) == 0:
-            break
-        close = same[np.hypot(*(position[same + lag] - position[same]).T) < distance]
-        alone[close] = alone[close + lag] = False
-    return alone
+            closer = gap < distance[one]
+            distance[one[closer]], nearest[one[closer]] = gap[closer], two[closer]
+    return distance, nearest

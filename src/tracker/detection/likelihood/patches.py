@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,46 +12,33 @@ from numpy.typing import NDArray
 from tracker.camera.lens import Array
 from tracker.detection.candidates import Candidates
 from tracker.detection.detector import View
+from tracker.detection.glints import RowArrays
 from tracker.detection.likelihood.glint_fit import GlintWindows
 
 Ints = NDArray[np.int64]
 
 
 class GlintGeometry:
-    """Sizes, in px, of a ball and of its glint in a clip, and the windows that follow from them.
-
-    Attributes
-    ----------
-    half : int
-        Half width of the window of a resting glint: 3.5 widths of the glint on each side.
-    reach : int
-        Half width of a patch: it holds the window of the fastest ball, whichever way it moves.
-    profile_end : float
-        Radius about the middle of the mirrored room beyond which the ball mirrors no room: .71 of its radius, and the
-        blur of the optics.
-    profile_clear : float
-        Radius out to which the learnt shape of the profile holds.
-    is_bounded : bool
-        Whether pixels are used only out to `limit`, on the ball; glints that are wide beside the ball are not bounded.
-    is_small : bool
-        Whether that limit would cut the glint itself. Then the window follows the glint.
-    limit : float
-        Radius of the used pixels about the middle of the mirrored room.
-    """
+    """Sizes, in px, of a ball and of its glint in a clip, and the windows that follow from them."""
 
     def __init__(self, view: View) -> None:
-        camera, self.sigma = view.camera, view.sigma
-        widths = 3.5
+        camera, widths = view.camera, 3.5 * view.sigma
         self.radius = camera.diameter_px / 2.0
-        self.half = max(2, round(widths * self.sigma + 0.5))
+        # Half width of the window of a resting glint: 3.5 widths of the glint on each side.
+        self.half = max(2, round(widths + 0.5))
+        # About the middle of the mirrored room: the radius beyond which the ball mirrors no room, .71 of its own and
+        # the blur of the optics; and that out to which the learnt shape of the profile holds.
         self.profile_end, self.profile_clear = 0.9 * self.radius, 0.68 * self.radius
         # Out to .71 of its radius a ball mirrors what is above the plate; the blur reduces that to .55.
         on_body = 0.55 * self.radius
-        self.is_bounded = on_body > 2.5 * self.sigma
-        self.is_small = self.is_bounded and on_body < widths * self.sigma
-        self.limit = min(self.profile_clear, widths * self.sigma) if self.is_small else on_body
+        # Pixels are used only out to `limit`, on the ball, unless the glint is wide beside the ball.
+        self.is_bounded = on_body > 2.5 * view.sigma
+        # That limit would cut the glint of a small ball: its window follows the glint.
+        self.is_small = self.is_bounded and on_body < widths
+        self.limit = min(self.profile_clear, widths) if self.is_small else on_body
         fastest = view.settings.link.max_speed_m_s
         travel = fastest * camera.effective_exposure / camera.scale if camera.metric else 4.0
+        # Half width of a patch: it holds the window of the fastest ball, whichever way it moves.
         self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
         self.size = (view.plate.level.shape[1], view.plate.level.shape[0])
 
@@ -63,38 +49,16 @@ class GlintGeometry:
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
-    """The pixels around the candidates of many frames.
-
-    Attributes
-    ----------
-    frame, column, row : ndarray of int, shape (n,)
-        Frame and central pixel.
-    strength : ndarray of shape (n,)
-        As of `Candidates`.
-    counts : ndarray of shape (n, p, p)
-    inside : ndarray of bool, shape (n, p, p)
-        Which pixels lie in the frame and are not hot.
-    level : ndarray of bool, shape (n,)
-        Whether the counts are corrected for the fixed offsets of their pixels.
-    """
+class Patches(RowArrays):
+    """The pixels, p by p, around the n candidates of many frames."""
 
     frame: Ints
-    column: Ints
+    column: Ints  # of the central pixel, as `row`
     row: Ints
-    strength: Array
-    counts: NDArray[Any]
-    inside: NDArray[np.bool_]
-    level: NDArray[np.bool_]
-
-    def take(self, rows: Ints) -> Patches:
-        """The patches of ``rows``."""
-        return Patches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
-    @staticmethod
-    def join(parts: Sequence[Patches]) -> Patches:
-        """All patches, in their order."""
-        return Patches(*(np.concatenate([getattr(p, n) for p in parts]) for n in Patches.__dataclass_fields__))
+    strength: Array  # as of `Candidates`
+    counts: NDArray[Any]  # (n, p, p)
+    inside: NDArray[np.bool_]  # (n, p, p): pixels that lie in the frame and are not hot
+    level: NDArray[np.bool_]  # (n,): the counts are corrected for the fixed offsets of their pixels
 
     @staticmethod
     def cut(frame: NDArray[Any], number: int, found: Candidates, reach: int, sound: NDArray[np.bool_]) -> Patches:
@@ -129,36 +93,19 @@ def _cut(
 def make_windows(
     geometry: GlintGeometry, patches: Patches, position: Array, blur: Array, bowl: Array, half: int, with_profile: bool
 ) -> tuple[GlintWindows, Array]:
-    """Windows around the pixels nearest to the positions of glints.
+    """Cut windows, 2 half + 1 pixels wide, around the pixels (n, 2) nearest to first positions of glints; and these.
 
-    Parameters
-    ----------
-    geometry : GlintGeometry
-    patches : Patches
-        n of them.
-    position, blur, bowl : ndarray of shape (n, 2)
-        First positions; displacements during the exposure; from the glints to the middles of the ball profiles, px.
-    half : int
-        Windows are 2 half + 1 pixels wide.
-    with_profile : bool
-        Whether the learnt profile holds for them; it reaches further than a free bowl.
-
-    Returns
-    -------
-    GlintWindows
-    ndarray of shape (n, 2)
-        The central pixels.
+    Positions, displacements during the exposure, and vectors from the glints to the middles of the ball profiles are
+    (n, 2), px. `with_profile`: the learnt profile holds, which reaches further than a free bowl.
     """
     limit = geometry.profile_clear if with_profile else geometry.limit
     corner = np.column_stack([patches.column, patches.row])
     room = geometry.reach - half
     shift = np.clip(np.round(position - corner).astype(np.int64), -room, room)
     index = np.arange(-half, half + 1) + geometry.reach
-    across = index + shift[:, :1]
-    down = index + shift[:, 1:]
-    each = np.arange(len(position))[:, None, None]
-    counts = patches.counts[each, down[:, :, None], across[:, None, :]].astype(np.float64)
-    inside = patches.inside[each, down[:, :, None], across[:, None, :]].astype(np.float64)
+    across, down = (index + shift[:, [axis]] for axis in (0, 1))
+    pixels = np.arange(len(position))[:, None, None], down[:, :, None], across[:, None, :]
+    counts, inside = (picture[pixels].astype(np.float64) for picture in (patches.counts, patches.inside))
     origin = (corner + shift).astype(np.float64)
     start = np.clip(position - origin, -half, half)
     offsets = np.abs(np.arange(-half, half + 1) - start[..., None])  # (n, axis, pixel)
@@ -176,8 +123,8 @@ def _on_body(middle: Array, blur: Array, half: int, limit: float) -> Array:
     """1 where a pixel shows the part of the ball that mirrors the room, in which the profile is a smooth bowl."""
     offsets = np.arange(-half, half + 1.0)
     across, down = (offsets - middle[:, :1])[:, None, :], (offsets - middle[:, 1:])[:, :, None]
-    length = np.hypot(blur[:, 0], blur[:, 1])[:, None, None]
-    direction = blur[..., None, None] / np.maximum(np.hypot(blur[:, 0], blur[:, 1]), 1e-9)[:, None, None, None]
+    length = np.hypot(*blur.T)[:, None, None]
+    direction = blur[..., None, None] / np.maximum(length, 1e-9)[..., None]
     along = direction[:, 0] * across + direction[:, 1] * down
     along -= np.clip(along, -length / 2.0, length / 2.0)
     aside = direction[:, 0] * down - direction[:, 1] * across
