@@ -14,12 +14,14 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+from discrepancy_clips import only
 from repository import ROOT
 
 import synthcam
 import tracker
 from discrepancy.data.reading import read_collisions
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
+from synthcam.library import library
 from tracker import pipeline
 
 mpl.use("Agg")
@@ -128,6 +130,7 @@ def test_a_package_and_its_cli_run_as_the_command(module):
 def test_the_page_runs_as_it_stands(tmp_path, monkeypatch, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/library.md").read_text(), re.DOTALL)
     monkeypatch.chdir(tmp_path)
+    only(monkeypatch, plate_tilt=library()["plate_tilt"], rolling_quadratic=library()["rolling_quadratic"])
     names = {}
     exec(compile(code, "docs/library.md", "exec"), names)
     assert "named plate_tilt 0.99" in capsys.readouterr().out

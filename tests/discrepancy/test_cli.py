@@ -6,7 +6,6 @@ import json
 import math
 import re
 import shutil
-import subprocess
 import sys
 
 import pandas as pd
@@ -16,7 +15,9 @@ from discrepancy_files import SCENE, TRUTH, command, record
 from repository import ROOT
 from rich.console import Console
 
+import synthcam.cli
 from discrepancy import cli
+from synthcam.library import library
 from synthcam.model import read_model
 
 MODEL = ROOT / SCENE
@@ -62,7 +63,8 @@ def test_a_table_and_results_give_the_same_without_any_truth(recorded, report, t
     assert one["gap"] == pytest.approx(other["gap"], rel=1e-4)
 
 
-def test_the_found_model_lacks_nothing(recorded, report, tmp_path, capsys):
+def test_the_found_model_lacks_nothing(recorded, report, tmp_path, capsys, monkeypatch):
+    only(monkeypatch)
     words = (recorded / "results", "--model", report / "model.yaml", "-o", tmp_path / "again", "--json")
     assert command("find", *words) == 0
     said = json.loads(capsys.readouterr().out)
@@ -70,10 +72,13 @@ def test_the_found_model_lacks_nothing(recorded, report, tmp_path, capsys):
     assert said["named"] == []
 
 
-def test_the_found_model_is_a_scene(report, tmp_path):
+def test_the_found_model_is_a_scene(report, tmp_path, monkeypatch):
     words = ["generate", str(report / "model.yaml"), "-o", str(tmp_path / "set"), "--no-video"]
-    done = subprocess.run([sys.executable, "-c", "from synthcam.cli import main; main()", *words], check=False)
-    assert done.returncode == 0
+    monkeypatch.setattr(sys, "argv", ["synthcam", *words])
+    with pytest.raises(SystemExit) as left:
+        synthcam.cli.main()
+    assert left.value.code == 0
+    assert (tmp_path / "set/clips/000000").is_dir()
 
 
 def test_the_ten_lines_of_the_docs_run_as_they_stand(recorded, tmp_path, monkeypatch, capsys):
@@ -90,7 +95,8 @@ def test_the_ten_lines_of_the_docs_run_as_they_stand(recorded, tmp_path, monkeyp
     assert (tmp_path / "out/search_py/index.html").is_file()
 
 
-def test_add_fits_a_candidate(recorded, tmp_path, capsys):
+def test_add_fits_a_candidate(recorded, tmp_path, capsys, monkeypatch):
+    only(monkeypatch)
     table = (recorded / "tracks.csv", "--camera", recorded / "camera.json")
     words = ("add", "velocity_restitution", "--model", MODEL, "-o", tmp_path / "new.yaml", "--json", "--fit", *table)
     assert command(*words) == 0
@@ -114,7 +120,8 @@ def test_a_misspelt_key_of_the_tables_camera_is_named_as_the_tracker_names_it(na
     ]
 
 
-def test_add_tells_what_it_fitted(recorded, tmp_path, capsys):
+def test_add_tells_what_it_fitted(recorded, tmp_path, capsys, monkeypatch):
+    only(monkeypatch)
     words = ("--model", MODEL, "-o", tmp_path / "new.yaml", "--fit", recorded / "results")
     assert command("add", "velocity_restitution", *words, "--json") == 0
     said = json.loads(capsys.readouterr().out)
@@ -128,7 +135,8 @@ def test_add_tells_what_it_fitted(recorded, tmp_path, capsys):
     assert "(6 of 6)" in told
 
 
-def test_add_of_what_cannot_be_told_is_one_line(recorded, tmp_path, capsys):
+def test_add_of_what_cannot_be_told_is_one_line(recorded, tmp_path, capsys, monkeypatch):
+    only(monkeypatch, clock_error=library()["clock_error"])
     words = ("add", "clock_error", "--model", MODEL, "--fit", recorded / "results", "-o", tmp_path / "new.yaml")
     assert command(*words) == 2
     assert capsys.readouterr().err.count("\n") == 1

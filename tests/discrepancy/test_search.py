@@ -107,7 +107,7 @@ def test_a_tilt_hidden_by_another_integrator_is_named(monkeypatch):
     assert abs(best.chi2 / (best.points - best.parameters) - 1) < 0.15
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_nothing_hidden_is_nothing_found(rho):
     found = searched("nothing", rho)
     assert found.verdict == "none"
@@ -152,8 +152,8 @@ def test_the_library_is_asked_again_for_what_stands_in_place_of_a_free_law(monke
 
 def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(monkeypatch):
     known = ("stribeck", "viscous_friction", "rolling_quadratic")
-    only(monkeypatch, ("friction_speed", "rolling_speed"), **{n: library()[n] for n in known})
-    clips = collisions(Model().replace({"stribeck.rise": 0.004, "stribeck.slip": 0.3}), 10, 4)
+    only(monkeypatch, ("friction_speed",), **{n: library()[n] for n in known})
+    clips = collisions(Model().replace({"stribeck.rise": 0.004, "stribeck.slip": 0.3}), 8, 4)
     found = search(clips, Model(sliding_friction=0.0))
     assert "sliding_friction" in names(found)
     assert found.verdict == "ambiguous"
@@ -163,8 +163,9 @@ def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(m
 @pytest.mark.parametrize("hidden", [{"stribeck.rise": 0.03}, {"plate_tilt.x": 1e-3}])
 def test_what_the_library_holds_is_not_called_outside_it(monkeypatch, hidden):
     """Friction with a shape of its own, or one strength of two, which a free law could bend to."""
-    only(monkeypatch, **{name: library()[name] for name in {*FEW, "plate_tilt"}})
-    found = search(collisions(Model().replace(hidden), 10, 4), Model())
+    bent = ("friction_speed", "friction_heading", "force_place", "force_velocity")
+    only(monkeypatch, bent, **{name: library()[name] for name in (*FEW, "plate_tilt")})
+    found = search(collisions(Model().replace(hidden), 8, 4), Model())
     assert found.free_law is None
     assert found.verdict == "named"
     assert set(names(found)) == {k.partition(".")[0] for k in hidden}

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions, only
 
+from discrepancy.free_laws.library import library as free_laws
 from discrepancy.search import search
 from synthcam.effect import Effect, parameter
 from synthcam.library import library
@@ -75,15 +76,23 @@ OUTSIDERS = {
     "force_speed": RootDrag(0.015),
 }
 
+CLIPS = {"friction_place": 10, "restitution_speed": 18, "spin_transfer_speed": 12, "force_speed": 12}
+# the free laws of a search: the hidden one and its nearest rivals, for spin_transfer_speed all that there are
+RIVALS = {
+    "friction_place": ("friction_place", "friction_speed", "friction_heading"),
+    "restitution_speed": ("restitution_speed", "restitution_heading", "spin_transfer_speed"),
+    "spin_transfer_speed": tuple(law.base_name for law in free_laws()),
+    "force_speed": ("force_speed", "rolling_speed", "friction_speed"),
+}
+
 
 @cache
-def outsider(law, seed=3):
+def outsider(law):
     """A search of collisions in which the outsider of this free law is hidden, with a small library.
 
     An impact tells its law at one speed only, and a weak force little: there must be more of them.
     """
-    clips = {"friction_place": 10, "force_speed": 12, "spin_transfer_speed": 12}.get(law, 18)
     hidden = dataclasses.replace(Model(), effects=(OUTSIDERS[law],))
     with pytest.MonkeyPatch.context() as patch:
-        only(patch, **{name: library()[name] for name in FEW})
-        return search(collisions(hidden, clips, seed), Model())
+        only(patch, RIVALS[law], **{name: library()[name] for name in FEW})
+        return search(collisions(hidden, CLIPS[law], 3), Model())

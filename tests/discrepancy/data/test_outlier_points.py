@@ -11,7 +11,7 @@ from discrepancy.data.outlier_points import _Offset, find_outliers, note_removed
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.search import search
+from discrepancy.search import prepare, search
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -133,12 +133,16 @@ def test_what_is_left_is_the_clip_without_them_and_it_is_said():
 
 
 @pytest.mark.parametrize("frame", [1.0, 40.0, 78.0, 79.0])
-def test_a_lost_frame_is_none_however_near_the_end(monkeypatch, frame):
-    known = ("dropped_frame", "rolling_quadratic", "stribeck")
-    only(monkeypatch, ("friction_speed", "lag_speed"), **{n: library()[n] for n in known})
-    found = search(
-        collisions(Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame}), 8, 3), Model()
-    )
+def test_a_lost_frame_is_none_however_near_the_end(frame):
+    lost = Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame})
+    assert prepare(collisions(lost, 6, 3), Model(), lambda stage: None).left_out == ()
+
+
+def test_a_lost_frame_at_the_end_is_named(monkeypatch):
+    """Both balls have one position after it, in every clip."""
+    only(monkeypatch, ("lag_speed",), dropped_frame=library()["dropped_frame"])
+    lost = Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": FRAMES - 1.0})
+    found = search(collisions(lost, 8, 3), Model())
     assert [n.effect for n in found.named] == ["dropped_frame"]
     assert found.model.value("dropped_frame.lost") == pytest.approx(1, abs=0.01)
     assert found.data.left_out == ()

@@ -27,6 +27,12 @@ def written(request, tmp_path_factory):
     return found, folder
 
 
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Pages of tables and sentences alone, which cost little."""
+    monkeypatch.setattr(report, "draw_figures", lambda found: [])
+
+
 def test_three_files_and_no_more(written):
     assert sorted(p.name for p in written[1].iterdir()) == ["discrepancy.json", "index.html", "model.yaml"]
 
@@ -78,7 +84,7 @@ def test_the_caption_counts_the_effects(written):
     assert f"{which} effects, each added alone" in page
 
 
-def test_the_page_distinguishes_a_similar_effect_from_an_alias(tmp_path):
+def test_the_page_distinguishes_a_similar_effect_from_an_alias(tmp_path, without_figures):
     """A smaller claim leaves too little chi^2 to exclude the similar effect; the data never exclude an alias."""
     found = searched("velocity_restitution")
     (claim,) = found.claims
@@ -105,6 +111,7 @@ def test_the_model_reads_back_and_is_a_scene(written):
     )
 
 
+@pytest.mark.parametrize("written", ["velocity_restitution", "friction_place"], indirect=True)
 def test_the_same_search_gives_the_same_files(written, tmp_path):
     report.write(written[0], tmp_path)
     for path in written[1].iterdir():
@@ -112,7 +119,7 @@ def test_the_same_search_gives_the_same_files(written, tmp_path):
         assert one == other  # but for when the page was made
 
 
-def test_a_place_without_a_size_has_an_empty_cell(tmp_path):
+def test_a_place_without_a_size_has_an_empty_cell(tmp_path, without_figures):
     found = searched("velocity_restitution")
     first, second = (dataclasses.replace(found.base_disagreements[0], size=size) for size in (float("nan"), 12345.6))
     report.write(dataclasses.replace(found, base_disagreements=(first, second)), tmp_path)
