@@ -38,6 +38,8 @@ WithPages = Annotated[
 SettingsFile = Annotated[
     Path | None, typer.Option("--settings", metavar="YAML", help="Thresholds that differ from the defaults.")
 ]
+Report = Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")]
+Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
 
@@ -51,7 +53,7 @@ def track(
         str | None, typer.Option(help=f"{', '.join(CHANNELS)}, of a film in colour. Without it the film decides.")
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
-    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
+    scheduler: Scheduler = "",
     pages: WithPages = None,
     settings: SettingsFile = None,
     as_json: Json = False,
@@ -138,11 +140,11 @@ def export(
 def score(
     results: Annotated[Path, typer.Argument(metavar="RESULTS|TRACKS", help="RESULTS of tracker track, or a table.")],
     truth: Annotated[Path, typer.Option(metavar="DATASET|TABLE", help="The dataset, with its truth, or a true table.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
+    output: Report,
     name: Annotated[str, typer.Option(help="Name of the detector in the report.")] = "",
     point: Annotated[str, typer.Option(help="In a table, x, y are centre or glint.")] = "centre",
     gate: Annotated[float | None, typer.Option(help="Largest distance of a pair in two tables; default 5.")] = None,
-    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
+    scheduler: Scheduler = "",
     as_json: Json = False,
 ) -> None:
     """Compare results with the truth: localisation against its bound, tracking measures, bias and coverage.
@@ -191,7 +193,7 @@ def score(
 def compare(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Clips with their truth.")],
     detectors: Annotated[str, typer.Option(help=f"Names, with commas between them, of {DETECTORS}.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
+    output: Report,
     as_json: Json = False,
 ) -> None:
     """Track a dataset with several detectors and compare them. If interrupted, the same command continues.

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
@@ -23,7 +23,6 @@ from tracker.camera.sensor import SensorSpec
 STANDARD_ERRORS = ("scale_std", "fps_std", "ball_diameter_std")
 
 
-@runtime_checkable
 class HasCameraJson(Protocol):
     """An object that knows the keys of its camera file, such as a clip of synthcam and its camera."""
 
@@ -304,6 +303,9 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
     psf_sigma = _psf_sigma(file, assumed, unmodelled)
     if file.shutter.kind == "rolling" and file.shutter.line_time is None:
         raise _KeyProblem("shutter.line_time", "seconds from row to row of a rolling shutter; it is missing")
+    sensor = file.sensor.model_dump(exclude_none=True)
+    needed = ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "black_level")
+    assumed += [f"sensor.{key}" for key in needed if key not in sensor]
     plain = ("R", "size", "fps", "striker", "metric", "view_errors", *STANDARD_ERRORS)
     fields: dict[str, Any] = {key: getattr(file, key) for key in plain} | dict(
         K=matrix,
@@ -314,7 +316,7 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
         ball_diameter=diameter,
         lamp=lamp,
         psf_sigma=psf_sigma,
-        sensor=_sensor(file.sensor, assumed),
+        sensor=SensorSpec(**sensor),
         line_time=file.shutter.line_time if file.shutter.kind == "rolling" else 0.0,
         matte=file.ball.get("finish") == "matte",
     )
@@ -407,10 +409,3 @@ def _psf_sigma(file: _CameraFile, assumed: list[str], unmodelled: list[str]) -> 
         assumed.append("psf.sigma_px")
         return None
     return file.psf.sigma_px
-
-
-def _sensor(sensor: _Sensor, assumed: list[str]) -> SensorSpec:
-    given = {key: value for key in vars(SensorSpec()) if (value := getattr(sensor, key)) is not None}
-    required = ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "black_level")
-    assumed += [f"sensor.{key}" for key in required if key not in given]
-    return SensorSpec(**given)
