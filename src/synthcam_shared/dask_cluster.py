@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,10 +15,10 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.job_result import JobValue, LostJob
 
 try:
-    from distributed import Client, KilledWorker, WorkerPlugin, as_completed
+    from distributed import Client, KilledWorker, as_completed
     from distributed.client import FutureCancelledError
 except ImportError:
-    Client, WorkerPlugin = None, object
+    Client = None
 T = TypeVar("T")
 
 
@@ -74,62 +73,30 @@ class Cluster:
         submitted: dict[str, int] = {}
 
         def submit(number: int) -> Any:
-            future = self.client.submit(_do_job, run, number, key=f"clip-{number}-{run}", pure=False)
+            future = self.client.submit(_call_in_one_thread, sent, number, key=f"clip-{number}-{run}", pure=False)
             submitted[future.key] = number
             return future
 
         with self.client:
-            self._send(run, work)
-            try:
-                threads = max(sum(self.client.nthreads().values()), 1)
-                running = as_completed([submit(k) for k in islice(queue, ahead * threads)], loop=self.client.loop)
-                for future in running:
-                    number, result = submitted.pop(future.key), None
-                    with suppress(KilledWorker, FutureCancelledError):
-                        result = JobValue(number, future.result())
-                    yield result or LostJob(number, "its workers were lost")
-                    for k in islice(queue, 1):
-                        running.add(submit(k))
-            finally:
-                with suppress(OSError):  # the scheduler may be gone
-                    self.client.unregister_worker_plugin(run)
-
-    def _send(self, run: str, work: Callable[[int], Any], tries: int = 5, pause: float = 1.0) -> None:
-        """Send a run's work to the workers, again while the scheduler has not noticed yet that a worker is lost."""
-        for tries_left in reversed(range(tries)):
-            try:
-                self.client.register_plugin(_RunWork(run, work), name=run)
-                return
-            except OSError as error:
-                if not tries_left:
-                    raise InputError(
-                        f"--scheduler {self.address}: its workers cannot be reached ({_one_line(error)})"
-                    ) from None
-                time.sleep(pause)
+            # one future, which Dask keeps on each worker: work may name a million clips
+            sent = self.client.submit(_take, work, key=f"work-{run}", pure=False)
+            threads = max(sum(self.client.nthreads().values()), 1)
+            running = as_completed([submit(k) for k in islice(queue, ahead * threads)], loop=self.client.loop)
+            for future in running:
+                number, result = submitted.pop(future.key), None
+                with suppress(KilledWorker, FutureCancelledError):
+                    result = JobValue(number, future.result())
+                yield result or LostJob(number, "its workers were lost")
+                for k in islice(queue, 1):
+                    running.add(submit(k))
 
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:120]
 
 
-_work_by_run: dict[str, Callable[[int], Any]] = {}  # of this worker
-
-
-class _RunWork(WorkerPlugin):  # type: ignore[misc]
-    """A run's work, which may name a million clips: sent once to each worker, and to those that join later."""
-
-    def __init__(self, run: str, work: Callable[[int], Any]) -> None:
-        self.run, self.work = run, work
-
-    def setup(self, worker: Any) -> None:
-        _work_by_run[self.run] = self.work
-
-    def teardown(self, worker: Any) -> None:
-        _work_by_run.pop(self.run, None)
-
-
-def _do_job(run: str, number: int) -> Any:
-    return _call_in_one_thread(_work_by_run[run], number)
+def _take(work: Callable[[int], Any]) -> Callable[[int], Any]:
+    return work
 
 
 @cache

@@ -19,7 +19,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 from synthcam_shared.errors import InputError
@@ -153,29 +152,51 @@ def use_one_thread() -> None:
             ctypes.CDLL(None).mallopt(option, kept_bytes)
 
 
-@dataclass
 class _Worker:
-    """A process, and the numbers that it was given: it is at the first of them."""
+    """A process that does jobs. It is at the first of `numbers`; the next is ready, so that it never waits."""
 
-    process: BaseProcess
-    numbers: deque[int]
+    def __init__(self, work: Callable[[int], Any]) -> None:
+        # llvmpipe and BLAS with threads of their own would compete for the same cores
+        os.environ |= {"LP_NUM_THREADS": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        context = multiprocessing.get_context("spawn")
+        self.numbers: deque[int] = deque()
+        self.pipe, there = context.Pipe()
+        self.process = context.Process(target=_serve, args=(there, work), daemon=True)
+        with _without_ctrl_c():
+            self.process.start()
+        there.close()  # the worker's end is then the only one, and its death is noticed
 
+    def take_from(self, queue: deque[int], ahead: int = 2) -> None:
+        """Send numbers until the worker has `ahead` of them."""
+        with suppress(OSError):  # it died meanwhile, which the next wait notices
+            while queue and len(self.numbers) < ahead:
+                self.numbers.append(queue.popleft())
+                self.pipe.send(self.numbers[-1])
 
-@dataclass(frozen=True)
-class _Raised:
-    """An exception on its way from a worker."""
-
-    error: Exception
+    def end(self) -> str:
+        """Wait for the end of the process, which an idle one reaches by itself, and say how it ended."""
+        self.pipe.close()
+        self.process.join()
+        code = self.process.exitcode or 0
+        return f"worker was killed ({signal.Signals(-code).name})" if code < 0 else f"worker ended (status {code})"
 
 
 def _run_in_processes(
     work: Callable[[int], T], numbers: Sequence[int], others: int, most_lost_in_a_row: int = 3
 ) -> Iterator[JobValue[T] | LostJob]:
-    """Run the jobs in this process and so many others. A worker has a second number ready, so that it never waits."""
+    """Run the jobs in this process and so many others."""
     queue, busy, lost_in_a_row = deque(numbers), dict[Connection, _Worker](), 0
+
+    def hand_out(worker: _Worker) -> None:
+        worker.take_from(queue)
+        if worker.numbers:
+            busy[worker.pipe] = worker
+        else:
+            worker.end()
+
     try:
         for _ in range(others):
-            _hand_out(queue, busy, *_start(work))
+            hand_out(_Worker(work))
         while busy or queue:
             if queue:
                 number = queue.popleft()
@@ -185,42 +206,27 @@ def _run_in_processes(
                 worker = busy.pop(pipe)
                 number = worker.numbers.popleft()
                 try:
-                    answer = pipe.recv()
+                    value, error = pipe.recv()
                 except (EOFError, OSError):
-                    pipe.close()
-                    worker.process.join()
-                    end = _describe_end(worker.process)
+                    end = worker.end()
                     lost_in_a_row += 1
                     if lost_in_a_row == most_lost_in_a_row:
                         raise InputError(
                             f"clip {number}: {end}, the third in a row; is there enough memory for each worker?"
                         ) from None
                     queue.extendleft(reversed(worker.numbers))
-                    _hand_out(queue, busy, *_start(work))
+                    hand_out(_Worker(work))
                     yield LostJob(number, f"its {end}")
                     continue
-                if isinstance(answer, _Raised):
-                    raise answer.error
+                if error is not None:
+                    raise error
                 lost_in_a_row = 0
-                _hand_out(queue, busy, pipe, worker)
-                yield JobValue(number, answer)
+                hand_out(worker)
+                yield JobValue(number, value)
     finally:
-        for pipe, worker in busy.items():
+        for worker in busy.values():
             worker.process.terminate()
-            worker.process.join()
-            pipe.close()
-
-
-def _start(work: Callable[[int], Any]) -> tuple[Connection, _Worker]:
-    # llvmpipe and BLAS with threads of their own would compete for the same cores
-    os.environ |= {"LP_NUM_THREADS": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    process = context.Process(target=_serve, args=(there, work), daemon=True)
-    with _without_ctrl_c():
-        process.start()
-    there.close()  # the worker's end is then the only one, and its death is noticed
-    return here, _Worker(process, deque())
+            worker.end()
 
 
 @contextmanager
@@ -237,40 +243,18 @@ def _without_ctrl_c() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _hand_out(
-    queue: deque[int], busy: dict[Connection, _Worker], pipe: Connection, worker: _Worker, ahead: int = 2
-) -> None:
-    """Give a worker numbers until it has `ahead` of them. A worker without any ends."""
-    with suppress(OSError):  # it died meanwhile, which the next wait notices
-        while queue and len(worker.numbers) < ahead:
-            worker.numbers.append(queue.popleft())
-            pipe.send(worker.numbers[-1])
-        if not worker.numbers:
-            pipe.send(None)
-    if worker.numbers:
-        busy[pipe] = worker
-    else:
-        worker.process.join()
-        pipe.close()
-
-
-def _describe_end(process: BaseProcess) -> str:
-    code = process.exitcode or 0
-    return f"worker was killed ({signal.Signals(-code).name})" if code < 0 else f"worker ended (status {code})"
-
-
 def _serve(pipe: Connection, work: Callable[[int], Any]) -> None:
     """Answer the numbers that come through the pipe, until there is none or the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     # Without this, workers of a killed parent would wait for ever, or write into the folder of the next run.
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        while (number := pipe.recv()) is not None:
-            pipe.send(work(number))
+        while True:
+            pipe.send((work(pipe.recv()), None))
     except (EOFError, BrokenPipeError):
         return
     except Exception as error:
-        pipe.send(_Raised(error))
+        pipe.send((None, error))
 
 
 def _end_with_parent() -> None:
