@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -106,6 +106,21 @@ def lock_folder(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+@contextmanager
+def open_resumable(folder: Path, marks: Sequence[str], expected: str) -> Iterator[None]:
+    """Work in a locked folder that is new, empty, or begun by an earlier run, which left one of `marks` in it.
+
+    Raises InputError if it holds something else; `expected` ends the message.
+    """
+    if folder.exists() and not (
+        folder.is_dir() and (not any(folder.iterdir()) or any((folder / mark).exists() for mark in marks))
+    ):
+        raise InputError(f"{folder}: exists and holds something else, expected {expected}")
+    check_writable(folder)
+    with lock_folder(folder), as_input_error(folder, RESUMES):
+        yield
 
 
 @contextmanager

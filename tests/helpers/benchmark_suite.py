@@ -7,10 +7,11 @@ from tempfile import mkdtemp
 
 import numpy as np
 
-from tracker.benchmark.judging.tracker_results import ALL, NOTHING, ClipSample
+from tracker.benchmark.judging.tracker_results import ALL, ClipSample
 from tracker.benchmark.suite.definition import parse_definition
 from tracker.benchmark.suite.folder import covariances
 from tracker.benchmark.suite.make import make
+from tracker.scoring.score import NO_TRACKS
 
 TINY = """
 name: tiny
@@ -63,7 +64,7 @@ class Given:
 
     def of(self, film, clip):
         if clip not in {c for part in self.suite.parts.values() if part.film == film for c in part.clips}:
-            return NOTHING, []
+            return NO_TRACKS, []
         truth = self.suite.tracks(film, clip)
         truth = truth[truth["visible"] & np.isfinite(truth["xx"])].reset_index(drop=True)
         table = truth.assign(x=truth["x_mean_px"], y=truth["y_mean_px"], glint_x=np.nan, glint_y=np.nan)

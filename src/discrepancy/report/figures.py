@@ -18,7 +18,7 @@ from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.outcome import SearchOutcome
 from discrepancy.validate.gap import Gap
-from synthcam_shared.report.page import PageFigure
+from synthcam_shared.report.page import PageFigure, make_axes
 
 # colours of the base model, of the best model, of noise alone, and of all else
 BASE, BEST, NOISE, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
@@ -32,14 +32,14 @@ def name_of_best(found: SearchOutcome) -> str:
     return f"with {' and '.join([*(['a free law'] if found.free_law else []), *effects])}"
 
 
+def list_models(found: SearchOutcome) -> list[str]:
+    """List the models that are shown: the base model and, where anything was found, the best one."""
+    return ["base model"] if found.is_empty else ["base model", name_of_best(found)]
+
+
+@matplotlib.rc_context(STYLE)
 def draw_figures(found: SearchOutcome) -> list[PageFigure]:
     """Draw all figures of a search's page."""
-    with matplotlib.rc_context(STYLE):
-        return [PageFigure.of(figure, title, caption) for title, figure, caption in _draw_all(found)]
-
-
-def _draw_all(found: SearchOutcome) -> list[tuple[str, Figure, str]]:
-    """Titles, figures and captions."""
     compared = f", base model and model {name_of_best(found)}" if not found.is_empty else " of the base model"
     only = "" if not found.is_empty else " The search names no effect, so the base model is shown alone."
     figures = [
@@ -70,26 +70,18 @@ def _draw_all(found: SearchOutcome) -> list[tuple[str, Figure, str]]:
     caption = f"Held-out collisions enter no fit of shared parameters; only their launches are fitted.{only}"
     figures.append(("Residuals of held-out collisions by phase", _gap_by_phase_figure(found), caption))
     figures.append(("Residuals of each held-out collision", _gap_by_clip_figure(found), caption))
-    return figures
-
-
-def _subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **shared: Any) -> tuple[Figure, Any]:
-    """Make a figure and its axes without pyplot, which would also show them in a notebook."""
-    figure = Figure(figsize=figsize, layout="constrained")
-    return figure, figure.subplots(rows, columns, **shared)
+    return [PageFigure.of(figure, title, caption) for title, figure, caption in figures]
 
 
 def _fits_to_draw(found: SearchOutcome) -> list[tuple[Sequence[MeasuredCollision], ModelFit, str, str]]:
     """Clips, fit, colour and label of the base model and, where anything was found, of the best one."""
-    fits = [(found.data.clips, found.base_fit, BASE, "base model")]
-    if not found.is_empty:
-        clips = found.free_law.evidence.clips if found.free_law else found.data.clips
-        fits.append((tuple(clips), found.best_fit, BEST, name_of_best(found)))
-    return list(fits)
+    best_clips = found.free_law.evidence.clips if found.free_law else found.data.clips
+    clips, fits = (found.data.clips, tuple(best_clips)), (found.base_fit, found.best_fit)
+    return list(zip(clips, fits, (BASE, BEST), list_models(found), strict=False))
 
 
 def _mean_residuals_figure(found: SearchOutcome) -> Figure:
-    figure, axes = _subplots(2, 2, figsize=(8, 4.6), sharex=True)
+    figure, axes = make_axes(2, 2, figsize=(8, 4.6), sharex=True)
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
         stage, ball, left = _residuals(clips, fit)
         for (b, axis), ax in np.ndenumerate(axes):
@@ -107,7 +99,7 @@ def _mean_residuals_figure(found: SearchOutcome) -> Figure:
 
 
 def _rms_residuals_figure(found: SearchOutcome) -> Figure:
-    figure, axes = _subplots(1, 2, figsize=(8, 2.8), sharey=True)
+    figure, axes = make_axes(1, 2, figsize=(8, 2.8), sharey=True)
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
         stage, ball, left = _residuals(clips, fit)
         for b, ax in enumerate(axes):
@@ -177,7 +169,7 @@ def _law_figure(answer: LawSummary) -> Figure:
     law = answer.law
     if len(answer.x) == 2:
         return _law_map_figure(answer)
-    figure, ax = _subplots(figsize=(6, 3.2))
+    figure, ax = make_axes(figsize=(6, 3.2))
     axis, x = law.axes[0], answer.x[0]
     for part, (word, colour) in enumerate(zip(law.part_names, (BEST, BASE), strict=False)):
         y = answer.curve[:, part]
@@ -201,7 +193,7 @@ def _law_map_figure(answer: LawSummary) -> Figure:
     extent = tuple(scale * v for a in law.axes for v in (a.low, a.high))
     shown = [(answer.curve[:, p], word) for p, word in enumerate(law.part_names)]
     shown.append((np.ptp(answer.bands["band68"], axis=-1).max(axis=1) / 2, "+-"))
-    figure, axes = _subplots(1, len(shown), figsize=(3.4 * len(shown), 3))
+    figure, axes = make_axes(1, len(shown), figsize=(3.4 * len(shown), 3))
     for ax, (values, label) in zip(axes, shown, strict=True):
         picture = ax.imshow(values.reshape(side, side).T, origin="lower", extent=extent, aspect="equal")
         figure.colorbar(picture, ax=ax, shrink=0.8)
@@ -220,7 +212,7 @@ def _caption_ranking(found: SearchOutcome) -> str:
 
 def _ranking_figure(found: SearchOutcome) -> Figure:
     ranking = found.scores[:MAX_RANKED_EFFECTS][::-1]
-    figure, ax = _subplots(figsize=(6, 0.6 + 0.25 * len(ranking)))
+    figure, ax = make_axes(figsize=(6, 0.6 + 0.25 * len(ranking)))
     claimed = {n.effect for n in found.claims}
     rivals = {a for n in found.claims for a in n.aliases} - claimed
     colours = [BEST if c.effect in claimed else "#92c5de" if c.effect in rivals else OTHER for c in ranking]
@@ -236,42 +228,39 @@ def _ranking_figure(found: SearchOutcome) -> Figure:
 
 def _gap_by_phase_figure(found: SearchOutcome) -> Figure:
     gap = found.gap
-    figure, axes = _subplots(1, 2, figsize=(8, 3))
+    figure, axes = make_axes(1, 2, figsize=(8, 3))
     for ax, ending in zip(axes, ("", "_um"), strict=True):
-        draw_gap_bars(ax, gap, ending, name_of_best(found) if not found.is_empty else "")
+        _draw_gap_bars(ax, gap, ending, list_models(found))
     _scale_log_if_wide(axes[0], gap)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
-def draw_gap_bars(ax: Axes, gap: Gap, ending: str, best: str) -> None:
-    """Draw the gap by phase and in all phases as bars: of the base model, of the best model, of noise alone.
+def _draw_gap_bars(ax: Axes, gap: Gap, ending: str, models: list[str]) -> None:
+    """Draw the gap by phase and in all phases as bars: of each model, and of noise alone.
 
-    ending: "" for χ² per point, "_um" for rms in µm. best: label of the best model; "" where it is the base model.
+    ending: "" for χ² per point, "_um" for rms in µm.
     """
     parts = {**gap.by_phase, "all": gap}
-    kinds = [("before", BASE, "base model"), ("after", BEST, best), ("floor", NOISE, "noise alone")]
-    kinds = [kind for kind in kinds if kind[2]]
+    kinds = [*zip(("before", "after"), (BASE, BEST), models, strict=False), ("floor", NOISE, "noise alone")]
     width = 0.81 / len(kinds)
     for k, (key, colour, label) in enumerate(kinds):
         values = [getattr(part, key + ending) for part in parts.values()]
-        ax.bar(
-            np.arange(len(parts)) + width * (k - (len(kinds) - 1) / 2), values, 0.9 * width, color=colour, label=label
-        )
+        place = np.arange(len(parts)) + width * (k - (len(kinds) - 1) / 2)
+        ax.bar(place, values, 0.9 * width, color=colour, label=label)
     ax.set_xticks(range(len(parts)), ["before contact" if name == "before" else name for name in parts])
     ax.set(ylabel="rms residual in x and y (µm)" if ending else "χ² per point")
 
 
 def _gap_by_clip_figure(found: SearchOutcome) -> Figure:
-    figure, ax = _subplots(figsize=(6, 3))
+    figure, ax = make_axes(figsize=(6, 3))
     speeds = np.array([float(c.launch[V0]) for c in found.data.held_out])
-    fits = [(found.gap_fits.before, BASE, "o", "base model")]
-    if not found.is_empty:
-        fits.append((found.gap_fits.after, BEST, "s", name_of_best(found)))
+    models = list_models(found)
+    fits = zip((found.gap_fits.before, found.gap_fits.after), (BASE, BEST), "os", models, strict=False)
     for k, (fit, colour, marker, label) in enumerate(fits):
         points = np.array([len(r) for r in fit.residuals])
         chi2 = np.array([r @ r for r in fit.residuals]) / points
-        at = speeds + 0.006 * np.ptp(speeds) * (2 * k - len(fits) + 1)  # side by side, so that neither hides the other
+        at = speeds + 0.006 * np.ptp(speeds) * (2 * k - len(models) + 1)  # side by side: neither hides the other
         errors = chi2 * np.sqrt(2 / points)
         ax.errorbar(at, chi2, errors, fmt=marker, ms=4, lw=1, color=colour, mfc="white", label=label)
     ax.axhline(found.gap.floor, color=NOISE, lw=1, ls="--", label="noise alone")
@@ -312,7 +301,7 @@ def plot_gap(gap: Gap, ax: Axes | None = None) -> Axes:
         import matplotlib.pyplot as plt
 
         ax = plt.subplots(layout="constrained")[1]
-    draw_gap_bars(ax, gap, "_um", "with what was found")
+    _draw_gap_bars(ax, gap, "_um", ["base model", "with what was found"])
     ax.set(xlabel="phase of the collision")
     ax.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return ax

@@ -18,7 +18,7 @@ from discrepancy.planning.plan_result import PlanResult
 from discrepancy.policy import current_policy
 from discrepancy.report.document import to_json_values
 from discrepancy.report.figures import BASE, BEST, NOISE, OTHER, STYLE
-from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, write_page
+from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, make_axes, write_page
 
 FILES = ("plan.json", "index.html")
 
@@ -76,13 +76,8 @@ def _wanted_table(found: PlanResult) -> PageTable:
         counts = ["none suffices" if n is None else str(n) for n in (w.clips, w.clips_to_name)]
         simulated = ", ".join(f"{n}: {limit:.3g}" for n, limit in w.at.items())
         rows.append((w.strength, f"{w.limit:.3g}", *counts, simulated))
-    heads = [
-        "strength",
-        "wanted limit",
-        "collisions to detect it",
-        "collisions to name it",
-        "limits that were simulated",
-    ]
+    heads = ["strength", "wanted limit", "collisions to detect it", "collisions to name it"]
+    heads += ["limits that were simulated"]
     return PageTable(heads, rows)
 
 
@@ -153,27 +148,27 @@ def _shorten(words: str) -> str:
     return "all launches at once" if words == ALL_LAUNCHES_CHANGED else words
 
 
+@mpl.rc_context(STYLE)
 def _draw_figures(found: PlanResult) -> list[PageFigure]:
-    with mpl.rc_context(STYLE):
-        figures = []
-        if found.detectable:
-            caption = (
-                "Limits over the realistic size of each strength. Left of the dashed line, a limit is below a "
-                "realistic size. Thin lines: range over the shape parameters that a search tries."
-            )
-            figures.append(PageFigure.of(_limits_figure(found.detectable), "Detection and naming limits", caption))
-        if found.gains:
-            caption = (
-                "Factor by which the limits fall: geometric mean over all strengths that are detectable with and "
-                "without the change."
-            )
-            figures.append(PageFigure.of(_changes_figure(found), "Gain of each change", caption))
-        return figures
+    figures = []
+    if found.detectable:
+        caption = (
+            "Limits over the realistic size of each strength. Left of the dashed line, a limit is below a realistic "
+            "size. Thin lines: range over the shape parameters that a search tries."
+        )
+        figures.append(PageFigure.of(_limits_figure(found.detectable), "Detection and naming limits", caption))
+    if found.gains:
+        caption = (
+            "Factor by which the limits fall: geometric mean over all strengths that are detectable with and without "
+            "the change."
+        )
+        figures.append(PageFigure.of(_changes_figure(found), "Gain of each change", caption))
+    return figures
 
 
 def _limits_figure(shown: tuple[Limit, ...]) -> Figure:
-    figure = Figure(figsize=(8, 1.1 + 0.21 * len(shown)), layout="constrained")
-    ax, place = figure.subplots(), np.arange(len(shown))
+    figure, ax = make_axes(figsize=(8, 1.1 + 0.21 * len(shown)))
+    place = np.arange(len(shown))
     sizes = np.array([x.typical for x in shown])
     limit, naming, best, worst = (
         np.array([getattr(x, key) for x in shown]) / sizes for key in ("limit", "naming_limit", "best", "worst")
@@ -192,8 +187,8 @@ def _limits_figure(shown: tuple[Limit, ...]) -> Figure:
 
 
 def _changes_figure(found: PlanResult) -> Figure:
-    figure = Figure(figsize=(8, 1.1 + 0.28 * len(found.gains)), layout="constrained")
-    ax, place = figure.subplots(), np.arange(len(found.gains))
+    figure, ax = make_axes(figsize=(8, 1.1 + 0.28 * len(found.gains)))
+    place = np.arange(len(found.gains))
     for k, (key, label, colour) in enumerate((("limit", "detection", BEST), ("naming", "naming", BASE))):
         values = [getattr(g, key) - 1 for g in found.gains]
         ax.barh(place + 0.38 * (k - 0.5), values, 0.36, left=1, color=colour, label=f"{label} limits")

@@ -11,7 +11,7 @@ import numpy as np
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.outcome import SearchOutcome
 from discrepancy.report.document import to_document
-from discrepancy.report.figures import draw_figures, name_of_best
+from discrepancy.report.figures import draw_figures, list_models, name_of_best
 from discrepancy.report.narrative import format_chi2, format_sigma, write_story
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
@@ -32,7 +32,7 @@ FILES = ("discrepancy.json", "index.html", "model.yaml")
 
 
 def write(found: SearchOutcome, folder: Path) -> None:
-    """Write the three files of the report."""
+    """Write the three files of the report into a folder, which is made where it is missing."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "discrepancy.json").write_text(json.dumps(to_document(found), indent=1, allow_nan=False) + "\n")
     left_out = list(map(str, found.left_out))
@@ -135,21 +135,20 @@ def _describe_similar(found: SearchOutcome) -> list[Block]:
             is_excluded = not is_alias and remaining_chi2 > found.policy.rival_excluded_chi2
             text = f"{' with '.join(names)} (cosine {cosine:.3f})"
             (excluded if is_excluded else others).append(text)
-        lines = []
+        text = f"Some effects have signatures similar to that of {claim.effect}."
         if excluded:
-            lines.append(f"The data exclude each of these in its place, so it is no alias: {', '.join(excluded)}.")
+            text += f" The data exclude each of these in its place, so it is no alias: {', '.join(excluded)}."
         if others:
-            lines.append(f"The data do not exclude: {', '.join(others)}.")
-        if lines:
-            out.append(" ".join([f"Some effects have signatures similar to that of {claim.effect}.", *lines]))
+            text += f" The data do not exclude: {', '.join(others)}."
+        if claim.alike:
+            out.append(text)
     return out
 
 
 def _gap_table(found: SearchOutcome) -> PageTable:
-    gap, best = found.gap, name_of_best(found)
-    models = ["base model", *([best] if not found.is_empty else []), "noise alone"]
+    gap, models = found.gap, [*list_models(found), "noise alone"]
     heads = ["phase", *(f"χ² per point: {model}" for model in models), *(f"rms / µm: {model}" for model in models)]
-    keys = ["before", *(["after"] if not found.is_empty else []), "floor"]
+    keys = ["before", "floor"] if found.is_empty else ["before", "after", "floor"]
     rows = []
     for name, part in {**gap.by_phase, "all phases": gap}.items():
         chi2 = [format_chi2(getattr(part, key)) for key in keys]
@@ -197,7 +196,15 @@ def _list_disagreements(
 ) -> list[Block]:
     """A table of the most significant disagreements; one sentence where none is significant."""
     if is_unexplained(disagreements, found.policy):
-        return [_disagreement_table(found, disagreements, rows_shown)]
+        rows = []
+        for one in disagreements[:rows_shown]:
+            size = format_number(one.size, 2) if np.isfinite(one.size) and one.size else ""
+            rows.append((describe_disagreement(one), format_sigma(one.sigma), size))
+        note = (
+            f"Residuals of the {len(found.data.clips)} fitted collisions. The significance is corrected for "
+            f"{len(disagreements)} trials."
+        )
+        return [PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)]
     if not disagreements:
         return []
     return [
@@ -207,26 +214,13 @@ def _list_disagreements(
     ]
 
 
-def _disagreement_table(found: SearchOutcome, disagreements: Sequence[Disagreement], rows_shown: int) -> PageTable:
-    rows = []
-    for one in disagreements[:rows_shown]:
-        size = format_number(one.size, 2) if np.isfinite(one.size) and one.size else ""
-        rows.append((describe_disagreement(one), format_sigma(one.sigma), size))
-    note = (
-        f"Residuals of the {len(found.data.clips)} fitted collisions. The significance is corrected for "
-        f"{len(disagreements)} trials."
-    )
-    return PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)
-
-
 def _parameter_table(found: SearchOutcome) -> PageTable:
-    base, best = found.base_fit, found.best_fit
     rows = []
-    for name in best.names:
-        values = [f"{base.model.value(name):.6g}" if name in base.names else ""]
-        values += [f"{best.model.value(name):.6g}"] if not found.is_empty else []
-        rows.append([name, _unit(name), *values])
-    return PageTable(["parameter", "unit", "base model", *([name_of_best(found)] if not found.is_empty else [])], rows)
+    for name in found.best_fit.names:
+        base = f"{found.base_fit.model.value(name):.6g}" if name in found.base_fit.names else ""
+        best = f"{found.best_fit.model.value(name):.6g}"
+        rows.append([name, _unit(name), base, *([] if found.is_empty else [best])])
+    return PageTable(["parameter", "unit", *list_models(found)], rows)
 
 
 def _unit(name: str) -> str:

@@ -18,20 +18,11 @@ def replace_folder(output: Path, files: Sequence[str], what: str) -> Iterator[Pa
     Parameters
     ----------
     output : Path
-        Made, or replaced where it holds an earlier report.
+        Made, or replaced where it holds an earlier report. Raises InputError where it holds other files.
     files : sequence of str
         The names of all files of such a report.
     what : str
         What an earlier report is called in a message.
-
-    Yields
-    ------
-    Path
-
-    Raises
-    ------
-    InputError
-        Where `output` holds other files, or cannot be written.
     """
     output = output.resolve()
     if output.exists() and (not output.is_dir() or any(path.name not in files for path in output.iterdir())):

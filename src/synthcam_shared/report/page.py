@@ -82,14 +82,12 @@ def write_page(
     summary: Sequence[str] = (),
     warnings: Sequence[str] = (),
 ) -> Path:
-    """Write a page aside and move it into place.
+    """Write a page aside and move it into place; return its path.
 
     Parameters
     ----------
-    path : Path
-        Of the page; its folder is made where it is missing.
-    title : str
-        Heading of the page.
+    path, title : Path, str
+        Of the page.
     sections : sequence of Section
         Those without blocks are left out.
     command : str
@@ -98,11 +96,6 @@ def write_page(
         Paragraphs under the title.
     warnings : sequence of str
         Lines of a list that catches the eye.
-
-    Returns
-    -------
-    Path
-        `path`.
     """
     values = {
         "title": title,
@@ -121,6 +114,14 @@ def render(template: Path, **values: Any) -> str:
     loader = jinja2.FileSystemLoader([template.parent, Path(__file__).parent])
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     return environment.get_template(template.name).render(**values)
+
+
+def make_axes(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **shared: Any) -> tuple[Figure, Any]:
+    """Make a figure and its axes without pyplot, which would also show them in a notebook; figsize: in inches."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=figsize, layout="constrained")
+    return figure, figure.subplots(rows, columns, **shared)
 
 
 def embed_figure(figure: Figure) -> str:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from synthcam_shared.errors import InputError
-from synthcam_shared.jobs import run_all_jobs
-from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
+from synthcam_shared.jobs import Progress, run_all_jobs
+from synthcam_shared.outputs import open_resumable
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import ResultsInFolder
 from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, save, write_leaderboard
@@ -21,8 +20,6 @@ from tracker.benchmark.trackers import RUN_HERE, Entrant, describe, entrants, ru
 from tracker.results import load_json
 
 RESULTS, SUITE = "results", "suite"
-Progress = Callable[[int, int], None]
-Entries = Sequence[Mapping[str, Any]]
 
 
 def run_contest(
@@ -46,7 +43,7 @@ def run_contest(
     how : str
         The command that made the page.
     progress : callable
-        Called with the number of finished steps and of all steps.
+        Takes the number of finished steps and of all steps.
     scheduler : str
         Address of a Dask scheduler, whose workers see the same folders and have the same packages.
 
@@ -56,10 +53,6 @@ def run_contest(
         All of the report, the best first.
     notes : list of str
         A line for each tracker that was left out.
-
-    Raises
-    ------
-    InputError
     """
     if scheduler:  # the workers may stand elsewhere
         suite, report = replace(suite, path=suite.path.resolve(), truth=suite.truth.resolve()), report.resolve()
@@ -67,9 +60,9 @@ def run_contest(
     with open_report(report):
         (report / RESULTS).mkdir(exist_ok=True)
         steps, found = 2 * len(chosen), []
-        for number, one in enumerate(chosen):
-            found.append(run_tracker(suite, one, report / RESULTS / one.name, lambda done, of: None, 0, scheduler))
-            progress(number + 1, steps)
+        for number, one in enumerate(chosen, 1):
+            found.append(run_tracker(suite, one, report / RESULTS / one.name, scheduler=scheduler))
+            progress(number, steps)
         todo = [k for k, one in enumerate(chosen) if not _has_score(report, suite, one.name)]
         task = partial(_make_entry, suite, chosen, found, report)
         for done, scored in enumerate(run_all_jobs(task, todo, 0, report, scheduler), 1):
@@ -87,15 +80,9 @@ def publish(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
     return whole
 
 
-@contextmanager
-def open_report(report: Path) -> Iterator[None]:
+def open_report(report: Path) -> AbstractContextManager[None]:
     """Lock the folder of a report. Raises InputError where it holds other files."""
-    mine = any((report / name).is_dir() for name in (RESULTS, ENTRIES, SUITE))
-    if report.exists() and not (report.is_dir() and (mine or not any(report.iterdir()))):
-        raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
-    check_writable(report)
-    with lock_folder(report), as_input_error(report, "; the same command continues where it stopped"):
-        yield
+    return open_resumable(report, [RESULTS, ENTRIES, SUITE], "a new folder for the report")
 
 
 def _has_score(report: Path, suite: Suite, name: str) -> bool:

@@ -7,11 +7,12 @@ FILM.parquet with a column `clip`, or FILM/NNNNNN.EXT, one file per clip in any 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.jobs import Progress
 from tracker.benchmark.contest import open_report, publish
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import ResultsInMemory
@@ -26,7 +27,6 @@ from tracker.tables.read import read_tracks
 
 KEYS = ("name", "authors", "url", "version", "licence", "point", "ms_per_frame", "machine", "notes")
 TABLES = (".csv", ".parquet", ".txt", ".xml")
-Progress = Callable[[int, int], None]
 
 
 def score_submission(
@@ -38,14 +38,12 @@ def score_submission(
     ----------
     suite : Suite
         With its truth; only sums over clips go into the report.
-    folder : Path
-        The submission.
-    report : Path
-        Folder to make, or to add to.
+    folder, report : Path
+        The submission, and the folder to make or to add to.
     how : str
         The command that made the page.
     progress : callable
-        Called with the number of finished films and of all films.
+        Takes the number of finished films and of all films.
 
     Returns
     -------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,6 @@ from tracker.results import load_json, write_json
 
 OWN_TRACKER = "synthcam"  # the detector of this package that suits the film
 RUN_HERE = "run here"  # in an entry: not submitted
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -53,21 +52,14 @@ def parse_names(names: str) -> list[str]:
 def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
     """Make trackers from names separated by commas; '': the list of the suite, without those that cannot run here.
 
-    Returns
-    -------
-    entrants : list of Entrant
-    notes : list of str
-        A line for each that was left out, with the reason.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, or where its package is missing.
+    The second value has a line for each that was left out, with the reason. Raises InputError for a name that is
+    unknown, or whose package is missing.
     """
     data, notes, out = suite.definition.data, [], []
     wanted, clip = parse_names(names), _first(suite)
     for name in wanted or map(str, data["trackers"]):
-        one = Entrant(name, _sample(data["sampled"].get(name, {})))
+        sampled = data["sampled"].get(name, {})
+        one = Entrant(name, ClipSample(sampled.get("clips"), tuple(sampled.get("without", ()))))
         try:
             if one.detector is not None:
                 load_detector(one.detector)(make_view(clip, one.detector))
@@ -81,25 +73,20 @@ def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
     return out, notes
 
 
-def run_tracker(
-    suite: Suite, one: Entrant, folder: Path, progress: Progress, workers: int = 0, scheduler: str = ""
-) -> ResultsInFolder:
+def run_tracker(suite: Suite, one: Entrant, folder: Path, workers: int = 0, scheduler: str = "") -> ResultsInFolder:
     """Run a tracker on all films into FOLDER/FILM, except where results exist; scheduler: of Dask, for processes."""
     folder.mkdir(parents=True, exist_ok=True)
-    films = list(dict.fromkeys(part.film for part in suite.parts.values()))
-    for number, film in enumerate(films):
-        only = one.sample.of_film(suite.parts.values(), film)
-        if only:
+    for film in dict.fromkeys(part.film for part in suite.parts.values()):
+        if only := one.sample.of_film(suite.parts.values(), film):
             source = open_source(suite.film(film))
             wanted = tuple(clip for clip in source.clips if clip[0] in only)
             run(replace(source, clips=wanted), folder / film, one.detector, workers, scheduler=scheduler)
-        progress(number + 1, len(films))
     if not (folder / "pace.json").is_file():
-        write_json(folder / "pace.json", {"ms_per_frame": time_frame(suite, one)})
+        write_json(folder / "pace.json", {"ms_per_frame": _time_frame(suite, one)})
     return ResultsInFolder(folder, one.sample, one.own)
 
 
-def time_frame(suite: Suite, one: Entrant) -> float:
+def _time_frame(suite: Suite, one: Entrant) -> float:
     """Measure the processor time per frame (ms) of detection and linking in the first clip of the suite."""
     clip = _first(suite)
     name = one.detector or choose_detector(clip.frames, clip.camera)[0]
@@ -114,10 +101,6 @@ def describe(one: Entrant, folder: Path) -> Mapping[str, Any]:
     limits = {"clips_of_each_part": one.sample.clips, "not_run_on": list(one.sample.without)}
     more = {} if one.sample == ALL else limits
     return {"name": one.name, "made": RUN_HERE, "ms_per_frame": spent, "point": one.own} | more
-
-
-def _sample(given: Mapping[str, Any]) -> ClipSample:
-    return ClipSample(given.get("clips"), tuple(given.get("without", ())))
 
 
 def _first(suite: Suite) -> Recording:

@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
+from synthcam_shared.report.page import make_axes
 from tracker.measurement.collision.collision_model import mean_positions, tied_to_free
 from tracker.measurement.energy_momentum import BEFORE, motion_table
-from tracker.measurement.positions import BallTrack
+from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -28,22 +29,17 @@ STYLE = {1: ("#c1440e", "o", "ball 1 (struck)"), 2: ("#14508c", "s", "ball 2 (st
 
 @dataclass(frozen=True)
 class CollisionView:
-    """One measured collision, ready to be drawn.
+    """One measured collision: its row of estimates, the tracks of struck ball (1) and striker (2), the camera."""
 
-    Attributes
-    ----------
-    clip : int
-    row : Series
-        Of estimates.
-    balls : dict
-        Track of the struck ball (1) and of the striker (2).
-    camera : Camera
-    """
-
-    clip: int
     row: pd.Series
     balls: dict[int, BallTrack]
     camera: Camera
+
+    @classmethod
+    def of(cls, row: pd.Series, tracks: Tracks, camera: Camera) -> CollisionView:
+        """Choose the tracks of the two balls that a row of estimates names."""
+        track = {one.particle: one for one in to_ball_tracks(tracks, camera)}
+        return cls(row, {k: track[int(row[f"particle{k}"])] for k in (1, 2)}, camera)
 
     @property
     def parameters(self) -> Floats:
@@ -89,8 +85,7 @@ def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera)
 
 def tracks_figure(view: CollisionView) -> Figure:
     """Draw both tracks with a mark every 0.02 s, and the collision enlarged (figure 2 of the paper)."""
-    figure = Figure(figsize=(8.2, 4.4), layout="constrained")
-    axes, inset = figure.subplots(1, 2, width_ratios=[1.5, 1])
+    figure, (axes, inset) = make_axes(1, 2, figsize=(8.2, 4.4), width_ratios=[1.5, 1])
     every = max(round(0.02 * view.camera.fps), 1)
     radius, t_c = view.camera.ball_diameter * 500, view.row["t_c"]
     contact = {}
@@ -124,8 +119,7 @@ def tracks_figure(view: CollisionView) -> Figure:
 
 def separation_figure(view: CollisionView) -> Figure:
     """Draw the separation of the centres and its residuals against time (figure 3 of the paper)."""
-    figure = Figure(figsize=(8.2, 4.6), layout="constrained")
-    axes, rest = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
+    figure, (axes, rest) = make_axes(2, 1, figsize=(8.2, 4.6), sharex=True, height_ratios=[2.2, 1])
     one, two = view.balls[1], view.balls[2]
     _, i, j = np.intersect1d(one.frame, two.frame, return_indices=True)
     along = one.position[i] - two.position[j]
@@ -153,8 +147,7 @@ def separation_figure(view: CollisionView) -> Figure:
 
 def energy_figure(view: CollisionView, tracks: Tracks) -> Figure:
     """Draw translational energy against time, with the tied fit and the loss in a head-on impact alone."""
-    figure = Figure(figsize=(8.2, 3.6), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = make_axes(figsize=(8.2, 3.6))
     row = view.row
     whole = row["v0"] ** 2 / 2
     table = motion_table(tracks, view.camera, {str(key): value for key, value in row.items()})
@@ -193,8 +186,7 @@ def _mark_times(panels: tuple[Axes, ...], view: CollisionView) -> None:
 
 def residuals_figure(view: CollisionView) -> Figure:
     """Draw position minus tied fit for each ball and axis, with the standard errors of the positions."""
-    figure = Figure(figsize=(8.2, 4.2), layout="constrained")
-    panels = figure.subplots(2, 1, sharex=True, sharey=True)
+    figure, panels = make_axes(2, 1, figsize=(8.2, 4.2), sharex=True, sharey=True)
     for axes, (ball, course) in zip(panels, sorted(view.balls.items()), strict=True):
         off = (course.position - view.predict(ball, course.start)) * 1e6
         for axis, (name, mark, colour) in enumerate((("x", "o", "#14508c"), ("y", "s", "#c1440e"))):
@@ -213,8 +205,7 @@ def residuals_figure(view: CollisionView) -> Figure:
 
 def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
     """Draw the speed of each ball from differences of neighbouring frames; contacts: times, s."""
-    figure = Figure(figsize=(8.2, 3.4), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = make_axes(figsize=(8.2, 3.4))
     for particle, rows in motion.groupby("particle"):
         speed = np.hypot(rows["vx"], rows["vy"])
         axes.plot(rows["t_s"] * 1e3, speed * 100, ".-", ms=3, lw=0.7, label=f"particle {particle}")
@@ -227,8 +218,7 @@ def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
 
 def all_tracks_figure(tracks: Tracks, camera: Camera) -> Figure:
     """Draw all tracks in the picture, px; more than 12 particles have no legend."""
-    figure = Figure(figsize=(8.2, 4.2), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = make_axes(figsize=(8.2, 4.2))
     for particle in np.unique(tracks.particle):
         rows = tracks.particle == particle
         axes.plot(*tracks.xy[rows].T, ".-", ms=3, lw=0.7, label=f"particle {particle}")

@@ -22,20 +22,9 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Overlay:
-    """Frames of a recording with the positions, outlines and paths of the balls.
+    """Frames first to last of a recording with the positions, outlines and paths of the balls.
 
-    Attributes
-    ----------
-    frames, tracks, camera : Frames, Tracks, Camera
-        The recording and its tracks.
-    first, last : int
-        The frames that are shown.
-    events : tuple of (float, str)
-        Times (s) and captions of events.
-    trail : int
-        Number of frames for which a path is shown.
-    max_width : int
-        Largest width of a picture, px.
+    events: times (s) and captions. trail: number of frames for which a path is shown. max_width: of a picture, px.
     """
 
     frames: Frames

@@ -30,7 +30,6 @@ from tracker.camera.recordings import RecordingSource
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.messages import list_messages
-from tracker.measurement.positions import to_ball_tracks
 from tracker.notes import Note
 from tracker.report.collision_figures import (
     CollisionView,
@@ -60,26 +59,20 @@ CAPTIONS = {
     "energy": "Translational energy against time, from differences of neighbouring frames, corrected for noise. "
     "Dashed: energy that a head-on impact alone would leave. Sliding on the plate takes the rest.",
 }
+HOW_TO_READ = (
+    "0.9027(12) means 0.9027 ± 0.0012, one standard error. A value without brackets claims no error. The tied fit uses "
+    "one physical model of impact, sliding and rolling. The free fit assumes no law for the impact. Finite differences "
+    "take velocities from neighbouring frames. χ²/dof near 1 means that the residuals of the tied fit are as large as "
+    "the errors of the positions; p is the probability of a χ² at least as large."
+)
 
 
 @dataclass(frozen=True)
 class RecordingPage:
     """The content of the page of one recording.
 
-    Attributes
-    ----------
-    name : str
-        Of the recording.
-    camera : Camera
-    tracks : Tracks
-    rows : sequence of dict
-        Estimates, one row for each collision.
-    motion : DataFrame
-        As in motion.parquet.
-    frames : Frames, optional
-        None for tracks that another program made.
-    notes : sequence of Note
-        Assumptions and conversions.
+    rows: of estimates, one for each collision. motion: the table of motion.parquet. frames: None for tracks that came
+    without a film. notes: assumptions and conversions.
     """
 
     name: str
@@ -96,39 +89,22 @@ class RecordingPage:
         return [row for row in self.rows if row["status"] in MEASURED]
 
     def write(self, folder: Path, command: str) -> Path:
-        """Write FOLDER/index.html and FOLDER/overlay.mp4, the film that the page also holds.
-
-        Parameters
-        ----------
-        folder : Path
-            Made where it is missing.
-        command : str
-            The command that made the page.
-
-        Returns
-        -------
-        Path
-            Of index.html.
-        """
+        """Write FOLDER/index.html, and FOLDER/overlay.mp4, the film that it also holds; return the path of the page."""
         views = [self._view(row) for row in self.rows]
-        sections = [Section("", [block for row in self.rows for block in self._results(row)])]
-        if any(isinstance(block, PageTable) for block in sections[0].blocks):
-            sections.append(Section("How to read the table", [_explain_table()]))
-        sections.append(Section("Film with measured positions", [self._film(folder, views)]))
-        for row, view in zip(self.rows, views, strict=True):
-            sections.append(Section(f"Collision {row['collision']}", self._figures(view)))
-        sections.append(Section("Whole recording", self._overview()))
-        sections.append(Section("Camera settings used", [self._camera_table()]))
+        results_tables = [block for row in self.rows for block in self._results(row)]
+        titles = [f"Collision {row['collision']}" for row in self.rows]
+        sections = [
+            Section("", results_tables),
+            Section("How to read the table", [HOW_TO_READ] if results_tables else []),
+            Section("Film with measured positions", [self._film(folder, views)]),
+            *(Section(title, self._figures(view)) for title, view in zip(titles, views, strict=True)),
+            Section("Whole recording", self._overview()),
+            Section("Camera settings used", [self._camera_table()]),
+        ]
         summary = [self._describe(row) for row in self.rows]
         estimates = pd.DataFrame([{"clip": 0, **row} for row in self.rows])
-        return write_page(
-            folder / PAGE,
-            self.name,
-            sections,
-            command,
-            summary,
-            [*map(str, list_messages(estimates)), *map(str, self.notes)],
-        )
+        warnings = [*map(str, list_messages(estimates)), *map(str, self.notes)]
+        return write_page(folder / PAGE, self.name, sections, command, summary, warnings)
 
     def _describe(self, row: Mapping[str, Any]) -> str:
         number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""
@@ -136,7 +112,6 @@ class RecordingPage:
         return f"{number}{describe_status(row)}.{f' {fit}.' if fit else ''}"
 
     def _results(self, row: Mapping[str, Any]) -> list[Block]:
-        """Table of the quantities of a collision."""
         rows = [
             (typeset_symbol(q.symbol), q.meaning, q.unit, *line.values, Markup("<code>{}</code>").format(line.name))
             for line in list_quantities(row)
@@ -184,9 +159,7 @@ class RecordingPage:
         """A collision with the tracks of its balls; None where the tied fit lacks a parameter."""
         if row["status"] not in MEASURED:
             return None
-        track = {one.particle: one for one in to_ball_tracks(self.tracks, self.camera)}
-        balls = {k: track[int(row[f"particle{k}"])] for k in (1, 2)}
-        view = CollisionView(0, pd.Series(row), balls, self.camera)
+        view = CollisionView.of(pd.Series(row), self.tracks, self.camera)
         return view if np.isfinite(view.parameters).all() else None
 
     def _figures(self, view: CollisionView | None) -> list[Block]:
@@ -235,33 +208,12 @@ def list_events(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[float, str], .
     return tuple(sorted((float(time), event) for time, event in events if np.isfinite(time)))
 
 
-def _explain_table() -> str:
-    return (
-        "0.9027(12) means 0.9027 ± 0.0012, one standard error. A value without brackets claims no error. The tied fit "
-        "uses one physical model of impact, sliding and rolling. The free fit assumes no law for the impact. Finite "
-        "differences take velocities from neighbouring frames. χ²/dof near 1 means that the residuals of the tied fit "
-        "are as large as the errors of the positions; p is the probability of a χ² at least as large."
-    )
-
-
 @dataclass(frozen=True)
 class ResultPages:
     """The pages of one RESULTS. Cheap to send to another process.
 
-    Attributes
-    ----------
-    output : Path
-        RESULTS.
-    numbers : sequence of int
-        Of the clips.
-    source : Source, optional
-        The films, in the order of `numbers`; None for tracks that another program made.
-    name : str
-        Of the dataset or the table.
-    notes : sequence of Note
-        Assumptions and conversions.
-    command : str
-        The command that made the pages.
+    numbers: of the clips. source: their films, in this order; None for tracks that another program made. name: of the
+    dataset or the table. notes: assumptions and conversions. command: that which made the pages.
     """
 
     output: Path
@@ -304,22 +256,15 @@ class ResultPages:
             quality = f"{row['chi2'] / row['dof']:.3g}" if row["dof"] else ""
             values = [format_value(row, name) for name in names]
             rows.append((link, row["collision"], row["status"], quality, *values, row["flags"].replace("|", ", ")))
-        heads = [typeset_symbol(q.symbol) + (f" / {q.unit}" if q.unit else "") for q in map(QUANTITIES.get, names) if q]
-        table = PageTable(
-            ["clip", "collision", "status", "χ²/dof", *heads, "flags"],
-            rows,
-            "Tied fits, with one standard error in brackets",
-        )
+        known = [QUANTITIES[name] for name in names]
+        symbols = [typeset_symbol(q.symbol) + (f" / {q.unit}" if q.unit else "") for q in known]
+        heads = ["clip", "collision", "status", "χ²/dof", *symbols, "flags"]
+        table = PageTable(heads, rows, "Tied fits, with one standard error in brackets")
         counts = ", ".join(f"{count} {status}" for status, count in estimates["status"].value_counts().items())
+        summary = f"{len(estimates)} rows of estimates from {len(self.numbers)} clips: {counts}."
+        warnings = [*map(str, list_messages(estimates)), *map(str, self.notes)]
         with as_input_error(self.output):
-            write_page(
-                self.output / PAGE,
-                self.name,
-                [Section("", [table])],
-                self.command,
-                [f"{len(estimates)} rows of estimates from {len(self.numbers)} clips: {counts}."],
-                [*map(str, list_messages(estimates)), *map(str, self.notes)],
-            )
+            write_page(self.output / PAGE, self.name, [Section("", [table])], self.command, [summary], warnings)
 
     def _folder(self, index: int) -> Path:
         return self.output if self.is_single else results.clip_folder(self.output, self.numbers[index])

@@ -11,17 +11,8 @@ from dataclasses import dataclass
 class Quantity:
     """A quantity that `tracker` measures.
 
-    Attributes
-    ----------
-    symbol : str
-        An index follows "_".
-    unit : str
-        In which its value is shown; "" for a pure number.
-    factor : float
-        The number of these units in one SI unit.
-    meaning : str
-    error_unit, error_factor : str, float
-        The same for errors, which are smaller.
+    symbol: an index follows "_". unit: in which its value is shown; "" for a pure number. factor: the number of these
+    units in one SI unit. error_unit, error_factor: the same for errors, which are smaller.
     """
 
     symbol: str

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import json
-import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
-from synthcam_shared.report.numbers import format_number, format_with_error
+from synthcam_shared.jobs import Progress
+from synthcam_shared.outputs import open_resumable
+from synthcam_shared.report.numbers import format_number
 from synthcam_shared.report.page import PageTable, Section, write_page
 from tracker import results
 from tracker.detection.detect import load_detector
 from tracker.pipeline import run
 from tracker.scoring.score import DetectorScore, score
-
-Progress = Callable[[int, int], None]
+from tracker.scoring.score_page import POSITION_HEADS, format_positions
 
 
 def compare(
@@ -58,11 +56,7 @@ def compare(
     known = dataset / "truth" / "clips.parquet"
     if not known.is_file():
         raise InputError(f"{known}: no such file, expected a dataset with its truth")
-    if report.exists() and not (report.is_dir() and (not any(report.iterdir()) or (report / "results").is_dir())):
-        raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
-    report = report.resolve()
-    check_writable(report)
-    with lock_folder(report), as_input_error(report, "; the same command continues where it stopped"):
+    with open_resumable(report, ["results"], "a new folder for the report"):
         (report / "results").mkdir(exist_ok=True)
         scores = []
         for k, name in enumerate(chosen):
@@ -88,26 +82,18 @@ def _track_and_score(dataset: Path, name: str, report: Path, progress: Progress)
     folder = report / "results" / name
     started = time.perf_counter()
     outcome = run(dataset, folder, name, 1, progress)
-    if outcome.frames:
-        note = {"ms_per_frame": 1e3 * (time.perf_counter() - started) / outcome.frames}
-        results.write_json(report / "results" / f"{name}.times.json", note)
     known = report / "results" / f"{name}.times.json"
-    spent = json.loads(known.read_text(encoding="utf-8"))["ms_per_frame"] if known.is_file() else None
+    if outcome.frames:
+        results.write_json(known, {"ms_per_frame": 1e3 * (time.perf_counter() - started) / outcome.frames})
+    spent = results.load_json(known)["ms_per_frame"] if known.is_file() else None
     return score(folder, dataset, name, spent)
 
 
 def make_tables(detectors: dict[str, Any]) -> list[PageTable]:
     """Make the tables of positions and speed, of tracks, and of the errors of quantities."""
-    columns = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
-    heads = ["detector", "balls found", "missed", "false", "rmse / px", "bound / px", "rmse / bound", "phase bias / px"]
-    heads.append("ms per frame")
-    positions = []
-    for name, d in detectors.items():
-        where = d["localisation"]
-        values = {k: format_number(where[k]) for k in columns}
-        if where["ratio"] is not None:
-            values["ratio"] = format_with_error(where["ratio"], where["ratio"] / math.sqrt(4 * max(where["n"], 1)))
-        positions.append([name, *values.values(), format_number(d["ms_per_frame"])])
+    positions = [
+        [name, *format_positions(d["localisation"]), format_number(d["ms_per_frame"])] for name, d in detectors.items()
+    ]
     measures = sorted({k for d in detectors.values() for k in d["tracking"]})
     tracks = [[name, *(format_number(d["tracking"].get(k), 5) for k in measures)] for name, d in detectors.items()]
     names = ("r", "tau1", "tau2", "mu_k", "C", "energy_fraction")
@@ -118,7 +104,7 @@ def make_tables(detectors: dict[str, Any]) -> list[PageTable]:
     bound = "Errors of x and y. Bound: Cramér-Rao bound. The ratio has its sampling error in brackets."
     tied = "Root mean square error in SI units, and in brackets the number of clips."
     return [
-        PageTable(heads, positions, "Positions", bound),
+        PageTable(["detector", *POSITION_HEADS, "ms per frame"], positions, "Positions", bound),
         PageTable(["detector", *measures], tracks, "Tracks, gate 5 px"),
         PageTable(["detector", *names], quantities, "Quantities, tied fit", tied),
     ]

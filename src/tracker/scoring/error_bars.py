@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -63,10 +63,11 @@ def error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) ->
     }
 
 
-def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | None:
+def true_motion(truth: pd.DataFrame, scalars: Mapping[str, Any] | pd.Series) -> Floats | None:
     """True parameters of the tied fit, (16,), of a clip; None unless both balls are tracked before the contact.
 
     Positions and velocities are those of the last frame before it, extrapolated by less than a frame.
+    scalars: the row of the clip in truth/clips.parquet.
     """
     t_c = float(scalars["t_c"])
     early = truth[truth["t_s"] < t_c] if np.isfinite(t_c) else truth.iloc[:0]
@@ -82,13 +83,13 @@ def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | N
     return tied if np.isfinite(tied).all() else None
 
 
-def quantity_bounds(matched: MatchedDetections, cov: Floats, tied: Floats, camera: Camera) -> dict[str, float]:
+def quantity_bounds(matched: MatchedDetections, cov: Floats, tied: Floats | None, camera: Camera) -> dict[str, float]:
     """Compute the Cramér-Rao bounds Q_bound and Q_free_bound of both fits at the true motion, for the positions found.
 
     cov (n, 2, 2) px^2: the bound of each position, not the error that the tracker claims. The error that a resting ball
-    shares between frames is included. tied (16,): the true parameters.
+    shares between frames is included. tied (16,): the true parameters, from `true_motion`.
     """
-    if len(cov) == 0 or not np.isfinite(cov).all():
+    if tied is None or len(cov) == 0 or not np.isfinite(cov).all():
         return {}
     balls = _tracks_at_bound(matched, cov, camera)
     if not all(len(course) for course in balls):

@@ -7,6 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from synthcam_shared.report.page import make_axes
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.quantities import QUANTITIES
 
@@ -46,11 +47,11 @@ def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
 
 def error_bars_figure(table: pd.DataFrame) -> Figure:
     """Draw a histogram of errors over standard errors, all quantities together, and the normal distribution."""
-    figure = Figure(figsize=(8.2, 3.0), layout="constrained")
+    figure, panels = make_axes(1, 2, figsize=(8.2, 3.0), sharey=True)
     bins = np.linspace(-5, 5, 41)
     grid = np.linspace(-5, 5, 300)
     kinds = (("", "tied fit"), ("_free", "free fit"))
-    for axes, (kind, title) in zip(figure.subplots(1, 2, sharey=True), kinds, strict=True):
+    for axes, (kind, title) in zip(panels, kinds, strict=True):
         z = [c[1][c[2] > 0] / c[2][c[2] > 0] for n in QUANTITY_NAMES if (c := _claims(table, n, kind)) is not None]
         values = np.concatenate([*z, np.empty(0)])
         axes.hist(values.clip(-5, 5), bins=bins.tolist(), density=True, color=COLOURS[kind], alpha=0.55)

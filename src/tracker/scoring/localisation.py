@@ -26,17 +26,10 @@ MIN_MOTION_PX = 0.05  # per frame; a ball at rest always has the same sub-pixel 
 
 @dataclass(frozen=True)
 class MatchedDetections:
-    """Detections of one clip, paired with the truth.
+    """Detections of one clip, paired with the truth; only balls wholly in view count.
 
-    Attributes
-    ----------
-    truth, found : DataFrame
-    pairs : (n, 2) array
-        Rows of `truth` and `found` that belong together, of balls wholly in view.
-    counted : (k,) array
-        False for detections on balls partly out of view, which do not count.
-    missed, false : int
-        Balls wholly in view without a detection; detections without a ball.
+    pairs (n, 2): rows of `truth` and `found` that belong together. counted (k,): False for detections on balls partly
+    out of view. missed, false: balls without a detection, and detections without a ball.
     """
 
     truth: pd.DataFrame
@@ -50,6 +43,12 @@ class MatchedDetections:
     def off(self) -> Floats:
         """Found minus true position, (n, 2) px."""
         return _xy(self.found)[self.pairs[:, 1]] - _true(self.truth)[self.pairs[:, 0]]
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Whether the ball of a pair moves along each axis, (n, 2)."""
+        pace = self.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
+        return np.asarray(pace.reindex(self.truth.index).to_numpy(float)[self.pairs[:, 0]] > MIN_MOTION_PX)
 
 
 def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> MatchedDetections:
@@ -70,7 +69,7 @@ def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float)
 
     Returns
     -------
-    Matched
+    MatchedDetections
     """
     position, seen = _true(truth), _xy(found)
     whole = truth["visible"].to_numpy(bool)
@@ -115,19 +114,9 @@ def position_bounds(matched: MatchedDetections, camera: Camera) -> Floats:
 class PositionSums:
     """Sums over the positions of clips, which can be added.
 
-    Attributes
-    ----------
-    n, missed, false : int
-    squares : float
-        Of the errors, both axes, px^2.
-    bound : float
-        Of the traces of the bounds' covariances, px^2.
-    waves : (2, 3, 3) array
-        Of each axis, over moving balls: products of cos, sin and 1 of the sub-pixel phase.
-    errors : (2, 3) array
-        Of each axis: the errors of moving balls times these, px.
-    moving_squares : (2,) array
-        Of each axis: their squares, px^2.
+    squares, bound: of the errors of both axes, and of the traces of the bounds' covariances, px^2. Of each axis, over
+    moving balls: waves (2, 3, 3), products of cos, sin and 1 of the sub-pixel phase; errors (2, 3), the errors times
+    these, px; moving_squares (2,), the squared errors, px^2.
     """
 
     n: int
@@ -147,7 +136,7 @@ class PositionSums:
     @classmethod
     def of(cls, matched: MatchedDetections, cov: Floats) -> PositionSums:
         """Make the sums of one clip; cov (n, 2, 2) px^2: the bounds of its pairs."""
-        off, true, moving = matched.off, _true(matched.truth)[matched.pairs[:, 0]], _moving(matched)
+        off, true, moving = matched.off, _true(matched.truth)[matched.pairs[:, 0]], matched.moving
         waves, errors, squares = np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2)
         for axis in (0, 1):
             phase, error = (x[moving[:, axis], axis] for x in (true, off))
@@ -192,12 +181,6 @@ class PositionSums:
 def score_positions(clips: Iterable[tuple[MatchedDetections, Floats]]) -> dict[str, float]:
     """Score the positions of clips, given as (matched, bounds), as `PositionSums.statistics` does."""
     return sum((PositionSums.of(*clip) for clip in clips), PositionSums.none()).statistics()
-
-
-def _moving(matched: MatchedDetections) -> NDArray[np.bool_]:
-    """Whether the ball of a pair moves along each axis, (n, 2)."""
-    pace = matched.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
-    return np.asarray(pace.reindex(matched.truth.index).to_numpy(float)[matched.pairs[:, 0]] > MIN_MOTION_PX)
 
 
 def _true(truth: pd.DataFrame) -> Floats:

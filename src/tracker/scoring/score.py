@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import in_order, run_all_jobs
@@ -21,15 +20,13 @@ from tracker.scoring.error_bars import quantity_bounds, score_quantities, true_m
 from tracker.scoring.localisation import MatchedDetections, PositionSums, match, position_bounds
 from tracker.scoring.tracking_metrics import GATE_PX, TrackingCounts, TrackPoints
 
-Floats = NDArray[np.float64]
+NO_TRACKS = pd.DataFrame({"frame": [], "particle": [], "x": [], "y": []}).astype({"frame": int, "particle": int})
+ClipSums = tuple[PositionSums, TrackingCounts, dict[str, float]]  # of one clip; the last: bounds of its quantities
 
 
 @dataclass(frozen=True)
 class DetectorScore:
-    """Scores of one set of results: the parts of score.json, and a table.
-
-    table: a row per clip with each quantity Q, the truth as Q_true and the Cramér-Rao bound as Q_bound.
-    """
+    """Scores of one set of results; table: a row per clip with each quantity Q, its truth Q_true and bound Q_bound."""
 
     suite: str
     detector: str
@@ -75,16 +72,14 @@ def score(
         RESULTS, as `tracker track` writes them. Clips of the truth without results count as missed.
     dataset : str or Path
         With its truth.
-    detector : str
-        Name of the detector.
-    ms_per_frame : float, optional
-        Processing time per frame.
+    detector, ms_per_frame : str, float
+        Name of the detector and its processing time, for score.json.
     scheduler : str
         Address of a Dask scheduler, whose workers see the same folders and score the clips.
 
     Returns
     -------
-    Score
+    DetectorScore
 
     Raises
     ------
@@ -99,9 +94,9 @@ def score(
     task = partial(_score_clip, results, dataset)
     numbers = [int(clip) for clip in scalars["clip"]]
     positions, tracking, limits = PositionSums.none(), TrackingCounts.none(), []
-    for one in in_order(run_all_jobs(task, numbers, 1, results, scheduler), numbers):
-        positions, tracking = positions + one.positions, tracking + one.tracking
-        limits.append(one.bounds)
+    for errors, counts, bounds in in_order(run_all_jobs(task, numbers, 1, results, scheduler), numbers):
+        positions, tracking = positions + errors, tracking + counts
+        limits.append(bounds)
     table = join_truth(scalars, estimates, pd.DataFrame(limits).assign(clip=numbers))
     return DetectorScore(
         suite="+".join(sorted(scalars["scene"].astype(str).unique())) if "scene" in scalars else "",
@@ -140,20 +135,14 @@ def _table(path: Path, what: str, columns: str) -> pd.DataFrame:
     return table
 
 
-class ClipScore(NamedTuple):
-    """Score of a clip: sums that can be added, and the bounds of its quantities by name."""
-
-    positions: PositionSums
-    tracking: TrackingCounts
-    bounds: dict[str, float]
-
-
-def _score_clip(results: Path, dataset: Path, clip: int) -> tuple[int, ClipScore]:
+def _score_clip(results: Path, dataset: Path, clip: int) -> tuple[int, ClipSums]:
     truth, found, camera = _read_clip(results, dataset, clip)
     matched = match(truth, found, GATE_PX, camera.diameter_px)
     cov = position_bounds(matched, camera)
-    limits = _clip_bounds(matched, cov, _scalars(dataset), clip, camera)
-    return clip, ClipScore(PositionSums.of(matched, cov), TrackingCounts.of(*to_track_points(matched)), limits)
+    scalars = _scalars(dataset)
+    tied = true_motion(truth, scalars[scalars["clip"] == clip].iloc[0])
+    counts = TrackingCounts.of(*to_track_points(matched))
+    return clip, (PositionSums.of(matched, cov), counts, quantity_bounds(matched, cov, tied, camera))
 
 
 def _read_clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, pd.DataFrame, Camera]:
@@ -162,10 +151,7 @@ def _read_clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, p
     columns = "frame t_s particle visible x y z vx vy vz glint_x_px glint_y_px x_mean_px y_mean_px"
     truth = _table(dataset / "clips" / name / "truth" / "tracks.parquet", "true tracks", columns)
     path = results / "clips" / name / "tracks.parquet"
-    empty = pd.DataFrame({"frame": np.empty(0, np.int64), "particle": np.empty(0, np.int64)})
-    found = empty.assign(x=np.empty(0), y=np.empty(0))
-    if path.is_file():
-        found = _table(path, "tracks", "frame particle x y")
+    found = _table(path, "tracks", "frame particle x y") if path.is_file() else NO_TRACKS
     cameras = (dataset / "clips" / name, results / "clips" / name, results)
     known = next((c / "camera.json" for c in cameras if (c / "camera.json").is_file()), None)
     if known is None:
@@ -183,15 +169,6 @@ def to_track_points(matched: MatchedDetections) -> tuple[TrackPoints, TrackPoint
         for t, xy in tables
     )
     return one, other
-
-
-def _clip_bounds(
-    matched: MatchedDetections, cov: Floats, scalars: pd.DataFrame, clip: int, camera: Camera
-) -> dict[str, float]:
-    row = scalars[scalars["clip"] == clip].iloc[0]
-    wanted = ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")
-    tied = true_motion(matched.truth, {name: float(row[name]) for name in wanted})
-    return {} if tied is None else quantity_bounds(matched, cov, tied, camera)
 
 
 def join_truth(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame) -> pd.DataFrame:

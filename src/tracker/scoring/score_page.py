@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,10 +13,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.report.numbers import format_number, format_percent, format_with_error
+from synthcam_shared.report.numbers import format_number, format_percent
 from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, write_page
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.positions import to_ball_tracks
 from tracker.report.collision_figures import (
     CollisionView,
     energy_figure,
@@ -29,8 +30,10 @@ from tracker.results import read_clip
 from tracker.scoring.external_tables import MEASURES
 from tracker.scoring.figures import error_bars_figure, residual_figure
 from tracker.scoring.score import DetectorScore
+from tracker.scoring.summary import format_ratio
 
 Floats = NDArray[np.float64]
+POSITION_HEADS = ("balls found", "missed", "false", "rmse / px", "bound / px", "rmse / bound", "phase bias / px")
 FIGURES = {
     "frame": (
         "Frame after the contact",
@@ -70,22 +73,10 @@ FIGURES = {
 def write_report(
     score: DetectorScore, results: Path | str, dataset: Path | str, report: Path | str, command: str = "tracker score"
 ) -> Path:
-    """Write REPORT/index.html, one self-contained file, beside score.json.
+    """Write REPORT/index.html, one self-contained file, and return its path.
 
-    Parameters
-    ----------
-    score : DetectorScore
-    results, dataset : str or Path
-        Tracks and pictures of the example clip are read here. The page says so where there is no video or no collision.
-    report : str or Path
-        REPORT.
-    command : str
-        The command that made the page.
-
-    Returns
-    -------
-    Path
-        Of index.html.
+    results, dataset: tracks and pictures of the example clip are read here. The page says so where there is no video or
+    no collision. command: that which made the page.
     """
     figures = {
         name: PageFigure.of(figure, *FIGURES[name])
@@ -125,12 +116,12 @@ def draw_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str
     if clip is not None:
         tracks, camera = read_clip(results, clip)
         row = score.table[score.table["clip"] == clip].iloc[0]
-        track = {one.particle: one for one in to_ball_tracks(tracks, camera)}
-        view = CollisionView(clip, row, {k: track[int(row[f"particle{k}"])] for k in (1, 2)}, camera)
-        spots = _detections_after_contact(results, view)
-        image = _read_picture(dataset, clip, int(spots["frame"].iloc[0]))
+        view = CollisionView.of(row, tracks, camera)
+        spots = _detections_after_contact(results, clip, view)
+        frame = int(spots["frame"].iloc[0])
+        image = _read_picture(dataset, clip, frame)
         if image is not None:
-            out["frame"] = frame_figure(image, spots, int(spots["frame"].iloc[0]), camera)
+            out["frame"] = frame_figure(image, spots, frame, camera)
         out["tracks"] = tracks_figure(view)
         out["separation"] = separation_figure(view)
         out["energy"] = energy_figure(view, tracks)
@@ -153,18 +144,13 @@ def choose_clip(score: DetectorScore, typical_speed: float = 0.3) -> int | None:
 
 def make_position_tables(score: DetectorScore) -> list[PageTable]:
     """Make the tables of position errors and of tracking measures."""
-    heads = ["balls found", "missed", "false", "rmse / px", "bound / px", "rmse / bound", "phase bias / px"]
-    where = score.localisation
-    keys = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
     note = (
         "Errors of x and y, over all balls that are wholly in view. Bound: the Cramér-Rao bound, the smallest standard "
         "deviation of an unbiased estimate. The ratio has its sampling error in brackets, for independent errors. "
         "Phase bias: peak-to-peak error that follows the position of the glint within its pixel."
     )
-    values = {key: format_number(where[key]) for key in keys}
-    values["ratio"] = format_with_error(where["ratio"], where["ratio"] / np.sqrt(4 * max(where["n"], 1)))
     return [
-        PageTable(heads, [list(values.values())], "Positions", note),
+        PageTable(list(POSITION_HEADS), [format_positions(score.localisation)], "Positions", note),
         PageTable(
             list(score.tracking),
             [[format_number(value, 5) for value in score.tracking.values()]],
@@ -172,6 +158,12 @@ def make_position_tables(score: DetectorScore) -> list[PageTable]:
             "; ".join(f"{name}: {meaning}" for name, meaning in MEASURES.items()) + ".",
         ),
     ]
+
+
+def format_positions(where: Mapping[str, Any]) -> list[str]:
+    """Format the errors of positions, in the order of `POSITION_HEADS`."""
+    keys = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
+    return [format_ratio(where, 2) if key == "ratio" else format_number(where[key]) for key in keys]
 
 
 def make_quantity_tables(score: DetectorScore) -> list[PageTable]:
@@ -194,16 +186,16 @@ def make_quantity_tables(score: DetectorScore) -> list[PageTable]:
             errors = [format_number(values[key] * quantity.error_factor) for key in ("bias", "rmse", "bound")]
             spread = [format_number(values[key]) for key in ("z_mean", "z_std")]
             covered = [format_percent(values[key]) for key in ("cover68", "cover95")]
-            ratio = format_with_error(values["ratio"], values["ratio"] / np.sqrt(2 * values["n"]))
-            rows.append([f"{name}{suffix}", quantity.error_unit, str(values["n"]), *errors, ratio, *spread, *covered])
+            start = [f"{name}{suffix}", quantity.error_unit, str(values["n"])]
+            rows.append([*start, *errors, format_ratio(values), *spread, *covered])
         if rows:
             tables.append(PageTable(heads, rows, method.capitalize(), "" if tables else note))
     return tables
 
 
-def _detections_after_contact(results: Path, view: CollisionView) -> pd.DataFrame:
+def _detections_after_contact(results: Path, clip: int, view: CollisionView) -> pd.DataFrame:
     """Detections in the frame nearest to two frames after the contact in which both balls are detected."""
-    table = pd.read_parquet(results / "clips" / f"{view.clip:06d}" / "tracks.parquet")
+    table = pd.read_parquet(results / "clips" / f"{clip:06d}" / "tracks.parquet")
     wanted = view.row["t_c"] * view.camera.fps + 2
     balls = table.groupby("frame")["particle"].nunique()
     both = balls.index[balls.to_numpy() >= 2].to_numpy()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +17,9 @@ JUDGED = ("r", "mu_k", "tau1", "tau2")
 def summarise(score: DetectorScore) -> Iterator[str]:
     """Yield lines for a terminal; the last one says what the tracks are good enough for."""
     where, swaps = score.localisation, score.tracking["swaps"]
-    ratio = format_with_error(where["ratio"], where["ratio"] / np.sqrt(4 * max(where["n"], 1)))
     yield f"{score.statuses['n']} clips: " + ", ".join(f"{v} {k}" for k, v in score.statuses.items() if k != "n")
     yield (
-        f"positions: {format_number(where['rmse_px'], 2)} px rmse, {ratio} times the bound; "
+        f"positions: {format_number(where['rmse_px'], 2)} px rmse, {format_ratio(where, 2)} times the bound; "
         f"{where['missed']:.0f} missed, {where['false']:.0f} false, {swaps:.0f} identity swaps"
     )
     yield f"{'':<10}{'tied: rmse':>12}{'/ bound':>11}{'z sd':>8}{'free: rmse':>14}{'/ bound':>11}{'z sd':>8}"
@@ -81,5 +81,11 @@ def _judge(score: DetectorScore, max_lost: float = 0.01, near_bound: float = 1.5
 
 def _format_errors(values: Mapping[str, float], factor: float) -> str:
     """Columns of rmse, ratio to the bound, and spread of z."""
-    ratio = format_with_error(values["ratio"], values["ratio"] / np.sqrt(2 * max(values["n"], 1)))
-    return f"{format_number(values['rmse'] * factor, 2):>12} {ratio:>10} {format_number(values['z_std'], 2):>7}"
+    rmse, spread = format_number(values["rmse"] * factor, 2), format_number(values["z_std"], 2)
+    return f"{rmse:>12} {format_ratio(values):>10} {spread:>7}"
+
+
+def format_ratio(scores: Mapping[str, Any], coordinates: int = 1) -> str:
+    """Format rmse over bound with its sampling error, for n independent values of so many coordinates."""
+    ratio, values = scores["ratio"], coordinates * max(scores["n"], 1)
+    return format_with_error(ratio, None if ratio is None else ratio / np.sqrt(2 * values))

@@ -59,11 +59,7 @@ class TrackPoints:
 
 @dataclass(frozen=True)
 class TrackingCounts:
-    """Counts of clips, which add.
-
-    counts: by name. levels (4, 19): of each level of HOTA hits, misses, extras, and the sum over hits of their
-    association's Jaccard index.
-    """
+    """Counts of clips by name, which add; levels (4, 19): by level of HOTA, as `_count_hota` returns them."""
 
     counts: Counter[str]
     levels: Floats
@@ -76,14 +72,9 @@ class TrackingCounts:
     @classmethod
     def of(cls, truth: TrackPoints, found: TrackPoints, gate: float = GATE_PX) -> TrackingCounts:
         """Those of one clip; gate in px."""
-        near, counts = _frame_distances(truth, found, gate), Counter[str]()
-        for count in (
-            _count_challenge(truth, found, near, gate),
-            _count_clear(truth, found, near),
-            _count_identity(truth, found, near),
-        ):
-            counts.update(count)
-        return cls(counts, _count_hota(truth, found, near))
+        near = _frame_distances(truth, found, gate)
+        counts = _count_challenge(truth, found, near, gate) | _count_clear(truth, found, near)
+        return cls(Counter(counts | _count_identity(truth, found, near)), _count_hota(truth, found, near))
 
     def __add__(self, other: TrackingCounts) -> TrackingCounts:
         counts = self.counts.copy()
@@ -158,10 +149,10 @@ def _count_challenge(truth: TrackPoints, found: TrackPoints, near: dict[int, Fra
             pair = truth.track[i[a]], found.track[j[b]]
             cost[pair] += np.minimum(apart[a, b], gate) - 2 * gate
             close[pair] += apart[a, b] < gate
-    alone = np.full((n, n), np.inf)
+    alone = np.full((n, n), 1e12)
     np.fill_diagonal(alone, length * gate)
     # a partner that costs no less than none at all is no partner
-    table = np.concatenate([np.where(close > 0, cost, 1e12), np.where(np.isinf(alone), 1e12, alone)], axis=1)
+    table = np.concatenate([np.where(close > 0, cost, 1e12), alone], axis=1)
     rows, columns = linear_sum_assignment(table)
     real = columns < m
     pairs = rows[real], columns[real]

@@ -27,6 +27,7 @@ from tracker.recording import measure_clip
 from tracker.tables.rows import to_tracks
 
 Floats = NDArray[np.float64]
+TrueTracks = tuple[pd.DataFrame, Camera, Mapping[str, Any]]  # tracks, camera, and what is measured in these tracks
 QUANTITIES = ("r", "tau1", "energy_fraction")
 DEFECTS = ("locking", "glint", "lost")
 
@@ -43,18 +44,15 @@ def glint_share(pairs: pd.DataFrame, min_lever_px: float = 0.05) -> float:
     return float((lever[use] * own[use]).sum()) / weight if weight > min_lever_px**2 * max(use.sum(), 1) else np.nan
 
 
-def measure_defects(suite: Suite, part: SuitePart, held: PositionMatches, base: Mapping[int, Any]) -> dict[str, Any]:
+def measure_defects(held: PositionMatches, base: Mapping[int, TrueTracks]) -> dict[str, Any]:
     """Measure how far each defect alone moves each quantity.
 
     Parameters
     ----------
-    suite : Suite
-    part : Part
-        The part whose true tracks are used.
-    held : Held
-        Positions of this tracker in that part.
+    held : PositionMatches
+        Positions of this tracker in the part whose true tracks are used.
     base : mapping
-        Clip -> what `undisturbed` gave for it.
+        By clip, the value of `simulate_at_bound`.
 
     Returns
     -------
@@ -81,9 +79,7 @@ def measure_defects(suite: Suite, part: SuitePart, held: PositionMatches, base: 
     return out
 
 
-def simulate_at_bound(
-    suite: Suite, part: SuitePart, clip: int, seed: int = 21
-) -> tuple[pd.DataFrame, Camera, Mapping[str, Any]]:
+def simulate_at_bound(suite: Suite, part: SuitePart, clip: int, seed: int = 21) -> TrueTracks:
     """True tracks of a clip with the noise of the bound, its camera, and the measurement of these tracks."""
     camera = suite.camera(part, clip)
     truth = suite.tracks(part.truth, clip)
@@ -139,14 +135,10 @@ def _shifts(rows: Mapping[int, Mapping[str, Any]], base: Mapping[int, Mapping[st
     for name in (f"{quantity}{kind}" for quantity in QUANTITIES for kind in ("", "_free")):
         pairs = [(rows[c].get(name, np.nan), base[c][name], base[c][f"{name}_std"]) for c in known if rows[c]]
         values = np.array(pairs, dtype=np.float64).reshape(-1, 3)
-        shift = (values[:, 0] - values[:, 1])[np.isfinite(values).all(axis=1)]
-        limit = values[np.isfinite(values).all(axis=1), 2]
-        rms = float(np.sqrt((shift**2).mean())) if len(shift) else np.nan
-        spread = float(np.sqrt((limit**2).mean())) if len(shift) else np.nan
-        out[name] = {
-            "n": len(shift),
-            "bias": float(shift.mean()) if len(shift) else np.nan,
-            "rms": rms,
-            "in_errors": rms / spread if len(shift) else np.nan,
-        }
+        values = values[np.isfinite(values).all(axis=1)]
+        out[name] = {"n": len(values)} | dict.fromkeys(("bias", "rms", "in_errors"), np.nan)
+        if len(values):
+            shift = values[:, 0] - values[:, 1]
+            rms, bound = (float(np.sqrt((x**2).mean())) for x in (shift, values[:, 2]))
+            out[name] |= {"bias": float(shift.mean()), "rms": rms, "in_errors": rms / bound}
     return out

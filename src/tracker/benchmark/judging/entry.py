@@ -8,23 +8,19 @@ from typing import Any
 import numpy as np
 
 from tracker.benchmark.judging.defects import measure_defects, simulate_at_bound
-from tracker.benchmark.judging.positions import PositionMatches, gap_curve, match_positions, phase_curve
+from tracker.benchmark.judging.positions import gap_curve, match_positions, phase_curve
 from tracker.benchmark.judging.quantities import judge_quantities
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.folder import Suite
 from tracker.results import finite
 
 
-def make_entry(suite: Suite, tracked: TrackerResults, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Score a tracker on a suite.
+def make_entry(
+    suite: Suite, tracked: TrackerResults, about: Mapping[str, Any], max_physics_clips: int = 12
+) -> dict[str, Any]:
+    """Score a tracker on a suite with its truth.
 
-    Parameters
-    ----------
-    suite : Suite
-        With its truth.
-    tracked : Tracked
-    about : mapping
-        Name of the tracker, and further facts about it.
+    about: name of the tracker, and further facts about it.
 
     Returns
     -------
@@ -36,6 +32,10 @@ def make_entry(suite: Suite, tracked: TrackerResults, about: Mapping[str, Any]) 
     run = {name: part for name, part in suite.parts.items() if tracked.sample.of(part)}
     held = {name: match_positions(suite, tracked, part) for name, part in run.items()}
     parts = {name: one.statistics for name, one in held.items()}
+    defects: dict[str, Any] = {}
+    for name in (name for name in chosen.parts_of("physics") if name in run):
+        clips = tracked.sample.of(run[name])[:max_physics_clips]
+        defects = measure_defects(held[name], {clip: simulate_at_bound(suite, run[name], clip) for clip in clips})
     out: dict[str, Any] = {
         "tracker": dict(about),
         "suite": {key: suite.about[key] for key in ("version", "size", "split", "definition_sha256", "truth_sha256")},
@@ -44,7 +44,7 @@ def make_entry(suite: Suite, tracked: TrackerResults, about: Mapping[str, Any]) 
         "phase": {name: phase_curve(held[name].pairs) for name in chosen.parts_of("phase") if name in run},
         "gap": [point for name in chosen.parts_of("near") if name in run for point in gap_curve(held[name].pairs)],
         "quantities": {n: judge_quantities(suite, tracked, run[n]) for n in chosen.parts_of("measured") if n in run},
-        "defects": _defects(suite, tracked, held),
+        "defects": defects,
     }
     whole: dict[str, Any] = finite(out)
     return whole
@@ -54,14 +54,3 @@ def overall_score(parts: Mapping[str, Mapping[str, float]], headline: list[str])
     """Compute 100 times the mean efficiency over these parts; a part that was not run counts 0. NaN without parts."""
     values = [parts[name]["efficiency"] if name in parts else 0.0 for name in headline]
     return 100 * float(np.mean(values)) if values else float("nan")
-
-
-def _defects(
-    suite: Suite, tracked: TrackerResults, held: Mapping[str, PositionMatches], max_clips: int = 12
-) -> dict[str, Any]:
-    for name in (name for name in suite.definition.parts_of("physics") if name in held):
-        part = suite.parts[name]
-        clips = tracked.sample.of(part)[:max_clips]
-        base = {clip: simulate_at_bound(suite, part, clip) for clip in clips}
-        return measure_defects(suite, part, held[name], base)
-    return {}

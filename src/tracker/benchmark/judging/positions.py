@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite, covariances
-from tracker.scoring.localisation import MIN_MOTION_PX, MatchedDetections, match, score_positions
+from tracker.scoring.localisation import MatchedDetections, match, score_positions
 from tracker.scoring.score import to_track_points
 from tracker.scoring.tracking_metrics import GATE_PX, score_tracks
 
@@ -24,14 +24,8 @@ Floats = NDArray[np.float64]
 class PositionMatches:
     """Positions of a tracker in a part of a suite, paired with the truth.
 
-    Attributes
-    ----------
-    statistics : dict
-        Of the part: errors of positions, and tracking measures.
-    pairs : DataFrame
-        A row for each position found.
-    lost : dict
-        By clip: frame and particle of the balls wholly in view that were missed.
+    statistics: errors of positions, and tracking measures. pairs: a row for each position found. lost: by clip, frame
+    and particle of the balls wholly in view that were missed.
     """
 
     statistics: dict[str, float]
@@ -42,15 +36,9 @@ class PositionMatches:
 def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> PositionMatches:
     """Pair the positions of a tracker with the truth of a part.
 
-    Parameters
-    ----------
-    suite : Suite
-    tracked : Tracked
-    part : Part
-
     Returns
     -------
-    Held
+    PositionMatches
         Columns of `pairs`: clip, frame, particle; off_x, off_y (px, found - true); std_x, std_y (claimed); own_x, own_y
         (px, off of what the tracker itself found, before glints are taken to centres); lever_x, lever_y (px, from
         centre to glint); phase_x, phase_y (of the glint within the pixel, -.5 to .5); moving_x, moving_y; gap
@@ -75,7 +63,9 @@ def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> P
     figures["found"] = n / whole if whole else np.nan
     figures["jaccard"] = n / (whole + figures["false"]) if whole else np.nan
     figures["phase_bias_px"] = fit_pixel_locking(pairs)[1]
-    figures["z"] = _z_of_claims(pairs)
+    z = pairs[["off_x", "off_y"]].to_numpy() / pairs[["std_x", "std_y"]].to_numpy()
+    z = z[np.isfinite(z)]
+    figures["z"] = float(np.sqrt((z**2).mean())) if len(z) else np.nan  # 1 where the claimed errors are correct
     figures["efficiency"] = efficiency(figures)
     tracking = score_tracks(dots)
     measures = ("alpha", "beta", "jsc", "jsc_theta", "mota", "idf1", "hota", "swaps")
@@ -92,13 +82,6 @@ def efficiency(figures: Mapping[str, float]) -> float:
     return float(figures["jaccard"] / max(figures["ratio"], 1.0)) if np.isfinite(figures["ratio"]) else np.nan
 
 
-def _z_of_claims(pairs: pd.DataFrame) -> float:
-    """Root mean square of errors over claimed standard errors: 1 where these are correct."""
-    z = pairs[["off_x", "off_y"]].to_numpy() / pairs[["std_x", "std_y"]].to_numpy()
-    z = z[np.isfinite(z)]
-    return float(np.sqrt((z**2).mean())) if len(z) else np.nan
-
-
 def _pairs(near: MatchedDetections, cov: Floats, ball_px: float, point: str) -> pd.DataFrame:
     true, found = near.truth.iloc[near.pairs[:, 0]], near.found.iloc[near.pairs[:, 1]]
     out = true[["frame", "particle"]].reset_index(drop=True)
@@ -108,8 +91,7 @@ def _pairs(near: MatchedDetections, cov: Floats, ball_px: float, point: str) -> 
     if point == "glint" and "glint_x" in found:
         raw = found[["glint_x", "glint_y"]].to_numpy(np.float64) - centre
         own = np.where(np.isfinite(raw), raw, own)
-    pace = near.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
-    moving = pace.reindex(true.index).to_numpy(np.float64) > MIN_MOTION_PX
+    moving = near.moving
     bright = centre + np.where(np.isfinite(lever), lever, 0.0)
     for k, axis in enumerate("xy"):
         std = found[f"{axis}_std"].to_numpy(np.float64) if f"{axis}_std" in found else np.full(len(out), np.nan)

@@ -18,13 +18,7 @@ from tracker.scoring.score import drop_unclaimed, join_truth
 def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min_collisions: int = 3) -> dict[str, Any]:
     """Score each quantity of the tied and of the free fit.
 
-    Parameters
-    ----------
-    suite : Suite
-    tracked : TrackerResults
-    part : SuitePart
-    min_collisions : int
-        Measured collisions from which on a quantity gets a published mean.
+    min_collisions: measured collisions from which on a quantity gets a published mean.
 
     Returns
     -------
@@ -43,7 +37,7 @@ def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min
     if any((scalars.get(name, pd.Series(0.0)).abs() > 1e-6).any() for name in ("u2ix", "u2iy", "side2i")):
         limits = limits[["clip"]]
     table = drop_unclaimed(join_truth(scalars, estimates_table(rows).copy() if rows else empty, limits))
-    out: dict[str, Any] = {"clips": len(clips), "measured": int(table["status"].isin(["ok"]).sum())}
+    out: dict[str, Any] = {"clips": len(clips), "measured": int((table["status"] == "ok").sum())}
     scores = score_quantities(table)
     names = ("r", "mu_k", "C", "tau1", "tau2", "energy_fraction")
     for name in (f"{name}{fit}" for name in names for fit in ("", "_free")):

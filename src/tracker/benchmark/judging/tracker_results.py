@@ -7,17 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
 import pandas as pd
 
 from tracker import results
 from tracker.benchmark.suite.definition import SuitePart
 from tracker.recording import Result
+from tracker.scoring.score import NO_TRACKS
 
 Rows = list[Mapping[str, Any]]
-NOTHING = pd.DataFrame(
-    {"frame": np.empty(0, np.int64), "particle": np.empty(0, np.int64), "x": np.empty(0), "y": np.empty(0)}
-)
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ class ResultsInFolder:
         """Return tracks and estimates of a clip."""
         home = results.clip_folder(self.folder / film, clip)
         if not home.is_dir():
-            return NOTHING, []
+            return NO_TRACKS, []
         return pd.read_parquet(home / "tracks.parquet"), results.load_json(home / "estimates.json")
 
 
@@ -81,6 +78,6 @@ class ResultsInMemory:
     def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
         """Return tracks and estimates of a clip."""
         if (film, clip) not in self.found:
-            return NOTHING, []
+            return NO_TRACKS, []
         result = self.found[film, clip]
         return result.tracks, [results.finite(row) for row in result.rows]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,16 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
+from synthcam_shared.report.page import make_axes
 from tracker.benchmark.suite.definition import SuiteDefinition
 from tracker.report.quantities import QUANTITIES
 
 Entry = Mapping[str, Any]
 Entries = Sequence[Entry]
 COLOURS = ("#14508c", "#c1440e", "#4d9221", "#7b3294", "#b8860b", "#008080", "#d6438a", "#555555", "#6b8e23", "#8b4513")
+LIMIT_LINE: Any = {"color": "0.3", "lw": 0.8, "ls": ":"}
 MIN_FOUND = 0.5  # share of balls found, less false detections, under which a part counts as lost
 FIGURE_WIDTH_IN = 10.2
 DEFECTS = {"locking": "locked to pixels", "glint": "glint taken for centre", "lost": "frames lost"}
@@ -43,26 +46,48 @@ def headline_figure(entries: Entries, definition: SuiteDefinition, worst: float 
     worst: rmse over bound with the darkest colour.
     """
     columns = definition.headline
-    height = 0.42 * len(entries) + 1.25
-    figure = Figure(figsize=(FIGURE_WIDTH_IN, height))
-    axes = figure.add_axes((0.2, 0.02, 0.755, 1 - 1.0 / height))
     colours, norm = colormaps["RdYlGn_r"], LogNorm(1.0, worst)
+
+    def cell_of(entry: Entry, part: str) -> tuple[str, Any, str]:
+        text, value = cell(entry["parts"].get(part))
+        dark = value is not None and not 1.4 < value < worst / 2
+        colour = "#c9c9c9" if value is None else colours(norm(np.clip(value, 1.0, worst)))
+        return text, colour, "white" if dark else "black"
+
+    figure, axes = _draw_cells(entries, list(columns), cell_of, (1.25, 1.0), 0.755)
     for i, entry in enumerate(entries):
         score = entry["score"]
         axes.text(-0.85, i, f"{score:.0f}" if score is not None else "–", ha="center", va="center", weight="bold")
-        for j, part in enumerate(columns):
-            text, value = cell(entry["parts"].get(part))
-            colour = "#c9c9c9" if value is None else colours(norm(np.clip(value, 1.0, worst)))
-            axes.add_patch(_box(j, i, colour))
-            dark = value is not None and not 1.4 < value < worst / 2
-            axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
-    axes.set(xlim=(-1.3, len(columns) - 0.5), ylim=(len(entries) - 0.5, -0.5))
+    axes.set(xlim=(-1.3, len(columns) - 0.5))
     axes.set_xticks([-0.85, *range(len(columns))], ["score", *columns.values()], rotation=35, ha="left", fontsize=9)
+    return figure
+
+
+def _draw_cells(
+    entries: Entries,
+    columns: Sequence[str],
+    cell_of: Callable[[Entry, str], tuple[str, Any, str]],
+    margins: tuple[float, float],
+    width: float,
+) -> tuple[Figure, Axes]:
+    """Draw a table with a row for each tracker; margins: height without rows, and above them, in; width: a share.
+
+    cell_of: text, colour and colour of the text for an entry and a column.
+    """
+    height = 0.42 * len(entries) + margins[0]
+    figure = Figure(figsize=(FIGURE_WIDTH_IN, height))
+    axes = figure.add_axes((0.2, 0.02, width, 1 - margins[1] / height))
+    for i, entry in enumerate(entries):
+        for j, column in enumerate(columns):
+            text, colour, ink = cell_of(entry, column)
+            axes.add_patch(Rectangle((j - 0.48, i - 0.46), 0.96, 0.92, color=colour))
+            axes.text(j, i, text, ha="center", va="center", fontsize=8, color=ink)
+    axes.set(ylim=(len(entries) - 0.5, -0.5))
     axes.set_yticks(range(len(entries)), [label_of(e) for e in entries], fontsize=9)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    return figure
+    return figure, axes
 
 
 def cell(part: Mapping[str, Any] | None, reference_px: float = 0.05) -> tuple[str, float | None]:
@@ -84,12 +109,6 @@ def cell(part: Mapping[str, Any] | None, reference_px: float = 0.05) -> tuple[st
     return (f"{text}\n{100 * found:.0f} %" if found < 0.99 else text), value
 
 
-def _box(x: float, y: float, colour: Any) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=colour)
-
-
 def axes_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
     """Draw the error against each axis of the suite, the gap between balls, and the phase within the pixel."""
     axes = list(definition.axes())
@@ -97,8 +116,8 @@ def axes_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
     phases = [name for name in definition.parts_of("phase") if any(e["phase"].get(name) for e in entries)]
     count = len(axes) + bool(near) + len(phases)
     rows = -(-count // 3)
-    figure = Figure(figsize=(FIGURE_WIDTH_IN, 2.75 * rows + 0.5), layout="constrained")
-    panels = list(np.atleast_1d(figure.subplots(rows, 3, squeeze=False)).ravel())
+    figure, grid = make_axes(rows, 3, figsize=(FIGURE_WIDTH_IN, 2.75 * rows + 0.5), squeeze=False)
+    panels = list(grid.ravel())
     for panel, (_, axis, points) in zip(panels, axes, strict=False):
         _axis_panel(panel, entries, axis, points)
     rest = iter(panels[len(axes) :])
@@ -137,7 +156,7 @@ def _axis_panel(panel: Axes, entries: Entries, axis: Mapping[str, Any], points: 
         panel.set_xticks(x.tolist(), [str(v) for v, _ in points], rotation=25, ha="right")
     panel.set_yscale("log")
     if key == "ratio":
-        panel.axhline(1.0, color="0.3", lw=0.8, ls=":")
+        panel.axhline(1.0, **LIMIT_LINE)
     _label_axes(panel, axis["title"], axis["label"], "rmse / bound" if key == "ratio" else "rmse, px")
 
 
@@ -145,7 +164,7 @@ def _gap_panel(panel: Axes, entries: Entries) -> None:
     for k, entry in enumerate(entries):
         curve = entry["gap"]
         panel.plot([p["gap"] for p in curve], [p["ratio"] for p in curve], label=label_of(entry), **_style(k))
-    panel.axhline(1.0, color="0.3", lw=0.8, ls=":")
+    panel.axhline(1.0, **LIMIT_LINE)
     panel.set(xscale="log", yscale="log")
     panel.set_xticks([0.05, 0.1, 0.2, 0.5, 1, 2], ["0.05", "0.1", "0.2", "0.5", "1", "2"])
     panel.set_xticks([], minor=True)
@@ -156,7 +175,7 @@ def _phase_panel(panel: Axes, entries: Entries, part: str, word: str) -> None:
     for k, entry in enumerate(entries):
         curve = np.array(entry["phase"].get(part) or np.empty((0, 3)), float).reshape(-1, 3)
         panel.plot(curve[:, 0], 1e3 * curve[:, 1], label=label_of(entry), **_style(k) | {"ms": 3})
-    panel.axhline(0.0, color="0.3", lw=0.8, ls=":")
+    panel.axhline(0.0, **LIMIT_LINE)
     panel.set_yscale("symlog", linthresh=10.0)
     _label_axes(panel, f"Locking to pixels ({word})", "glint within its pixel, px", "mean error, 0.001 px")
 
@@ -168,29 +187,22 @@ def _label_axes(panel: Axes, title: str, x: str, y: str) -> None:
     panel.tick_params(labelsize=7)
 
 
-def publication_figure(entries: Entries, part: str, names: Sequence[str], kind: str = "") -> Figure:
+def publication_figure(entries: Entries, part: str, names: Sequence[str]) -> Figure:
     """Draw a table with a row for each tracker and a column for each quantity: error ± published error bar."""
-    height = 0.42 * len(entries) + 0.95
-    figure = Figure(figsize=(FIGURE_WIDTH_IN, height))
-    axes = figure.add_axes((0.2, 0.02, 0.79, 1 - 0.75 / height))
-    for i, entry in enumerate(entries):
-        for j, name in enumerate(names):
-            text, colour = publication_cell(entry["quantities"].get(part, {}), name, kind)
-            axes.add_patch(_box(j, i, colour))
-            axes.text(j, i, text, ha="center", va="center", fontsize=8)
-    axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(entries) - 0.5, -0.5))
+
+    def cell_of(entry: Entry, name: str) -> tuple[str, Any, str]:
+        return *publication_cell(entry["quantities"].get(part, {}), name), "black"
+
+    figure, axes = _draw_cells(entries, names, cell_of, (0.95, 0.75), 0.79)
+    axes.set(xlim=(-0.5, len(names) - 0.5))
     heads = [f"{QUANTITIES[name].formula} / {QUANTITIES[name].error_unit}" for name in names]
     axes.set_xticks(range(len(names)), heads, fontsize=9)
-    axes.set_yticks(range(len(entries)), [label_of(e) for e in entries], fontsize=9)
-    axes.xaxis.tick_top()
-    axes.tick_params(length=0)
-    axes.spines[:].set_visible(False)
     return figure
 
 
-def publication_cell(found: Mapping[str, Any], name: str, kind: str) -> tuple[str, Any]:
+def publication_cell(found: Mapping[str, Any], name: str) -> tuple[str, Any]:
     """Text and colour: green within 2 error bars, yellow, red from 4 on; grey where nothing is published."""
-    figures = found.get(f"{name}{kind}") or {}
+    figures = found.get(name) or {}
     off, std = figures.get("published"), figures.get("published_std")
     if off is None or std is None:
         return f"none of {found['clips']}" if found.get("clips") else "not run", "#c9c9c9"
@@ -209,8 +221,10 @@ def defects_figure(entries: Entries, names: Sequence[str], kind: str) -> Figure 
     kept = [e for e in entries if e["defects"]]
     if not kept:
         return None
-    figure = Figure(figsize=(FIGURE_WIDTH_IN, 0.36 * len(kept) + 1.1), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
+    figure, panels = make_axes(
+        1, len(names), figsize=(FIGURE_WIDTH_IN, 0.36 * len(kept) + 1.1), sharey=True, squeeze=False
+    )
+    panels = panels[0]
     colours = dict(zip(DEFECTS, ("#14508c", "#c1440e", "#777777"), strict=True))
     for panel, name in zip(panels, names, strict=True):
         for j, (defect, word) in enumerate(DEFECTS.items()):
@@ -224,7 +238,7 @@ def defects_figure(entries: Entries, names: Sequence[str], kind: str) -> Figure 
         panel.set_xscale("log")
         panel.set_xlim(0.01, max(1.5, 1.3 * panel.get_xlim()[1]))
         panel.set_xticks([], minor=True)  # over less than a decade their labels would overlap
-        panel.axvline(1.0, color="0.3", lw=0.8, ls=":")
+        panel.axvline(1.0, **LIMIT_LINE)
         panel.set_title(QUANTITIES[name].formula, fontsize=10)
         panel.set_xlabel("shift, error bars of one collision", fontsize=8)
         panel.tick_params(labelsize=8)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import write_atomically
 from tracker.results import load_json, write_json
 
 ENTRIES = "entries"
-COLUMNS = ("rank name score ratio_median found false_per_ball hota ms_per_frame r_tied_rmse r_tied_z_std made truth "
-           "suite_version truth_sha256").split()  # fmt: skip
 Entries = Sequence[Mapping[str, Any]]
 
 
@@ -53,7 +50,7 @@ def entries(report: Path, suite: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def row(rank: int, one: Mapping[str, Any]) -> dict[str, Any]:
-    """Make a line of the leaderboard."""
+    """Make a line of the leaderboard by column."""
     parts = one["parts"].values()
     ratios = [part["ratio"] for part in parts if part["ratio"] is not None]
     whole = sum(part["n"] + part["missed"] for part in parts)
@@ -79,9 +76,5 @@ def row(rank: int, one: Mapping[str, Any]) -> dict[str, Any]:
 
 def write_leaderboard(report: Path, found: Entries) -> None:
     """Write REPORT/leaderboard.csv."""
-    text = io.StringIO()
-    table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    table.writeheader()
-    for rank, one in enumerate(found, 1):
-        table.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row(rank, one).items()})
-    write_atomically(report / "leaderboard.csv", text.getvalue())
+    table = pd.DataFrame([row(rank, one) for rank, one in enumerate(found, 1)])
+    write_atomically(report / "leaderboard.csv", table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))

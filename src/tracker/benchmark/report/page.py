@@ -56,24 +56,9 @@ MEANINGS = {
 def write_report(
     report: Path, entries: Entries, definition: SuiteDefinition, about: Mapping[str, Any], command: str
 ) -> Path:
-    """Write the page.
+    """Write REPORT/index.html and return its path.
 
-    Parameters
-    ----------
-    report : Path
-        REPORT.
-    entries : sequence of dict
-        The best first.
-    definition : SuiteDefinition
-    about : mapping
-        suite.json.
-    command : str
-        The command that made the page.
-
-    Returns
-    -------
-    Path
-        Of index.html.
+    entries: the best first. about: suite.json. command: that which made the page.
     """
     whose = "withheld from the authors of the trackers" if about["split"] == "withheld" else "open"
     summary = (
@@ -101,13 +86,8 @@ def _headline(entries: Entries, definition: SuiteDefinition) -> list[Block]:
         "1/√(4n) of it for n positions; values slightly below 1 agree with the limit. Matte balls: rmse in px. "
         "Score: 100 means that every ball is found, nothing else is, and the errors are at the limit."
     )
-    heads = [
-        "tracker",
-        "score",
-        "settings within 20 % of the limit",
-        "worst settings (times the limit)",
-        "ms per frame",
-    ]
+    heads = ["tracker", "score", "settings within 20 % of the limit", "worst settings (times the limit)"]
+    heads += ["ms per frame"]
     rows = []
     for entry in entries:
         good, bad = judge(entry, definition)
@@ -173,22 +153,18 @@ def _meanings() -> Markup:
 
 
 def _card(definition: SuiteDefinition, about: Mapping[str, Any]) -> PageTable:
-    seed = about["seed"] if about["seed"] is not None else "withheld"
-    citation = CITATION.format(version=version("synthcam"))
     make, submit = "tracker benchmark make -o suite", "tracker benchmark submit suite FOLDER -o report"
-    suite = f"{definition.data['name']} {about['version']} ({about['size']}), split {about['split']}"
-    return PageTable(
-        ["property", "value"],
-        [
-            ("suite", suite),
-            ("seed", str(seed)),
-            ("definition, SHA-256", Markup("<code>{}</code>").format(about["definition_sha256"])),
-            ("truth, SHA-256", Markup("<code>{}</code>").format(about["truth_sha256"])),
-            ("licence", f"films and truth {about['licence']}; code MIT"),
-            ("citation", f"{citation}; benchmark version {about['version']}"),
-            ("your tracker", f"{make}; run your tracker on suite/films; {submit}"),
-        ],
-    )
+    citation = f"{CITATION.format(version=version('synthcam'))}; benchmark version {about['version']}"
+    rows = {
+        "suite": f"{definition.data['name']} {about['version']} ({about['size']}), split {about['split']}",
+        "seed": "withheld" if about["seed"] is None else str(about["seed"]),
+        "definition, SHA-256": Markup("<code>{}</code>").format(about["definition_sha256"]),
+        "truth, SHA-256": Markup("<code>{}</code>").format(about["truth_sha256"]),
+        "licence": f"films and truth {about['licence']}; code MIT",
+        "citation": citation,
+        "your tracker": f"{make}; run your tracker on suite/films; {submit}",
+    }
+    return PageTable(["property", "value"], list(rows.items()))
 
 
 def judge(
@@ -236,13 +212,10 @@ def make_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable
         tables.append(PageTable(["tracker", *definition.parts], rows, title))
     for part in definition.parts_of("measured"):
         for suffix, method in (("", "tied fit"), ("_free", "free fit")):
-            tables.append(
-                _quantity_table(entries, part, suffix, f"{part}, {method}: rmse (rmse / bound; z sd; collisions)")
-            )
+            title = f"{part}, {method}: rmse (rmse / bound; z sd; collisions)"
+            tables.append(_quantity_table(entries, part, suffix, title))
     kept = [entry for entry in entries if entry["defects"]]
-    if kept:
-        tables.append(_defect_table(kept))
-    return tables
+    return [*tables, _defect_table(kept)] if kept else tables
 
 
 def _quantity_table(entries: Entries, part: str, suffix: str, title: str) -> PageTable:

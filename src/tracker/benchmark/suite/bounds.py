@@ -23,7 +23,6 @@ from tracker.scoring.localisation import MatchedDetections, match, position_boun
 from tracker.scoring.tracking_metrics import GATE_PX
 
 Rows = tuple[pd.DataFrame, dict[str, float]]
-SCALARS = ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")
 
 
 def write_bounds(film: Path, truth: Path, workers: int = 0, scheduler: str = "") -> None:
@@ -60,11 +59,8 @@ def _of_clip(source: RecordingSource, truth: Path, index: int) -> Rows:
         values[perfect.pairs[:, 0]] = cov[:, i, j]
         table[name] = values
     scalars = pd.read_parquet(truth / "truth" / "clips.parquet")
-    row = scalars[scalars["clip"] == clip.number].iloc[0]
-    tied = true_motion(true, {name: float(row[name]) for name in SCALARS})
-    if tied is not None:
-        quantities |= quantity_bounds(perfect, cov, tied, clip.camera)
-    return table, quantities
+    tied = true_motion(true, scalars[scalars["clip"] == clip.number].iloc[0])
+    return table, quantities | quantity_bounds(perfect, cov, tied, clip.camera)
 
 
 def _perfect(true: pd.DataFrame, flux: pd.Series[float]) -> MatchedDetections:

@@ -51,28 +51,23 @@ class Suite:
     def tracks(self, film: str, clip: int) -> pd.DataFrame:
         """Read the true tracks of a clip, with the bound of each position as xx, xy, yy (px^2; NaN without a bound)."""
         truth = _read(self.truth / film / "clips" / f"{clip:06d}" / "truth" / "tracks.parquet")
-        limits = self.bounds(film)
+        limits = self.bounds[film]
         own = limits[limits["clip"] == clip].drop(columns="clip")
         return truth.merge(own, on=["frame", "particle"], how="left")
 
-    def bounds(self, film: str) -> pd.DataFrame:
-        """Return the Cramér-Rao bounds of all true positions of a film."""
-        return self._limits[film][0]
+    @cached_property
+    def bounds(self) -> dict[str, pd.DataFrame]:
+        """The Cramér-Rao bounds of all true positions, by film."""
+        return {film.name: _read(self.truth / film.name / BOUNDS) for film in self.definition.films}
+
+    def quantity_bounds(self, film: str) -> pd.DataFrame:
+        """Read the bounds of the quantities of the collisions in a film."""
+        return _read(self.truth / film / QUANTITY_BOUNDS)
 
     def has_bounds(self, part: SuitePart) -> bool:
         """Return whether positions of a part have a bound; those of matte balls have none."""
-        limits = self.bounds(part.truth)
+        limits = self.bounds[part.truth]
         return bool(limits.loc[limits["clip"].isin(part.clips), "xx"].notna().any())
-
-    def quantity_bounds(self, film: str) -> pd.DataFrame:
-        """Return the bounds of the quantities of the collisions in a film."""
-        return self._limits[film][1]
-
-    @cached_property
-    def _limits(self) -> dict[str, tuple[pd.DataFrame, pd.DataFrame]]:
-        names = (BOUNDS, QUANTITY_BOUNDS)
-        return {f.name: (_read(self.truth / f.name / names[0]), _read(self.truth / f.name / names[1]))
-                for f in self.definition.films}  # fmt: skip
 
 
 def open_suite(path: Path, truth: Path | None = None) -> Suite:

@@ -7,13 +7,13 @@ import secrets
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import yaml
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable, lock_folder, write_atomically
+from synthcam_shared.jobs import Progress
+from synthcam_shared.outputs import open_resumable, write_atomically
 from tracker.benchmark.suite.bounds import write_bounds
 from tracker.benchmark.suite.card import card
 from tracker.benchmark.suite.definition import SuiteDefinition, SuiteFilm
@@ -21,7 +21,6 @@ from tracker.benchmark.suite.folder import DEFINITION, FILMS, SUITE, TRUTH, Suit
 from tracker.results import load_json, write_json
 
 SEED = "seed.json"  # with the truth
-Progress = Callable[[int, int], None]
 
 
 def make(
@@ -38,8 +37,7 @@ def make(
     Parameters
     ----------
     output : Path
-        Folder to make.
-    definition : Definition
+    definition : SuiteDefinition
     withhold : Path, optional
         Folder of the truth, apart from the films; default: output/truth.
     seed : int, optional
@@ -47,7 +45,7 @@ def make(
     workers : int
         Processes; 0: one a core. A script without `if __name__ == "__main__"` needs 1.
     progress : callable
-        Called with the number of finished steps and of all steps.
+        Takes the number of finished steps and of all steps.
     scheduler : str
         Address of a Dask scheduler, whose workers see the same folders; they film the clips and find the bounds.
 
@@ -66,10 +64,7 @@ def make(
         raise InputError(f"{truth}: is inside {output} or contains it; expected a separate folder for the truth")
     if (output / SUITE).is_file():
         return _reopen(output, truth, definition, seed)
-    if output.exists() and any(output.iterdir()) and not (output / DEFINITION).is_file():
-        raise InputError(f"{output}: exists and holds something else, expected a new folder for the suite")
-    check_writable(output)
-    with lock_folder(output), as_input_error(output, "; the same command continues where it stopped"):
+    with open_resumable(output, [DEFINITION], "a new folder for the suite"):
         write_atomically(output / DEFINITION, definition.text)
         truth.mkdir(parents=True, exist_ok=True)
         chosen = _seed(truth, definition, seed, withhold is not None)
@@ -79,7 +74,10 @@ def make(
             _film(output, truth, film, chosen + number, scheduler)
             progress(done := done + 1, steps)
             for name, codec in film.encoded.items():
-                _encode(output, truth, film, name, codec)
+                folder, whole = output / FILMS / name, output / FILMS / film.name
+                if not folder.exists():
+                    asked = ["--format", codec, "--truth", str(truth / film.name), "-o", str(folder)]
+                    _synthcam("export", str(whole), *asked)
                 progress(done := done + 1, steps)
             write_bounds(output / FILMS / film.name, truth / film.name, workers, scheduler)
             progress(done := done + 1, steps)
@@ -120,33 +118,21 @@ def _seed(truth: Path, definition: SuiteDefinition, seed: int | None, withheld: 
 
 def _film(output: Path, truth: Path, film: SuiteFilm, seed: int, scheduler: str) -> None:
     """Generate the clips of a film, with the truth in its own folder."""
-    folder, kept = output / FILMS / film.name, truth / film.name
     scenes = output / "scenes"
-    scenes.mkdir(exist_ok=True)
-    files = []
-    for name, scene in film.scenes.items():
-        files.append(scenes / f"{name}.yaml")
-        write_atomically(files[-1], yaml.safe_dump({**scene, "name": name}, sort_keys=False))
-    folder.parent.mkdir(exist_ok=True)
-    asked = ["--clips", str(film.clips), "--seed", str(seed), "--withhold-truth", str(kept)]
+    files = {scenes / f"{name}.yaml": {**scene, "name": name} for name, scene in film.scenes.items()}
+    for path, scene in files.items():
+        write_atomically(path, yaml.safe_dump(scene, sort_keys=False))
+    (output / FILMS).mkdir(exist_ok=True)
+    asked = ["--clips", str(film.clips), "--seed", str(seed), "--withhold-truth", str(truth / film.name)]
     asked += ["--scheduler", scheduler] if scheduler else []
-    _synthcam("generate", *map(str, files), "-o", str(folder), *asked)
+    _synthcam("generate", *map(str, files), "-o", str(output / FILMS / film.name), *asked)
     shutil.rmtree(scenes)
-
-
-def _encode(output: Path, truth: Path, film: SuiteFilm, name: str, codec: str) -> None:
-    """Encode the clips of a film, unless that was done."""
-    folder = output / FILMS / name
-    if not folder.exists():
-        whole = str(output / FILMS / film.name)
-        _synthcam("export", whole, "--format", codec, "--truth", str(truth / film.name), "-o", str(folder))
 
 
 def _synthcam(*words: str) -> None:
     """Run the command `synthcam`. Raises InputError with its last message."""
-    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "synthcam", *words]
-    env = os.environ | threads
+    env = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False, env=env)
     if done.returncode:
         said = [line for line in done.stderr.splitlines() if line.strip()]

@@ -17,7 +17,7 @@ def base():
 def judged(base, change):
     made = suite()
     part = made.parts["bright"]
-    return measure_defects(made, part, match_positions(made, Given(made, change), part), base)
+    return measure_defects(match_positions(made, Given(made, change), part), base)
 
 
 def test_a_tracker_without_defects_moves_nothing(base):

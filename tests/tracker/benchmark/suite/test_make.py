@@ -27,7 +27,7 @@ def test_no_film_holds_the_truth_and_the_card_says_what_it_is():
 
 def test_bounds_are_those_of_all_balls_in_view_and_a_dim_one_has_a_wider_one():
     made = suite()
-    limits = made.bounds("axes")
+    limits = made.bounds["axes"]
     spread = np.sqrt((limits["xx"] + limits["yy"]) / 2).groupby(limits["clip"]).median()
     assert len(limits) == 4 * 36 * 2
     assert limits["xx"].notna().all()
@@ -65,7 +65,7 @@ def test_a_withheld_truth_lies_apart_with_a_seed_that_is_drawn(tmp_path, monkeyp
     alone = open_suite(tmp_path / "suite")
     with pytest.raises(InputError, match="the truth of this suite is withheld: give its folder"):
         with_truth(alone)
-    assert with_truth(open_suite(tmp_path / "suite", tmp_path / "truth")).bounds("axes") is not None
+    assert with_truth(open_suite(tmp_path / "suite", tmp_path / "truth")).bounds["axes"] is not None
     tracks = next((tmp_path / "truth").rglob("tracks.parquet"))
     tracks.write_bytes(tracks.read_bytes()[:-1] + b"x")
     with pytest.raises(InputError, match="its SHA-256 differs"):
