@@ -42,17 +42,9 @@ def command_line(name: str, about: str) -> typer.Typer:
 def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed: tuple[str, ...] = ()) -> None:
     """Run a command and end the process, with one line on stderr for an error.
 
-    Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted.
-
-    Parameters
-    ----------
-    app : Typer
-    name : str
-        Of the program.
-    wrong : tuple of exception classes
-        Those that are the user's to mend; their message is the line.
-    resumed : tuple of str
-        Commands that keep what they have made when they are interrupted.
+    Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted. `wrong` are the exceptions that are the user's
+    to mend; their message is the line. `resumed` are the commands that keep what they have made when they are
+    interrupted.
     """
     try:
         status = app(prog_name=name, standalone_mode=False)

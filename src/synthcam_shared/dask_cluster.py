@@ -25,17 +25,8 @@ T = TypeVar("T")
 class Cluster:
     """A connection to a scheduler that answers and has workers. One call of `ask_all` or `run` closes it.
 
-    Parameters
-    ----------
-    address : str
-        As in tcp://10.0.0.1:8786.
-    timeout : float
-        Time for the scheduler to answer, s.
-
-    Raises
-    ------
-    InputError
-        If Dask is not installed, no scheduler answers at the address, or it has no workers.
+    `address` is as in tcp://10.0.0.1:8786; the scheduler has `timeout` s to answer. Raises InputError if Dask is not
+    installed, no scheduler answers at the address, or it has no workers.
     """
 
     def __init__(self, address: str, timeout: float = 10.0) -> None:

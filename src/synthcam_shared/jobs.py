@@ -32,14 +32,8 @@ Progress = Callable[[int, int], None]  # takes the jobs done and the jobs in all
 class Trial:
     """A forecast from the first jobs for the others.
 
-    Attributes
-    ----------
-    numbers : tuple of int
-        The jobs done so far, by this process.
-    seconds : float
-        Wall time of one job on one worker, s. The first job counts for nothing: it loads libraries.
-    jobs_left, workers : int
-        Jobs still to do, and the processes that will do them.
+    numbers: the jobs done so far, by this process. seconds: wall time of one job on one worker, s; the first job counts
+    for nothing, because it loads libraries. jobs_left, workers: jobs still to do, and the processes that will do them.
     """
 
     numbers: tuple[int, ...]
@@ -80,14 +74,7 @@ def run_jobs(
         Processor time of all remaining jobs, s, from which on more processes are started. A process takes half as
         long as the default to load its libraries.
 
-    Yields
-    ------
-    JobValue or LostJob
-
-    Raises
-    ------
-    InputError
-        If three workers in a row are lost, or the scheduler cannot be used.
+    Raises InputError if three workers in a row are lost, or the scheduler cannot be used.
     """
     if scheduler:
         from synthcam_shared.dask_cluster import Cluster  # here alone: Dask is an optional dependency

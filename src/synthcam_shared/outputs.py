@@ -127,22 +127,10 @@ def open_resumable(folder: Path, marks: Sequence[str], expected: str) -> Iterato
 def resume_folder(partial: Path, plan_file: str, plan: str) -> Iterator[None]:
     """Work in a folder that a killed run may have left, and that the next run of the same plan continues.
 
-    The folder is locked, `plan` is written into it, and the leftovers of killed workers (``clips/*.tmp``) are removed.
-    If the work fails before any clip is complete, the folder is removed again.
-
-    Parameters
-    ----------
-    partial : Path
-        The folder. The caller has checked that it is missing, empty, or of the same plan.
-    plan_file : str
-        Name of the file that holds the plan.
-    plan : str
-        What distinguishes this run from others.
-
-    Raises
-    ------
-    InputError
-        If another process is at work there, or the disk is full.
+    The caller has checked that `partial` is missing, empty, or of the same plan. The folder is locked, `plan`, which
+    distinguishes this run from others, is written into it, and the leftovers of killed workers (``clips/*.tmp``) are
+    removed. If the work fails before any clip is complete, the folder is removed again. Raises InputError if another
+    process is at work there, or the disk is full.
     """
     with as_input_error(partial), lock_folder(partial):
         try:

@@ -124,15 +124,9 @@ def _mark_stages(ax: Axes, title: str) -> None:
 
 
 def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit) -> tuple[Array, Array, Array]:
-    """Stage, ball and residuals of all positions.
+    """Stage (n,), ball (n,) and residuals (n, 2), µm along and across the path after the contact, of all positions.
 
-    Returns
-    -------
-    stage : (n,) array
-        -1 to 0 before the contact, to 1 while the ball slides, to 2 while it rolls.
-    ball : (n,) array
-    residual : (n, 2) array
-        µm along and across the path after the contact.
+    Stage: -1 to 0 before the contact, to 1 while the ball slides, to 2 while it rolls.
     """
     stages, balls, lefts = [], [], []
     expected = predict_tracks(fit.model, fit.launches, clips)

@@ -15,14 +15,8 @@ from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
 def replace_folder(output: Path, files: Sequence[str], what: str) -> Iterator[Path]:
     """Give a folder to write into, which becomes `output` when everything succeeded.
 
-    Parameters
-    ----------
-    output : Path
-        Made, or replaced where it holds an earlier report. Raises InputError where it holds other files.
-    files : sequence of str
-        The names of all files of such a report.
-    what : str
-        What an earlier report is called in a message.
+    An earlier report, which has none but these `files` and is called `what` in a message, is replaced. Raises
+    InputError where `output` holds other files, or cannot be written.
     """
     output = output.resolve()
     if output.exists() and (not output.is_dir() or any(path.name not in files for path in output.iterdir())):

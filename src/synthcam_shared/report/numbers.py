@@ -9,19 +9,10 @@ NOT_KNOWN = "–"
 
 
 def format_number(value: Any, digits: int = 3) -> str:
-    """Format a number for a table.
+    """Format a number for a table; digits: the significant ones of a float.
 
-    Parameters
-    ----------
-    value : int, float, str or None
-        A whole number and a text are shown as they are.
-    digits : int
-        Significant digits of a float.
-
-    Returns
-    -------
-    str
-        "–" for None, NaN and infinity. A float has a power of ten only under 0.001 and from a million on.
+    A whole number and a text are shown as they are, and None, NaN and infinity as "–". A float has a power of ten only
+    under 0.001 and from a million on.
     """
     if isinstance(value, int | str):
         return str(value)

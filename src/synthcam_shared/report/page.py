@@ -84,18 +84,8 @@ def write_page(
 ) -> Path:
     """Write a page aside and move it into place; return its path.
 
-    Parameters
-    ----------
-    path, title : Path, str
-        Of the page.
-    sections : sequence of Section
-        Those without blocks are left out.
-    command : str
-        The command that made the page, for its foot.
-    summary : sequence of str
-        Paragraphs under the title.
-    warnings : sequence of str
-        Lines of a list that catches the eye.
+    Sections without blocks are left out. `command`, which made the page, is for its foot. The summary stands in
+    paragraphs under the title; the warnings are lines of a list that catches the eye.
     """
     values = {
         "title": title,

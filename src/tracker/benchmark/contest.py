@@ -12,7 +12,7 @@ from typing import Any
 from synthcam_shared.jobs import Progress, run_all_jobs
 from synthcam_shared.outputs import open_resumable
 from tracker.benchmark.judging.entry import make_entry
-from tracker.benchmark.judging.tracker_results import ResultsInFolder
+from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, save, write_leaderboard
 from tracker.benchmark.report.page import write_report
 from tracker.benchmark.suite.folder import Suite
@@ -32,27 +32,11 @@ def run_contest(
 ) -> tuple[list[Mapping[str, Any]], list[str]]:
     """Run trackers on a suite, score them, and write the leaderboard and the page.
 
-    Parameters
-    ----------
-    suite : Suite
-        With its truth, which no tracker gets.
-    report : Path
-        Folder to make. Earlier entries stay.
-    names : str
-        Trackers, separated by commas; default: the list of the suite.
-    how : str
-        The command that made the page.
-    progress : callable
-        Takes the number of finished steps and of all steps.
-    scheduler : str
-        Address of a Dask scheduler, whose workers see the same folders and have the same packages.
-
-    Returns
-    -------
-    entries : list of dict
-        All of the report, the best first.
-    notes : list of str
-        A line for each tracker that was left out.
+    The suite has its truth, which no tracker gets. Earlier entries of the report stay. `names` are separated by commas;
+    the default is the list of the suite. `how` is the command that made the page. `progress` takes the number of
+    finished steps and of all steps. `scheduler` is the address of a Dask scheduler, whose workers see the same folders
+    and have the same packages. Returns all entries of the report, the best first, and a line for each tracker that was
+    left out. Raises InputError.
     """
     if scheduler:  # the workers may stand elsewhere
         suite, report = replace(suite, path=suite.path.resolve(), truth=suite.truth.resolve()), report.resolve()
@@ -95,6 +79,6 @@ def _has_score(report: Path, suite: Suite, name: str) -> bool:
 
 
 def _make_entry(
-    suite: Suite, chosen: list[Entrant], found: list[ResultsInFolder], report: Path, k: int
+    suite: Suite, chosen: list[Entrant], found: list[TrackerResults], report: Path, k: int
 ) -> dict[str, Any]:
     return make_entry(suite, found[k], describe(chosen[k], report / RESULTS / chosen[k].name))

@@ -6,7 +6,7 @@ import inspect
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from synthcam_shared.errors import InputError
 from tracker.benchmark.judging.entry import make_entry
-from tracker.benchmark.judging.tracker_results import ResultsInMemory
+from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
 from tracker.benchmark.suite.definition import read_definition
 from tracker.benchmark.suite.folder import Suite, open_suite, with_truth
 from tracker.benchmark.suite.make import make
@@ -151,14 +151,16 @@ def run(
     made = _suite(suite)
     function = callable(detector) and not inspect.isclass(detector)
     used: Any = _finder(detector, point) if function else detector
-    found = ResultsInMemory(own="centre" if function and point == "centre" else "glint")
+    own = "centre" if function and point == "centre" else "glint"
+    found = {}
     for film in dict.fromkeys(part.film for part in made.parts.values()):
         source = open_source(made.film(film))
         for index, (number, _) in enumerate(source.clips):
-            found.found[film, number] = track_and_measure(source.open_clip(index), used)
+            found[film, number] = track_and_measure(source.open_clip(index), used)
     given: Any = detector
-    about = {"name": name or detector_name(given), "made": "run here", "point": found.own}
-    return TrackerRun(make_entry(made, found, about), made.definition.headline)
+    about = {"name": name or detector_name(given), "made": "run here", "point": own}
+    tracked = TrackerResults(partial(take_clip, found), own=own)
+    return TrackerRun(make_entry(made, tracked, about), made.definition.headline)
 
 
 def _suite(given: Path | str | None) -> Suite:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,13 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from tracker.benchmark.contest import open_report, publish
 from tracker.benchmark.judging.entry import make_entry
-from tracker.benchmark.judging.tracker_results import ResultsInMemory
+from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
 from tracker.benchmark.report.leaderboard import save
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import did_you_mean
 from tracker.detection.link import Tracks
-from tracker.recording import measure_tracks
+from tracker.recording import Result, measure_tracks
 from tracker.results import load_json
 from tracker.tables.read import read_tracks
 
@@ -32,30 +33,12 @@ TABLES = (".csv", ".parquet", ".txt", ".xml")
 def score_submission(
     suite: Suite, folder: Path, report: Path, how: str, progress: Progress = lambda done, of: None
 ) -> tuple[list[Mapping[str, Any]], list[str]]:
-    """Score a submission and add it to a report.
+    """Score a submission and add it to a report, which is made where it is missing.
 
-    Parameters
-    ----------
-    suite : Suite
-        With its truth; only sums over clips go into the report.
-    folder, report : Path
-        The submission, and the folder to make or to add to.
-    how : str
-        The command that made the page.
-    progress : callable
-        Takes the number of finished films and of all films.
-
-    Returns
-    -------
-    entries : list of dict
-        All of the report, the best first.
-    notes : list of str
-        Films and clips without a table.
-
-    Raises
-    ------
-    InputError
-        For a wrong submission.json or table, and where no table has a position.
+    Only sums over clips of the suite's truth go into the report. `how` is the command that made the page. `progress`
+    takes the number of finished films and of all films. Returns all entries of the report, the best first, and notes on
+    films and clips without a table. Raises InputError for a wrong submission.json or table, and where no table has a
+    position.
     """
     about = read_form(folder)
     found, notes = read_tables(suite, folder, about.get("point", "centre"), progress)
@@ -88,9 +71,10 @@ def read_form(folder: Path) -> dict[str, Any]:
 
 def read_tables(
     suite: Suite, folder: Path, point: str, progress: Progress = lambda done, of: None
-) -> tuple[ResultsInMemory, list[str]]:
+) -> tuple[TrackerResults, list[str]]:
     """Read the tables of a submission, measure each clip with its camera, and list missing tables."""
-    found, notes = ResultsInMemory(), []
+    found: dict[tuple[str, int], Result] = {}
+    notes = []
     films = dict.fromkeys(part.film for part in suite.parts.values())
     _check_names(folder, list(films))
     for number, film in enumerate(films, 1):
@@ -103,13 +87,13 @@ def read_tables(
             )
         for clip, tracks in given.items():
             own = "centre" if camera[clip].matte else point
-            found.found[film, clip] = measure_tracks(tracks, camera[clip], clip, own)
+            found[film, clip] = measure_tracks(tracks, camera[clip], clip, own)
         if missing := len(clips) - len(given):
             notes.append(f"{film}: no table of {missing} of {len(clips)} clips, which count as not found")
         progress(number, len(films))
-    if not any(len(result.tracks) for result in found.found.values()):
+    if not any(len(result.tracks) for result in found.values()):
         raise InputError(f"{folder}: no position in any table, expected the balls of {', '.join(films)}")
-    return found, notes
+    return TrackerResults(partial(take_clip, found)), notes
 
 
 def _check_names(folder: Path, films: list[str]) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.judging.tracker_results import ALL, ClipSample, ResultsInFolder
+from tracker.benchmark.judging.tracker_results import ALL, ClipSample, TrackerResults, read_clip
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.recordings import Recording, open_source
 from tracker.detection.choose import choose_detector
@@ -73,7 +74,7 @@ def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
     return out, notes
 
 
-def run_tracker(suite: Suite, one: Entrant, folder: Path, workers: int = 0, scheduler: str = "") -> ResultsInFolder:
+def run_tracker(suite: Suite, one: Entrant, folder: Path, workers: int = 0, scheduler: str = "") -> TrackerResults:
     """Run a tracker on all films into FOLDER/FILM, except where results exist; scheduler: of Dask, for processes."""
     folder.mkdir(parents=True, exist_ok=True)
     for film in dict.fromkeys(part.film for part in suite.parts.values()):
@@ -83,7 +84,7 @@ def run_tracker(suite: Suite, one: Entrant, folder: Path, workers: int = 0, sche
             run(replace(source, clips=wanted), folder / film, one.detector, workers, scheduler=scheduler)
     if not (folder / "pace.json").is_file():
         write_json(folder / "pace.json", {"ms_per_frame": _time_frame(suite, one)})
-    return ResultsInFolder(folder, one.sample, one.own)
+    return TrackerResults(partial(read_clip, folder), one.sample, one.own)
 
 
 def _time_frame(suite: Suite, one: Entrant) -> float:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -18,8 +17,7 @@ from tracker.report.quantities import QUANTITIES, Quantity
 METHODS = {"": "tied fit", "_free": "free fit", "_paper": "finite differences"}
 
 
-@dataclass(frozen=True)
-class QuantityLine:
+class QuantityLine(NamedTuple):
     """A quantity with its column name and, as text, its value and error by each of `METHODS`."""
 
     name: str

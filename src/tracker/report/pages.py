@@ -113,9 +113,8 @@ class RecordingPage:
 
     def _results(self, row: Mapping[str, Any]) -> list[Block]:
         rows = [
-            (typeset_symbol(q.symbol), q.meaning, q.unit, *line.values, Markup("<code>{}</code>").format(line.name))
-            for line in list_quantities(row)
-            for q in [line.quantity]
+            (typeset_symbol(q.symbol), q.meaning, q.unit, *values, Markup("<code>{}</code>").format(name))
+            for name, q, values in list_quantities(row)
         ]
         title = f"Collision {row['collision']}" if len(self.rows) > 1 else ""
         return [PageTable(["symbol", "quantity", "unit", *METHODS.values(), "column"], rows, title)] if rows else []

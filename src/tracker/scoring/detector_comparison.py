@@ -25,28 +25,9 @@ def compare(
 ) -> dict[str, Any]:
     """Track a dataset with several detectors, in one process, and write REPORT/score.json and index.html.
 
-    Results are kept in REPORT/results/NAME. The same call goes on after an interruption.
-
-    Parameters
-    ----------
-    dataset : Path
-        Clips with their truth.
-    names : sequence of str
-        Names of the detectors.
-    report : Path
-        REPORT.
-    progress : callable
-        Called with the number of finished clips and of all clips.
-
-    Returns
-    -------
-    dict
-        The contents of score.json.
-
-    Raises
-    ------
-    InputError
-        Before any work, where a detector does not exist or REPORT holds other files.
+    Results are kept in REPORT/results/NAME; the same call goes on after an interruption. `progress` takes the number of
+    finished clips and of all clips. Returns the contents of score.json. Raises InputError, before any work, where a
+    detector or the truth does not exist or REPORT holds other files.
     """
     chosen = [name.strip() for name in names if name.strip()]
     if not chosen or len(set(chosen)) < len(chosen):

@@ -43,24 +43,19 @@ def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
 def error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str, float]:
     """Statistics of one quantity over clips (n,); NaN marks values that are not claimed or not known."""
     use = np.isfinite(value) & np.isfinite(true)
-    off = value[use] - true[use]
+    names = ("bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95")
+    out: dict[str, float] = {"n": int(use.sum())} | dict.fromkeys(names, np.nan)
     if not use.any():
-        names = ("bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95")
-        return {"n": 0} | dict.fromkeys(names, np.nan)
+        return out
+    off = value[use] - true[use]
     claimed = np.isfinite(std[use]) & (std[use] > 1e-12 * np.maximum(np.abs(true[use]), 1e-12))
     z = off[claimed] / std[use][claimed]
     rmse, limit = float(np.sqrt((off**2).mean())), float(np.sqrt((bound[use] ** 2).mean()))
-    return {
-        "n": int(use.sum()),
-        "bias": float(off.mean()),
-        "rmse": rmse,
-        "bound": limit,
-        "ratio": rmse / limit if limit > 0 else np.nan,
-        "z_mean": float(z.mean()) if len(z) else np.nan,
-        "z_std": float(z.std()) if len(z) else np.nan,
-        "cover68": float((np.abs(z) < 1).mean()) if len(z) else np.nan,
-        "cover95": float((np.abs(z) < 1.959964).mean()) if len(z) else np.nan,
-    }
+    out |= {"bias": float(off.mean()), "rmse": rmse, "bound": limit, "ratio": rmse / limit if limit > 0 else np.nan}
+    if len(z):
+        cover68, cover95 = (float((np.abs(z) < width).mean()) for width in (1, 1.959964))
+        out |= {"z_mean": float(z.mean()), "z_std": float(z.std()), "cover68": cover68, "cover95": cover95}
+    return out
 
 
 def true_motion(truth: pd.DataFrame, scalars: Mapping[str, Any] | pd.Series) -> Floats | None:

@@ -77,25 +77,10 @@ class TableScore:
 
 
 def score_table(found: Path, truth: Path, gate: float | None = None, name: str = "") -> TableScore:
-    """Compare a table with a true table.
+    """Compare a table with a true table: files of tracks in any formats, with lengths in the same unit.
 
-    Parameters
-    ----------
-    found, truth : Path
-        Files of tracks in any formats, with lengths in the same unit.
-    gate : float, optional
-        Largest distance of a pair in that unit; default: 5. Without a gate, boxes are compared by their overlap where
-        both files have boxes.
-    name : str
-        Name of the table; default: that of its file.
-
-    Returns
-    -------
-    TableScore
-
-    Raises
-    ------
-    InputError
+    `gate` is the largest distance of a pair in that unit; default: 5. Without a gate, boxes are compared by their
+    overlap where both files have boxes. `name` of the table; default: that of its file. Raises InputError.
     """
     one, other = (recognise_format(Content.of(path)) for path in (truth, found))
     units = [table.unit or ("m" if table.up else "px") for table in (one, other)]

@@ -52,24 +52,10 @@ class MatchedDetections:
 
 
 def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> MatchedDetections:
-    """Pair detections with true balls, frame by frame.
+    """Pair detections (frame, x, y px) with true balls (frame, x_mean_px, y_mean_px, visible), frame by frame.
 
-    A ball partly out of view need not be found, and a detection on it does not count.
-
-    Parameters
-    ----------
-    truth : DataFrame
-        frame, x_mean_px, y_mean_px, visible.
-    found : DataFrame
-        frame, x, y (px).
-    gate : float
-        Largest distance of a pair, px.
-    ball_px : float
-        Diameter of a ball, px.
-
-    Returns
-    -------
-    MatchedDetections
+    `gate` is the largest distance of a pair, `ball_px` the diameter of a ball, px. A ball partly out of view need not
+    be found, and a detection on it does not count.
     """
     position, seen = _true(truth), _xy(found)
     whole = truth["visible"].to_numpy(bool)

@@ -64,27 +64,11 @@ def score(
     ms_per_frame: float | None = None,
     scheduler: str = "",
 ) -> DetectorScore:
-    """Compare results with the truth.
+    """Compare RESULTS of `tracker track` with the truth of a dataset.
 
-    Parameters
-    ----------
-    results : str or Path
-        RESULTS, as `tracker track` writes them. Clips of the truth without results count as missed.
-    dataset : str or Path
-        With its truth.
-    detector, ms_per_frame : str, float
-        Name of the detector and its processing time, for score.json.
-    scheduler : str
-        Address of a Dask scheduler, whose workers see the same folders and score the clips.
-
-    Returns
-    -------
-    DetectorScore
-
-    Raises
-    ------
-    InputError
-        Where a file or a column is missing.
+    Clips of the truth without results count as missed. `detector` and `ms_per_frame`, the processing time per frame, go
+    into score.json. `scheduler` is the address of a Dask scheduler, whose workers see the same folders and score the
+    clips. Raises InputError where a file or a column is missing.
     """
     results, dataset = Path(results), Path(dataset)
     if scheduler:  # the workers may stand elsewhere

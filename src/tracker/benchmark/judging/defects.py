@@ -47,19 +47,9 @@ def glint_share(pairs: pd.DataFrame, min_lever_px: float = 0.05) -> float:
 def measure_defects(held: PositionMatches, base: Mapping[int, TrueTracks]) -> dict[str, Any]:
     """Measure how far each defect alone moves each quantity.
 
-    Parameters
-    ----------
-    held : PositionMatches
-        Positions of this tracker in the part whose true tracks are used.
-    base : mapping
-        By clip, the value of `simulate_at_bound`.
-
-    Returns
-    -------
-    dict
-        `size`: of locking (px, peak to peak), of glint (the share), of lost (the share of the balls); and by defect and
-        quantity, tied and free: n, bias (mean shift), rms, and in_errors, the rms shift over the bound; `unmeasured`,
-        clips of which nothing could be measured any more.
+    `base` has, by clip, the value of `simulate_at_bound`. Returns `size`: of locking (px, peak to peak), of glint (the
+    share), of lost (the share of the balls); and by defect and quantity, tied and free: n, bias (mean shift), rms, and
+    in_errors, the rms shift over the bound; `unmeasured`, clips of which nothing could be measured any more.
     """
     waves, peak = fit_pixel_locking(held.pairs)
     share = glint_share(held.pairs)

@@ -18,15 +18,10 @@ from tracker.results import finite
 def make_entry(
     suite: Suite, tracked: TrackerResults, about: Mapping[str, Any], max_physics_clips: int = 12
 ) -> dict[str, Any]:
-    """Score a tracker on a suite with its truth.
+    """Score a tracker on a suite with its truth; about: name of the tracker, and further facts about it.
 
-    about: name of the tracker, and further facts about it.
-
-    Returns
-    -------
-    dict
-        tracker, suite, score, parts {part: figures}, phase {part: curve}, gap (curve), quantities {part: ...}, defects.
-        Plain values; None for what is not known.
+    Returns tracker, suite, score, parts {part: figures}, phase {part: curve}, gap (curve), quantities {part: ...} and
+    defects as plain values; None for what is not known.
     """
     chosen = suite.definition
     run = {name: part for name, part in suite.parts.items() if tracked.sample.of(part)}

@@ -36,13 +36,10 @@ class PositionMatches:
 def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> PositionMatches:
     """Pair the positions of a tracker with the truth of a part.
 
-    Returns
-    -------
-    PositionMatches
-        Columns of `pairs`: clip, frame, particle; off_x, off_y (px, found - true); std_x, std_y (claimed); own_x, own_y
-        (px, off of what the tracker itself found, before glints are taken to centres); lever_x, lever_y (px, from
-        centre to glint); phase_x, phase_y (of the glint within the pixel, -.5 to .5); moving_x, moving_y; gap
-        (diameters); along (px, towards the other ball); bound (px).
+    Columns of `pairs`: clip, frame, particle; off_x, off_y (px, found - true); std_x, std_y (claimed); own_x, own_y
+    (px, off of what the tracker itself found, before glints are taken to centres); lever_x, lever_y (px, from centre to
+    glint); phase_x, phase_y (of the glint within the pixel, -.5 to .5); moving_x, moving_y; gap (diameters); along (px,
+    towards the other ball); bound (px).
     """
     clips, dots, rows, lost = [], [], [], {}
     for clip in tracked.sample.of(part):
@@ -113,15 +110,11 @@ def _about_the_other(truth: pd.DataFrame, true: pd.DataFrame, off: Floats) -> tu
 
 
 def fit_pixel_locking(pairs: pd.DataFrame, min_errors: int = 20) -> tuple[Floats, float]:
-    """Fit the error as a function of the phase of the glint within its pixel.
+    """Fit the error of moving balls as a function of the phase of the glint within its pixel.
 
-    Returns
-    -------
-    waves : (2, 4) array
-        By axis, px: cosine and sine with one and with two periods per pixel, fitted to the errors of moving balls.
-    bias : float
-        Peak-to-peak amplitude of the first period, px, corrected for noise, of the worse axis; NaN where an axis has
-        fewer than `min_errors` errors.
+    Returns by axis (2, 4), px, cosine and sine with one and with two periods per pixel, and the peak-to-peak amplitude
+    of the first period, px, corrected for noise, of the worse axis. Axes with fewer than `min_errors` errors are left
+    out: zero, and NaN where there is no other.
     """
     waves, worst = np.zeros((2, 4)), np.nan
     for k, axis in enumerate("xy"):

@@ -18,14 +18,9 @@ from tracker.scoring.score import drop_unclaimed, join_truth
 def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min_collisions: int = 3) -> dict[str, Any]:
     """Score each quantity of the tied and of the free fit.
 
-    min_collisions: measured collisions from which on a quantity gets a published mean.
-
-    Returns
-    -------
-    dict
-        `clips`, `measured` (clips with a collision that was measured), and by quantity the figures of score.json with
-        `published`: the mean error over all collisions, each weighted by the error bar that it claims, and
-        `published_std`, the error bar of that mean.
+    Returns `clips`, `measured` (clips with a collision that was measured), and by quantity the figures of score.json
+    with `published`: the mean error over all collisions, each weighted by the error bar that it claims, and
+    `published_std`, the error bar of that mean; both NaN for fewer than `min_collisions` collisions.
     """
     clips = tracked.sample.of(part)
     scalars = suite.scalars(part.truth)

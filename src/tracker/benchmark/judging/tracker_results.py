@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pandas as pd
 
@@ -14,7 +14,7 @@ from tracker.benchmark.suite.definition import SuitePart
 from tracker.recording import Result
 from tracker.scoring.score import NO_TRACKS
 
-Rows = list[Mapping[str, Any]]
+ClipResults = tuple[pd.DataFrame, list[Mapping[str, Any]]]
 
 
 @dataclass(frozen=True)
@@ -36,48 +36,31 @@ class ClipSample:
 ALL = ClipSample()
 
 
-class TrackerResults(Protocol):
-    """Tracks and estimates of the clips of each film."""
-
-    @property
-    def sample(self) -> ClipSample:
-        """The clips that it was run on."""
-
-    @property
-    def own(self) -> str:
-        """ "centre" where the tracker itself gives centres; "glint" where the camera file corrects its positions."""
-
-    def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
-        """Return tracks as in tracks.parquet and a row of estimates for each collision; empty for a missing clip."""
-
-
 @dataclass(frozen=True)
-class ResultsInFolder:
-    """RESULTS for each film, in FOLDER/FILM."""
+class TrackerResults:
+    """Tracks and estimates of a tracker.
 
-    folder: Path
+    of: takes film and clip, and returns tracks as in tracks.parquet and a row of estimates for each collision; both are
+    empty for a missing clip. sample: the clips that the tracker was run on. own: "centre" where the tracker gives
+    centres itself; "glint" where the camera file corrects its positions.
+    """
+
+    of: Callable[[str, int], ClipResults]
     sample: ClipSample = ALL
     own: str = "centre"
 
-    def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
-        """Return tracks and estimates of a clip."""
-        home = results.clip_folder(self.folder / film, clip)
-        if not home.is_dir():
-            return NO_TRACKS, []
-        return pd.read_parquet(home / "tracks.parquet"), results.load_json(home / "estimates.json")
+
+def read_clip(folder: Path, film: str, clip: int) -> ClipResults:
+    """Read tracks and estimates of a clip from the RESULTS in FOLDER/FILM."""
+    home = results.clip_folder(folder / film, clip)
+    if not home.is_dir():
+        return NO_TRACKS, []
+    return pd.read_parquet(home / "tracks.parquet"), results.load_json(home / "estimates.json")
 
 
-@dataclass
-class ResultsInMemory:
-    """Results by film and clip."""
-
-    found: dict[tuple[str, int], Result] = field(default_factory=dict)
-    sample: ClipSample = ALL
-    own: str = "centre"
-
-    def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
-        """Return tracks and estimates of a clip."""
-        if (film, clip) not in self.found:
-            return NO_TRACKS, []
-        result = self.found[film, clip]
-        return result.tracks, [results.finite(row) for row in result.rows]
+def take_clip(found: Mapping[tuple[str, int], Result], film: str, clip: int) -> ClipResults:
+    """Take tracks and estimates of a clip from results in memory."""
+    if (film, clip) not in found:
+        return NO_TRACKS, []
+    result = found[film, clip]
+    return result.tracks, [results.finite(row) for row in result.rows]

@@ -34,29 +34,11 @@ def make(
 ) -> Suite:
     """Make a suite. The same call continues after an interruption.
 
-    Parameters
-    ----------
-    output : Path
-    definition : SuiteDefinition
-    withhold : Path, optional
-        Folder of the truth, apart from the films; default: output/truth.
-    seed : int, optional
-        Seed of all random draws; default: that of the definition, or a random one where the truth is withheld.
-    workers : int
-        Processes; 0: one a core. A script without `if __name__ == "__main__"` needs 1.
-    progress : callable
-        Takes the number of finished steps and of all steps.
-    scheduler : str
-        Address of a Dask scheduler, whose workers see the same folders; they film the clips and find the bounds.
-
-    Returns
-    -------
-    Suite
-
-    Raises
-    ------
-    InputError
-        Where a folder holds other files, or `synthcam` fails.
+    The films go to `output`, and the truth to `withhold`, apart from the films, or else to output/truth. The default
+    seed is that of the definition, or a random one where the truth is withheld. `workers` is the number of processes;
+    0: one a core. A script without `if __name__ == "__main__"` needs 1. `progress` takes the number of finished steps
+    and of all steps. `scheduler` is the address of a Dask scheduler, whose workers see the same folders; they film the
+    clips and find the bounds. Raises InputError where a folder holds other files, or `synthcam` fails.
     """
     output = output.resolve()
     truth = withhold.resolve() if withhold else output / TRUTH
