@@ -50,8 +50,13 @@ class PageFigure:
 
     @classmethod
     def of(cls, figure: Figure, title: str, caption: str = "") -> PageFigure:
-        """Embed a matplotlib figure."""
-        return cls(title, embed_figure(figure), caption)
+        """Embed a matplotlib figure as SVG; the same figure gives the same bytes."""
+        import matplotlib as mpl
+
+        stream = io.BytesIO()
+        with mpl.rc_context({"svg.hashsalt": "synthcam"}):
+            figure.savefig(stream, format="svg", metadata={"Date": None})
+        return cls(title, make_data_uri(stream.getvalue(), "image/svg+xml"), caption)
 
 
 @dataclass(frozen=True)
@@ -112,16 +117,6 @@ def make_axes(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], 
 
     figure = Figure(figsize=figsize, layout="constrained")
     return figure, figure.subplots(rows, columns, **shared)
-
-
-def embed_figure(figure: Figure) -> str:
-    """Turn a matplotlib figure into a data URI of an SVG picture; the same figure gives the same bytes."""
-    import matplotlib as mpl
-
-    stream = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "synthcam"}):
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    return make_data_uri(stream.getvalue(), "image/svg+xml")
 
 
 def make_data_uri(data: bytes, kind: str) -> str:

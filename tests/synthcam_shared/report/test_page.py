@@ -13,7 +13,6 @@ from synthcam_shared.report.page import (
     PageList,
     PageTable,
     Section,
-    embed_figure,
     render,
     typeset_symbol,
     write_page,
@@ -61,7 +60,7 @@ def test_columns_of_numbers_are_not_text():
 
 
 def test_the_same_figure_has_the_same_address():
-    assert embed_figure(figure()) == embed_figure(figure())
+    assert PageFigure.of(figure(), "one") == PageFigure.of(figure(), "one")
 
 
 def test_a_name_that_is_not_given_is_an_error(tmp_path):

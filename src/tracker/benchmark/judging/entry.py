@@ -6,13 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from tracker.benchmark.judging.defects import measure_defects, simulate_at_bound
 from tracker.benchmark.judging.positions import gap_curve, match_positions, phase_curve
-from tracker.benchmark.judging.quantities import judge_quantities
 from tracker.benchmark.judging.tracker_results import TrackerResults
+from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite
-from tracker.results import finite
+from tracker.results import estimates_table, finite
+from tracker.scoring.error_bars import score_quantities
+from tracker.scoring.score import drop_unclaimed, join_truth
 
 
 def make_entry(
@@ -49,3 +52,43 @@ def overall_score(parts: Mapping[str, Mapping[str, float]], headline: list[str])
     """Compute 100 times the mean efficiency over these parts; a part that was not run counts 0. NaN without parts."""
     values = [parts[name]["efficiency"] if name in parts else 0.0 for name in headline]
     return 100 * float(np.mean(values)) if values else float("nan")
+
+
+def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min_collisions: int = 3) -> dict[str, Any]:
+    """Score each quantity of the tied and of the free fit.
+
+    Returns `clips`, `measured` (clips with a collision that was measured), and by quantity the figures of score.json
+    with `published`: the mean error over all collisions, each weighted by the error bar that it claims, and
+    `published_std`, the error bar of that mean; both NaN for fewer than `min_collisions` collisions.
+    """
+    clips = tracked.sample.of(part)
+    scalars = suite.scalars(part.truth)
+    scalars = scalars[scalars["clip"].isin(clips)].reset_index(drop=True)
+    rows = [{"clip": clip, "collision": 0, "status": "no result"} | dict(row)
+            for clip in clips for row in tracked.of(part.film, clip)[1]]  # fmt: skip
+    empty = pd.DataFrame({"clip": [], "collision": [], "status": []}).astype({"clip": int, "status": str})
+    limits = suite.quantity_bounds(part.truth)
+    if any((scalars.get(name, pd.Series(0.0)).abs() > 1e-6).any() for name in ("u2ix", "u2iy", "side2i")):
+        limits = limits[["clip"]]
+    table = drop_unclaimed(join_truth(scalars, estimates_table(rows).copy() if rows else empty, limits))
+    out: dict[str, Any] = {"clips": len(clips), "measured": int((table["status"] == "ok").sum())}
+    scores = score_quantities(table)
+    names = ("r", "mu_k", "C", "tau1", "tau2", "energy_fraction")
+    for name in (f"{name}{fit}" for name in names for fit in ("", "_free")):
+        if name in scores:
+            out[name] = dict(scores[name]) | _average_error(table, name, min_collisions)
+    return out
+
+
+def _average_error(table: pd.DataFrame, name: str, min_collisions: int) -> dict[str, float]:
+    """Mean of the errors, weighted by the claimed error bars, and its error bar; NaN for few collisions."""
+    value, std = (table[column].to_numpy(np.float64) for column in (name, f"{name}_std"))
+    true = table[f"{name.removesuffix('_free')}_true"].to_numpy(np.float64)
+    use = np.isfinite(value) & np.isfinite(true) & np.isfinite(std) & (std > 0)
+    if use.sum() < min_collisions:
+        return {"published": np.nan, "published_std": np.nan}
+    weight = std[use] ** -2
+    return {
+        "published": float(((value - true)[use] * weight).sum() / weight.sum()),
+        "published_std": float(weight.sum() ** -0.5),
+    }

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmark_suite import Given, suite
 
-from tracker.benchmark.judging.quantities import judge_quantities
+from tracker.benchmark.judging.entry import judge_quantities
 
 
 def test_the_published_value_is_the_weighted_mean_of_the_errors():
