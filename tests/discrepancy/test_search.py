@@ -444,7 +444,7 @@ def test_clips_of_two_frame_rates_are_searched_together(monkeypatch):
 
 def test_noise_that_motion_fills_is_read_from_short_pieces_and_it_is_said(monkeypatch):
     """Balls roll where they are said to slide, and each clip sways in its own way: what is missing is no noise."""
-    only(monkeypatch)
+    only(monkeypatch, ("restitution_speed",))  # no rolling law: its fit to such a motion takes a minute
     rng, clips = np.random.default_rng(5), []
     for clip in collisions(Model(), 8, 3):
         sway = 300 * STD * np.sin(clip.frame / 20 + rng.uniform(0, 2 * np.pi))[:, None] * rng.standard_normal(2)

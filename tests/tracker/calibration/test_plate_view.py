@@ -68,9 +68,7 @@ def test_without_noise_the_camera_is_found():
     assert np.allclose(view.t, shift, atol=1e-3 * HEIGHT)
 
 
-@pytest.mark.parametrize(
-    ("tilt", "k1", "points"), [(25, 0.0, (2, 2)), (2, 0.0, (2, 2)), (30, 0.0, (3, 2)), (20, -0.1, (5, 4))]
-)
+@pytest.mark.parametrize(("tilt", "k1", "points"), [(25, 0.0, (2, 2)), (2, 0.0, (2, 2)), (20, -0.1, (5, 4))])
 def test_lengths_above_the_plate_are_within_their_errors(tilt, k1, points):
     """Between centres of balls, principal points as they scatter; from above, heights as usual cameras have them."""
     rng, off = np.random.default_rng(1), []

@@ -204,8 +204,6 @@ def test_pucks_on_air(own):
     notes = {note.kind: str(note) for note in list_messages(pd.DataFrame([heavy]))}
     assert notes[NoteKind.MISFIT].startswith("1 of 1 collision does not fit")
     assert notes[NoteKind.FLAG].startswith("r over 1 (1 collision): no two equal balls collide so")
-    (light,) = measure(pucks(camera, 0.8, 0.5), camera)
-    assert light["status"] == "misfit"
 
 
 def follow_model(camera, noise, claims=True, **changes):
