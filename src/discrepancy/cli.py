@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,10 +15,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from synthcam.library import add_effects
-from synthcam.model import read_model, write_model
+from synthcam.model import read_model, settings_of, to_yaml
 from synthcam_shared.application import PROGRESS_INTERVAL_S, command_line, progress_bar, run
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable
+from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
+from synthcam_shared.overwriting import check_not_read, check_replaceable
 from tracker.camera.camera import Camera
 
 app = command_line(
@@ -34,6 +34,7 @@ EffectsDir = Annotated[
     list[Path] | None,
     typer.Option("--effects", metavar="DIR", help="Folder with your own effects, NAME.py; may be repeated."),
 ]
+ADDED = "# written by discrepancy add"  # the first line of its model files
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
 
@@ -93,6 +94,7 @@ def find(
     from synthcam_shared.report.folder import replace_folder
 
     started = time.monotonic()
+    check_not_read(output, measured, model, camera, policy, *(effects_dir or ()))
     _add_effect_folders(effects_dir)
     given, thresholds = read_model(model), read_policy(policy) if policy else SearchPolicy()
     with (
@@ -140,20 +142,16 @@ def add(
     check_effect(effect)
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
+    check_not_read(output, model, measured, camera, *(effects_dir or ()))
+    check_replaceable(output, ADDED.encode(), "discrepancy add")
     check_writable(output)
     _print_camera_notes(measured, camera)
     clips, notes = read_collisions(measured, camera)
     left_out = [str(n) for n in notes]
     with show_stages(("noise", "fit", "search")) as progress:
         new = fitted(clips, given, effect, progress)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    beside = output.with_name(f"{output.name}.{os.getpid()}.tmp")
     with as_input_error(output):
-        try:
-            write_model(new.fit.model, beside)
-            beside.replace(output)
-        finally:
-            beside.unlink(missing_ok=True)
+        write_atomically(output, f"{ADDED} {effect}\n{to_yaml(settings_of(new.fit.model))}")
     if as_json:
         lost = [*left_out, *new.left_out]
         print(json.dumps({"model": str(output)} | new.document() | {"clips": len(clips), "left_out": lost}))
@@ -228,6 +226,7 @@ def plan(
     from synthcam_shared.report.folder import replace_folder
 
     started = time.monotonic()
+    check_not_read(output, scene, model)
     _add_effect_folders([Path(text) for text in effects or () if Path(text).is_dir()])
     names = [n.strip() for text in effects or () if not Path(text).is_dir() for n in text.split(",") if n.strip()]
     given, wanted = read_scene(scene, tuple(changes or ()), model), _parse_limits(limit or [])

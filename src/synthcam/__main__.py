@@ -1,5 +1,20 @@
-"""`python -m synthcam`: the command synthcam."""
+"""The command synthcam, also as `python -m synthcam`."""
 
-from synthcam.cli import main
+import signal
 
-main()
+from synthcam_shared.interruption import end_at_ctrl_c
+
+
+def main() -> None:
+    """Run the command line; Ctrl-C during the imports ends it in one line."""
+    end_at_ctrl_c("synthcam")
+    try:
+        from synthcam.cli import main as run_command
+
+        run_command()
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt but the end of the interpreter
+
+
+if __name__ == "__main__":
+    main()

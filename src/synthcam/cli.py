@@ -277,7 +277,9 @@ def effects(
                 print(f"    {p.name}: {kind}, {p.unit}, typically {p.typical:g}, from {p.low:g} to {p.high:g}")
     if output is not None and name is not None:
         from synthcam.dataset.effect_drawing import draw_effect, with_typical_values
+        from synthcam.dataset.picture_mark import check_picture_output
 
+        check_picture_output(output, "synthcam effects")
         apart = draw_effect(with_typical_values(known[name]), output)
         if not as_json:
             print(f"    {output}: the effect shifts the tracks by up to {apart:.3g} um")

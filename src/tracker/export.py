@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
+from synthcam_shared.overwriting import open_scratch_folder, publish
 from tracker.camera.camera_keys import did_you_mean
 from tracker.results import read_clip
 from tracker.tables.read import formats
@@ -28,14 +28,12 @@ def export(results: Path, kind: str, output: Path) -> int:
     if output.exists():
         raise InputError(f"{output}: exists, expected a new {'file' if len(numbers) == 1 else 'folder'}")
     check_writable(output)
-    one, aside = writers[kind], output.with_name(f"{output.name}.tmp")
-    with as_input_error(output):
-        shutil.rmtree(aside, ignore_errors=True)
-        try:
-            aside.mkdir(parents=True)
-            for number in numbers:
-                write_atomically(aside / f"{number}{one.SUFFIX}", one.write(*read_clip(results, int(number))))
-            (aside / f"{numbers[0]}{one.SUFFIX}" if len(numbers) == 1 else aside).replace(output)
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
+    one = writers[kind]
+    with as_input_error(output), open_scratch_folder(output) as aside:
+        for number in numbers:
+            write_atomically(aside / f"{number}{one.SUFFIX}", one.write(*read_clip(results, int(number))))
+        if len(numbers) == 1:
+            (aside / f"{numbers[0]}{one.SUFFIX}").replace(output)
+        else:
+            publish(aside, output)
     return len(numbers)

@@ -136,7 +136,7 @@ MISTAKES = {
     "discrepancy find results --model s.yaml -o new": "no clip with a measured collision",
     "discrepancy find results --model results -o new": "results: a folder, expected",
     "discrepancy find tracks.csv --model s.yaml -o new": "expected --camera",
-    "discrepancy find results --model s.yaml -o results": "results: holds something else",
+    "discrepancy find results --model s.yaml -o results": "results: the command reads it",
     "discrepancy find results --model model_section.yaml -o new": "effcts: unknown key; did you mean effects?",
     "discrepancy add plate_tlt --model s.yaml --fit results -o new.yaml": "plate_tlt",
     "synthcam merge dataset s.yaml -o new": "not a finished shard",

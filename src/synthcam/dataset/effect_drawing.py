@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
+from synthcam.dataset.picture_mark import mark_picture
 from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.effect import Effect
@@ -78,5 +79,6 @@ def draw_effect(effect: Effect, path: Path) -> float:
     kind = path.suffix.lower().lstrip(".") or "png"
     figure.savefig(drawn, format=kind, dpi=120, metadata={"Software": None} if kind == "png" else None)
     with as_input_error(path):
-        write_atomically(path, drawn.getvalue())
+        data = drawn.getvalue()
+        write_atomically(path, mark_picture(data, ".png") if kind == "png" else data)
     return float(np.abs(difference).max())

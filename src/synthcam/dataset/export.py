@@ -15,11 +15,11 @@ import pandas as pd
 
 from synthcam.dataset import exports
 from synthcam.dataset.files import clip_folders
-from synthcam.dataset.partial_dataset import open_exclusively
 from synthcam.dataset.recorded_clip import RecordedClip, first_line
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from synthcam_shared.outputs import as_input_error, check_writable
+from synthcam_shared.overwriting import open_scratch_folder, publish
 
 
 def formats() -> dict[str, str]:
@@ -54,10 +54,10 @@ def export(dataset: Path, kind: str, output: Path, progress: Progress, truth: Pa
         raise InputError(f"{table}: no such file; expected a dataset with its truth (withheld: --truth TRUTH)")
     output = output.resolve()
     check_writable(output)
-    with as_input_error(output), open_exclusively(output) as beside:
+    with as_input_error(output), open_scratch_folder(output) as beside:
         rows = _read_rows(table)
         write(_iterate_clips(dataset, truth or dataset, rows, progress), beside)
-        beside.rename(output)
+        publish(beside, output)
     return len(rows)
 
 

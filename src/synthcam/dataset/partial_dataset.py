@@ -15,7 +15,6 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import (
     RESUMES,
     as_input_error,
-    lock_folder,
     move_into_place,
     name_temporary,
     resume_folder,
@@ -127,19 +126,6 @@ def place_clip(final: Path, truth: Path | None) -> Iterator[tuple[Path, Path]]:
         for leftover in (aside, truth_aside):
             shutil.rmtree(leftover, ignore_errors=True)
         raise
-
-
-@contextmanager
-def open_exclusively(final: Path) -> Iterator[Path]:
-    """Make an empty folder beside `final` for one process; it is removed at the end unless it has become `final`."""
-    beside = final.with_name(f"{final.name}.tmp")
-    with lock_folder(beside):
-        try:
-            for leftover in beside.iterdir():  # of a killed process
-                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
-            yield beside
-        finally:
-            shutil.rmtree(beside, ignore_errors=True)
 
 
 def _beside(folder: Path) -> Path:

@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.exposure import adjust_gamma, rescale_intensity
 
+from synthcam.dataset.picture_mark import check_picture_output, mark_picture
 from synthcam.dataset.video import check_video
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
 from synthcam.scene.sensor_frames import Counts
-from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, write_atomically
 
 ANIMATION_FPS = 20  # GIF counts in hundredths of a second
 
@@ -30,12 +32,14 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     frame: its number; None: the last frame before the contact. magnify: above 0, the balls so many times larger are
     shown below the frame, with dark parts brightened.
     """
-    check_writable(path)
+    check_picture_output(path, "synthcam preview")
     view = clip.view
     hit = view.motion.first("contact")
     when = hit.t if hit else 0.5 * clip.frames / clip.camera.fps
-    k = frame if frame is not None else int((when - clip.camera.exposure) * clip.camera.fps)
-    k = min(max(k, 0), clip.frames - 1)
+    if frame is not None and not 0 <= frame < clip.frames:
+        raise InputError(f"--frame {frame}: expected 0 to {clip.frames - 1}; the clip has {clip.frames} frames")
+    before = min(max(int((when - clip.camera.exposure) * clip.camera.fps), 0), clip.frames - 1)
+    k = before if frame is None else frame
     counts = next(itertools.islice(clip.pictures(), k, None))
     picture = _eight_bits(counts, clip)
     if magnify:
@@ -45,7 +49,7 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     if not ok:
         raise OSError(f"{path}: could not be encoded as PNG")
     with as_input_error(path):
-        write_atomically(path, data.tobytes())
+        write_atomically(path, mark_picture(data.tobytes(), ".png"))
 
 
 def write_animation(clip: Clip, path: Path) -> float:
@@ -68,7 +72,7 @@ def write_animation(clip: Clip, path: Path) -> float:
             large = _enlarge(patch if clip.finish else _brighten(_remove_noise(patch, floor), _black(clip)), zoom)
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
 
-    check_writable(path)
+    check_picture_output(path, "synthcam preview")
     with as_input_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with as_input_error(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
@@ -76,9 +80,11 @@ def write_animation(clip: Clip, path: Path) -> float:
         if aside.suffix == ".gif":
             # In memory first: on a full disk, imageio tries again when it is deleted, and prints a traceback.
             pace = 1000 / ANIMATION_FPS
-            aside.write_bytes(iio.imwrite("<bytes>", list(render_frames()), extension=".gif", duration=pace, loop=0))
+            data = iio.imwrite("<bytes>", list(render_frames()), extension=".gif", duration=pace, loop=0)
+            aside.write_bytes(mark_picture(data, ".gif"))
         else:
             _write_mp4(aside, render_frames())
+            aside.write_bytes(mark_picture(aside.read_bytes(), ".mp4"))
             check_video(aside, clip.frames)
         aside.replace(path)
     return slower

@@ -1,0 +1,76 @@
+"""Refuse to overwrite a file that a command reads or has not made."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, lock_folder
+
+UNFINISHED = ".unfinished"  # in a folder that a command has made and not completed
+
+
+def check_not_read(output: Path, *inputs: Path | None) -> None:
+    """Raise InputError if a command that writes `output` would overwrite one of its own inputs.
+
+    The output may be a file or a folder; links are followed.
+    """
+    for given in filter(None, inputs):
+        with suppress(OSError):  # what is missing or unreadable is reported by its reader
+            same = os.path.samefile(output, given)
+            if same or (output.is_dir() and output.resolve() in given.resolve().parents):
+                where = "the command reads it" if same else f"the command reads {given} in it"
+                raise InputError(f"{output}: {where}, and would overwrite it; expected another -o")
+
+
+def check_replaceable(output: Path, mark: bytes, maker: str) -> None:
+    """Raise InputError if `output` exists and does not hold the `mark` that `maker` leaves in its files.
+
+    The mark stands in the first or last 4 KiB.
+    """
+    if not output.exists() and not output.is_symlink():
+        return
+    if output.is_dir():
+        raise InputError(f"{output}: a folder; expected the name of a file")
+    ends = b""
+    with as_input_error(output):
+        if output.is_file():
+            with output.open("rb") as file:
+                ends = file.read(4096)
+                file.seek(max(output.stat().st_size - 4096, 0))
+                ends += b"\n" + file.read()
+    if mark not in ends:
+        raise InputError(f"{output}: exists and was not made by `{maker}`; expected a new file: choose another -o")
+
+
+@contextmanager
+def open_scratch_folder(final: Path) -> Iterator[Path]:
+    """Make the empty folder `final`.tmp for one process; it is removed at the end unless `publish` has moved it.
+
+    Raises InputError if it exists and is not what a killed process left.
+    """
+    beside = final.with_name(f"{final.name}.tmp")
+    with lock_folder(beside):
+        if any(beside.iterdir()) and not (beside / UNFINISHED).exists():
+            raise InputError(
+                f"{beside}: holds something else; {final.name} is made there: remove it or choose another -o"
+            )
+        try:
+            (beside / UNFINISHED).touch()
+            for leftover in beside.iterdir():
+                if leftover.name != UNFINISHED:
+                    shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
+            yield beside
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+
+
+def publish(folder: Path, final: Path) -> None:
+    """Move a complete scratch folder to its place. The caller has checked that what is there may go."""
+    (folder / UNFINISHED).unlink()
+    shutil.rmtree(final, ignore_errors=True)
+    folder.rename(final)
