@@ -1,19 +1,20 @@
 """The command discrepancy, also as `python -m discrepancy`."""
 
-import signal
+from collections.abc import Callable
 
-from synthcam_shared.interruption import end_at_ctrl_c
+from synthcam_shared.start import start
+
+
+def load() -> Callable[[], None]:
+    """Import the command line."""
+    from discrepancy.cli import main
+
+    return main
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C during the imports ends it in one line."""
-    end_at_ctrl_c("discrepancy")
-    try:
-        from discrepancy.cli import main as run_command
-
-        run_command()
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt but the end of the interpreter
+    """Entry point."""
+    start("discrepancy", load)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from synthcam.library import add_effects
 from synthcam.model import read_model, settings_of, to_yaml
 from synthcam_shared.application import PROGRESS_INTERVAL_S, command_line, progress_bar, run
 from synthcam_shared.errors import InputError
+from synthcam_shared.interruption import raise_if_interrupted
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 from synthcam_shared.overwriting import check_not_read, check_replaceable
 from tracker.camera.camera import Camera
@@ -53,6 +54,7 @@ def show_stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
 
         def progress(stage: str) -> None:
             nonlocal passed, turn, printed
+            raise_if_interrupted()
             at = names.index(stage)
             if stage == "fit" and at < passed:
                 passed, turn = at, turn + 1

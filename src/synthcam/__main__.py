@@ -1,19 +1,20 @@
 """The command synthcam, also as `python -m synthcam`."""
 
-import signal
+from collections.abc import Callable
 
-from synthcam_shared.interruption import end_at_ctrl_c
+from synthcam_shared.start import start
+
+
+def load() -> Callable[[], None]:
+    """Import the command line."""
+    from synthcam.cli import main
+
+    return main
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C during the imports ends it in one line."""
-    end_at_ctrl_c("synthcam")
-    try:
-        from synthcam.cli import main as run_command
-
-        run_command()
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt but the end of the interpreter
+    """Entry point."""
+    start("synthcam", load)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from synthcam_shared.interruption import raise_if_interrupted, was_interrupted, watch_ctrl_c
+
 UsageError: Any = typer.BadParameter.__mro__[1]  # of click, or of the copy of click in typer
 PROGRESS_INTERVAL_S = 30.0  # between two lines of progress if there is no terminal for a bar
 
@@ -46,27 +48,43 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
     to mend; their message is the line. `resumed` are the commands that keep what they have made when they are
     interrupted.
     """
-    try:
-        status = app(prog_name=name, standalone_mode=False)
-        if status == 130:  # typer makes this of Ctrl-C
-            raise KeyboardInterrupt
-        sys.exit(status or 0)
-    except UsageError as error:
+    sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # names of files that are not UTF-8
+    with watch_ctrl_c():
+        try:
+            status = app(prog_name=name, standalone_mode=False)
+            if status == 130:  # typer makes this of Ctrl-C
+                raise KeyboardInterrupt
+            raise SystemExit(status or 0)
+        except SystemExit:
+            raise
+        except BaseException as error:
+            if was_interrupted() or isinstance(error, KeyboardInterrupt | typer.Abort):
+                kept = any(word in resumed for word in sys.argv[1:2])
+                then = "the same command continues where it stopped" if kept else "nothing was written"
+                print(f"{name}: interrupted; {then}", file=sys.stderr)
+                raise SystemExit(130) from None
+            line = _describe_error(error, name, wrong)
+            if line is None:
+                raise
+            print(line, file=sys.stderr)
+            raise SystemExit(2) from None
+
+
+def _describe_error(error: BaseException, name: str, wrong: tuple[type[Exception], ...]) -> str | None:
+    """The line for an error that the user can mend; None for a fault of the program."""
+    if isinstance(error, UsageError):
         line = re.sub(r" \(Possible options: (.*)\)$", _name_alternatives, error.format_message())
         where = error.ctx.command_path if error.ctx else name
-        print(line if "\n" in line else f"{where}: {line} (see {where} --help)", file=sys.stderr)
-    except wrong as error:
-        print(f"{name}: {error}", file=sys.stderr)
-    except (KeyboardInterrupt, typer.Abort):
-        kept = any(word in resumed for word in sys.argv[1:2])
-        then = "the same command continues where it stopped" if kept else "nothing was written"
-        print(f"{name}: interrupted; {then}", file=sys.stderr)
-        sys.exit(130)
-    except MemoryError:
-        print(f"{name}: not enough memory", file=sys.stderr)
-    except OSError as error:
-        print(f"{name}: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
-    sys.exit(2)
+        return line if "\n" in line else f"{where}: {line} (see {where} --help)"
+    if isinstance(error, wrong):
+        return f"{name}: {error}"
+    if isinstance(error, MemoryError):
+        return f"{name}: not enough memory"
+    if isinstance(error, OSError):
+        return f"{name}: {error.filename or 'file'}: {error.strerror or error}"
+    if isinstance(error, UnicodeEncodeError):
+        return f"{name}: {error.object[:200]!a}: not UTF-8, expected another name; rename the file or folder"
+    return None
 
 
 def _name_alternatives(options: re.Match[str]) -> str:
@@ -88,7 +106,12 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(elapsed_when_finished=True))
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+        def show(done: int, total: int) -> None:
+            raise_if_interrupted()
+            bar.update(task, completed=done, total=total)
+
+        yield show
 
 
 def print_progress(what: str) -> Callable[[int, int], None]:
@@ -98,6 +121,7 @@ def print_progress(what: str) -> Callable[[int, int], None]:
 
     def progress(done: int, total: int) -> None:
         nonlocal printed, before
+        raise_if_interrupted()
         before = done if before is None else before
         now = time.monotonic()
         if now - printed < PROGRESS_INTERVAL_S or done >= total:

@@ -15,13 +15,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.interruption import hold_ctrl_c, raise_if_interrupted
 from synthcam_shared.job_result import JobValue, LostJob
 
 T = TypeVar("T")
@@ -86,7 +87,9 @@ def run_jobs(
         first = sorted({numbers[-(-k * last // max(trials - 1, 1))] for k in range(trials)})
         ends = []
         for number in first:
-            yield JobValue(number, work(number))
+            value = work(number)
+            raise_if_interrupted()
+            yield JobValue(number, value)
             ends.append((time.perf_counter(), time.process_time()))
         numbers = [number for number in numbers if number not in first]
         if numbers:
@@ -149,7 +152,9 @@ class _Worker:
         self.numbers: deque[int] = deque()
         self.pipe, there = context.Pipe()
         self.process = context.Process(target=_serve, args=(there, work), daemon=True)
-        with _without_ctrl_c():
+        if hasattr(signal, "pthread_sigmask"):
+            resource_tracker.ensure_running()  # started with the first process, it would let Ctrl-C through again
+        with hold_ctrl_c():  # a process that hears it while it imports prints a traceback
             self.process.start()
         there.close()  # the worker's end is then the only one, and its death is noticed
 
@@ -187,7 +192,9 @@ def _run_in_processes(
         while busy or queue:
             if queue:
                 number = queue.popleft()
-                yield JobValue(number, work(number))
+                here = work(number)
+                raise_if_interrupted()
+                yield JobValue(number, here)
             for pipe in wait(list(busy), 0 if queue or not busy else None):
                 assert isinstance(pipe, Connection)
                 worker = busy.pop(pipe)
@@ -214,20 +221,6 @@ def _run_in_processes(
         for worker in busy.values():
             worker.process.terminate()
             worker.end()
-
-
-@contextmanager
-def _without_ctrl_c() -> Iterator[None]:
-    """Hold back Ctrl-C, and start processes without it: one that hears it while it imports prints a traceback."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()  # started with the first process, it would let Ctrl-C through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _serve(pipe: Connection, work: Callable[[int], Any]) -> None:

@@ -57,7 +57,7 @@ def write_atomically(path: Path, data: str | bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
-        aside.write_bytes(data.encode() if isinstance(data, str) else data)
+        aside.write_bytes(data.encode(errors="backslashreplace") if isinstance(data, str) else data)
         aside.replace(path)
     except BaseException:
         with suppress(OSError):

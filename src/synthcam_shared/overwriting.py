@@ -71,6 +71,6 @@ def open_scratch_folder(final: Path) -> Iterator[Path]:
 
 def publish(folder: Path, final: Path) -> None:
     """Move a complete scratch folder to its place. The caller has checked that what is there may go."""
-    (folder / UNFINISHED).unlink()
+    (folder / UNFINISHED).unlink(missing_ok=True)  # Zarr empties its folder
     shutil.rmtree(final, ignore_errors=True)
     folder.rename(final)

@@ -17,9 +17,10 @@ FILES = sorted(SRC.rglob("*.py"))
 # from one below. A file that stands in no row counts as its folder.
 LAYERS = {
     "synthcam_shared": [
-        "errors job_result track_formats whitening",
-        "outputs settings application dask_cluster",
-        "jobs report",
+        "errors interruption job_result track_formats whitening",
+        "outputs settings application start dask_cluster",
+        "overwriting jobs",
+        "report",
     ],
     "synthcam": [
         "settings effect table",

@@ -21,6 +21,7 @@ from synthcam.library import add_effects, digest, list_added_folders
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
 from synthcam_shared.errors import InputError, NoGL
+from synthcam_shared.interruption import raise_if_interrupted
 from synthcam_shared.job_result import LostJob
 from synthcam_shared.jobs import Progress, Trial, run_jobs
 
@@ -202,6 +203,7 @@ def make_clip(plan: GenerationPlan, number: int, folder: Path, secret: Path | No
             frames = clip.pictures() if plan.video else None
             write_clip(aside, clip, frames, {"seed": plan.seed}, truth_aside, plan.compression)
     except Exception as error:
+        raise_if_interrupted()  # a library has turned Ctrl-C into this error
         no_clip_can_be_made = isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
         if no_clip_can_be_made or isinstance(error, NoGL):
             raise

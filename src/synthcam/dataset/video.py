@@ -23,6 +23,7 @@ from pydantic import ValidationError
 from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.scene.apparatus import MAX_AVI_FPS, VideoSettings, find_video_problem
 from synthcam_shared.errors import InputError
+from synthcam_shared.interruption import raise_if_interrupted
 from synthcam_shared.settings import parse_yaml, to_input_error
 
 Frames = Iterator[NDArray[Any]]
@@ -53,6 +54,7 @@ class VideoWriter:
     def tee(self, frames: Frames) -> Frames:
         """Write the frames and pass them on."""
         for frame in frames:
+            raise_if_interrupted()
             self.write(frame)
             yield frame
 
