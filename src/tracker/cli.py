@@ -93,16 +93,18 @@ def measure(
     point: Annotated[
         str, typer.Option(help="x, y are the ball's centre (mean over the exposure) or glint.")
     ] = "centre",
-    columns: Annotated[str, typer.Option(help="x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID: its own names.")] = "",
+    columns: Annotated[str, typer.Option(help="x=POS_X,y=POS_Y,frame=1,track=2: its own names, or numbers.")] = "",
     unit: Annotated[str, typer.Option(help="Unit of lengths: px, m, cm, mm, um, ... Default: as the file says.")] = "",
+    decimal: Annotated[str, typer.Option(help="Decimal mark of a text, . or a comma. Default: as it shows.")] = "",
     pages: WithPages = None,
     settings: SettingsFile = None,
     as_json: Json = False,
 ) -> None:
     """Measure the collisions in tracks that any program made.
 
-    Known by their content: columns frame, particle, x, y, as trackpy's; TrackMate (CSV, XML); Particle Tracking
-    Challenge; MOTChallenge; Tracker (OSP), its exported tables and .trk.
+    Known by their content: columns frame, particle, x, y, as trackpy's; a table with x and y of each ball, as
+    idtracker.ai's; DeepLabCut; Qualisys; TrackMate (CSV, XML); Particle Tracking Challenge; MOTChallenge; Tracker
+    (OSP), its exported tables and .trk. Texts, Parquet, Feather, HDF5 and Excel.
 
     Example: tracker measure tracks.csv --camera camera.json -o out/measured
     """
@@ -110,7 +112,8 @@ def measure(
 
     if point not in ("centre", "glint"):
         raise InputError(f"--point: expected centre or glint, not {point!r}")
-    outcome, extra = measure_tables(tracks, output, camera, point, columns, unit, settings), dict[str, Any]()
+    outcome = measure_tables(tracks, output, camera, point, columns, unit, settings, decimal)
+    extra = dict[str, Any]()
     if pages or (pages is None and outcome.clips == 1):
         extra["page"] = _pages(outcome, output, tracks, 0)
     _report(outcome, output, extra, as_json)
@@ -281,6 +284,8 @@ def _score_tables(found: Path, truth: Path, output: Path, gate: float | None, na
         raise InputError(f"--gate {gate:g}: expected a distance over 0")
     verdict = score_table(found, truth, gate, name)
     path = verdict.write(output)
+    for note in verdict.notes:
+        print(f"tracker: {note}", file=sys.stderr)
     print(json.dumps(verdict.to_dict()) if as_json else "\n".join([*verdict.summary(), f"{path}"]))
 
 

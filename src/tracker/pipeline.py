@@ -100,15 +100,18 @@ def measure_tables(
     columns: str = "",
     unit: str = "",
     settings: SettingsSource | None = None,
+    decimal: str = "",
 ) -> ClipOutcome:
     """Measure tracks that any program made, as `run` does its own. Raises InputError.
 
     path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program; output: RESULTS; camera: the
-    camera file of the tracks; point: what x and y are, "centre" or "glint"; columns, unit: as `read_tracks` takes them.
+    camera file of the tracks; point: what x and y are, "centre" or "glint"; columns, unit, decimal: as `read_tracks`
+    takes them.
     """
     chosen = TrackerSettings.of(settings)
-    given = read_tracks(path, camera, columns, unit)
-    digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + f"{point}{columns}{unit}".encode()).hexdigest()
+    given = read_tracks(path, camera, columns, unit, decimal)
+    asked = f"{point}{columns}{unit}{decimal}".encode()
+    digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + asked).hexdigest()
     numbers, notes = sorted(given.clips), dict[Note, int]()
 
     def measure(partial: Path, todo: list[int]) -> None:

@@ -236,6 +236,7 @@ def measure(
     point: str = "centre",
     columns: str = "",
     unit: str = "",
+    decimal: str = "",
     settings: SettingsSource | None = None,
 ) -> Result:
     """Measure the collisions in tracks that any program made.
@@ -252,9 +253,11 @@ def measure(
     point : {"centre", "glint"}
         What x and y are: ball centres, means over the exposure, or glints.
     columns : str
-        Of a file, its own names of columns, as in "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID".
+        Of a file, its own names of columns, as in "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID", or their numbers.
     unit : str
         Of lengths: px, m, cm, mm, ...; default: what the file says, or px.
+    decimal : str
+        Of a file, the decimal mark of its numbers, "." or ","; default: what the numbers show.
     settings : TrackerSettings, dict, str or Path, optional
         As `track` takes them; only the section `fit` counts.
 
@@ -279,7 +282,7 @@ def measure(
     if isinstance(tracks, pd.DataFrame):
         given = to_pixels(TrackTable(tracks), "tracks", camera, unit)
     else:
-        given = read_tracks(Path(tracks), camera, columns, unit)
+        given = read_tracks(Path(tracks), camera, columns, unit, decimal)
     if len(given.clips) > 1:
         clips = len(given.clips)
         raise InputError(f"tracks: {clips} clips, expected one; give them one by one, as of groupby('clip')")

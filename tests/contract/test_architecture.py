@@ -124,8 +124,10 @@ LAYERS = {
         "commands",
     ],
     "tracker.tables": [
+        "dialect",
         "content rows",
         "table",
+        "column_names",
         "formats",
         "read",
     ],

@@ -60,9 +60,8 @@ def bench(tmp_path_factory):
     for name, text in SCENES.items():
         (folder / f"{name}.yaml").write_text(text)
     (folder / "unknown.xml").write_text("<gpx/>")
-    table.rename(columns=str.upper).to_csv(folder / "capitals.csv", index=False)
-    table.rename(columns={"x": "pos_x", "y": "pos_y"}).to_csv(folder / "other_names.csv", index=False)
-    table.to_csv(folder / "no_header.csv", index=False, header=False)
+    table.rename(columns={"x": "u", "y": "v"}).to_csv(folder / "other_names.csv", index=False)
+    table[["x", "y"]].to_csv(folder / "no_header.csv", index=False, header=False)
     table.drop(columns="particle").to_csv(folder / "no_particle.csv", index=False)
     table.assign(frame=table.frame + 0.5).to_csv(folder / "half_frames.csv", index=False)
     table.assign(x=table.x * 1.6e-4, y=table.y * 1.6e-4).to_csv(folder / "metres.csv", index=False)
@@ -168,13 +167,12 @@ MISTAKES = {
     # tables
     "tracker measure tracks.csv --camera camera.json -o new --columns x=x": "no column frame, particle, y, expected",
     "tracker measure tracks.csv --camera camera.json -o new --unit furlong": "--unit: 'furlong': expected a unit",
-    "tracker measure unknown.xml --camera camera.json -o new": "XML of <gpx>, expected one of MOTChallenge",
+    "tracker measure unknown.xml --camera camera.json -o new": "XML of <gpx>, expected one of TrackMate",
     "tracker export results --format moot -o new": "did you mean mot?",
     "tracker export dataset --format mot -o new": "expected RESULTS",
     "tracker export results --format mot -o full": "full: exists, expected a new file",
-    "tracker measure capitals.csv --camera camera.json -o new": "found CLIP, FRAME, PARTICLE",
     "tracker measure other_names.csv --camera camera.json -o new": "no column x, y, expected frame",
-    "tracker measure no_header.csv --camera camera.json -o new": "frame",
+    "tracker measure no_header.csv --camera camera.json -o new": "--columns frame=1,track=2,x=3,y=4",
     "tracker measure no_particle.csv --camera camera.json -o new": "particle",
     "tracker measure half_frames.csv --camera camera.json -o new": "frame",
     "tracker measure metres.csv --camera camera.json -o new": "expected pixels, not metres",

@@ -174,10 +174,10 @@ def test_measure_takes_any_programs_table(tracked, tmp_path):
         ("frame,particle,x,y\n", "no rows"),
         ("frame,particle,x,y\n0,0,left,2\n", "x: expected numbers"),
         ("frame,particle,x,y\n0.5,0,1,2\n", "frame: expected whole numbers"),
-        ("frame,particle,x,y\n0,,1,2\n", "particle: expected whole numbers"),
+        ("frame,particle,x,y\n0,,1,2\n", "no row has a particle"),
         ("frame,particle,x,y\n0,0,1,2\n0,0,1,3\n", "twice in frame 0"),
         ("frame,particle,x,y,striker\n0,0,1,2,c\n", "striker"),
-        ("", "cannot be read"),
+        ("", "an empty file"),
     ],
 )
 def test_bad_tables(tmp_path, text, word):

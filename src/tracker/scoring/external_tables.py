@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.page import PageTable, Section, write_page
+from tracker.notes import Note, NoteKind, note_all
 from tracker.results import finite, write_json
 from tracker.scoring.tracking_metrics import GATE_PX, TrackPoints, score_tracks
 from tracker.tables.content import Content
@@ -45,6 +46,7 @@ class TableScore:
     by: str
     localisation: dict[str, float]
     tracking: dict[str, float]
+    notes: tuple[Note, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of score.json."""
@@ -73,7 +75,9 @@ class TableScore:
         report.mkdir(parents=True, exist_ok=True)
         write_json(report / "score.json", self.to_dict())
         title = f"{self.name} compared with {self.truth}"
-        return write_page(report / "index.html", title, [Section("", [table])], "tracker score", [summary])
+        return write_page(
+            report / "index.html", title, [Section("", [table])], "tracker score", [summary, *map(str, self.notes)]
+        )
 
 
 def score_table(found: Path, truth: Path, gate: float | None = None, name: str = "") -> TableScore:
@@ -82,12 +86,21 @@ def score_table(found: Path, truth: Path, gate: float | None = None, name: str =
     `gate` is the largest distance of a pair in that unit; default: 5. Without a gate, boxes are compared by their
     overlap where both files have boxes. `name` of the table; default: that of its file. Raises InputError.
     """
-    one, other = (recognise_format(Content.of(path)) for path in (truth, found))
-    units = [table.unit or ("m" if table.up else "px") for table in (one, other)]
+    one, other = (
+        recognise_format(Content.of(path), empty_allowed=True).leave_out_unassigned(path.name, str(path))
+        for path in (truth, found)
+    )
+    one = _leave_out_ignored(one, truth.name)
+    units = [
+        table.find_unit(str(path)) or ("m" if table.up else "px") for table, path in ((one, truth), (other, found))
+    ]
+    if not len(other.rows):  # a result without any detection has no unit of its own
+        units[1], other = units[0], replace(other, up=one.up)
     if units[0] != units[1] or one.up != other.up:
         raise InputError(f"{found}: lengths in {units[1]}, those of {truth} in {units[0]}; expected one unit")
     clips = [_read_points(table, path) for table, path in ((one, truth), (other, found))]
-    boxes = gate is None and all(set(SIZE) <= set(table.rows) for table in (one, other))
+    boxes = gate is None and all(set(SIZE) <= set(table.rows) or not len(table.rows) for table in (one, other))
+    boxes = boxes and bool(len(one.rows))
     reach = GATE_PX if gate is None else gate
     empty = TrackPoints(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
     pairs: list[tuple[TrackPoints, TrackPoints]] = []
@@ -101,7 +114,22 @@ def score_table(found: Path, truth: Path, gate: float | None = None, name: str =
         by="boxes that overlap by half or more" if boxes else f"points, up to {reach:g} {units[0]} apart",
         localisation=_score_positions(pairs, reach) | {"unit": units[0]},
         tracking=score_tracks(pairs, reach),
+        notes=tuple(note_all(NoteKind.TABLE, (*one.notes, *other.notes))),
     )
+
+
+def _leave_out_ignored(table: TrackTable, name: str) -> TrackTable:
+    """The true table without its rows of confidence 0, a mark that only the truth has in MOTChallenge."""
+    if "confidence" not in table.rows:
+        return table
+    ignored = (table.rows["confidence"] == 0).to_numpy()
+    if not ignored.any():
+        return table
+    if ignored.all():
+        note = f"{name}: every row has confidence 0, so that it marks nothing; all rows are used"
+        return replace(table, notes=(*table.notes, note))
+    note = f"{name}: {int(ignored.sum())} of {len(ignored)} rows have confidence 0, the mark of ignored ones"
+    return replace(table, rows=table.rows[~ignored], notes=(*table.notes, note))
 
 
 def _read_points(table: TrackTable, path: Path) -> dict[int, TrackPoints]:

@@ -1,8 +1,9 @@
-"""The content of a file, whatever its name: bytes as XML, as text, as cells between delimiters."""
+"""The content of a file, whatever its name: bytes as XML, as text, as cells between delimiters, as a binary table."""
 
 from __future__ import annotations
 
 import re
+import tempfile
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,12 +12,14 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
+import numpy as np
 import pandas as pd
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line, format_value
+from tracker.tables.dialect import LINE, MISSING_MARKS, Dialect, Line, find_dialect, is_number, split_cells, split_lines
 
-PARQUET = b"PAR1"
+PARQUET, FEATHER, HDF5, ZIP, OLD_EXCEL = b"PAR1", b"ARROW1", b"\x89HDF", b"PK\3\4", b"\xd0\xcf\x11\xe0"
 MAX_HEAD_LINES = 4  # lines, at most, before the numbers
 
 
@@ -26,23 +29,39 @@ class Content:
 
     data: bytes
     where: str
+    decimal: str = ""  # of numbers, "," or "."; "": as the numbers show
 
     @staticmethod
-    def of(path: Path) -> Content:
+    def of(path: Path, decimal: str = "") -> Content:
         """Raises InputError for what is no file."""
+        if decimal not in ("", ",", "."):
+            raise InputError(f"--decimal: expected , or . and not {format_value(decimal)}")
         if not path.is_file():
             what = "a folder" if path.is_dir() else "no such file"
-            raise InputError(f"{path}: {what}, expected a table of tracks (CSV or Parquet)")
-        return Content(path.read_bytes(), str(path))
+            raise InputError(f"{path}: {what}, expected a table of tracks (CSV, Excel, Parquet, ...)")
+        return Content(path.read_bytes(), str(path), decimal)
 
     def wrong(self, what: str) -> InputError:
         """An error that names the file."""
         return InputError(f"{self.where}: {what}")
 
+    @property
+    def is_binary(self) -> bool:
+        """Whether the file is a table that is no text: Parquet, Feather, HDF5, Excel."""
+        return self.data.startswith((PARQUET, FEATHER, HDF5, OLD_EXCEL)) or self.is_excel
+
+    @property
+    def is_excel(self) -> bool:
+        """Whether the file is a workbook of Excel or LibreOffice; both are archives."""
+        return self.data.startswith(ZIP) and (b"xl/workbook" in self.data or b"opendocument.spreadsheet" in self.data)
+
     @cached_property
     def text(self) -> str:
-        """In the encoding that its mark says, in UTF-8, or in Latin-1, where any byte is a letter; none of Parquet."""
-        if self.data.startswith(PARQUET):
+        """In the encoding that its mark says, in UTF-8, or in Latin-1, where any byte is a letter.
+
+        A binary table has none.
+        """
+        if self.is_binary:
             return ""
         marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
         encoding = next((name for mark, name in marks.items() if self.data.startswith(mark)), "utf-8")
@@ -90,36 +109,152 @@ class Content:
         return builder.close()
 
     @cached_property
-    def head(self) -> list[list[str]]:
-        """The cells of the first lines."""
-        return [[cell.strip().strip('"') for cell in line.split(self.delimiter)] for line in self._lines]
+    def lines(self) -> list[Line]:
+        """The lines of the table, without empty lines and comments."""
+        return self._parts[0]
 
     @cached_property
-    def _lines(self) -> list[str]:
-        return [line.rstrip("\r\n") for _, line in zip(range(MAX_HEAD_LINES + 1), StringIO(self.text), strict=False)]
+    def _parts(self) -> tuple[list[Line], str, str]:
+        return split_lines(self.text)
 
-    @property
-    def delimiter(self) -> str:
-        """Between cells."""
-        first = "\n".join(self._lines[:MAX_HEAD_LINES])
-        # a comma may be a decimal one where another character delimits
-        return next((mark for mark in ("\t", ";", ",") if mark in first), " ")
+    @cached_property
+    def dialect(self) -> Dialect:
+        """How the text writes cells and numbers."""
+        return find_dialect(self.lines, self._parts[1], self.decimal)
+
+    @cached_property
+    def notes(self) -> list[str]:
+        """What a reader of the numbers has to know."""
+        doubt = self.dialect.doubt
+        if not doubt:
+            return []
+        line = next(line.number for line in self.lines if doubt in line.text)
+        read = f"{doubt} read as {doubt.replace(',', '.')}"
+        return [f"{Path(self.where).name}: line {line}: {read}; --decimal . if its comma separates thousands"]
+
+    @cached_property
+    def head(self) -> list[list[str]]:
+        """The cells of the first lines."""
+        return [self.dialect.split(line.text) for line in self.lines[: MAX_HEAD_LINES + 1]]
+
+    @cached_property
+    def has_header(self) -> bool:
+        """Whether the first line, or the comment above it, names the columns."""
+        return bool(self._comment_names) or not self.head or not all(map(is_number, self.head[0]))
+
+    @cached_property
+    def _comment_names(self) -> list[str]:
+        """Names of columns in a comment, as numpy.savetxt writes them."""
+        comment = self._parts[2]
+        if not comment or not self.head or not all(map(is_number, self.head[0])):
+            return []
+        names = next((n for n in (self.dialect.split(comment), comment.split()) if len(n) == len(self.head[0])), [])
+        return [] if any(map(is_number, names)) else names
 
     def cells(self, skip: int = 0, names: list[str] | None = None) -> pd.DataFrame:
         """The cells as a table, from line `skip` on, which names the columns unless `names` does.
 
-        Raises InputError where it is none.
+        The index counts lines of the file where it is named `LINE`. Raises InputError where there is no table.
         """
-        options: dict[str, Any] = {"sep": self.delimiter, "skiprows": skip}
-        if names is not None:
-            options |= {"header": None, "names": names, "index_col": False}
-        if self.delimiter != "," and re.search(r"\d,\d", "".join(self._lines)):
-            options["decimal"] = ","
+        if self.is_binary:
+            return self._read_binary()
+        if names is None and self._comment_names:
+            names = self._comment_names
+        lines = self.lines[skip:]
+        if names is None:
+            if not lines:
+                return pd.DataFrame()
+            names, lines = self.dialect.split(lines[0].text), lines[1:]
+        return self._parse(lines, names)
+
+    def _parse(self, lines: list[Line], names: list[str]) -> pd.DataFrame:
+        """Lines as a table with these names of columns."""
+        mark = self.dialect.delimiter
+        quoted = any('"' in line.text for line in lines)
+        if quoted or mark == " ":
+            counts = np.array([len(split_cells(line.text, mark)) for line in lines], dtype=int)
+        else:
+            counts = np.array([line.text.count(mark) + 1 for line in lines], dtype=int)
+        names, widest = list(names), int(counts.max(initial=0))
+        if widest > len(names):
+            names = self._complete(lines, names, counts)
+        names = [name if names.index(name) == k else f"{name}.{k}" for k, name in enumerate(names)]
+        options: dict[str, Any] = {"sep": r"\s+" if mark == " " else mark, "decimal": self.dialect.decimal}
+        if self.dialect.thousands:
+            options["thousands"] = self.dialect.thousands
+        # one more column takes the empty cell behind a delimiter at the end of a line
+        spare = [f"\0{k}" for k in range(max(widest - len(names), 0))]
+        text = "\n".join(line.text for line in lines)
+        try:
+            table: pd.DataFrame = pd.read_csv(
+                StringIO(text),
+                header=None,
+                names=[*names, *spare],
+                index_col=False,
+                na_values=list(MISSING_MARKS),
+                skipinitialspace=True,
+                skip_blank_lines=False,
+                low_memory=False,
+                **options,
+            )
+        except Exception as error:  # readers raise their own kinds
+            if not lines:
+                return pd.DataFrame(columns=names)
+            raise self.wrong(f"cannot be read as a table of tracks ({first_line(error)})") from None
+        table = table[names]
+        if len(table) == len(lines):
+            table.index = pd.Index([line.number for line in lines], name=LINE)
+        texts = {name: self._plain(table[name]) for name in names if not pd.api.types.is_numeric_dtype(table[name])}
+        return table.assign(**texts) if texts else table
+
+    def _complete(self, lines: list[Line], names: list[str], counts: Any) -> list[str]:
+        """Names of columns where lines have more cells: row numbers without a name come first.
+
+        An empty cell at the end of a line has no name. Raises InputError for any other cell.
+        """
+        most = int(np.bincount(counts).argmax())
+        last = [self.dialect.split(line.text) for line in lines[:20]]
+        if most == len(names) + 1 and not all(len(cells) < most or cells[-1] == "" for cells in last):
+            names = ["", *names]
+        for line in (lines[k] for k in np.flatnonzero(counts > len(names))):
+            cells = self.dialect.split(line.text)
+            if any(cells[len(names) :]):
+                raise self.wrong(
+                    f"line {line.number}: {len(cells)} cells, expected {len(names)}; --columns x=NAME,... and"
+                    " --decimal say how to read a table"
+                )
+        return names
+
+    def _plain(self, values: pd.Series) -> pd.Series:
+        """Texts of which some may be numbers, these as Python writes them."""
+        marks, texts = self.dialect, values.astype(object)
+        known = texts.notna()
+        plain = texts[known].astype(str).str.strip()
+        number = plain.str.replace(r"(?<=\d)[\s'’](?=\d{3})", "", regex=True)
+        if marks.thousands:
+            number = number.str.replace(marks.thousands, "", regex=False)
+        if marks.decimal == ",":
+            number = number.str.replace(",", ".", regex=False)
+        is_numeric = pd.to_numeric(number, errors="coerce").notna()
+        missing = plain.isin(MISSING_MARKS)
+        texts[known] = plain.where(~is_numeric, number).where(~missing, np.nan)
+        return pd.to_numeric(texts).astype(float) if known.any() and (is_numeric | missing).all() else texts
+
+    def _read_binary(self) -> pd.DataFrame:
+        """A table of Parquet, Feather, HDF5 or Excel."""
+        need, source = "", BytesIO(self.data)
         try:
             if self.data.startswith(PARQUET):
-                return pd.read_parquet(BytesIO(self.data))
-            table: pd.DataFrame = pd.read_csv(StringIO(self.text), **options)
-            return table
+                return pd.read_parquet(source)
+            if self.data.startswith(FEATHER):
+                return pd.read_feather(source)
+            if self.data.startswith(HDF5):
+                need = "tables"
+                return _read_hdf5(self.data)
+            need = "xlrd" if self.data.startswith(OLD_EXCEL) else "openpyxl" if b"xl/workbook" in self.data else "odfpy"
+            return pd.read_excel(source)
+        except ImportError:
+            raise self.wrong(f"this kind of table is read with {need}: pip install {need}, or save it as CSV") from None
         except Exception as error:  # readers raise their own kinds
             raise self.wrong(f"cannot be read as a table of tracks ({first_line(error)})") from None
 
@@ -143,3 +278,14 @@ class Content:
         except ValueError:
             tag = format_value(f"<{element.tag}> {name}", quoted=False)
             raise self.wrong(f"{tag}: expected a number, not {format_value(text)}") from None
+
+
+def _read_hdf5(data: bytes) -> pd.DataFrame:
+    """The table of a file of pandas, or all frames of one of trackpy, which has a table for each."""
+    with tempfile.NamedTemporaryFile(suffix=".h5") as copy:
+        copy.write(data)
+        copy.flush()
+        with pd.HDFStore(copy.name, "r") as store:
+            keys = [key for key in store.keys() if not key.startswith("/_")]  # noqa: SIM118
+            frames = [key for key in keys if re.fullmatch(r"/Frame_\d+", key)] or keys[:1]
+            return pd.concat([store[key] for key in frames], ignore_index=True)

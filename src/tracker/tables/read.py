@@ -20,7 +20,7 @@ from tracker.camera.camera_keys import did_you_mean, format_value
 from tracker.detection.link import Tracks
 from tracker.notes import Note, NoteKind, note_all
 from tracker.tables import formats as format_files
-from tracker.tables.content import Content
+from tracker.tables.content import ZIP, Content
 from tracker.tables.rows import REQUIRED_COLUMNS, check_columns, split_tracks, to_numbers
 from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
 
@@ -42,35 +42,42 @@ def formats() -> dict[str, Any]:
     return {name: importlib.import_module(f"{format_files.__name__}.{name}") for name in names}
 
 
-def read_tracks(path: Path, camera: CameraSource, columns: str = "", unit: str = "") -> ClipTracks:
+def read_tracks(path: Path, camera: CameraSource, columns: str = "", unit: str = "", decimal: str = "") -> ClipTracks:
     """Read a file of tracks. Raises InputError.
 
     path: CSV or Parquet with frame, particle, x, y, or a file of one of the formats; camera: of the tracks; columns:
     the table's own names of columns, x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID; unit: of lengths, "" for what the file
-    says, or px.
+    says, or px; decimal: mark of numbers, "," or ".", "" for what they show.
     """
-    if path.suffix.lower() in (".xlsx", ".xls", ".ods") and path.is_file():
-        raise InputError(f"{path}: a spreadsheet, expected a table of tracks; save it as CSV")
-    content = Content.of(path)
-    if content.data.startswith(b"PK\3\4"):
+    content = Content.of(path, decimal)
+    if content.data.startswith(ZIP) and not content.is_excel:
+        if path.suffix.lower() in (".xlsx", ".xlsm", ".ods"):
+            raise content.wrong("not a workbook that can be read, expected a table of tracks; save it as CSV")
         raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
     table = _pick_columns(content, columns) if columns else recognise_format(content)
     return to_pixels(table, path.name, camera, unit, str(path))
 
 
-def recognise_format(content: Content) -> TrackTable:
-    """A table as its file gives it, known by its content. Raises InputError for what is none."""
+def recognise_format(content: Content, empty_allowed: bool = False) -> TrackTable:
+    """A table as its file gives it, known by its content. Raises InputError for what is none.
+
+    empty_allowed: an empty file is a table without rows.
+    """
     every = formats().values()
+    if not content.is_binary and not content.text.strip():
+        if empty_allowed:
+            return TrackTable(pd.DataFrame(columns=list(REQUIRED_COLUMNS), dtype=float))
+        raise content.wrong("an empty file, expected a row for each ball and frame")
     for one in every:
         table: TrackTable | None = one.read(content) if hasattr(one, "read") else None
         if table is not None:
-            return table
+            return replace(table, notes=(*content.notes, *table.notes))
     if content.text[:100].lstrip().startswith("{"):
         raise content.wrong("JSON, expected a table of tracks; camera.json belongs behind --camera")
-    known = ", ".join(sorted(one.NAME for one in every if hasattr(one, "NAME")))
     if content.root is not None:
+        known = ", ".join(sorted(one.NAME for one in every if getattr(one, "FROM_XML", False)))
         raise content.wrong(f"XML of <{format_value(content.root.tag, quoted=False)}>, expected one of {known}")
-    more = f", or {known}; --columns x=NAME,... names others"
+    more = ", or those of another program (docs/format.md); --columns x=NAME,y=NAME,... names or counts others"
     check_columns(content.cells(), content.where, more)
     raise AssertionError("a table with these columns is trackpy's")
 
@@ -83,7 +90,8 @@ def _pick_columns(content: Content, columns: str) -> TrackTable:
         if key not in known or not name:
             hint = did_you_mean(key, known)
             raise InputError(f"--columns: {format_value(key)}: expected NAME=COLUMN of {', '.join(known)}{hint}")
-    rows = content.cells()
+    rows = content.cells() if content.is_binary or content.has_header else content.cells(names=_count_columns(content))
+    pairs = {key: _find_column(name, rows) for key, name in pairs.items()}
     if missing := [name for name in pairs.values() if name not in rows]:
         there = format_value(", ".join(map(str, rows.columns)), quoted=False)
         raise content.wrong(f"no column {', '.join(missing)}, as --columns says; found {there}")
@@ -97,13 +105,27 @@ def _pick_columns(content: Content, columns: str) -> TrackTable:
         rows = rows.assign(x_std=rows["ep"], y_std=rows["ep"])
     if not pd.api.types.is_numeric_dtype(rows["particle"]):  # names
         rows = rows.assign(particle=pd.factorize(rows["particle"])[0])
-    return TrackTable(rows, fps=fps)
+    return TrackTable(rows, fps=fps, notes=tuple(content.notes))
+
+
+def _count_columns(content: Content) -> list[str]:
+    """Names of columns that have none: their numbers, from 1."""
+    return [f"{k}" for k in range(1, len(content.head[0]) + 1)]
+
+
+def _find_column(name: str, rows: pd.DataFrame) -> str:
+    """The column of this name, or with this number, from 1, where none has the name."""
+    if name not in rows and name.isdigit() and 0 < int(name) <= rows.shape[1]:
+        return str(rows.columns[int(name) - 1])
+    return name
 
 
 def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = "", where: str = "") -> ClipTracks:
     """Tracks, px, of a table in whatever unit. where: what messages call it; name: what notes do."""
-    where, notes = where or name, list[str]()
-    given = unit_of(unit, "--unit") if unit else table.unit
+    where = where or name
+    table = table.leave_out_unassigned(name, where)
+    notes = list(table.notes)
+    given = unit_of(unit, "--unit") if unit else table.find_unit(where)
     used = given or ("m" if table.up else "px")
     if table.format:
         notes.append(f"{name}: read as {table.format}, lengths in {used}{'' if given else '; --unit if not so'}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from io import BytesIO
 from typing import Any
 
@@ -14,6 +15,7 @@ import pyarrow.csv
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import format_value
 from tracker.detection.link import Tracks
+from tracker.tables.dialect import LINE
 
 MAX_WHOLE_NUMBER = (1 << 31) - 1  # frames, particles, clips
 MAX_POSITION_PX = 1e6  # px, of a position, or of its standard deviation
@@ -97,13 +99,18 @@ def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
     x, y = to_numbers(table["x"], "x", where), to_numbers(table["y"], "y", where)
     for name, values in (("x", x), ("y", y)):
         if len(far := values[np.abs(values) > MAX_POSITION_PX]):
-            raise InputError(f"{where}: {name}: expected positions in px, not {far[0]:g}")
+            row = _row_of(table[name], int(np.argmax(np.abs(values) > MAX_POSITION_PX)))
+            raise InputError(f"{where}: {row}{name}: expected positions in px, not {far[0]:g}; --unit says the unit")
     kept = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     kept = kept[np.lexsort((frame[kept], particle[kept]))]
     twice = (np.diff(frame[kept]) == 0) & (np.diff(particle[kept]) == 0)
     if twice.any():
-        row = kept[np.flatnonzero(twice)[0]]
-        raise InputError(f"{where}: particle {particle[row]} is twice in frame {frame[row]}, expected once")
+        row = kept[np.flatnonzero(twice)[0] + 1]
+        line = _row_of(table["frame"], int(row)).rstrip(", ")
+        raise InputError(
+            f"{where}: {line}: particle {particle[row]} is twice in frame {frame[row]}, expected once; a table of"
+            " several clips has a column clip"
+        )
 
     def column(name: str, default: float) -> Any:
         values = to_numbers(table[name], name, where) if name in table else np.full(len(table), default)
@@ -156,7 +163,21 @@ def to_numbers(values: Any, name: str, where: str) -> Any:
     try:
         return pd.to_numeric(values).to_numpy(dtype=np.float64)
     except (ValueError, TypeError):
-        raise InputError(f"{where}: {name}: expected numbers") from None
+        column = pd.Series(values) if not isinstance(values, pd.Series) else values
+        wrong = (pd.to_numeric(column, errors="coerce").isna() & column.notna()).to_numpy()
+        at = int(np.argmax(wrong))
+        text = format_value(column.iloc[at] if wrong.any() else column.dtype)
+        help_with = "; --decimal says which mark numbers have" if re.search(r"\d[,.]\d", text) else ""
+        raise InputError(f"{where}: {_row_of(column, at)}{name}: expected numbers, not {text}{help_with}") from None
+
+
+def _row_of(values: Any, at: int) -> str:
+    """The line of a file in which a value is, or its row in a table."""
+    if not isinstance(values, pd.Series):
+        return ""
+    if values.index.name == LINE:
+        return f"line {values.index[at]}, "
+    return f"row {at}, "
 
 
 def to_whole_numbers(values: Any, name: str, where: str) -> Any:
@@ -164,7 +185,9 @@ def to_whole_numbers(values: Any, name: str, where: str) -> Any:
     numbers = to_numbers(values, name, where)
     wrong = ~((numbers >= 0) & (numbers <= MAX_WHOLE_NUMBER) & (numbers == np.round(numbers)))  # NaN too
     if wrong.any():
+        at = int(np.argmax(wrong))
+        value = "a missing value" if np.isnan(numbers[at]) else f"{numbers[at]:.10g}"
         raise InputError(
-            f"{where}: {name}: expected whole numbers from 0 to {MAX_WHOLE_NUMBER}, not {numbers[wrong][0]:g}"
+            f"{where}: {_row_of(values, at)}{name}: expected whole numbers from 0 to {MAX_WHOLE_NUMBER}, not {value}"
         )
     return numbers.astype(np.int64)

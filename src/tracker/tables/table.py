@@ -22,6 +22,7 @@ LENGTH_UNITS = {  # what one of a unit is in m, and what it is called; "px" has 
     "nm": (1e-9, "nm nanometre nanometres nanometer nanometers"),
     "in": (0.0254, "in inch inches"),
 }
+UNKNOWN_UNITS = ("", "unit", "units", "a.u.", "au", "arb. unit", "arb. units", "none", "null", "-")  # say nothing
 LENGTH_COLUMNS = ("x", "y", "glint_x", "glint_y", "x_std", "y_std", "x_fixed_std", "y_fixed_std")
 AREA_COLUMNS = ("cov_xy", "cov_xy_fixed")
 
@@ -32,11 +33,34 @@ class TrackTable:
 
     rows: pd.DataFrame
     format: str = ""  # what made it, for messages; "" for this project's own columns
-    unit: str = ""  # of lengths, a key of LENGTH_UNITS; "" where nothing says it
+    unit: str = ""  # of lengths, as the file says it; "" where nothing says it
     up: bool = (
         False  # lengths are on the plate, y upwards; else in the picture, y down from the top left pixel's centre
     )
     fps: float = math.nan  # frame rate that the file claims; NaN where it does not
+    notes: tuple[str, ...] = ()  # how the file was read
+
+    def find_unit(self, where: str) -> str:
+        """The unit of lengths, a key of LENGTH_UNITS; "" where nothing says it. Raises InputError."""
+        return "" if self.unit.strip().strip("()").lower() in UNKNOWN_UNITS else unit_of(self.unit, where)
+
+    def leave_out_unassigned(self, name: str, where: str = "") -> TrackTable:
+        """The same without rows of no particle, which programs mark by -1 or by nothing.
+
+        name: what a note calls the table; where: what a message calls it. Raises InputError where no row has one.
+        """
+        if "particle" not in self.rows or not len(self.rows):
+            return self
+        particle = pd.to_numeric(self.rows["particle"], errors="coerce")
+        gone = ((particle < 0) | self.rows["particle"].isna()).to_numpy()
+        if not gone.any():
+            return self
+        if gone.all():
+            raise InputError(
+                f"{where or name}: no row has a particle (id -1 or none): these are detections, expected tracks"
+            )
+        note = f"{name}: {int(gone.sum())} of {len(gone)} rows have no particle (id -1 or none) and are left out"
+        return replace(self, rows=self.rows[~gone], notes=(*self.notes, note))
 
     def scale_lengths(self, factor: float, where: str) -> TrackTable:
         """The same with lengths of another unit."""
@@ -51,7 +75,9 @@ def unit_of(name: str, where: str) -> str:
     """The unit that a name means. Raises InputError."""
     found = [unit for unit, (_, names) in LENGTH_UNITS.items() if name.strip().strip("()").lower() in names.split()]
     if not found:
-        raise InputError(f"{where}: {format_value(name)}: expected a unit of length, one of {', '.join(LENGTH_UNITS)}")
+        option = "" if where == "--unit" else "; --unit says which it is"
+        known = ", ".join(LENGTH_UNITS)
+        raise InputError(f"{where}: {format_value(name)}: expected a unit of length, one of {known}{option}")
     return found[0]
 
 

@@ -110,3 +110,49 @@ def test_two_units_and_a_particle_twice_are_refused(tmp_path):
     truth.write_text(as_csv([*TRUE, TRUE[0]]))
     with pytest.raises(InputError, match="frame 0: particle 0 twice"):
         score_table(truth, truth)
+
+
+@pytest.mark.parametrize("confidence", [0, 0.0, 0.4])
+def test_confidence_of_a_result_marks_nothing(tmp_path, confidence):
+    """Many trackers write 0; only the truth of MOTChallenge marks ignored rows by it."""
+    (tmp_path / "gt.txt").write_text(as_mot(TRUE))
+    (tmp_path / "found.txt").write_text(as_mot(TRUE).replace("10,10,1,", f"10,10,{confidence},"))
+    got = score_table(tmp_path / "found.txt", tmp_path / "gt.txt")
+    assert (got.localisation["n"], got.localisation["missed"]) == (12, 0)
+    assert got.tracking["hota"] == 1
+
+
+def test_zero_marks_ignored_rows_of_the_truth(tmp_path):
+    lines = as_mot(TRUE).splitlines()
+    lines[3] = lines[3].replace("10,10,1,", "10,10,0,")
+    (tmp_path / "gt.txt").write_text("\n".join(lines))
+    (tmp_path / "found.txt").write_text(as_mot([row for k, row in enumerate(TRUE) if k != 3]))
+    got = score_table(tmp_path / "found.txt", tmp_path / "gt.txt")
+    assert (got.localisation["n"], got.localisation["missed"], got.localisation["false"]) == (11, 0, 0)
+    assert "1 of 12 rows have confidence 0" in str(got.notes[0])
+
+
+def test_frames_from_0_are_the_same_frames(tmp_path):
+    (tmp_path / "gt.txt").write_text(as_mot(TRUE))
+    (tmp_path / "found.txt").write_text(as_mot([(f - 1, k, x, y) for f, k, x, y in TRUE]))
+    got = score_table(tmp_path / "found.txt", tmp_path / "gt.txt")
+    assert got.tracking["hota"] == 1
+    assert "frames count from 0" in str(got.notes[0])
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "frame,particle,x,y\n"])
+@pytest.mark.parametrize("truth", [as_mot, as_csv])
+def test_an_empty_result_has_no_detection(tmp_path, text, truth):
+    (tmp_path / "gt.txt").write_text(truth(TRUE))
+    (tmp_path / "found.txt").write_text(text)
+    got = score_table(tmp_path / "found.txt", tmp_path / "gt.txt")
+    assert (got.localisation["n"], got.localisation["missed"], got.localisation["false"]) == (0, 12, 0)
+    assert got.tracking["hota"] == got.tracking["mota"] == 0
+
+
+def test_rows_without_a_particle_are_told(tmp_path):
+    (tmp_path / "gt.csv").write_text(as_csv(TRUE))
+    (tmp_path / "found.csv").write_text(as_csv([*TRUE, (3, -1, 5.0, 5.0)]))
+    got = score_table(tmp_path / "found.csv", tmp_path / "gt.csv")
+    assert got.tracking["hota"] == 1
+    assert "1 of 13 rows have no particle" in str(got.notes[0])

@@ -176,7 +176,7 @@ def test_one_mass_alone(tmp_path, camera):
 
 WRONG = {
     "<TrackMate/>": "without <Model>",
-    "<kml/>": "XML of <kml>, expected one of MOTChallenge",
+    "<kml/>": "XML of <kml>, expected one of TrackMate's XML",
     '<Tracks spaceUnits="pixel"><particle><detection t="0" x="1"/></particle></Tracks>': "<detection> without y",
     '<Tracks spaceUnits="pixel"><particle><detection t="0" x="one" y="1"/></particle></Tracks>': "x: expected a number",
     '<Tracks spaceUnits="parsec"/>': "'parsec': expected a unit of length",

@@ -1,5 +1,7 @@
 """MOTChallenge: lines of frame, id, left, top, width, height, confidence, ..., counted from 1; a box is a ball's."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 
@@ -7,6 +9,7 @@ from synthcam_shared.track_formats import MOT_CORNER_PX, mot_box
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
+from tracker.tables.rows import to_numbers
 from tracker.tables.table import TrackTable
 
 NAME = "MOTChallenge's boxes"
@@ -15,29 +18,34 @@ SUFFIX = ".txt"
 
 def read(content: Content) -> TrackTable | None:
     first = content.head[0] if content.head else []
-    if not 6 <= len(first) <= 10 or not all(map(_is_number, first)):
+    if content.root is not None or content.has_header or not 6 <= len(first) <= 10:
         return None
     names = ["frame", "particle", "left", "top", "width", "height", "confidence", "more0", "more1", "more2"]
     boxes = content.cells(names=names[: len(first)])
-    boxes = boxes.apply(pd.to_numeric, errors="coerce")
-    if not (boxes[["width", "height"]] > 0).all(axis=None):
-        raise content.wrong(f"{NAME}: width, height: expected numbers over 0 in each line")
-    if (boxes["particle"] < 0).any():
+    numbers = boxes.apply(pd.to_numeric, errors="coerce")
+    whole = numbers[["frame", "particle"]]
+    if not (whole == whole.round()).all(axis=None):
+        return None
+    where = content.where
+    for name in ("left", "top", "width", "height"):
+        to_numbers(boxes[name], name, f"{where}: {NAME}")
+    small = ~(numbers[["width", "height"]] > 0).all(axis=1)
+    if small.any():
+        raise content.wrong(f"line {small.idxmax()}: {NAME}: width, height: expected numbers over 0 in each line")
+    if (numbers["particle"] < 0).all():
         raise content.wrong(f"{NAME}: id -1: these are detections, expected tracks")
-    if "confidence" in boxes:
-        boxes = boxes[boxes["confidence"] != 0]  # lines to be ignored
-    rows = pd.DataFrame({"frame": boxes["frame"] - 1, "particle": boxes["particle"]})
+    notes = []
+    start = 1
+    if numbers["frame"].min() == 0:
+        start = 0
+        notes.append(f"{Path(where).name}: frames count from 0, not from 1 as in {NAME}")
+    rows = pd.DataFrame({"frame": numbers["frame"] - start, "particle": numbers["particle"]})
     for name, corner, side in (("x", "left", "width"), ("y", "top", "height")):
-        rows[name] = boxes[corner] + boxes[side] / 2 - MOT_CORNER_PX
-        rows[side] = boxes[side]
-    return TrackTable(rows, NAME, "px")
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        return bool(np.isfinite(float(cell)))
-    except ValueError:
-        return False
+        rows[name] = numbers[corner] + numbers[side] / 2 - MOT_CORNER_PX
+        rows[side] = numbers[side]
+    if "confidence" in numbers:
+        rows["confidence"] = numbers["confidence"]
+    return TrackTable(rows, NAME, "px", notes=tuple(notes))
 
 
 def write(tracks: Tracks, camera: Camera) -> str:

@@ -12,6 +12,7 @@ from tracker.tables.content import Content
 from tracker.tables.table import TrackTable
 
 NAME = "the Particle Tracking Challenge's XML"
+FROM_XML = True
 SUFFIX = ".xml"
 
 

@@ -16,6 +16,7 @@ from tracker.tables.rows import to_numbers
 from tracker.tables.table import TrackTable, frames_from_times
 
 NAME = "Tracker (OSP)"
+FROM_XML = True
 CLASS_PREFIX = "org.opensourcephysics.cabrillo.tracker."
 
 

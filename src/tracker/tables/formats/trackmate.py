@@ -13,9 +13,10 @@ from synthcam_shared.track_formats import split_by_particle, trackmate_xml
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
-from tracker.tables.table import TrackTable, per_second, unit_of
+from tracker.tables.table import TrackTable, per_second
 
 NAME = "TrackMate's XML"
+FROM_XML = True
 SUFFIX = ".xml"
 
 
@@ -25,18 +26,18 @@ def read(content: Content) -> TrackTable | None:
         return None
     if root.tag == "Tracks":
         interval = content.number(root, "frameInterval") if "frameInterval" in root.attrib else np.nan
-        fps, unit = per_second(interval, root.get("timeUnits", "")), content.attribute(root, "spaceUnits")
+        fps, unit = per_second(interval, root.get("timeUnits", "")), root.get("spaceUnits", "")
         spots = _particles(content, root)
     else:
         model, image = root.find("Model"), root.find("Settings/ImageData")
         if model is None:
             raise content.wrong("<TrackMate> without <Model>, expected spots and tracks")
-        unit = content.attribute(model, "spatialunits")
+        unit = model.get("spatialunits", "")
         interval = content.number(image, "timeinterval") if image is not None else np.nan
         fps = per_second(interval, model.get("timeunits", ""))
         spots = _spots(content, model)
     rows = pd.DataFrame(list(spots), columns=["frame", "particle", "x", "y"])
-    return TrackTable(rows, NAME, unit_of(unit, content.where), fps=fps)
+    return TrackTable(rows, NAME, unit, fps=fps)
 
 
 def _particles(content: Content, root: ET.Element) -> Iterator[tuple[float, ...]]:

@@ -3,7 +3,7 @@
 import pandas as pd
 
 from tracker.tables.content import Content
-from tracker.tables.table import TrackTable, unit_of
+from tracker.tables.table import TrackTable
 
 NAME = "TrackMate's spots"
 NAMES = {"FRAME": "frame", "TRACK_ID": "particle", "POSITION_X": "x", "POSITION_Y": "y"}
@@ -22,4 +22,4 @@ def read(content: Content) -> TrackTable | None:
     unit = next((text for text in map(str, below["POSITION_X"]) if text.startswith("(")), "")
     rows = rows.iloc[first:][list(NAMES)].rename(columns=NAMES)
     in_track = rows["particle"].notna() & (rows["particle"].map(str) != "None")
-    return TrackTable(rows[in_track], NAME, unit_of(unit, content.where) if unit else "")
+    return TrackTable(rows[in_track], NAME, unit)

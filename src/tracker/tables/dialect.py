@@ -1,0 +1,113 @@
+"""How a text writes a table: comment lines, the mark between cells, decimals, thousands, names of columns."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+LINE = "line"  # name of the index of a table whose rows have numbers of lines
+COMMENT_MARKS = ("#", "%", "//")
+DELIMITERS = ("\t", ";", "|", ",", " ")  # " ": any run of blanks
+DELIMITER_NAMES = {"\t": "tab", " ": "blank"}
+MISSING_MARKS = ("-", "--", "?", ".", "*", "none", "n.a.", "NaN ", "NAN")  # beside those that pandas knows
+_NUMBER = re.compile(r"[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)|-*|[?.*]|none|null|na|n/a", re.IGNORECASE)
+_DOTTED = r"(?<![\d.,])[-+]?\d{1,3}(?:(?:\.\d{3})+,\d|(?:\.\d{3}){2,}(?![\d.]))"
+_GROUPED = r"(?<![\d.,])[-+]?\d{1,3}(?:,\d{3}){2,}(?![\d,])|(?<![\d.,])[-+]?\d{1,3}(?:,\d{3})+\.\d"
+_DECIMAL = r"(?<![\d.,])[-+]?(?:\d+,(?:\d{1,2}|\d{4,})|0\d*,\d+|\d{4,},\d+)(?![\d.,])"
+_EITHER = r"(?<![\d.,])[-+]?\d{1,3},\d{3}(?![\d.,])"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a text that is part of the table, with its number in the file, from 1."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """delimiter: between cells; decimal, thousands: of numbers; doubt: a number that may be read in two ways."""
+
+    delimiter: str
+    decimal: str = "."
+    thousands: str = ""
+    doubt: str = ""
+
+    def split(self, text: str) -> list[str]:
+        """The cells of a line."""
+        return split_cells(text, self.delimiter)
+
+
+def split_lines(text: str) -> tuple[list[Line], str, str]:
+    """The lines of a table, the delimiter that a first line `sep=` names, and the last comment line above the table."""
+    lines, delimiter, comment = list[Line](), "", ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
+        if not lines and not delimiter and (named := re.fullmatch(r'\s*"?sep=(.)"?\s*', line, re.IGNORECASE)):
+            delimiter = named[1]
+        elif line.lstrip().startswith(COMMENT_MARKS):
+            comment = comment if lines else line.lstrip().lstrip("#%/").strip()
+        else:
+            lines.append(Line(number, line))
+    return lines, delimiter, comment
+
+
+def find_dialect(lines: Sequence[Line], delimiter: str = "", decimal: str = "") -> Dialect:
+    """The dialect of a table. delimiter, decimal: where they are known."""
+    delimiter = delimiter or _find_delimiter(lines)
+    text = "\n".join(line.text for line in lines)
+    if delimiter == ",":  # a comma inside a cell is there only in quotes
+        text = "\n".join(re.findall(r'"[^"\n]*"', text)) if '"' in text else ""
+    if decimal:
+        other = "." if decimal == "," else ","
+        return Dialect(delimiter, decimal, other if other in text else "")
+    if re.search(_DOTTED, text):
+        return Dialect(delimiter, ",", ".")
+    if "," not in text:
+        return Dialect(delimiter)
+    if re.search(_DECIMAL, text):
+        return Dialect(delimiter, ",")
+    if re.search(_GROUPED, text):
+        return Dialect(delimiter, ".", ",")
+    doubt = re.search(_EITHER, text)
+    return Dialect(delimiter, "," if doubt else ".", "", doubt[0] if doubt else "")
+
+
+def split_cells(text: str, delimiter: str) -> list[str]:
+    """The cells of a line, without blanks and quotes around them."""
+    if delimiter == " ":
+        text, delimiter = " ".join(text.split()), " "
+    try:
+        cells = next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:  # a line that is no text
+        cells = text.split(delimiter)
+    return [cell.strip() for cell in cells]
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number or the mark of a missing one, in any dialect."""
+    return _NUMBER.fullmatch(re.sub(r"(?<=\d)[\s'’](?=\d{3})", "", cell.strip())) is not None
+
+
+def _find_delimiter(lines: Sequence[Line]) -> str:
+    """The mark that cuts most lines into equally many cells, most of which are numbers."""
+    # the lines above the numbers are a few; a hundred lines show the rest
+    sample = [line.text for line in (*lines[:60], *lines[60 :: max(len(lines) // 40, 1)])]
+    sample = sample[4:] if len(sample) > 8 else sample[1:] or sample
+    best, score = "", 0.0
+    for mark in DELIMITERS:
+        rows = [split_cells(text, mark) for text in sample]
+        cells, many = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
+        if cells < 2:
+            continue
+        own = [cell for row in rows if len(row) == cells for cell in row]
+        good = many / len(rows) * (0.1 + sum(map(is_number, own)) / len(own))
+        if good > score + 1e-9:
+            best, score = mark, good
+    first = "\n".join(line.text for line in lines[:4])
+    return best or next((mark for mark in DELIMITERS[:-1] if mark in first), " " if " " in first.strip() else ",")
