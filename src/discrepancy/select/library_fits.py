@@ -72,12 +72,13 @@ class LibraryFits:
 
     def fit(self, state: Iterable[Candidate]) -> ModelFit:
         """The best fit of a model."""
-        key = frozenset(state)
+        ordered = _in_order(state) if isinstance(state, frozenset) else tuple(state)
+        key = frozenset(ordered)
         if key not in self.fits:
             self._keep(key, self._start_from_larger(key))
         if key not in self.done:
             fit = minimise_chi2(self.evidence, self.fits[key], self.progress)
-            self._keep(key, self._escape_local_minimum(tuple(state), fit))
+            self._keep(key, self._escape_local_minimum(ordered, fit))
             self.done.add(key)
         return self.fits[key]
 
@@ -131,7 +132,7 @@ class LibraryFits:
         """Start a model from the smallest fitted model that contains it, less the effects that it does not have."""
         larger = min((k for k in self.fits if k > key), key=len)
         fit = self.fits[larger]
-        for candidate in larger - key:
+        for candidate in _in_order(larger - key):
             fit = self.remove(fit, candidate)
         return fit
 
@@ -165,6 +166,11 @@ class LibraryFits:
     def correct_for_trials(self, effect: str, sigma: float) -> float:
         """Sigma of an effect, corrected by the trials factor of its shape parameters."""
         return math.sqrt(max(sigma**2 - 2 * math.log(self.trials_factors.get(effect, 1.0)), 0.0))
+
+
+def _in_order(candidates: Iterable[Candidate]) -> State:
+    """Candidates by name: the order of a set differs between runs, and the last digits of a fit with it."""
+    return tuple(sorted(candidates, key=lambda c: c.name))
 
 
 def fit_with_candidate(
