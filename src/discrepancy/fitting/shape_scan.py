@@ -85,7 +85,7 @@ def _changes(sized: SizedEffects, model: Model) -> dict[str, Callable[[ResponseS
     def change(kind: str, segment: ResponseSegment) -> Array:
         return np.asarray(sum(_change(law, sized, model, segment) for law in laws if MOTION_LAWS[law] == kind))
 
-    return {kind: partial(change, kind) for kind in {MOTION_LAWS[law] for law in laws}}
+    return {kind: partial(change, kind) for kind in dict.fromkeys(MOTION_LAWS[law] for law in laws)}
 
 
 def _change(law: str, sized: SizedEffects, model: Model, segment: ResponseSegment) -> Array:

@@ -330,7 +330,7 @@ class ScoreTests:
 
     @cached_property
     def _realistic_sizes(self) -> dict[Candidate, RealisticSizes]:
-        return {c: RealisticSizes.of(c, self.fit.model) for c in {t.candidate for t in self.trials}}
+        return {c: RealisticSizes.of(c, self.fit.model) for c in dict.fromkeys(t.candidate for t in self.trials)}
 
     def claim(self, level: float | None = None) -> float:
         """The sigma that the best candidate exceeds by chance in this share of searches; default: the policy's."""
