@@ -55,6 +55,8 @@ def run_jobs(
 ) -> Iterator[JobValue[T] | LostJob]:
     """Do the work for each number, and yield the answers in the order in which the jobs end.
 
+    Raises InputError if three workers in a row are lost, or the scheduler cannot be used.
+
     Parameters
     ----------
     work : callable
@@ -74,8 +76,6 @@ def run_jobs(
     worth_processes : float
         Processor time of all remaining jobs, s, from which on more processes are started. A process takes half as
         long as the default to load its libraries.
-
-    Raises InputError if three workers in a row are lost, or the scheduler cannot be used.
     """
     if scheduler:
         from synthcam_shared.dask_cluster import Cluster  # here alone: Dask is an optional dependency

@@ -207,12 +207,7 @@ def fit_motion(
 ) -> CollisionFit:
     """Fit a tied or free motion to two balls, from starts (16,) or (22,). A few outliers are dropped once.
 
-    Parameters
-    ----------
-    tolerance : float
-        Relative change of parameters and chi^2 that ends a descent.
-    whole : bool
-        Keep the outliers.
+    tolerance: relative change of parameters and chi^2 that ends a descent; whole: keep the outliers.
     """
     problem = WhitenedResiduals(pair, tied)
     best, converged = minimise(problem, [start[problem.index] for start in starts], tolerance)
