@@ -139,12 +139,12 @@ def add(
     from discrepancy.add import check_effect
     from discrepancy.data.reading import read_collisions
 
+    check_not_read(output, model, measured, camera, *(effects_dir or ()))
     _add_effect_folders(effects_dir)
     given = read_model(model)
     check_effect(effect)
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
-    check_not_read(output, model, measured, camera, *(effects_dir or ()))
     check_replaceable(output, ADDED.encode(), "discrepancy add")
     check_writable(output)
     _print_camera_notes(measured, camera)

@@ -9,6 +9,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import keyword
 import pkgutil
 import sys
 from collections.abc import Callable, Iterator
@@ -67,7 +68,7 @@ def _load_entry_point(name: str, load: Callable[[], object], known: dict[str, ty
     _check_free(name, known, where)
     try:
         kind = load()
-    except Exception as error:  # a package may raise anything
+    except (Exception, SystemExit) as error:  # a package may raise anything
         raise PluginError(f"{where}: {type(error).__name__}: {' '.join(str(error).split())}") from None
     if not (inspect.isclass(kind) and issubclass(kind, Effect)):
         raise PluginError(f"{where}: expected a class of Effect, found {type(kind).__name__}")
@@ -136,6 +137,8 @@ def check_name(name: str, where: str) -> None:
 def _check_free(name: str, known: dict[str, type[Effect]], where: str) -> None:
     if not (name.isascii() and name.isidentifier() and name == name.lower()) or name.startswith("_"):
         raise PluginError(f"{where}: expected a name of lower-case letters, digits and _, such as my_effect")
+    if keyword.iskeyword(name):
+        raise PluginError(f"{where}: a word of Python's grammar; choose another name, such as {name}_effect")
     if name in known:
         raise PluginError(f"{where}: an effect of this name exists already; choose another name")
     if name in {*table_names(), *SEARCH_ONLY_LAWS, *LAWS}:
@@ -158,7 +161,7 @@ def _load_file(file: Path, known: dict[str, type[Effect]]) -> type[Effect]:
         _check(kind, str(file))
     except BaseException as error:
         del sys.modules[name]
-        if not isinstance(error, Exception):
+        if not isinstance(error, Exception | SystemExit):
             raise
         message = " ".join(str(error).split()).removeprefix(f"{name}: ").removeprefix(f"{file}: ")
         if isinstance(error, SyntaxError):

@@ -20,7 +20,7 @@ from synthcam.library import cache_until_effects_change, library
 from synthcam.settings import read_yaml
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TabulatedLaw, kind_of, table_names
 from synthcam_shared.errors import InputError
-from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings, did_you_mean, to_input_error
+from synthcam_shared.settings import Fraction, Positive, Settings, did_you_mean, to_input_error
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,8 @@ class BallSettings(Settings):
     diameter: Positive = 2.38e-3
     density: Positive = 7800.0
 
+
+MAX_FRICTION = 100.0  # coefficient of sliding friction; soft rubber has about 4
 
 # The symbols of the literature, under which truth and results list three numbers of the base model.
 SYMBOLS = {"r": "restitution", "mu_k": "sliding_friction", "C": "spin_transfer"}
@@ -54,16 +56,16 @@ class ModelSettings(Settings):
 
     gravity: Annotated[float, Field(ge=1e-3, le=1e5)] = 9.81  # from asteroids to centrifuges
     restitution: Fraction = 0.903
-    sliding_friction: Positive = 0.232
+    sliding_friction: Annotated[float, Field(gt=0, le=MAX_FRICTION)] = 0.232
     spin_transfer: Annotated[float, Field(ge=0, le=5 / 7)] = 0.347  # more would make energy
-    rolling_drag: NotNegative = 0.135
-    rolling_decel: NotNegative = 0.0103
+    rolling_drag: Annotated[float, Field(ge=0, le=1e4)] = 0.135
+    rolling_decel: Annotated[float, Field(ge=0, le=1e5)] = 0.0103
 
 
 class ModelFileSettings(ModelSettings):
     """A model file's `model:`; what a search is to discover may be zero."""
 
-    sliding_friction: NotNegative = 0.232
+    sliding_friction: Annotated[float, Field(ge=0, le=MAX_FRICTION)] = 0.232
 
 
 @cache_until_effects_change
@@ -325,11 +327,14 @@ def refuse_search_only_laws(free_laws: Any, where: str) -> None:
 def check_free(names: Iterable[str], where: str) -> tuple[str, ...]:
     """The names as a tuple; InputError when one is no parameter of the model or of an effect, nor LAUNCH_SPIN."""
     known = {*BASE_PARAMETERS, LAUNCH_SPIN, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
-    for name in names:
+    names = tuple(names)
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise InputError(f"{where}: free: {name} is given twice; expected each parameter once")
         if name not in known:
             near = did_you_mean(name, known) or f"; there are {', '.join(sorted(known))}"
             raise InputError(f"{where}: free: {name} is no parameter{near}")
-    return tuple(names)
+    return names
 
 
 def read_model(path: Path) -> Model:
@@ -338,6 +343,8 @@ def read_model(path: Path) -> Model:
     Raises InputError.
     """
     loaded = read_yaml(path)
+    if not loaded:
+        raise InputError(f"{path}: empty; expected a model: ball, model or effects (`model: {{}}` for all defaults)")
     sections = model_file().model_fields
     for key in (k for k in loaded if k not in (*sections, "name")):
         near = did_you_mean(str(key), sections)

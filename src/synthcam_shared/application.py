@@ -4,6 +4,7 @@ import os
 import re
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -54,9 +55,6 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
             status = app(prog_name=name, standalone_mode=False)
             if status == 130:  # typer makes this of Ctrl-C
                 raise KeyboardInterrupt
-            raise SystemExit(status or 0)
-        except SystemExit:
-            raise
         except BaseException as error:
             if was_interrupted() or isinstance(error, KeyboardInterrupt | typer.Abort):
                 kept = any(word in resumed for word in sys.argv[1:2])
@@ -68,6 +66,7 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
                 raise
             print(line, file=sys.stderr)
             raise SystemExit(2) from None
+        raise SystemExit(status or 0)
 
 
 def _describe_error(error: BaseException, name: str, wrong: tuple[type[Exception], ...]) -> str | None:
@@ -84,6 +83,11 @@ def _describe_error(error: BaseException, name: str, wrong: tuple[type[Exception
         return f"{name}: {error.filename or 'file'}: {error.strerror or error}"
     if isinstance(error, UnicodeEncodeError):
         return f"{name}: {error.object[:200]!a}: not UTF-8, expected another name; rename the file or folder"
+    if isinstance(error, RuntimeError) and f"{error}".startswith("Symlink loop"):  # an OSError from Python 3.13 on
+        return f"{name}: {f'{error}'.partition(' from ')[2]}: a link that leads to itself, expected another path"
+    if isinstance(error, SystemExit):  # of a file of the user, such as an effect
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{name}: {last.filename}, line {last.lineno}: ends the program; expected a file that does not"
     return None
 
 

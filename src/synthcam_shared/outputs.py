@@ -16,6 +16,7 @@ RESUMES = "; the same command continues where it stopped"
 
 def check_writable(output: Path, probe_bytes: int = 1 << 16) -> None:
     """Raise InputError if nothing can be written to ``output``, as on a read-only or full disk."""
+    check_utf8(output)
     folder = output.absolute().parent
     while not folder.exists():
         folder = folder.parent
@@ -25,6 +26,14 @@ def check_writable(output: Path, probe_bytes: int = 1 << 16) -> None:
         probe.unlink()
     except OSError as error:
         raise InputError(f"{output}: {error.strerror or error}; nothing can be written there") from None
+
+
+def check_utf8(path: Path) -> None:
+    """Raise InputError if a name is not UTF-8: readers and writers in C fail there, some without a word."""
+    try:
+        f"{path}".encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{f'{path}'!a}: its name is not UTF-8; rename it, or choose another") from None
 
 
 @contextmanager
@@ -132,6 +141,7 @@ def resume_folder(partial: Path, plan_file: str, plan: str) -> Iterator[None]:
     removed. If the work fails before any clip is complete, the folder is removed again. Raises InputError if another
     process is at work there, or the disk is full.
     """
+    check_utf8(partial)
     with as_input_error(partial), lock_folder(partial):
         try:
             with as_input_error(partial):

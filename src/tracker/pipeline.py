@@ -16,7 +16,7 @@ import pandas as pd
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress, run_all_jobs, use_one_thread
-from synthcam_shared.outputs import check_writable, resume_folder
+from synthcam_shared.outputs import check_utf8, check_writable, resume_folder
 from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY
@@ -58,6 +58,7 @@ def run(
     in all; channel: of films in colour, None is what the first clip asks for; scheduler: address of a Dask scheduler,
     whose workers see the same folders. Raises InputError.
     """
+    check_utf8(output)
     chosen = TrackerSettings.of(settings)
     if detector is not None:
         load_detector(detector)
@@ -108,6 +109,7 @@ def measure_tables(
     camera file of the tracks; point: what x and y are, "centre" or "glint"; columns, unit, decimal: as `read_tracks`
     takes them.
     """
+    check_utf8(output)
     chosen = TrackerSettings.of(settings)
     given = read_tracks(path, camera, columns, unit, decimal)
     asked = f"{point}{columns}{unit}{decimal}".encode()

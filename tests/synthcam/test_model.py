@@ -16,8 +16,8 @@ def test_the_defaults_are_the_papers():
     assert (m.rolling_drag, m.rolling_decel, m.ball.diameter) == (0.135, 1.03e-2, 2.38e-3)
 
 
-def test_an_empty_file_is_the_default_model(tmp_path):
-    (tmp_path / "m.yaml").write_text("")
+def test_a_file_with_an_empty_section_is_the_default_model(tmp_path):
+    (tmp_path / "m.yaml").write_text("model: {}")
     assert read_model(tmp_path / "m.yaml") == Model()
 
 

@@ -232,11 +232,17 @@ def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:
         raise to_input_error(e, where, scene_file()) from None
 
 
+MAX_DEPTH = 8  # of a key under others; scenes have 2
+
+
 def _apply_override(settings: dict[str, Any], text: str) -> None:
     key, equals, value = text.partition("=")
     if not equals or not key:
         raise InputError(f"--set {text}: expected key=value, as in launch.v0=0.2")
     *parents, last = key.split(".")
+    text = text if len(text) <= 80 else f"{text[:80]}..."
+    if len(parents) > MAX_DEPTH:
+        raise InputError(f"--set {text}: {len(parents) + 1} keys deep, expected at most {MAX_DEPTH + 1}")
     last = SYMBOLS.get(last, last) if parents == ["model"] else last
     here = settings
     for parent in parents:
@@ -245,8 +251,9 @@ def _apply_override(settings: dict[str, Any], text: str) -> None:
             raise InputError(f"--set {text}: {parent} holds a value, not keys")
     try:
         here[last] = parse_yaml(value)
-    except YAMLError:
-        raise InputError(f"--set {text}: the value is not plain YAML") from None
+    except YAMLError as error:
+        reason = getattr(error, "problem", None) or "unreadable"
+        raise InputError(f"--set {text}: the value is not plain YAML ({reason})") from None
 
 
 def schema() -> dict[str, Any]:

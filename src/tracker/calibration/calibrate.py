@@ -67,7 +67,7 @@ def write_camera_file(path: Path, keys: dict[str, Any]) -> None:
 def check_output(path: Path) -> None:
     """Raises InputError where a camera file cannot be written, or would take another file's place."""
     try:
-        keys = {"calibration": {}} if not path.exists() else read_json(path)
+        keys = {"calibration": {}} if not (path.exists() or path.is_symlink()) else read_json(path)
         ours = isinstance(keys, dict) and isinstance(keys.get("calibration"), dict)
     except (OSError, ValueError, TypeError):
         ours = False

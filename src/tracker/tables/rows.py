@@ -80,6 +80,8 @@ def split_tracks(table: pd.DataFrame, where: str, metres: bool = False) -> dict[
                 f"{where}: x, y: expected pixels, not metres: all balls lie within {span:.2g} px; say --unit m"
             )
         out[number] = (tracks, striker)
+    if not any(len(tracks) for tracks, _ in out.values()):
+        raise InputError(f"{where}: x, y: blank in all {len(table)} rows, expected positions; is it the right column?")
     return out
 
 
