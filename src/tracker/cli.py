@@ -38,6 +38,10 @@ WithPages = Annotated[
 SettingsFile = Annotated[
     Path | None, typer.Option("--settings", metavar="YAML", help="Thresholds that differ from the defaults.")
 ]
+Select = Annotated[
+    str,
+    typer.Option(metavar="AXIS=N", help="Of a stack with channels or planes: which, as C=1 or C=1,Z=0. Default: 0."),
+]
 Report = Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")]
 Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
@@ -52,6 +56,17 @@ def track(
     channel: Annotated[
         str | None, typer.Option(help=f"{', '.join(CHANNELS)}, of a film in colour. Without it the film decides.")
     ] = None,
+    times: Annotated[
+        str,
+        typer.Option(
+            help="auto: missing frames and uneven times from the film, rate from the camera file; file: the rate too "
+            "from the film; even: frames are evenly spaced, whatever the film says."
+        ),
+    ] = "auto",
+    select: Select = "",
+    fields: Annotated[
+        str, typer.Option(help="Of interlaced video: separate, weave (leave as is), or auto: the film decides.")
+    ] = "auto",
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
     scheduler: Scheduler = "",
     pages: WithPages = None,
@@ -62,12 +77,13 @@ def track(
 
     Example: tracker track out/benchmark -o out/results
     """
+    from tracker.camera.film_options import FilmOptions
     from tracker.camera.recordings import open_source
     from tracker.pipeline import run as track_all
 
     started = time.monotonic()
     with progress_bar("clips") as progress:
-        films = open_source(source, camera)
+        films = open_source(source, camera, FilmOptions(times, select, fields))
         outcome = track_all(films, output, detector, workers or 0, progress, channel, scheduler, settings)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
@@ -233,6 +249,7 @@ def calibrate(
     board: Annotated[str, typer.Option(help="On the plate: 7x5,square=0.01[,marker=0.007,dict=4X4_50].")] = "",
     error: Annotated[float | None, typer.Option(help="Error of the points, px; default 0.5, for a board 0.2.")] = None,
     height: Annotated[float | None, typer.Option(help="Height of the camera above the plate, m, to 2 %.")] = None,
+    select: Select = "",
     as_json: Json = False,
 ) -> None:
     """Write a camera file: scale from balls that touch or are seen whole, glint width, noise, and what is not known.
@@ -258,7 +275,7 @@ def calibrate(
     if error is not None or height is not None:
         raise InputError("--error, --height: expected --points or --board beside them")
     with progress_bar("calibrate") as progress:
-        result = calibrate_camera(video, diameter, fps, exposure, gamma, 0, progress)
+        result = calibrate_camera(video, diameter, fps, exposure, gamma, 0, progress, select)
     result.write(output)
     keys = {"camera": str(output), **result.to_dict()["calibration"], "scale": result.camera.scale}
     print(json.dumps(keys) if as_json else "\n".join([*summary(result), f"{output}"]))

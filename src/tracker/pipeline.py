@@ -184,7 +184,8 @@ def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
         mark.update(file.read_bytes())
     colour = {} if source.channel == GREY else {"channel": source.channel}
     run = {"made_by": "tracker track", "detector": detector, "clips": len(source), "input": mark.hexdigest()}
-    return run | colour
+    film = {"film": source.options.changed()} if source.options.changed() else {}
+    return run | colour | film
 
 
 def _track_clip(

@@ -16,8 +16,9 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import format_with_error
 from tracker import results
 from tracker.camera.camera import Camera, CameraSource
-from tracker.camera.camera_notes import describe_camera_gaps, describe_exposure, describe_frame_rate
+from tracker.camera.camera_notes import describe_camera_gaps, describe_exposure
 from tracker.camera.film_in_memory import FILM, wrap_frames
+from tracker.camera.film_options import FilmOptions
 from tracker.camera.recordings import Recording, make_recording, open_frames, open_source
 from tracker.detection.choose import DISCS, GLINTS, choose_detector, select_channel
 from tracker.detection.detect import (
@@ -171,6 +172,9 @@ def track(
     channel: str | None = None,
     number: int | None = None,
     settings: SettingsSource | None = None,
+    times: str = "auto",
+    select: str = "",
+    fields: str = "auto",
 ) -> Result:
     """Find, follow and measure the balls of one recording. An InputError says why a film or a camera cannot be used.
 
@@ -190,6 +194,13 @@ def track(
         Of the clip; default: its folder's, else 0.
     settings : TrackerSettings, dict, str or Path, optional
         Thresholds that differ from the defaults: an object, its keys, or a YAML file of them.
+    times : {"auto", "file", "even"}
+        "auto": missing frames and uneven times from the film, its rate from the camera. "file": the rate too from the
+        film. "even": frames are evenly spaced, whatever the film says.
+    select : str
+        Of a stack with channels or focal planes: which, as "C=1" or "C=1,Z=0"; default: the first.
+    fields : {"auto", "separate", "weave"}
+        Of interlaced video: whether its fields become frames of their own; "auto": the film decides.
 
     Returns
     -------
@@ -209,24 +220,24 @@ def track(
     chosen = TrackerSettings.of(settings)
     if detector is not None:
         load_detector(detector)  # an unknown one is reported before a film is read
-    clip, why = select_channel(_open(film, camera), channel)
+    clip, why = select_channel(_open(film, camera, FilmOptions(times, select, fields)), channel)
     result = track_and_measure(clip if number is None else replace(clip, number=number), detector, chosen)
     return replace(result, notes=(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
 
 
-def _open(film: Film, camera: CameraSource | None) -> Recording:
+def _open(film: Film, camera: CameraSource | None, options: FilmOptions) -> Recording:
     names = FILM, f"{camera}" if isinstance(camera, str | Path) else "camera"
     known = None if camera is None else Camera.of(camera)
     if not isinstance(film, str | Path):
-        return make_recording(0, wrap_frames(film), known, names)
-    source = open_source(film)
+        return make_recording(0, wrap_frames(film), known, names, options)
+    source = open_source(film, options=options)
     if len(source) > 1:
         first = source.clips[0][1].parent
         raise InputError(f"{film}: holds {len(source)} clips, expected one, as {first}; `tracker track` takes them all")
     if camera is None:
         return source.open_clip(0)
     ((number, location),) = source.clips
-    return make_recording(number, open_frames(location), known, (f"{location}", names[1]))
+    return make_recording(number, open_frames(location, options), known, (f"{location}", names[1]), options)
 
 
 def measure(
@@ -314,7 +325,6 @@ def track_and_measure(
         *said,
         *describe_camera_gaps(camera),
         *describe_exposure(camera, f"{results.SEEN} in {results.RUN}"),
-        *describe_frame_rate(clip.camera, clip.frames.fps),
     )
     return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
 
@@ -336,13 +346,19 @@ def track_clip(
     """Tracks of one clip, its camera completed from the clip, why there is nothing, or '', and notes."""
     settings = settings or TrackerSettings()
     found, view = detect_until_blur_converges(clip, make_view(clip, name, settings), name)
-    takes = view.takes.spans if view.takes is not None else ()
+    numbers = clip.frames.numbers
+    stored = view.takes.spans if view.takes is not None else [(0, len(clip.frames) - 1)]
+    spans = [(int(numbers[first]), int(numbers[last])) for first, last in stored]
+    glints = replace(found.glints, frame=numbers[found.glints.frame])
+    takes = spans if view.takes is not None else ()
     linker = load_linker(name, view.camera, settings.link)
-    tracks = link(found.glints, view.camera, detected_point(name, clip.camera), takes, linker, settings.link)
+    tracks = link(glints, view.camera, detected_point(name, clip.camera), takes, linker, settings.link)
+    if clip.frames.seconds is not None:
+        tracks = replace(tracks, time=clip.frames.seconds[np.searchsorted(numbers, tracks.frame)])
     if view.takes is not None:
-        why, spans = "" if len(tracks) else explain_no_discs(clip.frames, view), list(takes)
+        why = "" if len(tracks) else explain_no_discs(clip.frames, view)
     else:
-        why, spans = explain_no_glints(clip.frames, view, found.glints), [(0, len(clip.frames) - 1)]
+        why = explain_no_glints(clip.frames, view, found.glints)
     notes = note_all(NoteKind.DETECTOR, found.notes, clip.number)
     notes += note_all(NoteKind.LINKING, warn_of_loose_ends(tracks, view.camera.size, spans), clip.number)
     return tracks, view.camera, why, notes

@@ -18,6 +18,7 @@ from synthcam_shared.outputs import as_input_error, check_writable
 from tracker.calibration.survey import BallSighting, survey, without_scale
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
+from tracker.camera.film_options import FilmOptions
 from tracker.camera.recordings import RecordingSource, make_recording, open_source
 from tracker.detection.choose import DISCS, GLINTS, choose_detector, select_channel
 from tracker.results import write_json
@@ -100,18 +101,19 @@ def calibrate(
     gamma: float = 1.0,
     workers: int = 1,
     progress: Progress = lambda done, of: None,
+    select: str = "",
 ) -> Calibration:
     """Find scale, glint width and noise from a video of balls of known diameter.
 
     video: a video, stack, folder of pictures, clip or dataset; diameter: of the balls, m; fps: frames a second;
     exposure: of a frame, s, which separates motion blur from the glint's width; gamma: counts are light to the power
     of 1/gamma; workers: processes, or 0 for one a core, where so many are quicker; progress: takes clips done and clips
-    in all, of which those that are looked at twice count twice.
+    in all, of which those that are looked at twice count twice; select: channel or plane of a stack, as "C=1".
 
     Raises InputError for what cannot be read, or has no glints.
     """
     given = keys_from_options(diameter, fps, exposure, gamma)
-    source = open_source(video)
+    source = open_source(video, options=FilmOptions(select=select))
     number, frames = source.open_film(0)
     width, height = frames.shape[:0:-1]
     given |= {"size": [width, height], "scale": diameter / Camera.unknown((width, height), 8).diameter_px}
@@ -131,7 +133,7 @@ def calibrate(
         return sorted(found, key=lambda one: one.index)
 
     first_by, then_by = "centroid", GLINTS
-    first = without_scale(make_recording(number, frames, Camera.from_dict(given)))
+    first = without_scale(make_recording(number, frames, Camera.from_dict(given), options=source.options))
     if choose_detector((coloured := select_channel(first, None)[0]).frames, first.camera)[0] == DISCS:
         source, first_by, then_by = replace(source, channel=coloured.channel), DISCS, DISCS
     for detector in (first_by, then_by):  # the second time with the size of the balls known
@@ -142,7 +144,9 @@ def calibrate(
     if rest:
         seen += survey_all(source, rest, given | (_sensor_keys(_middle(seen)) if then_by == GLINTS else {}), then_by)
         ways = _ways(seen, diameter)
-    return _combine(seen, ways, video, exposure is not None, then_by)
+    result = _combine(seen, ways, video, exposure is not None, then_by)
+    # the rate that the user says, not that of a film with every second frame
+    return replace(result, camera=replace(result.camera, fps=fps))
 
 
 def _middle(seen: Sequence[BallSighting]) -> Camera:

@@ -72,7 +72,7 @@ def find_board(source: Path, board: str) -> PlatePoints:
 def _pictures(source: Path) -> list[Any]:
     if source.is_file() and source.suffix.lower() in PICTURES:
         return [read_picture(source)]
-    _, frames = open_source(source).open_film(0)
+    frames = open_source(source).open_film(0)[1].stretch_pixels()
     # the first frames of a film are searched for a board
     return [frames[k] for k in range(min(len(frames), 20))]
 

@@ -35,7 +35,9 @@ def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: boo
     known: keys of camera.json; sized: whether the scale among them is more than a guess.
     """
     use_one_thread()
-    clip = make_recording(*source.open_film(index), Camera.from_dict(known)).select_channel(source.channel)
+    number, frames = source.open_film(index)
+    clip = make_recording(number, frames, Camera.from_dict(known), options=source.options)
+    clip = clip.select_channel(source.channel)
     return _survey_discs(clip, index, sized) if name == DISCS else _survey_glints(clip, name, index)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tracker.camera.camera import Camera
+from tracker.camera.frame_times import agree
 from tracker.notes import Note, NoteKind, note_all
 
 
@@ -24,12 +25,15 @@ def describe_exposure(camera: Camera, key: str) -> list[Note]:
     return [Note(NoteKind.TIMING, f"exposure: motion blur is {kind} than it makes it; taken as it is seen ({key})")]
 
 
-def describe_frame_rate(camera: Camera, claimed: float, tolerance: float = 0.01) -> list[Note]:
-    """Make a note where a video file claims another frame rate: slow motion, or a wrong camera file.
+def describe_frame_rate(camera: Camera, claimed: float) -> list[Note]:
+    """Make a note where the film claims another frame rate: a playback rate, or a wrong camera file.
 
-    claimed: in frames per second; NaN or 0 where the file claims none. tolerance: 29.97 counts as 30.
+    claimed: in frames per second; 0 where the film claims none.
     """
-    if not camera.metric or not claimed > 0 or abs(claimed / camera.fps - 1) < tolerance:
+    if not camera.metric or not claimed > 0 or agree(claimed, camera.fps):
         return []
-    text = f"fps: {camera.fps:g} in the camera file, {claimed:g} in the video's; check which is that of the exposures"
+    text = (
+        f"fps: {camera.fps:g} in the camera file, {claimed:.5g} by the film's own times, a factor of "
+        f"{camera.fps / claimed:.4g}; the camera file's is used; --times file takes the film's"
+    )
     return [Note(NoteKind.TIMING, text)]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from tracker.camera.frame_times import drop_repeated, measure_changes
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 from tracker.camera.recordings import check_two_frames
 
@@ -44,7 +45,9 @@ def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
 
     frames = make_grey_frames(FILM, len(pictures), first.shape, first.dtype, fetch)
     check_two_frames(FILM, frames)
-    return frames
+    if not isinstance(pictures, np.ndarray | list):
+        return frames  # pictures that may be slow to read
+    return drop_repeated(frames, measure_changes(fetch, len(frames)))
 
 
 def _picture(pictures: Any, k: int) -> NDArray[Any]:

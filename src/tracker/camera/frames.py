@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, overload
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,13 +21,17 @@ GREY = CHANNELS[0]
 class Frames(Sequence[Any]):
     """A sequence of grey (h, w) uint8 or uint16 frames, each read when asked for."""
 
-    fps = 0.0  # that a video file claims
+    fps = 0.0  # frames a second by the film's own clock; 0 if it has none
     lossy = False  # whether they were encoded with loss
+    fields = False  # whether they are the fields of interlaced frames, two of each
+    aspect = 1.0  # width of a pixel over its height
+    seconds: NDArray[np.float64] | None = None  # time of each frame by that clock, where they are not evenly spaced
     faults: tuple[str, ...] = ()  # of their file
     colours: Callable[[int], Any] | None = None  # red, green and blue (h, w, 3) of a frame, where the film has them
 
     def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
         self.shape: tuple[int, int, int] = (count, *shape)
+        self.numbers: NDArray[np.int64] = np.arange(count)  # frame times after the first frame: jumps where some miss
         self.dtype = np.dtype(dtype)
         self._fetch = fetch
 
@@ -49,8 +54,38 @@ class Frames(Sequence[Any]):
 
     def with_fetch(self, fetch: Callable[[int], Frame], dtype: Any = None) -> Frames:
         """As many frames of the same size, fetched in another way."""
-        out = Frames(len(self), self.shape[1:], dtype or self.dtype, fetch)
-        out.fps, out.lossy = self.fps, self.lossy
+        return self._share(Frames(len(self), self.shape[1:], dtype or self.dtype, fetch))
+
+    def take(self, rows: NDArray[np.int64]) -> Frames:
+        """Those frames alone, with their numbers and times."""
+        out = self._share(Frames(len(rows), self.shape[1:], self.dtype, lambda k: self._fetch(int(rows[k]))))
+        out.faults, colours = self.faults, self.colours
+        if colours is not None:
+            out.colours = lambda k: colours(int(rows[k]))
+        out.numbers = self.numbers[rows] - self.numbers[rows[0]]
+        out.seconds = None if self.seconds is None else self.seconds[rows] - self.seconds[rows[0]]
+        return out
+
+    def _share(self, out: Frames) -> Frames:
+        """Other frames, with what is known of this film and its clock."""
+        for name in ("fps", "lossy", "fields", "aspect", "seconds", "numbers"):
+            setattr(out, name, getattr(self, name))
+        return out
+
+    def stretch_pixels(self) -> Frames:
+        """The same frames with square pixels: `aspect` times as wide, as a player shows them."""
+        if abs(self.aspect - 1) < 1e-3:
+            return self
+        height, width = self.shape[1:]
+        size = (round(width * self.aspect), height)
+
+        def stretch(picture: Any) -> Any:
+            return cv2.resize(np.ascontiguousarray(picture), size, interpolation=cv2.INTER_CUBIC)
+
+        out = self._share(Frames(len(self), (height, size[0]), self.dtype, lambda k: stretch(self._fetch(k))))
+        out.faults, out.aspect, colours = self.faults, 1.0, self.colours
+        if colours is not None:
+            out.colours = lambda k: stretch(colours(k))
         return out
 
     def select_channel(self, name: str) -> Frames:

@@ -9,22 +9,32 @@ from typing import Any
 import cv2
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
+from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
+from tracker.camera.frame_times import describe_missing, drop_repeated
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
+from tracker.camera.tiff_stack import choose_colours
 
 TIFF = (".tif", ".tiff")
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
+IGNORED = ("thumbs.db", "desktop.ini", "ehthumbs.db")
+
+
+def is_hidden(path: Path) -> bool:
+    """Test whether a file is one of an operating system's own: ``._`` files, other hidden files, Thumbs.db."""
+    return path.name.startswith(".") or path.name.lower() in IGNORED
 
 
 def list_pictures(folder: Path) -> list[Path]:
-    """Pictures of a folder, 2 before 10."""
-    found = [p for p in folder.iterdir() if p.suffix.lower() in PICTURES and p.is_file()]
+    """Pictures of a folder, 2 before 10, without hidden files."""
+    found = [p for p in folder.iterdir() if p.suffix.lower() in PICTURES and p.is_file() and not is_hidden(p)]
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
-def read_picture_folder(folder: Path) -> Frames:
+def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
     """Frames of a folder of pictures. Raises InputError, which names the picture."""
     paths = list_pictures(folder)
     first = read_picture(paths[0])
@@ -40,14 +50,76 @@ def read_picture_folder(folder: Path) -> Frames:
 
     frames = make_grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
     frames.lossy = paths[0].suffix.lower() in (".jpg", ".jpeg")
-    return frames
+    frames.faults = (*_describe_hidden(folder), *_describe_colours(paths[0]))
+    if options.times != "even":
+        numbers, note = find_picture_numbers([path.name for path in paths])
+        if numbers is not None:
+            frames.numbers = numbers
+            frames.faults += describe_missing(numbers, 0.0, "the numbers of the pictures")
+        frames.faults += (note,) if note else ()
+    return drop_repeated(frames, _compare_files(paths))
+
+
+def find_picture_numbers(names: list[str]) -> tuple[NDArray[np.int64] | None, str]:
+    """Numbers of pictures by their names, from 0; None, with a note if need be, where names do not count frames."""
+    split = [re.split(r"(\d+)", name) for name in names]
+    if len({tuple(parts[::2]) for parts in split}) > 1:
+        return None, ""
+    columns = [[int(parts[k]) for parts in split] for k in range(1, len(split[0]), 2)]
+    growing = [k for k, values in enumerate(columns) if len(set(values)) > 1]
+    steps = {k: np.diff(np.array(columns[k], dtype=object)) for k in growing}
+    if not growing or any((steps[k] == 1).all() for k in growing):
+        return None, ""
+    k = growing[0]
+    decimals = split[0][2 * k].endswith(".") and k > 0  # 0.004 is no count
+    if len(growing) > 1 or decimals or not (steps[k] > 0).all() or columns[k][-1] - columns[k][0] > 2**31:
+        return None, "names of pictures do not count frames; pictures are taken as evenly spaced, in the order of names"
+    number = np.array(columns[k], dtype=np.int64)
+    whole = np.gcd.reduce(np.diff(number))
+    if np.median(np.diff(number)) / whole > 5:  # times of an uneven clock
+        return None, (
+            f"numbers of pictures do not count frames: they grow by {min(steps[k])} to {max(steps[k])}; "
+            "pictures are taken as evenly spaced"
+        )
+    return number - number[0], ""
+
+
+def _compare_files(paths: list[Path]) -> NDArray[np.float64]:
+    """Change from each picture to the next: 0 of equal files, else infinite."""
+    changes = np.full(max(len(paths) - 1, 0), 1.0)
+    size, before = -1, b""
+    for k, path in enumerate(paths):
+        length = path.stat().st_size
+        same = k > 0 and length == size
+        if same:
+            before, after = before or paths[k - 1].read_bytes(), path.read_bytes()
+            changes[k - 1] = float(before != after)
+            before = after
+        else:
+            before = b""
+        size = length
+    return changes
+
+
+def _describe_hidden(folder: Path) -> tuple[str, ...]:
+    """A note on files that an operating system has left."""
+    hidden = sorted(path.name for path in folder.iterdir() if path.is_file() and is_hidden(path))
+    shown = ", ".join(hidden[:3]) + (", ..." if len(hidden) > 3 else "")
+    return (f"{len(hidden)} hidden file{'s are' if len(hidden) > 1 else ' is'} skipped: {shown}",) if hidden else ()
+
+
+def _describe_colours(path: Path) -> tuple[str, ...]:
+    if path.suffix.lower() not in TIFF:
+        return ()
+    with tifffile.TiffFile(path) as tif:
+        return choose_colours(tif.series[0].keyframe)[1]
 
 
 def read_picture(path: Path) -> Any:
     """A picture, in colour with red first. Raises InputError where it cannot be read."""
     if path.suffix.lower() in TIFF:
         try:
-            return np.asarray(tifffile.imread(path))
+            return _read_tiff(path)
         except Exception as error:
             raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({first_line(error)})") from None
     try:
@@ -57,3 +129,12 @@ def read_picture(path: Path) -> Any:
     if picture is None:
         raise InputError(f"{path}: cannot be read as a picture, truncated or damaged")
     return picture[..., 2::-1] if picture.ndim == 3 else picture  # OpenCV gives blue first
+
+
+def _read_tiff(path: Path) -> Any:
+    with tifffile.TiffFile(path) as tif:
+        series = tif.series[0]
+        picture, paint = np.asarray(series.asarray()), choose_colours(series.keyframe)[0]
+        if series.axes.endswith("SYX") and picture.ndim == 3:  # red, green and blue apart
+            picture = np.moveaxis(picture, 0, -1)
+    return paint(picture) if paint is not None else picture

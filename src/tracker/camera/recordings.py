@@ -6,17 +6,24 @@ opens only two files of a dataset's clip: the film (``frames.tif``, or an encode
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
+from tracker.camera.camera_notes import describe_frame_rate
+from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
+from tracker.camera.frame_times import agree, find_stride
 from tracker.camera.frames import GREY, Frames, linearise
-from tracker.camera.picture_folder import PICTURES, TIFF, list_pictures, read_picture_folder
+from tracker.camera.picture_folder import PICTURES, TIFF, is_hidden, list_pictures, read_picture_folder
 from tracker.camera.tiff_stack import read_tiff_stack
 from tracker.notes import COLOUR_TO_GREY, MADE_LINEAR, NO_CAMERA_FILE, Note, NoteKind, note_all
 
-VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
+VIDEOS = tuple(
+    ".avi .mkv .mp4 .mov .m4v .mpg .mpeg .webm .qt .mts .m2ts .m2t .ts .vob .dv .3gp .3g2 .wmv .asf .flv .f4v .gif "
+    ".mxf .y4m .ogv .ogg .divx .insv .lrv .mjpeg .mjpg .h264 .264 .h265 .hevc .265 .ivf .nut".split()
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +53,7 @@ class RecordingSource:
     camera: Path | None = None
     dataset: bool = False
     channel: str = GREY
+    options: FilmOptions = DEFAULT_OPTIONS
 
     def __len__(self) -> int:
         return len(self.clips)
@@ -59,12 +67,13 @@ class RecordingSource:
             raise InputError(f"{own}: no such file, expected the clip's camera.json")
         number, frames = self.open_film(index)
         camera = Camera.read(chosen) if chosen is not None else None
-        return make_recording(number, frames, camera, (f"{location}", f"{chosen}")).select_channel(self.channel)
+        names = f"{location}", f"{chosen}"
+        return make_recording(number, frames, camera, names, self.options).select_channel(self.channel)
 
     def open_film(self, index: int) -> tuple[int, Frames]:
         """Number and frames of clip ``index``, whatever its camera."""
         number, location = self.clips[index]
-        return number, open_frames(location)
+        return number, open_frames(location, self.options)
 
     def camera_files(self) -> list[Path]:
         """The camera file of each clip, where there is one."""
@@ -77,16 +86,27 @@ def _camera_beside(location: Path) -> Path:
     return (location.parent if location.is_file() else location) / "camera.json"
 
 
-def make_recording(number: int, frames: Frames, camera: Camera | None, names: tuple[str, str] = ("", "")) -> Recording:
+def make_recording(
+    number: int,
+    frames: Frames,
+    camera: Camera | None,
+    names: tuple[str, str] = ("", ""),
+    options: FilmOptions = DEFAULT_OPTIONS,
+) -> Recording:
     """Frames and their camera as one clip. names: of film and camera, for the InputError where their sizes differ."""
-    size, bits = (frames.shape[2], frames.shape[1]), 8 * frames.dtype.itemsize
+    bits = 8 * frames.dtype.itemsize
+    frames, camera, said = _make_pixels_square(frames, camera)
+    size = (frames.shape[2], frames.shape[1])
     notes = [] if frames.colours is None else [COLOUR_TO_GREY]
-    notes += note_all(NoteKind.FILM, frames.faults, number)
     if camera is None:
+        frames, _, _ = _set_times(frames, Camera.unknown(size, bits), options)
+        notes += note_all(NoteKind.FILM, (*frames.faults, *said), number)
         return Recording(number, Camera.unknown(size, bits), frames, (*notes, NO_CAMERA_FILE))
     if camera.size != size:
         asked = "x".join(map(str, camera.size))
         raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")
+    frames, camera, timing = _set_times(frames, camera, options)
+    notes += [*note_all(NoteKind.FILM, (*frames.faults, *said), number), *timing]
     if camera.sensor.gamma != 1:
         frames, notes = linearise(frames, camera.sensor.gamma), [*notes, MADE_LINEAR]
         camera = replace(camera, sensor=replace(camera.sensor, bits=16))
@@ -95,8 +115,74 @@ def make_recording(number: int, frames: Frames, camera: Camera | None, names: tu
     return Recording(number, camera, frames, tuple(notes))
 
 
-def open_source(path: Path | str, camera: Path | str | None = None) -> RecordingSource:
+def _make_pixels_square(frames: Frames, camera: Camera | None) -> tuple[Frames, Camera | None, tuple[str, ...]]:
+    """Frames as a player shows them where the file says that pixels are not square, the camera of those, and notes.
+
+    The camera file may have the size of the stored or of the shown picture. Its K decides where it has one.
+    """
+    if abs(frames.aspect - 1) < 1e-3:
+        return frames, camera, ()
+    height, width = frames.shape[1:]
+    shown = frames.stretch_pixels()
+    wide, says = shown.shape[2], f"the file says that pixels are {frames.aspect:.4g} times as wide as high"
+    note = f"{says}: the picture is stretched from {width} to {wide} px, in which scale and x, y are"
+    if camera is None or camera.size == (wide, height) or camera.size != (width, height):
+        return shown, camera, (note,)
+    matrix = camera.K.copy()
+    if camera.metric and "K" not in camera.assumed and agree(matrix[0, 0], matrix[1, 1], 0.3 * abs(frames.aspect - 1)):
+        return frames, camera, (f"{says}, but K of the camera file has them square: K is used",)
+    stretch = wide / width
+    matrix[0, 2] = (matrix[0, 2] + 0.5) * stretch - 0.5
+    matrix[0, :2] *= 1.0 if "K" in camera.assumed else stretch
+    return shown, replace(camera, K=matrix, size=(wide, height)), (note,)
+
+
+def _set_times(frames: Frames, camera: Camera, options: FilmOptions) -> tuple[Frames, Camera, list[Note]]:
+    """Frame numbers and times in the camera's clock, the camera with the film's rate, and notes.
+
+    Frames that lie a whole number of frame times apart throughout, such as every second picture, become consecutive.
+    """
+    notes, said = list[Note](), list[str]()
+    frames = copy(frames)
+    stride = find_stride(frames.numbers)
+    rate = frames.fps
+    if options.times == "file":
+        if not rate > 0:
+            raise InputError("--times file: the film states no times, expected a film that does, or --times auto")
+        camera = replace(camera, fps=rate) if camera.metric else camera
+    elif frames.fields and not agree(rate, camera.fps):
+        camera = replace(camera, fps=2 * camera.fps, exposure=min(camera.exposure, 0.5 / camera.fps))
+        said.append(f"fps: {camera.fps:g} fields a second, twice the frames of the camera file")
+    if stride > 1:
+        frames.numbers = frames.numbers // stride
+        is_clock = stride >= 1000 and any(agree(unit / stride, camera.fps, 0.02) for unit in (1e3, 1e6, 1e9))
+        if not agree(rate / stride, camera.fps) and not is_clock and camera.metric:
+            fps = camera.fps / stride
+            said.append(
+                f"fps: one frame in {stride} is there, {fps:g} of {camera.fps:g} a second; if fps in the camera file "
+                "is that of these frames, --times even"
+            )
+            camera = replace(camera, fps=fps)
+        rate /= stride
+    frames.fps = rate
+    notes = describe_frame_rate(camera, rate)
+    if frames.seconds is not None:
+        mean = (len(frames) - 1) / float(frames.seconds[-1]) if len(frames) > 1 else rate
+        if camera.metric and not agree(rate, camera.fps, 0.02) and not agree(mean, camera.fps, 0.02):
+            frames.seconds = frames.seconds * (rate / camera.fps)
+    if not camera.metric:
+        frames.seconds = None
+    return frames, camera, [*note_all(NoteKind.TIMING, said), *notes]
+
+
+def open_source(
+    path: Path | str, camera: Path | str | None = None, options: FilmOptions = DEFAULT_OPTIONS
+) -> RecordingSource:
     """Source behind ``path``; ``camera`` replaces the source's own camera.json. Raises InputError."""
+    return replace(_find_clips(path, camera), options=options)
+
+
+def _find_clips(path: Path | str, camera: Path | str | None) -> RecordingSource:
     location = Path(path)
     given = Path(camera) if camera is not None else None
     if given is not None:
@@ -124,7 +210,7 @@ def open_source(path: Path | str, camera: Path | str | None = None) -> Recording
 def _dataset(location: Path, camera: Path | None) -> RecordingSource:
     clips = []
     for folder in sorted((location / "clips").iterdir()):
-        if folder.is_dir() and folder.name.isdecimal():
+        if folder.is_dir() and not is_hidden(folder) and folder.name.isdecimal():
             film = _film(folder)
             if film is None:
                 raise InputError(
@@ -143,16 +229,16 @@ def _film(folder: Path) -> Path | None:
     return next((film for film in films if film.is_file()), None)
 
 
-def open_frames(location: Path) -> Frames:
+def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
     """Frames of a stack, a video or a folder of pictures."""
     if location.is_dir():
-        frames = read_picture_folder(location)
+        frames = read_picture_folder(location, options)
     elif location.suffix.lower() in TIFF:
-        frames = read_tiff_stack(location)
+        frames = read_tiff_stack(location, options)
     else:
         from tracker.camera.video import read_video  # here alone: FFmpeg's libraries are slow to load
 
-        frames = read_video(location)
+        frames = read_video(location, options)
     check_two_frames(location, frames)
     return frames
 

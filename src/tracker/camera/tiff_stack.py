@@ -1,4 +1,8 @@
-"""Reads TIFF stacks, a frame at a time."""
+"""Reads TIFF stacks, a frame at a time.
+
+The metadata say which axis is time (ImageJ, OME, tifffile's own). Where none is, the longest other axis is taken. Other
+axes, such as channels and focal planes, are reduced to one entry, the first or the one that the user selects.
+"""
 
 from __future__ import annotations
 
@@ -7,43 +11,98 @@ import math
 import struct
 import sys
 import weakref
+import xml.etree.ElementTree
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from logging.handlers import BufferingHandler
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
+from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
+from tracker.camera.frame_times import FilmClock, drop_repeated, measure_changes, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 
+AXIS_NAMES = {"C": "channel", "Z": "focal plane", "S": "sample of a pixel", "P": "position", "R": "position"}
 
-def read_tiff_stack(path: Path) -> Frames:
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Where the frames of a stack lie: as pages, or one after the other from an offset."""
+
+    plane: tuple[int, ...]  # shape of a page
+    axes: str  # of a page, of Y, X, S
+    pages: NDArray[np.int64]  # of each frame, its page
+    total: int  # pages in the file
+    dtype: np.dtype[Any]
+    offset: int | None
+    notes: tuple[str, ...]
+    sample: int | None  # the sample of a pixel that is taken, where it is no colour
+
+
+def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
     """Frames of a TIFF stack. Raises InputError if it is damaged."""
     try:
         with _raise_logged_errors(path), tifffile.TiffFile(path) as tif:
-            shape, dtype, colour, offset = _layout(path, tif)
+            layout = _read_layout(path, tif, options)
             order = tif.byteorder
+            paint, notes = choose_colours(tif.series[0].keyframe)
+            clock = _read_times(tif, layout) if options.times != "even" else None
     except (tifffile.TiffFileError, OSError, IndexError, KeyError, struct.error) as error:
         raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({first_line(error)})") from None
-    plane = shape[-3:] if colour else shape[-2:]
-    if len(shape) < len(plane) or 0 in shape:
-        raise InputError(f"{path}: expected a stack of pictures, not an array of {shape}")
-    check_frame_size(path, plane)
-    count = int(np.prod(shape[: len(shape) - len(plane)], dtype=np.int64))
-    check_pixel_type(path, dtype)
-    if offset is not None:
-        fetch = _read_by_offset(path, offset, count, plane, dtype.newbyteorder(order))
+    if 0 in layout.plane:
+        raise InputError(f"{path}: expected a stack of pictures, not an array of {layout.plane}")
+    check_frame_size(path, tuple(layout.plane[layout.axes.index(axis)] for axis in "YX"))
+    check_pixel_type(path, layout.dtype)
+    read: Callable[[int], Any]
+    if layout.offset is not None:
+        read = _read_by_offset(path, layout, layout.dtype.newbyteorder(order))
     else:
-        fetch = _read_pages(path, plane)
+        read = _read_pages(path, layout)
         try:
-            fetch(count - 1)
+            read(len(layout.pages) - 1)
         except InputError:
-            raise InputError(f"{path}: truncated, frame {count - 1} of {count} cannot be read") from None
-    return make_grey_frames(path, count, plane, dtype, fetch)
+            last = len(layout.pages) - 1
+            raise InputError(f"{path}: truncated, frame {last} of {last + 1} cannot be read") from None
+
+    def fetch(k: int) -> Any:
+        picture = read(k)
+        if layout.axes == "SYX":
+            picture = np.moveaxis(picture, 0, -1)
+        if layout.sample is not None:
+            picture = np.ascontiguousarray(picture[..., layout.sample])
+        return paint(picture) if paint is not None else picture
+
+    first = fetch(0)
+    frames = make_grey_frames(path, len(layout.pages), first.shape, first.dtype, fetch)
+    frames.faults = (*layout.notes, *notes)
+    if clock is not None:
+        frames.numbers, frames.seconds, frames.fps = clock.numbers, clock.seconds, clock.fps
+        frames.faults += clock.notes
+    return drop_repeated(frames, measure_changes(read, len(frames)))
+
+
+def choose_colours(page: Any) -> tuple[Callable[[Any], Any] | None, tuple[str, ...]]:
+    """What turns the pixels of a TIFF page into light, where they are not: inverted counts, or entries of a palette."""
+    photometric, bits = int(page.photometric), int(page.bitspersample)
+    if photometric == 0:  # MinIsWhite
+        top = 2**bits - 1
+        return (lambda picture: (top - picture).astype(picture.dtype)), ("MinIsWhite: counts are inverted",)
+    if photometric == 3 and page.colormap is not None:
+        colours = np.asarray(page.colormap).T  # red, green and blue of each entry, 16 bit
+        if np.ptp(colours, axis=1).max() == 0 and np.array_equal(colours[:, 0] >> 8, np.arange(len(colours))):
+            return None, ()  # grey as it is
+        table = (colours >> 8).astype(np.uint8)
+        grey = np.ptp(table, axis=1).max() == 0
+        table = table[:, 0].copy() if grey else table
+        return (lambda picture: table[picture]), (f"palette: converted to {'grey' if grey else 'colours'}",)
+    return None, ()
 
 
 @contextmanager
@@ -64,47 +123,132 @@ def _raise_logged_errors(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: truncated or damaged ({message.splitlines()[0][:120]})")
 
 
-def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, bool, int | None]:
-    """Shape, type, whether in colour, and where the pixels start if they lie in one piece."""
-    series = tif.series[0]
-    shape, dtype, offset = tuple(series.shape), np.dtype(series.dtype), series.dataoffset
-    colour = series.axes[-1:] == "S" and shape[-1] in (2, 3, 4)
+def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _Layout:
+    series, wanted = tif.series[0], options.indices()
+    page, offset, dtype = series.keyframe, series.dataoffset, np.dtype(series.dtype)
+    plane, axes = tuple(page.shape), str(page.axes)
     if len(tif.series) > 1:  # pages that no program declared to be one stack
-        if any(s.shape != shape or s.dtype != dtype for s in tif.series):
+        if any(s.shape != series.shape or s.dtype != series.dtype for s in tif.series):
             raise InputError(f"{path}: pages of unequal size or type, expected all the same")
-        plane = shape[-3:] if colour else shape[-2:]
-        return (len(tif.pages), *plane), dtype, colour, None
-    return shape, dtype, colour, None if offset is None else int(offset)
+        outer: tuple[int, ...] = (len(tif.pages),)
+        letters, offset = "T", None
+    else:
+        outer, letters = tuple(series.shape), str(series.axes)
+        inner = len(letters) - next((n for n in range(len(letters)) if math.prod(outer[n:]) == math.prod(plane)), 0)
+        outer, letters = outer[: len(letters) - inner], letters[: len(letters) - inner]
+    if set(axes) - set("SYX") or not {"Y", "X"} <= set(axes):
+        raise InputError(f"{path}: pages with axes {axes}, expected pictures")
+    samples, sample, notes = plane[axes.index("S")] if "S" in axes else 1, None, list[str]()
+    if samples > 4 or "S" in wanted:
+        sample = _select(path, "S", samples, wanted, notes)
+    lengths = dict(zip(letters, outer, strict=True))
+    time = _find_time(lengths)
+    chosen = {a: _select(path, a, n, wanted, notes) for a, n in lengths.items() if a != time}
+    if absent := sorted(set(wanted) - set(chosen) - {"S"} - {a for a, n in lengths.items() if n == 1}):
+        there = ", ".join(f"{a} ({n})" for a, n in lengths.items()) or "none"
+        raise InputError(f"{path}: --select {absent[0]}: no such axis beside time, expected one of {there}")
+    count = lengths.get(time, 1)
+    index = tuple(np.arange(count) if axis == time else np.full(count, chosen[axis]) for axis in letters)
+    pages = np.ravel_multi_index(index, outer) if outer else np.zeros(1)
+    if time not in ("", "T") and len([n for n in outer if n > 1]) > 1:
+        notes.append(f"axis {time} ({AXIS_NAMES.get(time, 'frames')}) is taken as time, because the file names no time")
+    return _Layout(
+        plane=plane,
+        axes=axes,
+        pages=np.asarray(pages, dtype=np.int64),
+        total=math.prod(outer),
+        dtype=dtype,
+        offset=None if offset is None else int(offset),
+        notes=tuple(notes),
+        sample=sample,
+    )
 
 
-def _read_by_offset(path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any) -> Callable[[int], Any]:
+def _find_time(lengths: dict[str, int]) -> str:
+    """The axis that is time: T, else the longest that is no channel, else the longest; "" of a single picture."""
+    if lengths.get("T", 0) > 1:
+        return "T"
+    others = {axis: n for axis, n in lengths.items() if n > 1}
+    frames = {axis: n for axis, n in others.items() if axis != "C"} or others
+    return max(frames, key=lambda axis: frames[axis]) if frames else "T" if "T" in lengths else ""
+
+
+def _select(path: Path, axis: str, count: int, wanted: dict[str, int], notes: list[str]) -> int:
+    """The entry of an axis that is not time; a note says which."""
+    chosen = wanted.get(axis, 0)
+    if chosen >= count:
+        raise InputError(f"{path}: --select {axis}={chosen}: expected 0 to {count - 1}")
+    if count > 1:
+        name = AXIS_NAMES.get(axis, "axis")
+        notes.append(f"{name} {chosen} of {count} (0 to {count - 1}) is taken; --select {axis}=N takes another")
+    return chosen
+
+
+def _read_by_offset(path: Path, layout: _Layout, dtype: np.dtype[Any]) -> Callable[[int], Any]:
     """A reader of frames that lie one after the other, by their offset in the file; no more than one is held."""
-    pixels = math.prod(plane)
-    missing = offset + count * pixels * dtype.itemsize - path.stat().st_size
+    pixels, count = math.prod(layout.plane), len(layout.pages)
+    assert layout.offset is not None
+    start = layout.offset
+    missing = start + layout.total * pixels * dtype.itemsize - path.stat().st_size
     if missing > 0:
-        raise InputError(f"{path}: truncated, {missing} bytes short of {count} frames")
+        raise InputError(f"{path}: truncated, {missing} bytes short of {layout.total} frames")
     file = path.open("rb", buffering=0)
 
     def fetch(k: int) -> Any:
         flat = np.empty(pixels, dtype=dtype)
-        file.seek(offset + k * flat.nbytes)
+        file.seek(start + int(layout.pages[k]) * flat.nbytes)
         if file.readinto(flat.view(np.uint8).data) < flat.nbytes:
             raise InputError(f"{path}: truncated, frame {k} of {count} cannot be read")
-        return flat.reshape(plane).astype(dtype.newbyteorder("="), copy=False)
+        return flat.reshape(layout.plane).astype(dtype.newbyteorder("="), copy=False)
 
     weakref.finalize(fetch, file.close)
     return fetch
 
 
-def _read_pages(path: Path, plane: tuple[int, ...]) -> Callable[[int], Any]:
+def _read_pages(path: Path, layout: _Layout) -> Callable[[int], Any]:
     """A reader of frames that are compressed or apart, one page of the file each; the file stays open between them."""
     file = tifffile.TiffFile(path)
+    pages: Any = file.pages if len(file.series) > 1 else file.series[0].pages
 
     def fetch(k: int) -> Any:
         try:
-            return np.asarray(file.pages[k].asarray()).reshape(plane)
+            page = pages[int(layout.pages[k])]
+            if page is None:
+                raise ValueError("the file does not hold it")
+            return np.asarray(page.asarray()).reshape(layout.plane)
         except Exception as error:  # decoders raise their own kinds
             raise InputError(f"{path}: frame {k} cannot be read ({first_line(error)})") from None
 
     weakref.finalize(fetch, file.close)
     return fetch
+
+
+def _read_times(tif: tifffile.TiffFile, layout: _Layout) -> FilmClock | None:
+    """The clock of a stack: OME's DeltaT or TimeIncrement, ImageJ's interval."""
+    unit = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "µs": 1e-6, "us": 1e-6, "min": 60.0, "": 1.0}
+    if tif.ome_metadata:
+        return _read_ome_times(tif.ome_metadata, len(layout.pages), unit)
+    known = tif.imagej_metadata or {}
+    interval = known.get("finterval", 0)
+    seconds = unit.get(str(known.get("tunit", "s")).strip().lower(), math.nan)
+    if isinstance(interval, int | float) and interval > 0 and seconds > 0:
+        return FilmClock(np.arange(len(layout.pages)), 1 / (interval * seconds))
+    return None
+
+
+def _read_ome_times(text: str, count: int, unit: dict[str, float]) -> FilmClock | None:
+    try:
+        pixels = next(e for e in xml.etree.ElementTree.fromstring(text).iter() if e.tag.endswith("}Pixels"))
+        times = dict[int, float]()
+        for plane in (e for e in pixels if e.tag.endswith("}Plane")):
+            seconds = unit.get(plane.get("DeltaTUnit", "s"), math.nan)
+            times.setdefault(int(plane.get("TheT", "0")), float(plane.get("DeltaT", "nan")) * seconds)
+        if len(times) == count:
+            # OME writes times with the digits of a float
+            ticks = np.array([times[k] for k in sorted(times)])
+            if (clock := read_clock(np.round(ticks * 1e6), 1e-6, "DeltaT")) is not None:
+                return clock
+        step = float(pixels.get("TimeIncrement", "nan")) * unit.get(pixels.get("TimeIncrementUnit", "s"), math.nan)
+    except (StopIteration, ValueError, xml.etree.ElementTree.ParseError):
+        return None
+    return FilmClock(np.arange(count), 1 / step) if step > 0 else None

@@ -2,7 +2,11 @@
 
 Counts are luma: the counts of a grey picture, or the Y' plane of Y'CbCr, which the file's own matrix (ITU-R BT.601 or
 709) made from red, green and blue. A limited range, black at 16 and white at 235, is stretched to 0 and 255, as the
-camera had it before the encoder; each code keeps a count of its own.
+camera had it before the encoder; each code keeps a count of its own. Encoders with loss leave less than a count of 255,
+so that their 10 and 12 bits are read as 8.
+
+Times are the file's time stamps. Fields of interlaced frames become frames of their own, with lines between by
+interpolation.
 """
 
 from __future__ import annotations
@@ -23,6 +27,8 @@ from av.video.reformatter import ColorRange
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
+from tracker.camera.frame_times import agree, drop_repeated, read_clock
 from tracker.camera.frames import Frames, check_frame_size, make_grey_frames
 
 LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
@@ -39,10 +45,14 @@ class _VideoContents:
     times: list[int | None]
     keys: list[int]
     damaged: list[int]
+    changes: list[float]
+    fields: _FieldOrder
     tick: float
     fps: float
-    promised: int
-    square: bool
+    promised: int  # frames that the file says it has; 0 where it does not say
+    length: float  # s
+    aspect: float
+    streams: int
 
     @property
     def has_times(self) -> bool:
@@ -51,7 +61,33 @@ class _VideoContents:
         return len(known) == len(self.times) and all(a < b for a, b in pairwise(known))
 
 
-def read_video(path: Path) -> Frames:
+@dataclass
+class _FieldOrder:
+    """Sums of squared differences between fields: those of a frame, and across to the next frame in both orders."""
+
+    flagged: bool = False
+    inside: float = 0.0
+    top_first: float = 0.0
+    bottom_first: float = 0.0
+
+    def add(self, before: NDArray[Any], after: NDArray[Any]) -> None:
+        """Compares two frames; an odd last line is left out."""
+        height = len(after) // 2 * 2
+        top, bottom, top_next, bottom_next = before[:height:2], before[1:height:2], after[:height:2], after[1:height:2]
+        self.inside += cv2.norm(top_next, bottom_next, cv2.NORM_L2SQR)
+        self.top_first += cv2.norm(bottom, top_next, cv2.NORM_L2SQR)
+        self.bottom_first += cv2.norm(top, bottom_next, cv2.NORM_L2SQR)
+
+    def find_first(self) -> int | None:
+        """The field that is exposed first, 0 for the top; None where both show one instant."""
+        late = max(self.top_first, self.bottom_first) - self.inside
+        order = self.top_first - self.bottom_first
+        if not self.flagged or abs(order) < 0.3 * late or late <= 0:
+            return None
+        return 0 if order < 0 else 1
+
+
+def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
     """Frames of a video; ``faults`` say what is wrong with its file."""
     try:
         found = _scan_video(path)
@@ -59,23 +95,79 @@ def read_video(path: Path) -> Frames:
         found = None
     if found is None:
         raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
-    grey, deep, coloured = _choose_conversion(found.first)
+    lossy = found.codec not in LOSSLESS
+    grey, deep, coloured = _choose_conversion(found.first, lossy)
     first = grey(found.first)
     dtype = np.dtype(np.uint16 if deep else np.uint8)
     reader = _VideoReader(path, found, grey)
     frames = make_grey_frames(path, len(found.times), first.shape, dtype, reader)
-    frames.fps, frames.lossy = found.fps, found.codec not in LOSSLESS
+    frames.fps, frames.lossy, frames.aspect = found.fps, lossy, found.aspect
     if coloured:
         frames.colours = _VideoReader(path, found, _make_rgb_reader(found.first, deep))
-    frames.faults = tuple(_describe_faults(found))
-    return frames
+    faults = list(_describe_faults(found))
+    clock = read_clock(found.times, found.tick, "the time stamps") if found.has_times else None  # type: ignore[arg-type]
+    if clock is not None and options.times != "even":
+        frames.numbers, frames.seconds = clock.numbers, clock.seconds
+        if not agree(found.fps, clock.fps, 1e-3):
+            frames.fps = clock.fps
+        faults += clock.notes
+    frames.faults = tuple(faults)
+    order = found.fields.find_first() if not _quarter_turns(found.first) else None
+    if options.fields != "auto":
+        order = (order or 0) if options.fields == "separate" else None
+    if order is not None:
+        return _separate_fields(frames, order)
+    if found.fields.flagged and options.fields == "auto":
+        frames.faults += ("the file says interlaced, but both fields of a frame show one instant; --fields separate",)
+    return drop_repeated(frames, np.array(found.changes))
+
+
+def _separate_fields(frames: Frames, order: int) -> Frames:
+    """Two frames of each: its fields in the order of time, with the lines between by interpolation."""
+    height = frames.shape[1]
+
+    lines = np.arange(height)
+
+    def fill(picture: NDArray[Any], parity: int) -> NDArray[Any]:
+        between = (lines - parity) % 2  # 1 for a line of the other field
+        above, below = lines - between, lines + between
+        above = np.where(above < 0, below, above)
+        below = np.where(below >= height, above, below)
+        mean: NDArray[Any] = ((picture[above].astype(np.uint32) + picture[below] + 1) // 2).astype(picture.dtype)
+        return mean
+
+    def fetch(source: Callable[[int], Any]) -> Callable[[int], Any]:
+        return lambda k: fill(source(k // 2), (k + order) % 2)
+
+    out = Frames(2 * len(frames), frames.shape[1:], frames.dtype, fetch(frames.__getitem__))
+    out.numbers = np.repeat(2 * frames.numbers, 2) + np.tile([0, 1], len(frames))
+    if frames.seconds is not None:
+        out.seconds = np.repeat(frames.seconds, 2) + np.tile([0, 0.5 / frames.fps], len(frames))
+    out.fps, out.lossy, out.aspect, out.fields = 2 * frames.fps, frames.lossy, frames.aspect, True
+    if frames.colours is not None:
+        out.colours = fetch(frames.colours)
+    first = ("upper", "lower")[order]
+    note = f"interlaced: the two fields of each frame, the {first} first, are frames of their own; --fields weave"
+    out.faults = (*frames.faults, note)
+    return out
 
 
 def _open_stream(path: Path) -> tuple[Any, Any]:
     container = av.open(str(path))
-    stream = container.streams.video[0]
+    if not container.streams.video:
+        container.close()
+        raise IndexError("no video")
+    stream = max(container.streams.video, key=_judge_stream)
     stream.thread_type = "AUTO"
     return container, stream
+
+
+def _judge_stream(stream: Any) -> tuple[bool, bool, float, int]:
+    """Orders video streams: a cover picture is none, then the longest and the first."""
+    cover = int(stream.disposition) & 0x400 != 0  # AV_DISPOSITION_ATTACHED_PIC
+    picture = stream.codec_context is not None and stream.codec_context.name in ("mjpeg", "png", "bmp", "gif", "webp")
+    length = float(stream.duration * stream.time_base) if stream.duration and stream.time_base else 0.0
+    return not cover, not (picture and stream.frames == 1), length, -stream.index
 
 
 def _decode(container: Any, stream: Any, failed: Callable[[], None] = lambda: None) -> Iterator[VideoFrame]:
@@ -102,6 +194,7 @@ def _scan_video(path: Path) -> _VideoContents | None:
         damaged: list[int] = []
         times: list[int | None] = []
         keys: list[int] = []
+        before: NDArray[Any] | None = None
         for frame in _decode(container, stream, lambda: damaged.append(len(times))):
             if found is None:
                 check_frame_size(path, (frame.height, frame.width))
@@ -111,10 +204,14 @@ def _scan_video(path: Path) -> _VideoContents | None:
                     times=times,
                     keys=keys,
                     damaged=damaged,
+                    changes=[],
+                    fields=_FieldOrder(),
                     tick=float(stream.time_base or 0),
                     fps=float(stream.average_rate or stream.guessed_rate or 0),
-                    promised=_count_promised_frames(stream),
-                    square=stream.sample_aspect_ratio in (None, 0, 1),
+                    promised=int(stream.frames),
+                    length=_measure_length(stream),
+                    aspect=float(stream.sample_aspect_ratio or 1),
+                    streams=sum(_judge_stream(other)[:2] == (True, True) for other in container.streams.video),
                 )
             elif (frame.width, frame.height) != (found.first.width, found.first.height):
                 has, wants = (f"{f.width}x{f.height}" for f in (frame, found.first))
@@ -124,37 +221,39 @@ def _scan_video(path: Path) -> _VideoContents | None:
             if frame.key_frame:
                 keys.append(len(times))
             times.append(frame.pts)
+            after = _plane(frame, 0, 8 if frame.format.components[0].bits <= 8 else 16)
+            found.fields.flagged |= frame.interlaced_frame
+            if before is not None:
+                found.changes.append(cv2.norm(before, after, cv2.NORM_L2SQR))
+                if frame.interlaced_frame and frame.height > 2:
+                    found.fields.add(before, after)
+            before = after
         return found
 
 
-def _count_promised_frames(stream: Any) -> int:
-    """Frames that the file says it has; 0 where it does not say."""
-    if stream.frames:
-        return int(stream.frames)
-    length = stream.duration * stream.time_base if stream.duration else (stream.container.duration or 0) / av.time_base
-    return int(length * (stream.average_rate or 0))
+def _measure_length(stream: Any) -> float:
+    """Length that the file says it has, s; 0 where it does not say."""
+    return float(
+        stream.duration * stream.time_base if stream.duration else (stream.container.duration or 0) / av.time_base
+    )
 
 
 def _describe_faults(found: _VideoContents) -> Iterator[str]:
     """Lines on what in a video is not as one would expect."""
-    count = len(found.times)
-    if count < 0.99 * found.promised - 1:
-        yield f"truncated or damaged: {count} of the {found.promised} frames that the file promises can be decoded"
+    count, promised = len(found.times), found.promised
+    if not promised and found.has_times and count > 1:
+        mean_step = (found.times[-1] - found.times[0]) * found.tick / (count - 1)  # type: ignore[operator]
+        promised = int(found.length / mean_step) if mean_step > 0 else 0
+    elif not promised:
+        promised = int(found.length * found.fps)
+    if count < 0.99 * promised - 1:
+        yield f"truncated or damaged: {count} of the {promised} frames that the file promises can be decoded"
     if found.damaged:
         yield f"damaged: {len(found.damaged)} frames could not be decoded whole, the first at frame {found.damaged[0]}"
-    if found.first.interlaced_frame:
-        yield "interlaced: each frame holds two instants; positions are off where balls move"
-    if not found.square:
-        yield "the file says that pixels are not square; they are taken as square"
-    if not found.has_times or count < 3:
-        return
-    apart = np.diff(np.array(found.times, dtype=np.float64)) * found.tick
-    usual = float(np.median(apart))
-    odd = np.flatnonzero(np.abs(apart - usual) > max(0.05 * usual, 1.5 * found.tick))
-    if len(odd):
-        times = f"{1e3 * usual:.4g} ms between frames, but {1e3 * apart[odd[0]]:.4g} ms after frame {odd[0]}"
-        more = f" and {len(odd) - 1} more such" if len(odd) > 1 else ""
-        yield f"uneven frame rate: the file has {times}{more}; frames are taken as evenly spaced"
+    if found.streams > 1:
+        yield f"the file has {found.streams} videos: the longest is taken"
+    if not found.has_times and any(time is not None for time in found.times):
+        yield "time stamps are missing or go backwards; frames are taken as evenly spaced"
 
 
 class _VideoReader:
@@ -191,7 +290,11 @@ class _VideoReader:
             self._open()
         elif self.at is not None and not key <= self.next <= k:
             container, stream = self.source
-            container.seek(self.times[key], stream=stream)
+            try:
+                container.seek(self.times[key], stream=stream)
+            except av.error.FFmpegError:  # a format that cannot be searched
+                self._open()
+                return
             self.numbered, self.next = self._numbers(_decode(container, stream)), key
 
     def _decode_up_to(self, k: int) -> VideoFrame | None:
@@ -220,18 +323,20 @@ class _VideoReader:
             self.source[0].close()
 
 
-def _choose_conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, bool]:
+def _choose_conversion(first: VideoFrame, lossy: bool) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, bool]:
     """How frames become counts (or red, green and blue), whether in 16 bits, and whether chroma is left out."""
     layout, turn = first.format, _quarter_turns(first)
     bits = max(part.bits for part in layout.components)
     if layout.is_rgb or layout.has_palette or layout.is_bayer:
-        return _make_rgb_reader(first, bits > 8), bits > 8, False
+        deep = bits > 8 and not lossy
+        return _make_rgb_reader(first, deep), deep, False
     other = "" if LUMA_FIRST.fullmatch(layout.name) else "yuv444p16le" if bits > 8 else "yuv444p"
     bits = 16 if other == "yuv444p16le" else bits
     full = first.color_range == ColorRange.JPEG or layout.name.startswith("yuvj")
     if layout.name.startswith("gray"):
         full = first.color_range != ColorRange.MPEG
-    table = None if full else _full_range(bits)
+    deep = bits > 8 and not lossy
+    table = None if full and (deep or bits == 8) else _make_counts(bits, full, bits if deep else 8)
 
     def luma(frame: VideoFrame) -> NDArray[Any]:
         plane = _plane(frame.reformat(format=other) if other else frame, 0, bits)
@@ -241,7 +346,7 @@ def _choose_conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArra
             counts = plane.copy() if table is None else table[plane]
         return np.ascontiguousarray(np.rot90(counts, turn)) if turn else counts
 
-    return luma, bits > 8, _has_colour(first)
+    return luma, deep, _has_colour(first)
 
 
 def _make_rgb_reader(first: VideoFrame, deep: bool) -> Callable[[VideoFrame], NDArray[Any]]:
@@ -262,12 +367,12 @@ def _plane(frame: VideoFrame, index: int, bits: int) -> NDArray[Any]:
     return rows.reshape(plane.height, plane.line_size // dtype.itemsize)[:, : plane.width]
 
 
-def _full_range(bits: int) -> NDArray[Any]:
-    """Counts by code, black 0 and white 2^bits - 1."""
-    black, white = 16, 235  # of 8 bits, in a limited range
-    unit, top = 2.0 ** (bits - 8), 2.0**bits - 1
-    counts = (np.arange(2**bits) - black * unit) * top / ((white - black) * unit)
-    return np.clip(np.rint(counts), 0, top).astype(np.uint8 if bits == 8 else np.uint16)
+def _make_counts(bits: int, full: bool, wanted: int) -> NDArray[Any]:
+    """Counts of so many wanted bits by code, black 0 and white 2^wanted - 1."""
+    black, white = (0.0, 2.0**bits - 1) if full else (16 * 2.0 ** (bits - 8), 235 * 2.0 ** (bits - 8))
+    top = 2.0**wanted - 1
+    counts = (np.arange(2**bits) - black) * top / (white - black)
+    return np.clip(np.rint(counts), 0, top).astype(np.uint8 if wanted == 8 else np.uint16)
 
 
 def _has_colour(frame: VideoFrame) -> bool:

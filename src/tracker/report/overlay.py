@@ -24,7 +24,8 @@ Picture = NDArray[np.uint8]
 class Overlay:
     """Frames first to last of a recording with the positions, outlines and paths of the balls.
 
-    events: times (s) and captions. trail: number of frames for which a path is shown. max_width: of a picture, px.
+    first, last: counted in the file. events: times (s) and captions. trail: number of frames for which a path is shown.
+    max_width: of a picture, px.
     """
 
     frames: Frames
@@ -51,7 +52,7 @@ class Overlay:
             else:
                 large = cv2.resize(grey.astype(np.uint8), None, fx=times, fy=times, interpolation=cv2.INTER_AREA)
             picture: Any = cv2.cvtColor(large, cv2.COLOR_GRAY2RGB)
-            self._draw(picture, k, times)
+            self._draw(picture, int(self.frames.numbers[k]), times)
             height, width = (n - n % 2 for n in picture.shape[:2])  # H.264 needs even sizes
             yield np.ascontiguousarray(picture[:height, :width])
 

@@ -122,7 +122,8 @@ class RecordingPage:
     def _film(self, folder: Path, views: Sequence[CollisionView | None]) -> str:
         if self.frames is None:
             return "The tracks came without a film."
-        contacts = [row["t_c"] * self.camera.fps for row in self.collisions]
+        numbers = self.frames.numbers
+        contacts = [float(np.searchsorted(numbers, row["t_c"] * self.camera.fps)) for row in self.collisions]
         first, last = choose_frames(len(self.frames), contacts)
         overlay = Overlay(self.frames, self.tracks, self.camera, first, last, list_events(self.collisions))
         film = encode_mp4(overlay)
@@ -143,7 +144,8 @@ class RecordingPage:
                 for frame, (x, y) in zip(track.frame.tolist(), off.tolist(), strict=True):
                     residuals.setdefault((track.particle, frame), (x, y))
         tracks, steps = self.tracks, []
-        for k in range(first, last + 1):
+        shown = self.frames.numbers[first : last + 1] if self.frames is not None else range(first, last + 1)
+        for k in map(int, shown):
             balls = []
             for row in np.flatnonzero(tracks.frame == k):
                 particle = int(tracks.particle[row])

@@ -15,7 +15,7 @@ KINDS = {  # by name: codec, pixels, options, counts, and their usual error
     "h264.mp4": ("libx264", "yuv420p", {"crf": "12", "g": "12"}, FULL, 1.5),
     "h264.mov": ("libx264", "yuv422p", {"crf": "12", "bf": "3"}, FULL, 1.5),
     "full.mkv": ("libx264", "yuvj420p", {"crf": "12"}, CODES, 1.5),
-    "deep.mkv": ("libx264", "yuv420p10le", {"crf": "12"}, (4.0 * CODES - 64) * 1023 / 876, 6),
+    "deep.mkv": ("libx264", "yuv420p10le", {"crf": "12"}, FULL, 1.5),
     "mjpeg.avi": ("mjpeg", "yuvj420p", {}, CODES, 5),
     "vp9.webm": ("libvpx-vp9", "yuv420p", {"crf": "5", "b": "0"}, FULL, 2),
     "mpeg.mpg": ("mpeg2video", "yuv420p", {"b": "4000000"}, FULL, 3),
@@ -40,7 +40,7 @@ def test_counts_are_those_before_the_encoder(folder, name, capfd):
     film = np.array(list(frames))
     assert film.shape == true.shape
     assert np.sqrt(np.mean((film - true) ** 2)) <= error + 0.3 * (true is FULL)
-    assert frames.dtype == (np.uint16 if "10le" in KINDS[name][1] else np.uint8)
+    assert frames.dtype == (np.uint16 if name == "grey10.mkv" else np.uint8)  # 10 bits of a lossy codec are read as 8
     assert (frames.faults, frames.fps) == ((), 25)
     assert capfd.readouterr() == ("", "")
 
@@ -74,14 +74,6 @@ def test_a_film_in_colour_is_its_luma_and_said_to_be_converted(tmp_path):
     assert np.abs(frames[1] - 255 * 0.2126).max() < 1
 
 
-def test_uneven_times_are_said_with_where(tmp_path):
-    even = encode(tmp_path / "even.mp4", CODES)
-    dropped = encode(tmp_path / "dropped.mp4", CODES, times=[k + 2 * (k > 21) for k in range(40)])
-    assert open_frames(even).faults == ()
-    (fault,) = open_frames(dropped).faults
-    assert fault.startswith("uneven frame rate: the file has 40 ms between frames, but 120 ms after frame 21;")
-
-
 def test_a_truncated_film_gives_what_can_be_decoded(folder, tmp_path, capfd):
     for name in ("mjpeg.avi", "grey.mkv", "full.mkv"):
         whole = (folder / name).read_bytes()
@@ -101,7 +93,8 @@ def test_a_damaged_film_is_read_on_and_said(folder, tmp_path, capfd):
     (tmp_path / "film.mkv").write_bytes(data)
     frames = open_frames(tmp_path / "film.mkv")
     assert len(list(frames)) == len(frames) >= 20
-    assert "damaged" in frames.faults[0]
+    assert f"{40 - len(frames)} frames are missing by the time stamps" in frames.faults[0]
+    assert frames.numbers[-1] == 39
     assert capfd.readouterr() == ("", "")
 
 

@@ -1,0 +1,159 @@
+"""Times of frames by the film's own clock: time stamps, numbers of pictures, repeated frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam_shared.errors import InputError
+from tracker.camera.frames import Frames
+from tracker.camera.lens import Array
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class FilmClock:
+    """The place of each stored frame in time.
+
+    Attributes
+    ----------
+    numbers : ndarray of int, shape (n,)
+        Frame times after the first frame: consecutive where no frame is missing.
+    fps : float
+        Frames a second by this clock; 0 if unknown.
+    seconds : ndarray of shape (n,), optional
+        Time of each frame by this clock, s; None where frames are evenly spaced by their numbers.
+    notes : tuple of str
+        Missing frames and uneven times.
+    """
+
+    numbers: Ints
+    fps: float = 0.0
+    seconds: Array | None = None
+    notes: tuple[str, ...] = ()
+
+
+def read_clock(ticks: Sequence[float] | Array, tick: float, source: str) -> FilmClock | None:
+    """Read the times of frames; None of less than three, or of times that do not grow.
+
+    ticks: time of each frame; tick: their unit, s; source: where they come from, for notes.
+    """
+    given = np.asarray(ticks, dtype=np.float64)
+    if len(given) < 3 or not np.isfinite(given).all() or not (np.diff(given) > 0).all() or not tick > 0:
+        return None
+    times = (given - given[0]) * tick
+    steps = np.diff(times)
+    # Times may be rounded more coarsely than their unit, as milliseconds in ticks of 1/90000 s.
+    whole = np.rint(np.diff(given)).astype(np.int64)
+    coarse = float(np.gcd.reduce(whole)) * tick if np.array_equal(whole, np.diff(given)) else tick
+    usual = float(np.median(steps))
+    multiples = steps / usual
+    numbers = np.arange(len(times))
+    # 0.2 % of a step is what a moving ball may be off before that shows: 0.02 px at 10 px a frame
+    tolerance = max(1.01 * coarse if coarse < 0.7 * usual else 0.0, 0.002 * usual)
+    if np.abs(multiples - np.rint(multiples)).max() > 1e-6 and _off_line(numbers, times)[0] <= tolerance:
+        return FilmClock(numbers, 1 / _off_line(numbers, times)[1])
+    step = usual if coarse < 0.1 * usual else float(steps[steps < 1.5 * usual].mean())
+    numbers = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / step), 1))]).astype(np.int64)
+    off, step = _off_line(numbers, times)
+    lost = describe_missing(numbers, 1 / step, source)
+    if off <= tolerance:
+        return FilmClock(numbers, 1 / step, notes=lost)
+    low, high = (1e3 * float(np.quantile(steps, share)) for share in (0.02, 0.98))
+    uneven = f"frame times are uneven, {low:.4g} to {high:.4g} ms apart by {source}; each frame has its own (t_s)"
+    return FilmClock(numbers, 1 / usual, times, (uneven, *lost))
+
+
+def _off_line(numbers: Ints, times: Array) -> tuple[float, float]:
+    """How far times are at most from even ones, s, and the step of those."""
+    step, first = np.polyfit(numbers, times, 1)
+    return float(np.abs(first + step * numbers - times).max()), float(step)
+
+
+def describe_missing(numbers: Ints, fps: float, source: str) -> tuple[str, ...]:
+    """A note on frames that are missing, with frames and times (fps 0: without times)."""
+    steps = np.diff(numbers)
+    usual = int(np.gcd.reduce(steps)) if len(steps) else 1
+    gaps = np.flatnonzero(steps > usual)
+    if not len(gaps):
+        return ()
+    lost = int((steps[gaps] // usual - 1).sum())
+    after = [int(numbers[k]) // usual for k in gaps[:8]]
+    places = ", ".join(f"{k} ({1e3 * k * usual / fps:.4g} ms)" if fps else f"{k}" for k in after)
+    more = f" and {len(gaps) - 8} more" if len(gaps) > 8 else ""
+    are = "frames are" if lost > 1 else "frame is"
+    return (f"{lost} {are} missing by {source}, after frame {places}{more}; frame numbers and times allow for that",)
+
+
+def measure_changes(read: Callable[[int], Any], count: int) -> NDArray[np.float64]:
+    """Sum of squares of the change from each picture to the next; where one cannot be read it is infinite."""
+    changes, before = np.full(max(count - 1, 0), np.inf), None
+    for k in range(count):
+        try:
+            after = np.asarray(read(k))
+        except InputError:
+            after = None
+        if before is not None and after is not None:
+            rows = max(len(after) // 64, 1) if after.ndim == 2 else 1
+            changes[k - 1] = cv2.norm(before[::rows], after[::rows], cv2.NORM_L2SQR)
+            if changes[k - 1] == 0 and rows > 1:
+                changes[k - 1] = cv2.norm(before, after, cv2.NORM_L2SQR)
+        before = after
+    return changes
+
+
+def find_repeated(changes: Array) -> Ints:
+    """Frames that show the previous one again, though the picture changes shortly before and after.
+
+    changes: sum of squares of the change from each frame to the next. Runs of more than three frames are a picture
+    where nothing moves.
+    """
+    reach, share, longest = 8, 0.04, 3  # frames; a fifth of the change, squared; frames
+    usual = float(np.median(changes[changes > 0])) if (changes > 0).any() else 0.0
+    found = []
+    for k, change in enumerate(changes):
+        near = (changes[max(k - reach, 0) : k], changes[k + 1 : k + 1 + reach])
+        least = min((float(side.max()) for side in near if len(side)), default=0.0)
+        if k in (0, len(changes) - 1) and not _next_changes(changes, k, usual):
+            continue
+        if least >= 0.2 * usual and change < share * least:
+            found.append(k + 1)
+    frames = np.array(found, dtype=np.int64)
+    runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
+    return np.concatenate([run for run in runs if len(run) <= longest] or [frames[:0]])
+
+
+def _next_changes(changes: Array, k: int, usual: float) -> bool:
+    """Test whether the picture changes beside the first or last change of a film."""
+    return len(changes) > 1 and bool(changes[1 if k == 0 else k - 1] >= 0.2 * usual)
+
+
+def drop_repeated(frames: Frames, changes: Array) -> Frames:
+    """The film without the frames that repeat the previous one; the others keep their numbers."""
+    again = find_repeated(changes)
+    if not len(again) or len(frames) - len(again) < 2:
+        return frames
+    kept = np.setdiff1d(np.arange(len(frames)), again)
+    shown = ", ".join(str(frames.numbers[k]) for k in again[:6]) + (", ..." if len(again) > 6 else "")
+    note = f"{len(again)} frames repeat the previous one and are left out: {shown}"
+    out = frames.take(kept)
+    out.faults = (*frames.faults, note)
+    return out
+
+
+def find_stride(numbers: Ints) -> int:
+    """The number of frame times between neighbours where all frames are whole multiples of it apart."""
+    steps = np.diff(numbers)
+    return max(int(np.gcd.reduce(steps)), 1) if len(steps) else 1
+
+
+def agree(one: float, other: float, tolerance: float = 0.01) -> bool:
+    """True for frame rates that are the same: 29.97 counts as 30."""
+    return other > 0 and math.isfinite(one) and abs(one / other - 1) < tolerance
