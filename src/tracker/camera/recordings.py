@@ -10,6 +10,8 @@ from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_notes import describe_frame_rate
@@ -144,6 +146,8 @@ def _set_times(frames: Frames, camera: Camera, options: FilmOptions) -> tuple[Fr
     """
     notes, said = list[Note](), list[str]()
     frames = copy(frames)
+    if options.times == "even":
+        frames.numbers, frames.seconds = np.arange(len(frames)), None
     stride = find_stride(frames.numbers)
     rate = frames.fps
     if options.times == "file":

@@ -137,7 +137,9 @@ def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _L
         inner = len(letters) - next((n for n in range(len(letters)) if math.prod(outer[n:]) == math.prod(plane)), 0)
         outer, letters = outer[: len(letters) - inner], letters[: len(letters) - inner]
     if set(axes) - set("SYX") or not {"Y", "X"} <= set(axes):
-        raise InputError(f"{path}: pages with axes {axes}, expected pictures")
+        raise InputError(
+            f"{path}: truncated or damaged, a page has the axes {axes or None}, expected those of a picture"
+        )
     samples, sample, notes = plane[axes.index("S")] if "S" in axes else 1, None, list[str]()
     if samples > 4 or "S" in wanted:
         sample = _select(path, "S", samples, wanted, notes)

@@ -155,6 +155,7 @@ def test_a_film_with_every_frame_twice_has_half_the_rate(tmp_path, kind):
     assert clip.camera.fps == 125
     assert clip.frames.numbers.tolist() == list(range(24))
     assert "24 frames repeat the previous one and are left out: 1, 3, 5, 7, 9, 11, ..." in notes
+    assert opened(path, times="even")[0].camera.fps == 250
     if kind != "mp4":
         assert np.array_equal(np.array(list(clip.frames)), NOISE)
 
@@ -181,7 +182,19 @@ def test_a_single_copy_in_place_of_a_lost_frame_is_left_out(tmp_path):
 def test_a_picture_where_nothing_moves_is_not_called_repeated():
     assert not len(find_repeated(np.array([0.0] * 10 + [5.0] * 10 + [0.0] * 10)))
     assert not len(find_repeated(np.zeros(30)))
-    assert find_repeated(np.array([5.0, 5, 0, 5, 5, 5, 0.1, 6])).tolist() == [3, 7]
+    assert find_repeated(np.array([5.0, 5, 0, 5, 5, 5, 0.1, 6])).tolist() == [3]
+    assert find_repeated(np.array([5.0, 5, 0, 5, 5, 5, 0.1, 6]), 0.1).tolist() == [3, 7]
+
+
+def test_flicker_is_not_called_repeated():
+    """Between its extremes a lamp changes the picture much, at an extreme hardly, while balls move."""
+    level = 100 * (1 + 0.2 * np.sin(0.7 * np.arange(60)))
+    assert not len(find_repeated(np.diff(level) ** 2 + 0.5, 0.02))
+
+
+def test_every_third_frame_is_fresh_wherever_the_film_begins():
+    changes = np.tile([6.0, 0.05, 0.1], 9)
+    assert find_repeated(changes, 0.02).tolist() == [k for k in range(28) if k % 3 != 1]
 
 
 def test_times_of_ome_planes_and_intervals_of_imagej(tmp_path):
