@@ -123,6 +123,7 @@ def measure_tables(
             tracks, striker = given.clips[number]
             own = replace(given.camera, striker=striker or given.camera.striker)
             result = measure_tracks(tracks, own, number, point, chosen.fit)
+            notes.update({replace(n, text=f"clip {number}: {n}"): 1 for n in result.notes if n.kind is NoteKind.REPAIR})
             results.write_clip(partial, number, result.found, result.motion, result.rows, own)
 
     plan = {"made_by": "tracker measure", "input": digest}

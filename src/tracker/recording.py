@@ -34,6 +34,7 @@ from tracker.detection.diagnose import MIN_DETECTIONS, explain_no_discs, explain
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
+from tracker.measurement.track_repair import repair_tracks
 from tracker.notes import Note, NoteKind, note_all
 from tracker.settings import FitSettings, SettingsSource, TrackerSettings
 from tracker.tables.read import read_tracks, to_pixels
@@ -335,9 +336,10 @@ def measure_tracks(
     """Measure tracks made elsewhere as `track_and_measure` does its own."""
     if point == "glint":
         tracks = results.to_centres(tracks, camera)
-    rows, motion = measure_clip(tracks, camera, settings)
-    notes = tuple(note for note in describe_camera_gaps(camera) if note.kind is not NoteKind.ASSUMED)
-    return Result(number, camera, tracks, tuple(rows), motion, notes)
+    repaired = repair_tracks(tracks, camera, number)
+    rows, motion = measure_clip(repaired.tracks, camera, settings)
+    notes = (*repaired.notes, *(n for n in describe_camera_gaps(camera) if n.kind is not NoteKind.ASSUMED))
+    return Result(number, camera, repaired.tracks, tuple(rows), motion, notes)
 
 
 def track_clip(

@@ -102,7 +102,7 @@ LAYERS = {
     ],
     "tracker.measurement": [
         "noise",
-        "positions",
+        "positions track_repair",
         "collision",
         "camera_errors energy_momentum messages",
         "joint_fit painter_behringer lone_ball",

@@ -23,6 +23,8 @@ from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MISFIT
 from tracker.measurement.estimate import measure
+from tracker.measurement.track_repair import repair_tracks
+from tracker.notes import Note
 from tracker.recording import Result
 from tracker.results import read_clip
 from tracker.tables.read import read_tracks
@@ -56,6 +58,10 @@ def read_collisions(
         sources = _read_table(measured, camera)
     kept, rejected, left_out = [], [], []
     for source in sources:
+        left_out += [
+            SearchNote(SearchNoteKind.REPAIRED, source.number, note.frames, {"text": note.text})
+            for note in source.repairs
+        ]
         outcome, misfit = _build(source)
         if isinstance(outcome, SearchNote):
             left_out.append(outcome)
@@ -82,6 +88,7 @@ class _Source:
     camera: Camera
     estimates: Callable[[], list[dict[Any, Any]]]  # gives the tracker's rows
     strays: list[int] = field(default_factory=list)  # frames of removed positions
+    repairs: tuple[Note, ...] = ()
 
 
 def _build(source: _Source) -> tuple[MeasuredCollision | SearchNote, bool]:
@@ -137,5 +144,6 @@ def _read_table(path: Path, camera: Path) -> Iterator[_Source]:
         raise InputError(f"{path}: {why}")
     for number, (tracks, striker) in sorted(tables.items()):
         own = replace(base, striker=striker) if striker is not None else base
-        tracks, strays = remove_strays(tracks, own)
-        yield _Source(number, tracks, own, partial(measure, tracks, own), strays)
+        repaired = repair_tracks(tracks, own, number)
+        tracks, strays = remove_strays(repaired.tracks, own)
+        yield _Source(number, tracks, own, partial(measure, tracks, own), strays, repaired.notes)

@@ -174,15 +174,17 @@ def test_a_camera_with_wrong_units_is_refused(recorded, tmp_path, change, said):
 
 
 @pytest.mark.parametrize("frame", [8, 39, 45, 70])  # measured nevertheless, that at 39 would divide by zero
-def test_a_clip_whose_balls_exchange_names_is_left_out_and_said(recorded, tmp_path, frame):
+def test_balls_that_exchange_names_are_exchanged_back(recorded, tmp_path, frame):
     def swap(t):
         late = (t["clip"] == 0) & (t["frame"] >= frame)
         return t.assign(particle=t["particle"].where(~late, 1 - t["particle"]))
 
-    read, left_out = read_table(recorded, tmp_path, swap)
-    assert [c.clip for c in read] == [1]
-    assert left_out == [SearchNote(SearchNoteKind.BALLS_EXCHANGED, 0, (frame,))]
-    assert str(left_out[0]) == f"clip 0: the two balls exchange their numbers at frame {frame}"
+    plain, _ = read_table(recorded, tmp_path, lambda t: t)
+    read, (note,) = read_table(recorded, tmp_path, swap)
+    assert [c.clip for c in read] == [0, 1]
+    assert np.array_equal(read[0].xy, plain[0].xy)
+    assert (note.kind, note.clip, note.frames) == (SearchNoteKind.REPAIRED, 0, (frame,))
+    assert str(note).startswith(f"clip 0: balls exchange their numbers in frame {frame}; exchanged back")
 
 
 def test_places_that_are_no_numbers_do_no_harm(recorded, tmp_path, clips):

@@ -1,0 +1,240 @@
+"""Repair of tracks of other programs before a fit: balls that exchange their numbers, lost points, numbers reused.
+
+An exchange is undone where that makes both tracks smoother by more than a radius. Positions that no ball can reach are
+left out. A number that goes on elsewhere, with a path of its own, becomes a new one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from tracker.notes import Note, NoteKind
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+    from tracker.detection.link import Tracks
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+MAX_GAP_FRAMES = 3  # frames between two sightings that can show an exchange
+MAX_CERTAIN_STEP_DIAMETERS = 1.75  # of a ball between two sightings, beyond which an exchange is not certain
+MIN_PATH_POSITIONS = 5  # positions that make a path of their own
+NEAR_STEPS = 5  # steps on either side that show how fast a ball moves
+
+
+@dataclass(frozen=True)
+class RepairedTracks:
+    """Tracks, and notes with the frames in which they were repaired."""
+
+    tracks: Tracks
+    notes: tuple[Note, ...] = ()
+
+
+def repair_tracks(tracks: Tracks, camera: Camera, clip: int | None = None) -> RepairedTracks:
+    """Undo exchanges of numbers and leave out or renumber what cannot belong to a ball.
+
+    camera: gives the diameter of a ball, px, without which nothing is done.
+    """
+    if not camera.metric or not camera.knows_diameter or len(tracks) < 3:
+        return RepairedTracks(tracks)
+    order = np.lexsort((tracks.frame, tracks.particle))
+    if not np.array_equal(order, np.arange(len(order))):
+        tracks = _select(tracks, order)
+    notes, diameter = list[Note](), camera.diameter_px
+    lost = find_unreachable(tracks, diameter)[1]
+    # a point on the path of another ball may be one of an exchange
+    lost[lost] = ~_is_near_another(tracks, lost, diameter)
+    kept, lost_frames = _select(tracks, np.flatnonzero(~lost)), tracks.frame[lost].tolist()
+    if lost.any():
+        tracks = kept
+    exchanged, frames, unsure = undo_exchanges(tracks, diameter)
+    if frames:
+        text = f"balls exchange their numbers in {_name_frames(frames)}; exchanged back, which makes their paths smooth"
+        notes.append(Note(NoteKind.REPAIR, text, clip, tuple(frames)))
+        order = np.lexsort((tracks.frame, exchanged))
+        tracks = _select(replace(tracks, particle=exchanged), order)
+    if unsure:
+        text = f"balls may exchange their numbers in {_name_frames(unsure)}; they move too far in a frame to be certain"
+        notes.append(Note(NoteKind.REPAIR, text, clip, tuple(unsure)))
+    renumbered, gone = find_unreachable(tracks, diameter)
+    lost_frames += tracks.frame[gone].tolist()
+    if lost_frames:
+        every = sorted(set(lost_frames))
+        many = f"{len(lost_frames)} position{'s' * (len(lost_frames) > 1)} that no ball can reach"
+        text = f"{many}, in {_name_frames(every)}: left out"
+        notes.append(Note(NoteKind.REPAIR, text, clip, tuple(every)))
+    for new in np.setdiff1d(renumbered[~gone], tracks.particle).tolist():
+        rows = (renumbered == new) & ~gone
+        old, first, last = int(tracks.particle[rows][0]), int(tracks.frame[rows][0]), int(tracks.frame[rows][-1])
+        text = f"number {old} is far from its path in frames {first} to {last}; there it becomes number {new}"
+        notes.append(Note(NoteKind.REPAIR, text, clip, (first, last)))
+    if gone.any() or (renumbered != tracks.particle).any():
+        tracks = replace(tracks, particle=renumbered)
+        tracks = _select(tracks, np.flatnonzero(~gone)[np.lexsort((tracks.frame[~gone], renumbered[~gone]))])
+    return RepairedTracks(tracks, tuple(notes))
+
+
+def undo_exchanges(tracks: Tracks, diameter: float) -> tuple[Ints, list[int], list[int]]:
+    """Numbers of particles with exchanges undone, their frames, and the frames of exchanges that are not certain.
+
+    Balls are assigned to their last positions so that all move least. Two balls that touch are a diameter apart, so
+    that numbers exchanged even at a hit cost two diameters more.
+    """
+    particle, frame, xy = np.array(tracks.particle, dtype=np.int64), np.asarray(tracks.frame), tracks.xy
+    renamed = particle.copy()
+    follows = np.flatnonzero((np.diff(particle) == 0) & (np.diff(frame) <= MAX_GAP_FRAMES)) + 1
+    far = follows[np.hypot(*(xy[follows] - xy[follows - 1]).T) > diameter / 4]
+    names = {int(p): int(p) for p in np.unique(particle[far])}  # the true number by the table's
+    frames, unsure = list[int](), list[int]()
+    # an exchange moves at least one ball by more than a quarter of a diameter: the others need no look
+    for now in np.unique(frame[far]).tolist():
+        rows = follows[frame[follows] == now]
+        cost = np.hypot(*(xy[rows][:, None] - xy[rows - 1][None]).transpose(2, 0, 1))
+        found = linear_sum_assignment(cost)[1]
+        for cycle in _cycles(found):
+            # a radius is far more than any error of a position
+            if sum(cost[k, k] - cost[k, found[k]] for k in cycle) <= diameter / 2:
+                continue
+            # paths of balls that move by more can cross within a frame
+            if max(_slowest(tracks, int(rows[k])) for k in cycle) > MAX_CERTAIN_STEP_DIAMETERS * diameter:
+                unsure.append(now)
+                continue
+            frames.append(now)
+            numbers = [int(particle[rows[k]]) for k in cycle]
+            given = [names.setdefault(int(p), int(p)) for p in particle[rows[found[cycle]]]]
+            for number, true in zip(numbers, given, strict=True):
+                names[number] = true
+                renamed[(particle == number) & (frame >= now)] = true
+    return renamed, sorted(set(frames)), sorted(set(unsure))
+
+
+def _slowest(tracks: Tracks, row: int) -> float:
+    """How far a ball moves from the frame before this row to the row, by the slowest of its three steps before; px."""
+    own = np.arange(max(row - 4, 0), row)
+    own = own[tracks.particle[own] == tracks.particle[row]]
+    if len(own) < 2:
+        return 0.0
+    speeds = np.hypot(*np.diff(tracks.xy[own], axis=0).T) / np.diff(tracks.frame[own])
+    return float(speeds.min() * (tracks.frame[row] - tracks.frame[row - 1]))
+
+
+def _cycles(found: NDArray[np.intp]) -> Iterator[list[int]]:
+    """The cycles of a permutation, longer than one."""
+    left = set(range(len(found)))
+    while left:
+        cycle = [left.pop()]
+        while (following := int(found[cycle[-1]])) in left:
+            left.remove(following)
+            cycle.append(following)
+        if len(cycle) > 1:
+            yield cycle
+
+
+def find_unreachable(tracks: Tracks, diameter: float) -> tuple[Ints, NDArray[np.bool_]]:
+    """Numbers of particles, new ones for paths far from a ball's own, and the rows of lost points."""
+    renumbered, gone = np.array(tracks.particle, dtype=np.int64), np.zeros(len(tracks), dtype=bool)
+    following = int(renumbered.max(initial=-1)) + 1
+    far = (np.diff(tracks.particle) == 0) & (np.hypot(*np.diff(tracks.xy, axis=0).T) > diameter)
+    for particle in np.unique(tracks.particle[1:][far]):
+        rows = np.flatnonzero(tracks.particle == particle)
+        pieces = _cut(tracks.frame[rows], tracks.xy[rows], diameter)
+        if len(pieces) == 1:
+            continue
+        # numbers that stay exactly where they are after a jump mark a ball that is not seen
+        still = [piece for piece in pieces if np.ptp(tracks.xy[rows[piece]], axis=0).max() == 0 and len(piece) > 1]
+        moving = [piece for piece in pieces if not any(piece is other for other in still)]
+        own = True
+        while moving:
+            chain = _longest_chain(moving, tracks.frame[rows], tracks.xy[rows], diameter)
+            every = np.concatenate([moving[k] for k in chain])
+            if not own and len(every) < MIN_PATH_POSITIONS:
+                break
+            if not own:
+                renumbered[rows[every]] = following
+                following += 1
+            moving, own = [piece for k, piece in enumerate(moving) if k not in chain], False
+        for piece in (*moving, *still):
+            gone[rows[piece]] = True
+    return renumbered, gone
+
+
+def _is_near_another(tracks: Tracks, some: NDArray[np.bool_], diameter: float) -> NDArray[np.bool_]:
+    """Whether those rows, or some of their run, lie where another ball was or will be within two frames."""
+    rest = np.flatnonzero(~some)
+    frame, particle, xy = tracks.frame[rest], tracks.particle[rest], tracks.xy[rest]
+    same = (np.diff(particle) == 0) & (np.diff(frame) == 1)
+    steps = np.hypot(*np.diff(xy, axis=0).T)[same]
+    reach = diameter + 2 * float(np.quantile(steps, 0.9)) if len(steps) else diameter
+    order = np.argsort(frame, kind="stable")
+    near = []
+    for row in np.flatnonzero(some):
+        now = tracks.frame[row]
+        others = order[slice(*np.searchsorted(frame[order], [now - 2, now + 3]))]
+        others = others[particle[others] != tracks.particle[row]]
+        near.append(bool((np.hypot(*(xy[others] - tracks.xy[row]).T) < reach).any()))
+    rows = np.flatnonzero(some)
+    joined = (np.diff(rows) == 1) & (np.diff(tracks.particle[rows]) == 0)
+    joined &= np.hypot(*np.diff(tracks.xy[rows], axis=0).T) < reach
+    run = np.concatenate([[0], np.cumsum(~joined)])[: len(rows)]
+    return np.isin(run, run[np.array(near, dtype=bool)])
+
+
+def _cut(frame: Ints, xy: Floats, diameter: float) -> list[Ints]:
+    """The rows of one track in pieces, between jumps longer than a ball can move by its speed before and after."""
+    if len(frame) < 2:
+        return [np.arange(len(frame))]
+    gap = np.diff(frame)
+    step = np.hypot(*np.diff(xy, axis=0).T)
+    speed = step / gap
+    jumps = []
+    for k in np.flatnonzero(step > diameter):
+        sides = speed[max(k - NEAR_STEPS, 0) : k], speed[k + 1 : k + 1 + NEAR_STEPS]
+        # one or two steps at an end may be jumps themselves
+        fast = max(_usual(side if len(side) > 2 else side[side <= diameter]) for side in sides)
+        if step[k] > diameter + 2 * gap[k] * fast:
+            jumps.append(int(k) + 1)
+    return np.split(np.arange(len(frame)), jumps)
+
+
+def _usual(speeds: Floats) -> float:
+    """The speed of a ball by its steps on one side, of which some may be jumps: the second lowest, or lowest."""
+    return float(np.sort(speeds)[1 if len(speeds) > 3 else 0]) if len(speeds) else 0.0
+
+
+def _longest_chain(pieces: list[Ints], frame: Ints, xy: Floats, diameter: float) -> list[int]:
+    """The pieces, in order of time, each within reach of the one before, that have the most positions."""
+
+    def speed(rows: Ints) -> float:
+        return _usual(np.hypot(*np.diff(xy[rows], axis=0).T) / np.diff(frame[rows]))
+
+    usual = speed(max(pieces, key=len))
+    ends = [(speed(rows[-NEAR_STEPS - 1 :]), speed(rows[: NEAR_STEPS + 1])) for rows in pieces]
+    best, source = [len(rows) for rows in pieces], [-1] * len(pieces)
+    for k, rows in enumerate(pieces):
+        # a jump that is far back in a track with thousands of them says nothing
+        for j in range(max(k - 50, 0), k):
+            apart, gap = np.hypot(*(xy[rows[0]] - xy[pieces[j][-1]])), frame[rows[0]] - frame[pieces[j][-1]]
+            near = apart <= diameter + 2 * gap * max(ends[j][0], ends[k][1], usual)
+            if near and best[j] + len(rows) > best[k]:
+                best[k], source[k] = best[j] + len(rows), j
+    k, chain = int(np.argmax(best)), list[int]()
+    while k >= 0:
+        chain.append(k)
+        k = source[k]
+    return chain[::-1]
+
+
+def _select(tracks: Tracks, rows: Ints) -> Tracks:
+    return replace(tracks, **{name: values[rows] for name, values in vars(tracks).items() if len(values)})
+
+
+def _name_frames(frames: list[int]) -> str:
+    """Frames for a sentence, the first few of many."""
+    shown = ", ".join(map(str, frames[:6]))
+    return f"frame{'s' * (len(frames) > 1)} {shown}{f' and {len(frames) - 6} more' if len(frames) > 6 else ''}"
