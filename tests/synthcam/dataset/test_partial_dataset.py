@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import pytest
 from synthcam_stub import make, plan, quiet, sums
 
-from synthcam.dataset import generate
+from synthcam.dataset import generate, partial_dataset
 from synthcam.dataset.files import clip_folders, verify
 from synthcam.dataset.generate import generate_dataset
 from synthcam_shared import outputs
@@ -218,7 +218,7 @@ def test_truth_is_withheld(tmp_path, monkeypatch):
 @pytest.mark.parametrize("moment", ["truth in place", "between the last moves"])
 def test_withheld_it_goes_on_too(tmp_path, monkeypatch, moment):
     whole = make(tmp_path / "whole", monkeypatch, tmp_path / "whole_truth")
-    rename, settle, calls = Path.rename, generate.move_into_place, []
+    rename, settle, calls = Path.rename, partial_dataset.move_into_place, []
 
     def stop_rename(path, target):
         calls.append(path) if path.suffix == ".partial" else None
@@ -234,7 +234,7 @@ def test_withheld_it_goes_on_too(tmp_path, monkeypatch, moment):
 
     with monkeypatch.context() as patch:
         if moment == "truth in place":
-            patch.setattr(generate, "move_into_place", stop_settle)
+            patch.setattr(partial_dataset, "move_into_place", stop_settle)
         else:
             patch.setattr(Path, "rename", stop_rename)
         with pytest.raises(KeyboardInterrupt):
