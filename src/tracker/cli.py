@@ -29,7 +29,10 @@ app = command_line(
 )
 app.add_typer(benchmark_app, name="benchmark")
 SCORE = "score.json"
-DETECTORS = ", ".join(m.name for m in pkgutil.iter_modules(detector_files.__path__)) + ", or an installed package's own"
+DETECTORS = (
+    ", ".join(m.name for m in pkgutil.iter_modules(detector_files.__path__))
+    + ", an installed package's own, FILE.py, FILE.py:NAME or MODULE:NAME"
+)
 Results = Annotated[Path, typer.Option("-o", "--output", metavar="RESULTS", help="Folder to make.")]
 WithPages = Annotated[
     bool | None,

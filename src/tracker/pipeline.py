@@ -22,7 +22,8 @@ from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource, open_source
 from tracker.detection.choose import choose_detector, select_channel
-from tracker.detection.detect import load_detector, load_linker
+from tracker.detection.detect import detector_name, load_detector, load_linker
+from tracker.detection.own_detector import digest, is_outside
 from tracker.notes import Note, NoteKind, note_all
 from tracker.recording import measure_tracks, track_and_measure
 from tracker.settings import SettingsSource, TrackerSettings
@@ -184,9 +185,10 @@ def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
     for file in source.camera_files():
         mark.update(file.read_bytes())
     colour = {} if source.channel == GREY else {"channel": source.channel}
-    run = {"made_by": "tracker track", "detector": detector, "clips": len(source), "input": mark.hexdigest()}
     film = {"film": source.options.changed()} if source.options.changed() else {}
-    return run | colour | film
+    own = {"detector_file": digest(detector)} if is_outside(detector) else {}
+    run = {"made_by": "tracker track", "detector": detector_name(detector), "clips": len(source)}
+    return run | {"input": mark.hexdigest()} | colour | film | own
 
 
 def _track_clip(

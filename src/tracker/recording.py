@@ -188,7 +188,9 @@ def track(
         The keys of camera.json, a path to it, or a clip of synthcam or its camera. Without one, the file beside the
         film; without that, lengths are in pixels.
     detector : str or callable, optional
-        How balls are found, by name, or a class as the files of ``detectors/`` hold; default: what the film asks for.
+        How balls are found, by name, FILE.py or MODULE:NAME; or a function that is given a grey frame and returns
+        positions (n, 2), x and y in px, perhaps with a third column of standard errors; or a class as the files of
+        ``detectors/`` hold. Default: what the film asks for.
     channel : {"grey", "red", "green", "blue"}, optional
         Of a film in colour; default: grey, unless another shows more balls.
     number : int, optional

@@ -140,6 +140,7 @@ LAYERS = {
         "candidates motion_blur",
         "glints takes",
         "detector",
+        "own_detector",
         "likelihood",
         "link autocalibrate",
         "detectors linkers",

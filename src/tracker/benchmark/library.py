@@ -22,14 +22,12 @@ from tracker.benchmark.suite.folder import Suite, open_suite, with_truth
 from tracker.benchmark.suite.make import make
 from tracker.camera.recordings import open_source
 from tracker.detection.detect import DetectorChoice, detector_name
-from tracker.detection.detector import FrameDetector, View
-from tracker.detection.glints import Glints
+from tracker.detection.own_detector import as_detector
 from tracker.recording import track_and_measure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-UNSAID = 0.1  # px, of places without an error; the fits find out from the tracks how large it is
 FIGURES = "ratio rmse_px bound_px found false phase_bias_px z jsc mota idf1 hota clips".split()
 QUANTITIES = "n bias rmse bound ratio z_mean z_std cover68 cover95 published published_std".split()
 Finder = Callable[[NDArray[Any]], ArrayLike]
@@ -150,7 +148,7 @@ def run(
         raise InputError(f"point: expected either, glint or centre, not {point!r}")
     made = _suite(suite)
     function = callable(detector) and not inspect.isclass(detector)
-    used: Any = _finder(detector, point) if function else detector
+    used: Any = as_detector(detector, point) if function else detector
     own = "centre" if function and point == "centre" else "glint"
     found = {}
     for film in dict.fromkeys(part.film for part in made.parts.values()):
@@ -170,23 +168,3 @@ def _suite(given: Path | str | None) -> Suite:
     definition = read_definition(size="small")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return make(cache / "synthcam" / f"benchmark-{definition.version}-{definition.digest[:8]}", definition, workers=1)
-
-
-def _finder(function: Any, what: str) -> Callable[[View], FrameDetector]:
-    """A class of detectors that ask a function."""
-
-    class Asked:
-        point = what
-
-        def __init__(self, view: View) -> None:
-            self.area = float(np.pi / 4 * view.camera.diameter_px**2)
-
-        def __call__(self, frame: NDArray[Any]) -> Glints:
-            given = np.asarray(function(np.asarray(frame)), dtype=np.float64)
-            if given.size and (given.ndim != 2 or given.shape[1] != 2):
-                raise InputError(f"{detector_name(function)}: returned an array {given.shape}, expected places (n, 2)")
-            x, y = given.reshape(-1, 2).T
-            return Glints.at(x, y, UNSAID, self.area)
-
-    Asked.__name__ = detector_name(function)
-    return Asked

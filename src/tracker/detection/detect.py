@@ -25,11 +25,12 @@ from tracker.detection.autocalibrate import estimate_unknown_settings
 from tracker.detection.candidates import EmptyPlate, estimate_empty_plate
 from tracker.detection.detector import AnyDetector, ClipDetector, Detections, DetectorClass, Point, View
 from tracker.detection.glints import Glints
+from tracker.detection.own_detector import as_detector, describe_fault, is_outside, load_outside, short_name
 from tracker.detection.takes import find_takes
 from tracker.settings import LinkSettings, TrackerSettings
 
-DetectorChoice: TypeAlias = str | DetectorClass
-"""A detector: its name, "NAME+LINKER" with another program that links, or the class itself."""
+DetectorChoice: TypeAlias = str | DetectorClass | Callable[[NDArray[Any]], Any]
+"""A detector: its name, FILE.py or MODULE:NAME, with +LINKER of another program, or the class or function itself."""
 Linker: TypeAlias = Callable[[Glints], NDArray[np.int64]]
 
 ENTRY_POINT_GROUP = "tracker.detectors"
@@ -64,15 +65,25 @@ def _own_classes(module: ModuleType) -> list[Any]:
 def load_detector(name: DetectorChoice) -> DetectorClass:
     """The class of a detector. Raises InputError, which lists all names, for an unknown one."""
     if not isinstance(name, str):
-        return name
-    name = name.partition("+")[0]
+        return as_detector(name)
+    name = _split_linker(name)[0]
+    if is_outside(name):
+        return load_outside(name)
     if name in {module.name for module in pkgutil.iter_modules(detector_files.__path__)}:
         return _load_file(name)  # without importing all others
     known = list_detectors()
     if name not in known:
         near = did_you_mean(name, {k: k for k in known})
-        raise InputError(f"--detector: no detector {name!r}, expected one of {', '.join(sorted(known))}{near}")
+        raise InputError(
+            f"--detector: no detector {name!r}, expected one of {', '.join(sorted(known))}{near}; your own: FILE.py"
+        )
     return known[name]
+
+
+def _split_linker(name: str) -> tuple[str, str]:
+    """The detector and the linker of NAME+LINKER; a file may have a + in its path."""
+    detector, _, linker = name.rpartition("+")
+    return (detector, linker) if detector and linker.isidentifier() else (name, "")
 
 
 def load_linker(name: DetectorChoice, camera: Camera, settings: LinkSettings | None = None) -> Linker | None:
@@ -81,7 +92,7 @@ def load_linker(name: DetectorChoice, camera: Camera, settings: LinkSettings | N
     A file of ``linkers/`` holds one class. It is made from the camera and `LinkSettings`; called with the `Glints` of a
     clip it returns their particles (n,), -1 for none.
     """
-    wanted = name.partition("+")[2] if isinstance(name, str) else ""
+    wanted = _split_linker(name)[1] if isinstance(name, str) else ""
     if not wanted:
         return None
     there = sorted(module.name for module in pkgutil.iter_modules(linker_files.__path__))
@@ -94,7 +105,9 @@ def load_linker(name: DetectorChoice, camera: Camera, settings: LinkSettings | N
 
 def detector_name(name: DetectorChoice) -> str:
     """How messages and files call a detector."""
-    return name if isinstance(name, str) else str(getattr(name, "__name__", type(name).__name__))
+    if not isinstance(name, str):
+        return str(getattr(name, "__name__", type(name).__name__))
+    return short_name(name) if is_outside(name) else name
 
 
 def detected_point(name: DetectorChoice, camera: Camera) -> Point:
@@ -137,7 +150,15 @@ def run_detector(detector: AnyDetector, frames: Iterable[tuple[int, NDArray[Any]
         return found
     parts = [Glints.none()]
     for number, frame in frames:
-        glints = _check_glints(detector(frame), f"detector {name}, frame {number}")
+        try:
+            given = detector(frame)
+        except (InputError, MemoryError):
+            raise
+        except Exception as error:
+            if type(detector).__module__.startswith("tracker.detection.detectors"):
+                raise
+            raise InputError(f"detector {name}, frame {number}: {describe_fault(error)}") from error
+        glints = _check_glints(given, f"detector {name}, frame {number}")
         parts.append(replace(glints, frame=np.full(len(glints), number, dtype=np.int64)))
     return Detections(Glints.join(parts))
 

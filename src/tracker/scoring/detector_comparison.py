@@ -14,7 +14,7 @@ from synthcam_shared.outputs import open_resumable
 from synthcam_shared.report.numbers import format_number
 from synthcam_shared.report.page import PageTable, Section, write_page
 from tracker import results
-from tracker.detection.detect import load_detector
+from tracker.detection.detect import detector_name, load_detector
 from tracker.pipeline import run
 from tracker.scoring.score import DetectorScore, score
 from tracker.scoring.score_page import POSITION_HEADS, format_positions
@@ -60,14 +60,14 @@ def _report_progress(progress: Progress, k: int, of: int, done: int, clips: int)
 
 
 def _track_and_score(dataset: Path, name: str, report: Path, progress: Progress) -> DetectorScore:
-    folder = report / "results" / name
+    folder = report / "results" / detector_name(name)
     started = time.perf_counter()
     outcome = run(dataset, folder, name, 1, progress)
-    known = report / "results" / f"{name}.times.json"
+    known = report / "results" / f"{detector_name(name)}.times.json"
     if outcome.frames:
         results.write_json(known, {"ms_per_frame": 1e3 * (time.perf_counter() - started) / outcome.frames})
     spent = results.load_json(known)["ms_per_frame"] if known.is_file() else None
-    return score(folder, dataset, name, spent)
+    return score(folder, dataset, detector_name(name), spent)
 
 
 def make_tables(detectors: dict[str, Any]) -> list[PageTable]:

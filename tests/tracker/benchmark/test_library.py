@@ -43,11 +43,11 @@ def test_a_detector_by_name_is_the_one_that_runs_from_files():
 
 
 def test_what_is_no_list_of_places_is_said():
-    with pytest.raises(InputError, match=r"three: returned an array \(2, 3\), expected places \(n, 2\)"):
+    with pytest.raises(InputError, match=r"three: returned an array \(2, 5\), expected positions \(n, 2\)"):
         run(three, suite().path)
     with pytest.raises(InputError, match="point: expected either, glint or centre"):
         run(three, suite().path, point="edge")
 
 
 def three(frame):
-    return np.zeros((2, 3))
+    return np.zeros((2, 5))
