@@ -1,4 +1,4 @@
-"""How far apart two equal balls are when they touch: one ball's diameter in pixels, whatever the light."""
+"""The distance of two equal balls that touch, in pixels, whatever the light; `calibrate` makes the scale of it."""
 
 from __future__ import annotations
 

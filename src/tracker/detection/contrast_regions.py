@@ -1,4 +1,4 @@
-"""Regions that differ from a still background: each may be a disc, several discs, a shadow, or something else."""
+"""Regions that differ from a still background: tells a disc from several discs, a shadow, or something else."""
 
 from __future__ import annotations
 

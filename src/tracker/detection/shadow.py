@@ -1,4 +1,4 @@
-"""Shadows that balls cast: the brightness of the ground around a ball, relative to the still background."""
+"""The brightness of the ground in a ball's shadow, for the fit of discs; `contrast_regions` tells a shadow from a ball."""
 
 from __future__ import annotations
 
