@@ -7,11 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam_shared.errors import InputError
 from tracker.camera.frames import Frames
 from tracker.camera.lens import Array
 
@@ -92,20 +90,20 @@ def describe_missing(numbers: Ints, fps: float, source: str) -> tuple[str, ...]:
     return (f"{lost} {are} missing by {source}, after frame {places}{more}; frame numbers and times allow for that",)
 
 
-def measure_changes(read: Callable[[int], Any], count: int) -> NDArray[np.float64]:
-    """Sum of squares of the change from each picture to the next; where one cannot be read it is infinite."""
-    changes, before = np.full(max(count - 1, 0), np.inf), None
-    for k in range(count):
-        try:
-            after = np.asarray(read(k))
-        except InputError:
-            after = None
-        if before is not None and after is not None:
-            rows = max(len(after) // 64, 1) if after.ndim == 2 else 1
-            changes[k - 1] = cv2.norm(before[::rows], after[::rows], cv2.NORM_L2SQR)
-            if changes[k - 1] == 0 and rows > 1:
-                changes[k - 1] = cv2.norm(before, after, cv2.NORM_L2SQR)
-        before = after
+def find_changes(count: int, pieces: Sequence[Callable[[int], Any]]) -> Array:
+    """1 where a frame differs from the one before it, 0 where they are the same; (count - 1,).
+
+    pieces: functions that give a part of a frame, the quickest first; the next is asked only if the last is the same.
+    """
+    changes, known = np.ones(max(count - 1, 0)), [(-1, None)] * len(pieces)
+
+    def get(level: int, k: int) -> Any:
+        if known[level][0] != k:
+            known[level] = (k, pieces[level](k))
+        return known[level][1]
+
+    for k in range(1, count):
+        changes[k - 1] = 0.0 if all(get(n, k - 1) == get(n, k) for n in range(len(pieces))) else 1.0
     return changes
 
 

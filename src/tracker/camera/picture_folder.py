@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
-from tracker.camera.frame_times import describe_missing, drop_repeated
+from tracker.camera.frame_times import describe_missing, drop_repeated, find_changes
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 from tracker.camera.tiff_stack import choose_colours
 
@@ -57,7 +57,8 @@ def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) ->
             frames.numbers = numbers
             frames.faults += describe_missing(numbers, 0.0, "the numbers of the pictures")
         frames.faults += (note,) if note else ()
-    return drop_repeated(frames, _compare_files(paths))
+    changes = find_changes(len(paths), (lambda k: paths[k].stat().st_size, lambda k: paths[k].read_bytes()))
+    return drop_repeated(frames, changes)
 
 
 def find_picture_numbers(names: list[str]) -> tuple[NDArray[np.int64] | None, str]:
@@ -82,23 +83,6 @@ def find_picture_numbers(names: list[str]) -> tuple[NDArray[np.int64] | None, st
             "pictures are taken as evenly spaced"
         )
     return number - number[0], ""
-
-
-def _compare_files(paths: list[Path]) -> NDArray[np.float64]:
-    """Change from each picture to the next: 0 of equal files, else infinite."""
-    changes = np.full(max(len(paths) - 1, 0), 1.0)
-    size, before = -1, b""
-    for k, path in enumerate(paths):
-        length = path.stat().st_size
-        same = k > 0 and length == size
-        if same:
-            before, after = before or paths[k - 1].read_bytes(), path.read_bytes()
-            changes[k - 1] = float(before != after)
-            before = after
-        else:
-            before = b""
-        size = length
-    return changes
 
 
 def _describe_hidden(folder: Path) -> tuple[str, ...]:

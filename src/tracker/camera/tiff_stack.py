@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from logging.handlers import BufferingHandler
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import tifffile
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
-from tracker.camera.frame_times import FilmClock, drop_repeated, measure_changes, read_clock
+from tracker.camera.frame_times import FilmClock, drop_repeated, find_changes, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 
 AXIS_NAMES = {"C": "channel", "Z": "focal plane", "S": "sample of a pixel", "P": "position", "R": "position"}
@@ -85,7 +85,7 @@ def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
     if clock is not None:
         frames.numbers, frames.seconds, frames.fps = clock.numbers, clock.seconds, clock.fps
         frames.faults += clock.notes
-    return drop_repeated(frames, measure_changes(read, len(frames)))
+    return drop_repeated(frames, find_changes(len(frames), _list_pieces(path, layout)))
 
 
 def choose_colours(page: Any) -> tuple[Callable[[Any], Any] | None, tuple[str, ...]]:
@@ -223,6 +223,42 @@ def _read_pages(path: Path, layout: _Layout) -> Callable[[int], Any]:
 
     weakref.finalize(fetch, file.close)
     return fetch
+
+
+def _list_pieces(path: Path, layout: _Layout) -> tuple[Callable[[int], Any], ...]:
+    """Functions that give parts of a frame as they are stored, by which two frames are compared."""
+    file = path.open("rb", buffering=0)
+    if layout.offset is None:
+        tif = tifffile.TiffFile(path)
+        pages: Any = tif.pages if len(tif.series) > 1 else tif.series[0].pages
+
+        def list_counts(k: int) -> Any:
+            page = pages[int(layout.pages[k])]
+            return (k,) if page is None else tuple(page.databytecounts)
+
+        def read_parts(k: int) -> list[bytes]:
+            page = pages[int(layout.pages[k])]
+            return [_read_at(file, at, n) for at, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
+
+        weakref.finalize(list_counts, tif.close)
+        weakref.finalize(read_parts, file.close)
+        return list_counts, read_parts
+    size, start = math.prod(layout.plane) * layout.dtype.itemsize, layout.offset
+    part = min(size, 1 << 12)
+
+    def read_middle(k: int) -> bytes:
+        return _read_at(file, start + int(layout.pages[k]) * size + (size - part) // 2, part)
+
+    def read_whole(k: int) -> bytes:
+        return _read_at(file, start + int(layout.pages[k]) * size, size)
+
+    weakref.finalize(read_middle, file.close)
+    return read_middle, read_whole
+
+
+def _read_at(file: BinaryIO, offset: int, size: int) -> bytes:
+    file.seek(offset)
+    return file.read(size)
 
 
 def _read_times(tif: tifffile.TiffFile, layout: _Layout) -> FilmClock | None:

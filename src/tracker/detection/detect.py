@@ -137,7 +137,12 @@ def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detec
 
     Raises InputError where the detector returns anything but `Glints` of finite numbers and of consistent shapes.
     """
-    return run_detector(load_detector(name)(view), enumerate(clip.frames), detector_name(name))
+    detector, numbers = load_detector(name)(view), clip.frames.numbers
+    if view.takes is not None or numbers[-1] == len(numbers) - 1:
+        return run_detector(detector, enumerate(clip.frames), detector_name(name))
+    # A detector of glints predicts their motion blur from their motion: it has to know of missing frames.
+    found = run_detector(detector, zip(numbers.tolist(), clip.frames, strict=True), detector_name(name))
+    return replace(found, glints=replace(found.glints, frame=np.searchsorted(numbers, found.glints.frame)))
 
 
 def run_detector(detector: AnyDetector, frames: Iterable[tuple[int, NDArray[Any]]], name: str) -> Detections:
