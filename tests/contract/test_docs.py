@@ -19,6 +19,7 @@ from repository import ROOT
 from discrepancy.free_laws import laws, library
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import SeriesEffect
+from discrepancy.policy import SearchPolicy
 from synthcam import tabulated_law
 from synthcam.scene.scene import check_scene
 from synthcam_shared.settings import parse_yaml
@@ -123,7 +124,8 @@ def test_a_block_says_what_it_is_and_can_be_read(block):
     if block.language == "python" and not block.asked("after"):
         ast.parse(block.text)
     if block.language == "yaml":
-        check_scene(parse_yaml(block.text), block.where)
+        settings = parse_yaml(block.text)
+        SearchPolicy(**settings) if "policy.yaml" in block.asked("file") else check_scene(settings, block.where)
 
 
 @pytest.mark.parametrize("name", CHEAP)

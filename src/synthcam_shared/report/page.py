@@ -1,4 +1,4 @@
-"""A self-contained HTML page of sections with text, tables and figures; its look is `style.css`, its frame `page.html`."""
+"""A self-contained HTML page of text, tables and figures; its look is `style.css`, its frame `page.html`."""
 
 from __future__ import annotations
 

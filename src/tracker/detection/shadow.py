@@ -1,4 +1,4 @@
-"""The brightness of the ground in a ball's shadow, for the fit of discs; `contrast_regions` tells a shadow from a ball."""
+"""The brightness of the ground in a ball's shadow, for the fit of discs; `contrast_regions` finds the shadows."""
 
 from __future__ import annotations
 
