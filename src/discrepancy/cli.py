@@ -89,6 +89,7 @@ def find(
 
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
+    from discrepancy.data.notes import SearchNoteKind, count_lost_clips
     from discrepancy.data.reading import read_collisions
     from discrepancy.policy import SearchPolicy, applied_policy, read_policy
     from discrepancy.report import search_page
@@ -105,6 +106,9 @@ def find(
     ):
         _print_camera_notes(measured, camera)
         clips, left_out = read_collisions(measured, camera)
+        for note in left_out:
+            if note.kind is SearchNoteKind.NO_STRIKER:  # at once: a search without it may look for the wrong ball
+                print(f"discrepancy: {note}", file=sys.stderr)
         with show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report")) as progress:
             found = search(clips, given, progress, 60 * minutes, left_out)
             progress("report")
@@ -116,8 +120,9 @@ def find(
         print(f"verdict: {found.verdict}")
         for line in document["processed"]:
             print(f"Tracks: {line}.")
-        _print_left_out(document["clips"]["left_out"], len(left_out) > len(clips))
-        used = f"{len(found.data.clips) + len(found.data.held_out)} of {len(clips) + len(left_out)}"
+        lost = count_lost_clips(left_out)
+        _print_left_out(document["clips"]["left_out"], lost > len(clips))
+        used = f"{len(found.data.clips) + len(found.data.held_out)} of {len(clips) + lost}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
 
 

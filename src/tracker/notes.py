@@ -29,6 +29,7 @@ class NoteKind(Enum):
     LINKING = "linking"  # tracks that begin or end inside the picture
     TABLE = "table"  # how a table of tracks was read
     REPAIR = "repair"  # positions of a table that were exchanged back, left out or renumbered
+    STRIKER = "striker"  # which ball strikes is not stated
     MISFIT = "misfit"  # collisions that the model does not describe
     FLAG = "flag"  # collisions with a flag
     NOISE = "noise"  # errors of positions that differ from the claimed ones

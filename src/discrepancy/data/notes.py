@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -41,6 +42,7 @@ class SearchNoteKind(Enum):
         "even times, and those at the contact are left out"
     )
     # what all clips have in common
+    NO_STRIKER = "who strikes: {text}"
     ONE_SPEED = "all clips are at {speed:.2g} m/s: they hardly show how {laws} depends on the speed"
     ONE_IMPACT_PARAMETER = (
         "all clips have b near {b:.2f}: they show nothing that depends on it, and hop and mass_mismatch look the same"
@@ -62,3 +64,9 @@ class SearchNote:
     def __str__(self) -> str:
         text = self.kind.value.format(frames=", ".join(map(str, self.frames)), **self.values)
         return text if self.clip is None else f"clip {self.clip}: {text}"
+
+
+def count_lost_clips(notes: Sequence[SearchNote]) -> int:
+    """Count the clips that are left out; other notes are about clips that are used."""
+    used = (SearchNoteKind.REPAIRED, SearchNoteKind.STRAYS, SearchNoteKind.NO_STRIKER)
+    return sum(note.kind not in used for note in notes)

@@ -24,10 +24,10 @@ from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MISFIT
 from tracker.measurement.estimate import measure
 from tracker.measurement.track_repair import repair_tracks
-from tracker.notes import Note
+from tracker.notes import Note, NoteKind
 from tracker.recording import Result
 from tracker.results import read_clip
-from tracker.tables.read import read_tracks
+from tracker.tables.read import ClipTracks, read_tracks
 from tracker.tables.rows import split_tracks
 
 
@@ -44,6 +44,7 @@ def read_collisions(
     InputError
         A file is missing or malformed, no clip has a measured collision, or speeds and units are implausible.
     """
+    left_out: list[SearchNote] = []
     if not isinstance(measured, Path):
         sources, measured = _read_memory(measured), Path("results")
     elif measured.is_dir():
@@ -55,8 +56,11 @@ def read_collisions(
             raise InputError(f"{measured}: no such file or folder, expected RESULTS of a tracker or a table of tracks")
         raise InputError(f"{measured}: expected --camera camera.json with a table of tracks")
     else:
-        sources = _read_table(measured, camera)
-    kept, rejected, left_out = [], [], []
+        given = read_tracks(measured, camera)
+        sources = _read_table(measured, given)
+        unstated = [note for note in given.notes if note.kind is NoteKind.STRIKER]
+        left_out = [SearchNote(SearchNoteKind.NO_STRIKER, values={"text": note.text}) for note in unstated]
+    kept, rejected = [], []
     for source in sources:
         left_out += [
             SearchNote(SearchNoteKind.REPAIRED, source.number, note.frames, {"text": note.text})
@@ -137,8 +141,7 @@ def _read_results(folder: Path) -> Iterator[_Source]:
         yield _Source(clip, *read_clip(folder, clip), partial(rows.to_dict, "records"))
 
 
-def _read_table(path: Path, camera: Path) -> Iterator[_Source]:
-    given = read_tracks(path, camera)
+def _read_table(path: Path, given: ClipTracks) -> Iterator[_Source]:
     base, tables = given.camera, given.clips
     if why := detect_wrong_units((tracks, base) for tracks, _ in tables.values()):
         raise InputError(f"{path}: {why}")

@@ -288,4 +288,6 @@ def _read_hdf5(data: bytes) -> pd.DataFrame:
         with pd.HDFStore(copy.name, "r") as store:
             keys = [key for key in store.keys() if not key.startswith("/_")]  # noqa: SIM118
             frames = [key for key in keys if re.fullmatch(r"/Frame_\d+", key)] or keys[:1]
-            return pd.concat([store[key] for key in frames], ignore_index=True)
+            tables: list[Any] = [store[key] for key in frames]
+            whole: pd.DataFrame = pd.concat(tables, ignore_index=True)
+            return whole

@@ -75,7 +75,25 @@ def find_dialect(lines: Sequence[Line], delimiter: str = "", decimal: str = "") 
     if re.search(_GROUPED, text):
         return Dialect(delimiter, ".", ",")
     doubt = re.search(_EITHER, text)
+    if doubt and _mixes_whole_numbers(lines, delimiter):
+        return Dialect(delimiter, ".", ",")
     return Dialect(delimiter, "," if doubt else ".", "", doubt[0] if doubt else "")
+
+
+def _mixes_whole_numbers(lines: Sequence[Line], delimiter: str) -> bool:
+    """Whether a column has numbers such as 1,234 and others such as 987.
+
+    A program that writes three decimals always does; one that drops zeros writes fewer in some numbers too.
+    """
+    # ten numbers with exactly three decimals are no chance
+    least = 10
+    rows = [split_cells(line.text, delimiter) for line in lines[1:2000]]
+    for column in zip(*(row for row in rows if len(row) == len(rows[-1])), strict=True):
+        grouped = sum(re.fullmatch(_EITHER, cell) is not None for cell in column)
+        plain = sum(re.fullmatch(r"[-+]?\d{1,3}", cell) is not None for cell in column)
+        if grouped >= least and plain:
+            return True
+    return False
 
 
 def split_cells(text: str, delimiter: str) -> list[str]:

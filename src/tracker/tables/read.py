@@ -24,6 +24,10 @@ from tracker.tables.content import ZIP, Content
 from tracker.tables.rows import REQUIRED_COLUMNS, check_columns, split_tracks, to_numbers
 from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
 
+NO_STRIKER = (
+    "no column striker, so that ball {} counts as the striker of every clip; if the balls change roles, add a column"
+    " striker (a or b, the same in all rows of a clip): without it no effect of one ball alone can be found"
+)
 OPTIONAL_COLUMNS = "t clip striker x_std y_std cov_xy ep".split()
 
 
@@ -144,7 +148,64 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
     clips = split_tracks(rows, where, metric or up)
     if up:
         clips = {number: (_project(tracks, known), striker) for number, (tracks, striker) in clips.items()}
-    return ClipTracks(clips, known, tuple(note_all(NoteKind.TABLE, notes)))
+    if not given:
+        _refuse_wrong_unit([tracks for tracks, _ in clips.values()], known, where)
+    said = note_all(NoteKind.TABLE, notes)
+    if len(clips) > 1 and "striker" not in table.rows and not _names_striker(camera):
+        said.append(Note(NoteKind.STRIKER, f"{name}: {NO_STRIKER.format(known.striker)}"))
+    return ClipTracks(clips, known, tuple(said))
+
+
+def _names_striker(camera: CameraSource) -> bool:
+    """Whether the camera file says which ball strikes in all clips."""
+    if isinstance(camera, Camera):
+        return False
+    keys = read_source(camera)
+    return isinstance(keys, Mapping) and "striker" in keys
+
+
+def _refuse_wrong_unit(clips: list[Tracks], camera: Camera, where: str) -> None:
+    """Raises InputError for positions in px that no two balls can have: in another unit, or with wrong decimals.
+
+    Two balls are never nearer than a diameter, and hardly any track lies outside the picture.
+    """
+    pairs = [pair for tracks in clips if (pair := _common_frames(tracks)) is not None]
+    if not pairs or not camera.metric or not camera.knows_diameter:
+        return
+    touching, diameter = camera.diameter_px, camera.ball_diameter
+    spread = [float(np.ptp(np.concatenate(pair), axis=0).max()) for pair in pairs]
+    least = float(np.quantile([np.hypot(*(one - two).T).min() for one, two in pairs], 0.25))
+    far = float(np.median([np.median(np.abs(np.concatenate(pair)).max(axis=1)) for pair in pairs])) / max(camera.size)
+    units = {name: metre for name, (metre, _) in LENGTH_UNITS.items() if name in ("m", "cm", "mm", "um")}
+    # the least distance is a diameter in the right unit, as far as pixels and frames resolve it
+    fit = [name for name, metre in units.items() if abs(math.log(max(least, 1e-300) * metre / diameter)) < 0.25]
+    # no two balls come nearer than this, whatever the errors of a scale
+    too_near = least < 0.6 * touching
+    message = f"the balls come as near as {least:.3g}; expected px, and {touching:.3g} of them, a diameter"
+    if fit and (too_near or far > 2):
+        raise InputError(
+            f"{where}: x, y: positions look like {fit[0]}: {message}; `tracker measure --unit {fit[0]}` reads them"
+        )
+    if far > 2:
+        side = max(camera.size)
+        raise InputError(
+            f"{where}: x, y: most positions lie beyond twice the picture of {side} px; --unit says the unit"
+        )
+    if too_near and max(spread) < 3 * touching:
+        raise InputError(
+            f"{where}: x, y: all balls lie within {max(spread):.3g} px and come as near as {least:.2g} px, expected"
+            f" {touching:.3g} px, a diameter; --unit says the unit, --decimal the decimal mark"
+        )
+
+
+def _common_frames(tracks: Tracks) -> tuple[Any, Any] | None:
+    """The positions (k, 2) of the two balls seen most often, in the frames that both are in, if any."""
+    particles, counts = np.unique(tracks.particle, return_counts=True)
+    if len(particles) < 2:
+        return None
+    first, second = (np.flatnonzero(tracks.particle == p) for p in particles[np.argsort(-counts, kind="stable")[:2]])
+    frame, one, two = np.intersect1d(tracks.frame[first], tracks.frame[second], return_indices=True)
+    return (tracks.xy[first[one]], tracks.xy[second[two]]) if len(frame) else None
 
 
 def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camera:

@@ -171,10 +171,10 @@ BIG = [(f, b, 10 * x, 10 * y) for f, b, x, y in ROWS]
 )
 def test_thousands(text, factor, tmp_path):
     doubt = factor == 1e3
-    tracks, notes = read(text, tmp_path, **({"decimal": "."} if doubt else {}))
+    tracks, notes = read(text, tmp_path, unit="px", **({"decimal": "."} if doubt else {}))
     assert_all_read(tracks, [(f, b, factor * x, factor * y) for f, b, x, y in ROWS], atol=1e-2)
     if doubt:
-        _, notes = read(text, tmp_path)
+        _, notes = read(text, tmp_path, unit="px")
         assert any("line 2: 300,125 read as 300.125; --decimal ." in note for note in notes)
 
 
@@ -279,8 +279,15 @@ def test_a_refusal_names_line_column_value_and_remedy(text, said, tmp_path):
 def test_a_large_table_is_read_fast_enough_to_wait_for(tmp_path):
     """The dialect is found from samples and by one search of the text."""
     frame = np.repeat(np.arange(20000), 2)
-    table = pd.DataFrame({"frame": frame, "particle": np.tile([0, 1], 20000), "x": frame * 1e-3, "y": frame * 2e-3 + 9})
+    table = pd.DataFrame(
+        {
+            "frame": frame,
+            "particle": np.tile([0, 1], 20000),
+            "x": frame * 1e-3,
+            "y": frame * 2e-3 + np.tile([9, 39], 20000),
+        }
+    )
     table.to_csv(tmp_path / "t.csv", index=False)
     tracks = read_tracks(tmp_path / "t.csv", CAMERA).clips[0][0]
     assert len(tracks) == 40000
-    assert tracks.y[-1] == pytest.approx(9 + 19999 * 2e-3)
+    assert tracks.y[-1] == pytest.approx(39 + 19999 * 2e-3)

@@ -247,7 +247,9 @@ def test_damaged_files_end_in_one_line(write, rows, camera, tmp_path):
 def test_microns_of_which_one_is_missing(rows, camera, tmp_path):
     path = tmp_path / "tracks.csv"
     path.write_text(trackmate_csv(rows).replace("(micron),(micron),(micron),(sec)", ",(micron),(micron),(sec)"))
-    assert "lengths in px" in str(read_tracks(path, camera).notes[0])
+    with pytest.raises(InputError, match="positions look like um"):
+        read_tracks(path, camera)
+    assert "lengths in px" in str(read_tracks(path, camera, unit="px").notes[0])
 
 
 @pytest.mark.parametrize("cut", [0.1, 0.5, 0.9, 0.999])

@@ -35,18 +35,18 @@ def find_roles(table: pd.DataFrame) -> dict[str, str] | None:
 
     The first two others whose values are no whole numbers and vary are x and y.
     """
-    whole = [name for name in table if _counts(table[name])]
+    whole = [name for name in map(str, table) if _counts(table[name])]
     pairs = [
         (frame, particle)
         for frame in whole
         for particle in whole
         if frame != particle and _is_frame_and_particle(table[frame], table[particle])
     ]
-    places = [n for n in table if n not in whole and table[n].nunique() > 1]
+    places = [n for n in map(str, table) if n not in whole and table[n].nunique() > 1]
     if len(pairs) != 1 or len(places) < 2:
         if len(pairs) != 1 or table.shape[1] != 4:
             return None
-        places = [name for name in table if name not in pairs[0]]
+        places = [name for name in map(str, table) if name not in pairs[0]]
     frame, particle = pairs[0]
     return {"frame": frame, "particle": particle, "x": places[0], "y": places[1]}
 

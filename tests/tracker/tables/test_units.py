@@ -1,0 +1,81 @@
+"""Lengths in another unit than px, and decimals misread: refused with the option that helps, before any fit."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import tracker
+from synthcam_shared.errors import InputError
+from tracker.notes import NoteKind
+from tracker.tables.read import read_tracks
+
+SCALE, DIAMETER = 1.6e-4, 2.4e-3  # m/px; m: 15 px
+CAMERA = {"fps": 250.0, "size": [640, 480], "scale": SCALE, "ball_diameter": DIAMETER}
+
+
+def table(factor=1.0, nearest=15.2, clips=1):
+    """A ball passes another one that rests, px times a factor."""
+    frame = np.arange(40)
+    passing = np.column_stack([100 + 10.0 * frame, np.full(40, 240.0 + nearest)])
+    resting = np.tile([300.0, 240.0], (40, 1))
+    xy = factor * np.concatenate([resting, passing])
+    rows = pd.DataFrame({"frame": np.tile(frame, 2), "particle": np.repeat([0, 1], 40), "x": xy[:, 0], "y": xy[:, 1]})
+    return pd.concat([rows.assign(clip=clip) for clip in range(clips)])
+
+
+def written(rows, tmp_path):
+    rows.to_csv(tmp_path / "t.csv", index=False)
+    return tmp_path / "t.csv"
+
+
+@pytest.mark.parametrize(("unit", "metre"), [("mm", 1e-3), ("cm", 1e-2), ("um", 1e-6)])
+def test_other_units_are_named_at_once(unit, metre, tmp_path):
+    path = written(table(SCALE / metre), tmp_path)
+    with pytest.raises(InputError, match=f"positions look like {unit}: .*`tracker measure --unit {unit}` reads them"):
+        read_tracks(path, CAMERA)
+    with pytest.raises(InputError, match=f"look like {unit}"):
+        tracker.measure(table(SCALE / metre), CAMERA)
+    assert read_tracks(path, CAMERA, unit=unit).camera.metric
+    assert len(read_tracks(path, CAMERA, unit="px").clips[0][0]) == 80
+
+
+@pytest.mark.parametrize("nearest", [15.2, 13.0, 60.0, 200.0])
+def test_pixels_are_pixels(nearest, tmp_path):
+    """At a hit, with a scale that is a little wrong, and of balls that pass far from each other."""
+    assert len(read_tracks(written(table(nearest=nearest), tmp_path), CAMERA).clips[0][0]) == 80
+
+
+def test_one_ball_found_twice_is_no_wrong_unit(tmp_path):
+    assert len(read_tracks(written(table(nearest=1.0), tmp_path), CAMERA).clips[0][0]) == 80
+
+
+def test_thousands_beside_whole_numbers_are_thousands(tmp_path):
+    rows = table(3).assign(x=lambda t: t["x"].map("{:,.0f}".format), y=lambda t: t["y"].map("{:,.0f}".format))
+    rows.to_csv(tmp_path / "t.csv", index=False, sep=";")
+    tracks = read_tracks(tmp_path / "t.csv", CAMERA, unit="px").clips[0][0]
+    assert np.allclose(tracks.xy, table(3)[["x", "y"]], atol=0.5)
+
+
+def test_a_thousands_separator_read_as_a_decimal_point_is_refused(tmp_path):
+    rows = table(25).assign(x=lambda t: (1.0 * t["x"]).map("{:,.0f}".format), y=lambda t: t["y"].map("{:,.0f}".format))
+    rows[rows["x"].str.contains(",")].to_csv(tmp_path / "t.csv", index=False, sep=";")
+    with pytest.raises(InputError, match=r"all balls lie within 9.*--decimal the decimal mark"):
+        read_tracks(tmp_path / "t.csv", CAMERA)
+
+
+def test_positions_far_outside_the_picture_are_refused(tmp_path):
+    with pytest.raises(InputError, match="beyond twice the picture of 640 px; --unit"):
+        read_tracks(written(table(7), tmp_path), CAMERA)
+
+
+def test_who_strikes_is_asked_at_once(tmp_path):
+    def kinds(rows, camera=CAMERA):
+        return [note.kind for note in read_tracks(written(rows, tmp_path), camera).notes]
+
+    assert kinds(table(clips=3)) == [NoteKind.STRIKER]
+    (note,) = read_tracks(tmp_path / "t.csv", CAMERA).notes
+    assert "no column striker, so that ball b counts" in str(note)
+    assert "add a column striker (a or b" in str(note)
+    assert kinds(table(clips=1)) == []
+    assert kinds(table(clips=3).assign(striker="a")) == []
+    assert kinds(table(clips=3), CAMERA | {"striker": "b"}) == []
