@@ -29,6 +29,7 @@ app = command_line(
 )
 app.add_typer(benchmark_app, name="benchmark")
 SCORE = "score.json"
+MAX_ROWS_OF_A_PAGE = 100_000  # positions of a recording whose page is written unasked; more take minutes
 DETECTORS = (
     ", ".join(m.name for m in pkgutil.iter_modules(detector_files.__path__))
     + ", an installed package's own, FILE.py, FILE.py:NAME or MODULE:NAME"
@@ -94,7 +95,7 @@ def track(
         extra["ms_per_frame"] = round(1e3 * seconds / outcome.frames, 3)
     if as_json:
         extra["notes"] = {str(note): clips for note, clips in outcome.notes.items()}
-    if pages or (pages is None and outcome.clips == 1):
+    if _wants_pages(pages, outcome, output):
         extra["page"] = _pages(outcome, output, source, workers or 0)
     _report(outcome, output, extra, as_json)
 
@@ -133,7 +134,7 @@ def measure(
         raise InputError(f"--point: expected centre or glint, not {point!r}")
     outcome = measure_tables(tracks, output, camera, point, columns, unit, settings, decimal)
     extra = dict[str, Any]()
-    if pages or (pages is None and outcome.clips == 1):
+    if _wants_pages(pages, outcome, output):
         extra["page"] = _pages(outcome, output, tracks, 0)
     _report(outcome, output, extra, as_json)
 
@@ -312,6 +313,19 @@ def _score_tables(found: Path, truth: Path, output: Path, gate: float | None, na
 def _typed() -> str:
     """The command line of this process."""
     return shlex.join(["tracker", *sys.argv[1:]])
+
+
+def _wants_pages(pages: bool | None, outcome: ClipOutcome, output: Path) -> bool:
+    """Whether to write pages: as asked, or of a single recording that is not long."""
+    if pages is not None or outcome.clips > 1:
+        return bool(pages)
+    from pyarrow.parquet import read_metadata
+
+    (table,) = (output / "clips").glob("*/tracks.parquet")
+    rows = read_metadata(table).num_rows
+    if rows > MAX_ROWS_OF_A_PAGE:
+        print(f"tracker: no page is written of {rows} positions; --pages writes it, in minutes", file=sys.stderr)
+    return bool(rows <= MAX_ROWS_OF_A_PAGE)
 
 
 def _pages(outcome: ClipOutcome, output: Path, given: Path, workers: int) -> str:

@@ -336,6 +336,12 @@ def measure_tracks(
     tracks: Tracks, camera: Camera, number: int, point: str, settings: FitSettings | None = None
 ) -> Result:
     """Measure tracks made elsewhere as `track_and_measure` does its own."""
+    settings, count = settings or FitSettings(), len(np.unique(tracks.particle))
+    if count > settings.max_particles:
+        raise InputError(
+            f"clip {number}: {count} particles, expected at most {settings.max_particles}; the time grows with their "
+            f"square. For all write `fit: {{max_particles: {count}}}` into a file of settings (--settings FILE)"
+        )
     if point == "glint":
         tracks = results.to_centres(tracks, camera)
     repaired = repair_tracks(tracks, camera, number)

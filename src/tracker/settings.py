@@ -134,6 +134,9 @@ class FitSettings(Settings):
     contact_distance_tolerance: Positive = 0.03
     """Deviation from one diameter, in diameters, at which balls that touch are not yet flagged."""
 
+    max_particles: Count = 2000
+    """Most particles of a clip that are measured. 2000 take some 20 s; the time grows with the square of the number."""
+
     lone_ball_sigma: Positive = 10.0
     """Standard deviations of chi^2 beyond which a ball that meets no other does not roll freely."""
 

@@ -48,7 +48,7 @@ def own(tmp_path, monkeypatch):
     """A folder with a user's own files."""
     monkeypatch.chdir(tmp_path)
     for name in ("model.yaml", "scene.yaml", "noise.yaml"):
-        Path(name).write_text(SCENE if name == "scene.yaml" else "")
+        Path(name).write_text(SCENE if name == "scene.yaml" else "model: {}\n")
     Path("camera.json").write_text(json.dumps(CAMERA))
     table = pd.DataFrame({"clip": 0, "frame": [0, 1], "particle": 0, "x": [1.0, 2.0], "y": 3.0})
     table.to_csv("tracks.csv", index=False)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
 from tracker.measurement.collision.collision_model import AFTER, SPIN, TIED, directions, tied_to_free
 from tracker.measurement.collision.least_squares import BallPair
@@ -49,7 +50,9 @@ def find_contacts(balls: list[BallTrack], diameter: float, steps: float = 0.75) 
 
     steps: frames' worth of approach by which balls that touch between two frames may be farther apart in both.
     """
-    found = [(k, a, b) for a, b in combinations(balls, 2) for k in _contact_frames(a, b, diameter, steps)]
+    found = [
+        (k, a, b) for a, b in _find_near_pairs(balls, diameter, steps) for k in _contact_frames(a, b, diameter, steps)
+    ]
     found.sort(key=lambda m: m[0])
     out = []
     for i, (frame, a, b) in enumerate(found):
@@ -61,6 +64,24 @@ def find_contacts(balls: list[BallTrack], diameter: float, steps: float = 0.75) 
             cut.append(track.where((track.frame > first) & (track.frame < last)))
         out.append(ContactCandidate(cut[0], cut[1], frame))
     return out
+
+
+def _find_near_pairs(balls: list[BallTrack], diameter: float, steps: float) -> Iterator[tuple[BallTrack, BallTrack]]:
+    """Iterate over the pairs whose paths come so near that `_contact_frames` may find a contact, by their bounds."""
+    if len(balls) < 2:
+        return
+    low, high = (np.array([end(b.position, axis=0) for b in balls]) for end in (np.min, np.max))
+    first, last = np.array([(b.frame[0], b.frame[-1]) for b in balls]).T
+    gap = np.array([np.diff(b.frame).max(initial=1) for b in balls])
+    fastest = [np.hypot(*(np.diff(b.position, axis=0) / np.diff(b.frame)[:, None]).T).max(initial=0.0) for b in balls]
+    step = np.array(fastest)
+    for i, ball in enumerate(balls[:-1]):
+        rest = slice(i + 1, None)
+        apart = np.hypot(*np.maximum(np.maximum(low[rest] - high[i], low[i] - high[rest]), 0.0).T)
+        reach = 1.02 * diameter + steps * 1.001 * (step[rest] + step[i]) * np.maximum(gap[rest], gap[i])
+        meet = np.minimum(last[rest], last[i]) - np.maximum(first[rest], first[i]) >= 4
+        for j in np.flatnonzero((apart <= reach) & meet):
+            yield ball, balls[i + 1 + j]
 
 
 def prepare_contact(
@@ -112,8 +133,8 @@ def _contact_frames(a: BallTrack, b: BallTrack, diameter: float, steps: float) -
     apart = np.hypot(*(_interpolate(a, frames) - _interpolate(b, frames)).T)
     step = np.abs(np.diff(apart))
     found = []
-    for k in range(1, len(frames) - 1):
-        if apart[k] != apart[max(k - 3, 0) : k + 4].min():
+    for k in np.flatnonzero(apart == minimum_filter1d(apart, 7, mode="nearest")):
+        if not 0 < k < len(frames) - 1:
             continue
         reach = step[max(k - 3, 0) : k + 3].max() * max(_gap(c, int(frames[k])) for c in (a, b))
         if apart[k] < diameter * 1.01 + steps * reach and _changed_velocity(a, b, int(frames[k])):
