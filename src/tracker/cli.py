@@ -181,6 +181,7 @@ def score(
     """
     from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
     from tracker.results import RUN, load_json
+    from tracker.scoring.score import check_same_dataset
     from tracker.scoring.score import score as score_results
     from tracker.scoring.score_page import write_report
     from tracker.scoring.summary import summarise
@@ -203,6 +204,7 @@ def score(
                 run = load_json(results / RUN)
                 name = str(run.get("detector", "")) if isinstance(run, dict) else ""
             verdict = score_results(results, truth, name or "default", scheduler=scheduler)
+            check_same_dataset(verdict, results, truth)
             path = write_report(verdict, results, truth, output, _typed())
             verdict.write(output)
         except BaseException:

@@ -73,6 +73,8 @@ def run(
     if detector is not None:
         load_linker(detector, first.camera)
     films, said = replace(films, channel=first.channel), note_all(NoteKind.CHANNEL, [why])
+    if films.camera is None and films.path.is_file():
+        said += note_all(NoteKind.ASSUMED, [f"camera: {file}; --camera takes another" for file in films.camera_files()])
     if detector is None:
         detector, why = choose_detector(first.frames, first.camera)
         said += note_all(NoteKind.DETECTOR, [why])

@@ -43,6 +43,7 @@ Floats = NDArray[np.float64]
 # Largest standard errors that are reported of quantities that may be zero, in their own units; see `largest_error`.
 _LARGEST_ERRORS = {"b": 0.05, "t_c": np.inf, "s": 0.1, "r": 0.05, "C": 0.05, "final_angle": 0.1}
 _LARGEST_ERRORS |= {"energy_fraction": 0.05, "momentum_fraction": 0.05, "drag": 2.0, "decel": 0.2}
+NOTHING_KNOWN = "the positions show no quantity well enough; check their unit, the scale and fps"
 _SPINS_FROM_LAWS = ("w1n", "w1t", "w2n", "w2t")  # the free fit infers spins by laws that a misfit puts in doubt
 
 
@@ -166,7 +167,8 @@ def _measure_collision(
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
     row |= painter_behringer.paper_columns(contact, camera)
     if not read.is_misfit:
-        return row | {"status": "ok"}, _earlier_hits(read, earlier)
+        known = any(np.isfinite(row[f"{name}{kind}"]) for name in QUANTITY_NAMES for kind in ("", "_free"))
+        return row | {"status": "ok" if known else NOTHING_KNOWN}, _earlier_hits(read, earlier)
     # differences show these quantities whatever the balls do after the hit
     lost = [name for name in QUANTITY_NAMES if name not in ("t_c", "v0", "b", "r", "s")]
     return row | {"status": MISFIT} | {f"{name}_paper_std": np.nan for name in lost}, unknown

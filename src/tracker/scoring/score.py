@@ -94,6 +94,17 @@ def score(
     )
 
 
+def check_same_dataset(verdict: DetectorScore, results: Path, dataset: Path) -> None:
+    """Raises InputError where hardly any position is near a true one, as with the truth of another dataset."""
+    paired, false = (int(verdict.localisation[name]) for name in ("n", "false"))
+    # by chance one position in a hundred is near a ball
+    if paired < 0.02 * false:
+        raise InputError(
+            f"{results}: {paired} of {paired + false} positions are within {GATE_PX:g} px of a true one of {dataset};"
+            " expected the dataset that was tracked"
+        )
+
+
 def _scalars(dataset: Path) -> pd.DataFrame:
     """True quantities of all clips; each process reads them once."""
     path = dataset / "truth" / "clips.parquet"

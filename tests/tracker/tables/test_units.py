@@ -79,3 +79,18 @@ def test_who_strikes_is_asked_at_once(tmp_path):
     assert kinds(table(clips=1)) == []
     assert kinds(table(clips=3).assign(striker="a")) == []
     assert kinds(table(clips=3), CAMERA | {"striker": "b"}) == []
+
+
+@pytest.mark.parametrize("factor", [0.02, 0.05, 0.1, 0.3])
+def test_ok_is_never_without_a_value(factor):
+    """Whatever the unit is taken for: `ok` has at least one of v0, b, r, mu_k, C."""
+    import synthcam
+
+    small = {"size": [200, 160], "scale": 3e-4}
+    clip = synthcam.Scene.read("painter_behringer", camera=small, timing={"frames": 60, "contact_frame": 20}).draw(1)
+    rows = clip.tracks[["frame", "particle"]].assign(x=clip.tracks.x_mean_px, y=clip.tracks.y_mean_px)
+    noise = np.random.default_rng(0).normal(0, 0.02, (2, len(rows)))
+    rows = rows.assign(x=factor * rows.x + noise[0], y=factor * rows.y + noise[1])
+    (row,) = tracker.measure(rows, clip.camera_json, unit="px").estimates.to_dict("records")
+    values = [row[f"{name}{kind}"] for name in ("v0", "b", "r", "mu_k", "C") for kind in ("", "_free")]
+    assert row["status"] != "ok" or np.isfinite(values).any()
