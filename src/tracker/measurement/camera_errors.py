@@ -17,7 +17,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tracker.camera.views import perturb_view, scale_at
+from tracker.measurement.collision.collision_fit import CollisionFits
 from tracker.measurement.collision.derived import DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.lasting_contact import LastingFit, LastingResiduals
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.positions import BallTrack
 
@@ -154,14 +156,41 @@ def add_camera_errors(
     return replace(fit, chi2=fit.chi2 - explained), values.with_shared(differentiate(errors, changed))
 
 
-def measure_contact_distance(free: CollisionFit, camera: Camera) -> tuple[float, float]:
-    """Measure the distance of the balls' centres at the contact from their tracks alone.
+def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> CollisionFits:
+    """Add the errors of the camera file to the fits of a contact that lasts, as `add_camera_errors` does."""
+    errors, fits = camera_errors(camera), read.fits
+    if not errors or fits is None:
+        return read
+    changed = {}
+    for name in ("tied", "free"):
+        fit: LastingFit = getattr(fits, name)
+        residual, rows = fit.problem(fit.x)
 
-    The free fit assumes that they touch at one diameter. Returns the distance in diameters, and its standard error with
+        def moved(error: CameraError, by: float, fit: LastingFit = fit) -> Floats:
+            return LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind).residual(fit.x)
+
+        shift, explained = linear_response(residual, rows, fit.cov, differentiate(errors, moved))
+
+        def values(error: CameraError, by: float, fit: LastingFit = fit, shift: Floats = shift) -> Floats:
+            problem = LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind)
+            moved = replace(fit, problem=problem, x=fit.x + by * shift[:, errors.index(error)])
+            return np.append(moved.values().value, moved.times(moved.x)[:2].sum())
+
+        response = differentiate(errors, values)
+        changed[name] = replace(getattr(read, name), chi2=fit.chi2 - explained)
+        changed[f"{name}_values"] = getattr(read, f"{name}_values").with_shared(np.nan_to_num(response[:-1]))
+    std = float(np.hypot(fits.contact.duration_std, np.linalg.norm(response[-1])))
+    return replace(read, **changed, fits=replace(fits, contact=replace(fits.contact, duration_std=std)))
+
+
+def measure_contact_distance(free: CollisionFit, camera: Camera, tied: bool = False) -> tuple[float, float]:
+    """Measure the distance of the balls' centres at the contact from their tracks alone, by a free fit or a tied one.
+
+    The fit assumes that they touch at one diameter. Returns the distance in diameters, and its standard error with
     those of scale and diameter.
     """
     unit = CameraError("ball_diameter", camera.ball_diameter, 0.01)
-    index, residual, rows, disturbed = _disturb(free, False, [unit], camera)
+    index, residual, rows, disturbed = _disturb(free, tied, [unit], camera)
     shift, _ = linear_response(residual, rows, free.cov[np.ix_(index, index)], disturbed)
     left = (disturbed + rows @ shift)[:, 0]
     square = max(float(left @ left), 1e-300)

@@ -13,18 +13,39 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement import painter_behringer
-from tracker.measurement.camera_errors import add_camera_errors, effects_to_json, measure_contact_distance
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT, Flag, flag_contact_distance, p_free
-from tracker.measurement.collision.collision_fit import CollisionFits, fit_collision
+from tracker.measurement.camera_errors import (
+    add_camera_errors,
+    add_camera_errors_to_lasting,
+    effects_to_json,
+    measure_contact_distance,
+)
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT, TOGETHER, Flag, flag_contact_distance, p_free
+from tracker.measurement.collision.collision_fit import (
+    HIDDEN_SLIDE,
+    CollisionFits,
+    fit_collision,
+    fit_lasting_collision,
+)
 from tracker.measurement.collision.collision_model import FREE, SPIN, TARGET, TIED, tied_to_free
-from tracker.measurement.collision.contacts import ContactCandidate, EarlierHit, find_contacts, prepare_contact
+from tracker.measurement.collision.contacts import (
+    Contact,
+    ContactCandidate,
+    EarlierHit,
+    find_contacts,
+    find_near_pairs,
+    find_slow_contacts,
+    prepare_contact,
+)
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
+from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, TOO_FEW, count_frames_within
+from tracker.measurement.collision.staying_together import MAX_DISTANCE, Stay, find_stays
 from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.joint_fit import fit_all
 from tracker.measurement.lone_ball import PARAMETERS, add_camera_errors_to_lone_ball, fit_lone_ball
@@ -44,6 +65,8 @@ Floats = NDArray[np.float64]
 _LARGEST_ERRORS = {"b": 0.05, "t_c": np.inf, "s": 0.1, "r": 0.05, "C": 0.05, "final_angle": 0.1}
 _LARGEST_ERRORS |= {"energy_fraction": 0.05, "momentum_fraction": 0.05, "drag": 2.0, "decel": 0.2}
 NOTHING_KNOWN = "the positions show no quantity well enough; check their unit, the scale and fps"
+DOUBTFUL_SIGMA = 3.0  # instead of MIN_SIGNIFICANCE, where the tracks reject an instantaneous contact
+MIN_FRAMES_WITHIN = 3  # in which balls are clearly within a diameter, from which on a contact that lasts is tried first
 _SPINS_FROM_LAWS = ("w1n", "w1t", "w2n", "w2t")  # the free fit infers spins by laws that a misfit puts in doubt
 
 
@@ -55,6 +78,7 @@ def measure(tracks: Tracks, camera: Camera, settings: FitSettings | None = None)
 
     - "ok";
     - "misfit": the data reject the tied fit or its values are impossible, and NAME has no error;
+    - "stay_together": the balls meet and do not part, so that r is 0;
     - "no_collision": v0, drag and decel are those of the ball that rolls;
     - or the reason why nothing can be measured.
     """
@@ -101,11 +125,16 @@ def _measure_balls(balls: list[BallTrack], camera: Camera, settings: FitSettings
         reason = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
         return [empty_row(camera, reason) | noise]
     found = find_contacts(balls, camera.ball_diameter) if len(balls) > 1 else []
+    near = find_near_pairs(balls, MAX_DISTANCE * camera.ball_diameter, 1.0) if len(balls) > 1 else ()
+    stays = [stay for a, b in near for stay in find_stays(a, b, camera.ball_diameter)]
+    if found or stays:
+        return _measure_collisions(found, stays, noise, camera, settings)
+    found = find_slow_contacts(balls, camera.ball_diameter) if len(balls) > 1 else []
     if found:
-        return _measure_collisions(found, noise, camera, settings)
+        return _measure_collisions(found, [], noise, camera, settings)
     # A filter that smooths tracks keeps the balls apart, and so does a wrong scale: search within 1.5 diameters.
     found = find_contacts(balls, 1.5 * camera.ball_diameter, 2.0) if len(balls) > 1 else []
-    rows = _measure_collisions(found, noise, camera, settings)
+    rows = _measure_collisions(found, [], noise, camera, settings)
     if any(row["status"] in MEASURED for row in rows):
         return rows
     flags = {"flags": str(Flag.NO_TOUCH)} if found else {}
@@ -113,20 +142,45 @@ def _measure_balls(balls: list[BallTrack], camera: Camera, settings: FitSettings
 
 
 def _measure_collisions(
-    found: list[ContactCandidate], noise: dict[str, Any], camera: Camera, settings: FitSettings
+    found: list[ContactCandidate], stays: list[Stay], noise: dict[str, Any], camera: Camera, settings: FitSettings
 ) -> list[dict[str, Any]]:
-    """A row for each contact, in order of time."""
+    """A row for each contact, in order of time; balls that stay together have no further contacts."""
+    found = [candidate for candidate in found if not any(_is_within(candidate, stay) for stay in stays)]
     rows, earlier = [], dict[int, EarlierHit]()
-    for i, candidate in enumerate(found):
+    every: list[tuple[int, ContactCandidate | Stay]] = [(candidate.frame, candidate) for candidate in found]
+    every = sorted([*every, *((stay.first, stay) for stay in stays)], key=lambda event: event[0])
+    for i, (_, event) in enumerate(every):
+        if isinstance(event, Stay):
+            rows.append(empty_row(camera, TOGETHER, i) | _stay_columns(event) | noise)
+            earlier |= dict.fromkeys((event.struck.particle, event.striker.particle), EarlierHit(np.inf))
+            continue
         try:
-            row, left = _measure_collision(candidate, earlier, camera, i, settings)
+            row, left = _measure_collision(event, earlier, camera, i, settings)
         except (ArithmeticError, ValueError, IndexError) as error:  # one collision never costs the others
-            one, two = candidate.one.particle, candidate.other.particle
+            one, two = event.one.particle, event.other.particle
             row = empty_row(camera, failure_status(error), i) | {"particle1": one, "particle2": two}
             left = dict.fromkeys((one, two), EarlierHit(np.inf))
         rows.append(noise | row if row["noise"] == "scatter" else row | noise)
         earlier |= left
     return rows
+
+
+def _is_within(candidate: ContactCandidate, stay: Stay) -> bool:
+    """Test whether a contact is one of balls that stay together."""
+    same = {candidate.one.particle, candidate.other.particle} == {stay.struck.particle, stay.striker.particle}
+    return same and stay.first - 2 <= candidate.frame <= stay.last + 2
+
+
+def _stay_columns(stay: Stay) -> dict[str, Any]:
+    """The columns of two balls that stay together."""
+    row: dict[str, Any] = {"particle1": stay.struck.particle, "particle2": stay.striker.particle}
+    values = {"v0": (stay.speed, stay.speed_std), "b": (stay.offset, stay.offset_std), "r": (0.0, stay.r_std)}
+    for name, (value, std) in (values).items():
+        row[name], row[f"{name}_std"] = value, std
+    row |= {"t_c": stay.time, "r_free": 0.0, "r_free_std": stay.r_std, "flags": str(Flag.TOGETHER)}
+    frames = np.concatenate([stay.struck.frame, stay.striker.frame])
+    row |= {"frame_first": int(frames.min()), "frame_last": int(frames.max())}
+    return row | {"contact_first": stay.first, "contact_last": stay.last}
 
 
 def failure_status(error: Exception) -> str:
@@ -155,23 +209,70 @@ def _measure_collision(
     unknown = {track.particle: EarlierHit(np.inf) for _, track in contact.pair.balls}
     if contact.reason:
         return row, unknown
-    read = fit_collision(contact)
+    read, flags = _fit(contact, candidate, earlier, camera, settings)
     if isinstance(read, str):
         return row | {"status": read}, unknown
-    tied, tied_values = add_camera_errors(read.tied, read.tied_values, True, camera)
-    free, free_values = add_camera_errors(read.free, read.free_values, False, camera)
-    read = replace(read, tied=tied, free=free, tied_values=tied_values, free_values=free_values)
-    flags = flag_contact_distance(*measure_contact_distance(free, camera), settings)
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
     row |= {"adequate": read.p_tied, "adequate_free": read.p_free, "agree": read.p_agree}
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
-    row |= painter_behringer.paper_columns(contact, camera)
+    row |= painter_behringer.paper_columns(contact, camera, read.lasting)
     if not read.is_misfit:
         known = any(np.isfinite(row[f"{name}{kind}"]) for name in QUANTITY_NAMES for kind in ("", "_free"))
         return row | {"status": "ok" if known else NOTHING_KNOWN}, _earlier_hits(read, earlier)
     # differences show these quantities whatever the balls do after the hit
     lost = [name for name in QUANTITY_NAMES if name not in ("t_c", "v0", "b", "r", "s")]
+    if read.contact.pair.striker.encoded:
+        row["flags"] = "|".join(filter(None, [row["flags"], Flag.ENCODED]))
     return row | {"status": MISFIT} | {f"{name}_paper_std": np.nan for name in lost}, unknown
+
+
+def _fit(
+    contact: Contact,
+    candidate: ContactCandidate,
+    earlier: dict[int, EarlierHit],
+    camera: Camera,
+    settings: FitSettings,
+) -> tuple[CollisionFits | str, list[Flag]]:
+    """The fits of a collision with the camera's errors, or why there are none; flags of the contact's distance.
+
+    A contact that lasts is tried first if balls are clearly within a diameter in some frames, and otherwise if an
+    instantaneous one is doubtful.
+    """
+    tries = partial(fit_lasting_collision, candidate, camera.ball_diameter, earlier, settings)
+    lasting: CollisionFits | str | None = None
+    if is_wide := count_frames_within(candidate, camera.ball_diameter) >= MIN_FRAMES_WITHIN:
+        lasting = tries()
+        if isinstance(lasting, CollisionFits) and lasting.lasting is not None:
+            return add_camera_errors_to_lasting(lasting, camera), []
+        if lasting == HIDDEN_SLIDE:
+            return lasting, []
+    read, flags, nearer = fit_collision(contact), list[Flag](), np.nan
+    if not isinstance(read, str):
+        tied, tied_values = add_camera_errors(read.tied, read.tied_values, True, camera)
+        free, free_values = add_camera_errors(read.free, read.free_values, False, camera)
+        read = replace(read, tied=tied, free=free, tied_values=tied_values, free_values=free_values)
+        by_free, by_tied = (measure_contact_distance(fit, camera, fit is tied) for fit in (free, tied))
+        flags = flag_contact_distance(*by_free, settings)
+        nearer = max((1 - distance) / std for distance, std in (by_free, by_tied))
+    if isinstance(read, str) or _may_last(read, nearer):
+        lasting = tries(DOUBTFUL_SIGMA if isinstance(read, str) or read.is_misfit else MIN_SIGNIFICANCE)
+        if isinstance(lasting, CollisionFits):
+            return add_camera_errors_to_lasting(lasting, camera), []
+        if isinstance(lasting, str) and (is_wide or lasting != TOO_FEW):
+            return lasting, []
+    return read, flags
+
+
+def _may_last(read: CollisionFits, nearer: float) -> bool:
+    """Decide whether a contact may be other than instantaneous, or the balls may not slide.
+
+    nearer: standard errors by which they touch within one diameter. Noise that is correlated from frame to frame may
+    be that of the contact.
+    """
+    mu = QUANTITY_NAMES.index("mu_k")
+    is_slide_unseen = not read.tied_values.std[mu] < read.settings.max_relative_error * read.tied_values.value[mu]
+    is_correlated = read.contact.pair.striker.rho > 0
+    return bool(read.is_misfit or read.flags or is_correlated or is_slide_unseen or nearer > MIN_SIGNIFICANCE)
 
 
 def _value_columns(read: CollisionFits, camera: Camera) -> dict[str, Any]:
@@ -187,6 +288,11 @@ def _value_columns(read: CollisionFits, camera: Camera) -> dict[str, Any]:
     for column, name in zip(BEFORE, SPIN, strict=False):
         known = name in read.contact.pair.fitted_spin and not read.is_misfit
         row[f"{column}_std"] = float(np.sqrt(read.tied.cov[TIED.index(name), TIED.index(name)])) if known else np.nan
+    ends = [track.start[-1] + track.exposure for _, track in read.tied.pair.balls]
+    row["time_left_s"] = float(min(ends) - read.tied.parameters[0])
+    if read.lasting is not None:
+        row |= {"contact_duration_s": read.lasting.duration, "contact_duration_s_std": read.lasting.duration_std}
+        row |= {"contact_first": read.lasting.first, "contact_last": read.lasting.last}
     for suffix, fit in (("", read.tied), ("_free", read.free)):
         row |= {f"chi2{suffix}": fit.chi2, f"dof{suffix}": fit.dof, f"dropped{suffix}": fit.dropped}
     return row
@@ -214,7 +320,9 @@ def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
     """
     settings = read.settings
     # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed
-    if all(read.slide_ends_seen) and not read.free.converged:
+    if read.unseen is not None:
+        unseen = set(read.unseen)
+    elif all(read.slide_ends_seen) and not read.free.converged:
         unseen = set(QUANTITY_NAMES)
     else:
         unseen = set[str]()
@@ -230,7 +338,8 @@ def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
             unseen |= {"s"}
         if read.contact.pair.fitted_spin:
             unseen |= {"C"}  # the free fit has no spin of the striker before the hit
-    tied = _within_limits(read.tied_values, False, set(), settings)
+    assumed = unseen if read.tied_is_straight else set[str]()  # nothing follows from laws of slides
+    tied = _within_limits(read.tied_values, False, assumed, settings)
     free = _within_limits(read.free_values, True, unseen, settings)
     if read.is_misfit:
         tied, free = tied.without_errors(QUANTITY_NAMES), free.without_errors(("C", *_SPINS_FROM_LAWS))
@@ -291,6 +400,13 @@ def empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
     row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
     row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
     row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}
+    row |= {
+        "time_left_s": np.nan,
+        "contact_duration_s": np.nan,
+        "contact_duration_s_std": np.nan,
+        "contact_first": -1,
+        "contact_last": -1,
+    }
     row |= {"chi2": np.nan, "dof": 0, "dropped": 0}
     return row | {"chi2_free": np.nan, "dof_free": 0, "dropped_free": 0}
 

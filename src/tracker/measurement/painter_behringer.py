@@ -22,13 +22,20 @@ from tracker.measurement.positions import BallTrack
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
+    from tracker.measurement.collision.lasting_contact import LastingContact
 
 Floats = NDArray[np.float64]
 TIME_STD_FRAMES = float(np.sqrt(2 / 12))  # frames; std of a time between two instants, each known to one frame
 
 
-def paper_columns(contact: Contact, camera: Camera) -> dict[str, float]:
-    """NAME_paper and NAME_paper_std, with the errors of the camera file."""
+def paper_columns(contact: Contact, camera: Camera, lasting: LastingContact | None = None) -> dict[str, float]:
+    """NAME_paper and NAME_paper_std, with the errors of the camera file.
+
+    The frames of a contact that lasts are left out. Only the speed before it then has an error: the differences after
+    it are as far from it as its duration is long.
+    """
+    if lasting is not None:
+        contact = replace(contact, first=lasting.first, last=lasting.last)
     table = read_differences(contact, camera.fps)
     square = {name: std**2 for name, (_, std) in table.items()}
     for error in camera_errors(camera):
@@ -38,7 +45,8 @@ def paper_columns(contact: Contact, camera: Camera) -> dict[str, float]:
         for name in table:
             square[name] += ((high[name][0] - low[name][0]) / 2) ** 2
     values = {f"{name}_paper": value for name, (value, _) in table.items()}
-    return values | {f"{name}_paper_std": float(np.sqrt(s)) for name, s in square.items()}
+    kept = {name: s if lasting is None or name == "v0" else np.nan for name, s in square.items()}
+    return values | {f"{name}_paper_std": float(np.sqrt(s)) for name, s in kept.items()}
 
 
 def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, float]]:
@@ -47,9 +55,9 @@ def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, flo
     Errors propagate those of the positions through the differences; a time is known to a frame.
     """
     balls, diameter = (contact.pair.struck, contact.pair.striker), contact.pair.diameter
-    ends = [slide_end(track, contact.frame, fps) for track in balls]
-    positions, covs = zip(*(_sample(c, contact.frame, end) for c, end in zip(balls, ends, strict=True)), strict=True)
-    taus = np.array([np.nan if end is None else (end - contact.frame) / fps for end in ends])
+    ends = [slide_end(track, contact.end, fps) for track in balls]
+    positions, covs = zip(*(_sample(c, contact, end) for c, end in zip(balls, ends, strict=True)), strict=True)
+    taus = np.array([np.nan if end is None else (end - contact.end) / fps for end in ends])
     sample, cov = np.stack(positions), np.stack(covs)  # (2, 7, 2), (2, 7, 2, 2)
     steps = np.zeros((2, 7, 2, *sample.shape))  # by ball, frame and column of the covariance's root
     for ball, row in np.argwhere(np.isfinite(sample).all(axis=2)):
@@ -64,7 +72,7 @@ def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, flo
     table["mu_k"] = (mu, float(np.hypot(mu_std, mu * TIME_STD_FRAMES / fps / np.mean(taus))))
     instant = balls[0].time[balls[0].frame == contact.frame]
     table["t_c"] = (float(instant[0]) if len(instant) else np.nan, 1 / fps / np.sqrt(12))
-    table["drag"], table["decel"] = rolling_loss(balls, contact.frame, ends, fps)
+    table["drag"], table["decel"] = rolling_loss(balls, contact.start, ends, fps)
     return {n: table[n] if np.isfinite(table[n][0]) else (np.nan, np.nan) for n in QUANTITY_NAMES}
 
 
@@ -109,9 +117,10 @@ def rolling_loss(
     return (float(-slope[0]), float(std[0])), (float(-slope[1]), float(std[1]))
 
 
-def _sample(track: BallTrack, contact: int, end: int | None) -> tuple[Floats, Floats]:
+def _sample(track: BallTrack, contact: Contact, end: int | None) -> tuple[Floats, Floats]:
     """Positions (7, 2) and covariances at the seven frames that are differenced; NaN where there is none."""
-    wanted = [contact + k for k in (-3, -1, 0, 1, 3)]
+    first, last = contact.start, contact.end
+    wanted = [first - 3, first - 1, contact.frame, last + 1, last + 3]
     wanted += [-1, -1] if end is None else [end + k for k in (1, 3)]
     position, cov = np.full((7, 2), np.nan), np.full((7, 2, 2), np.nan)
     for i, frame in enumerate(wanted):

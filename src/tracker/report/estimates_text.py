@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from synthcam_shared.report.numbers import NOT_KNOWN, format_with_error
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT, TOGETHER, Flag
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.quantities import QUANTITIES, Quantity
 
@@ -48,12 +48,68 @@ def format_value(row: Mapping[str, Any], column: str) -> str:
 
 def describe_status(row: Mapping[str, Any]) -> str:
     """Say in a sentence what the tracks of a row show."""
+    if row["status"] == TOGETHER:
+        frames = f"from frame {row['contact_first']:.0f} to {row['contact_last']:.0f}"
+        return f"Two balls collide and stay together {frames}"
     known = {
         "ok": "Two balls collide. One model of impact, sliding and rolling describes their tracks",
         MISFIT: "Two balls collide. Their tracks reject the model of two equal balls that roll, collide and slide",
         "no_collision": "No two balls touch",
     }
     return known.get(row["status"], f"Not measured: {row['status']}")
+
+
+def describe_contact(row: Mapping[str, Any]) -> str:
+    """Say how long the contact lasts; "" of one that takes no time."""
+    duration = row.get("contact_duration_s")
+    if duration is None or not math.isfinite(duration):
+        return ""
+    time = format_with_error(duration * 1e3, row["contact_duration_s_std"] * 1e3)
+    frames = f"the fits leave out frames {row['contact_first']:.0f} to {row['contact_last']:.0f}"
+    if Flag.LASTS_OR_SMALLER in row["flags"].split("|"):
+        return f"The contact lasts {time} ms, if ball_diameter is right; {frames}"
+    return f"The contact lasts {time} ms; {frames}"
+
+
+def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES) -> list[str]:
+    """List the reasons for which quantities have no value, or none with an error: one sentence for each reason."""
+    if row["status"] not in MEASURED:
+        return []
+    flags = row["flags"].split("|")
+    missing = {s: {n for n in names if not _is_known(row, f"{n}{s}")} for s in ("", "_free")}
+    bare = any(_is_known(row, n) and not _is_known(row, f"{n}_std") for n in names)
+    reasons = []
+    if Flag.STRAIGHT in flags or (row["contact_first"] >= 0 and row["r"] == row["r_free"]):
+        reasons.append("both fits are straight lines after the contact: no slide is seen, so nothing that needs one")
+    elif missing["_free"] & {"tau1", "tau2", "mu_k", "r", "energy_fraction"}:
+        reasons.append(
+            "free fit: the tracks are too short or too noisy to show the velocity after the hit and the end of a slide"
+        )
+    if missing[""] and not reasons:
+        reasons.append("tied fit: the error is larger than a fifth of the value, or than the limits of docs/format.md")
+    if row["status"] == MISFIT and bare:
+        reasons.append("no error: the tracks reject the fit")
+    if not any(_is_known(row, f"{n}_paper") for n in names):
+        reasons.append("finite differences: frames next to the contact are missing")
+    elif Flag.LASTS in flags or Flag.LASTS_OR_SMALLER in flags:
+        reasons.append("finite differences of a contact that lasts have no errors")
+    return reasons
+
+
+def is_extrapolated(row: Mapping[str, Any], name: str, suffix: str) -> bool:
+    """Decide whether the tied fit's value is of a time after the balls were last seen."""
+    needs = {"tau1": "tau1", "v1f": "tau1", "tau2": "tau2", "v2f": "tau2"}
+    if suffix or row["status"] not in MEASURED:
+        return False
+    slides = [needs[name]] if name in needs else ["tau1", "tau2"]
+    late = name in (*needs, "energy_fraction", "momentum_fraction", "final_angle")
+    end = row.get("time_left_s")
+    return late and end is not None and any(_is_known(row, slide) and row[slide] > end for slide in slides)
+
+
+def _is_known(row: Mapping[str, Any], column: str) -> bool:
+    value = row[column]
+    return value is not None and math.isfinite(value)
 
 
 def describe_frames(row: Mapping[str, Any]) -> str:
@@ -88,11 +144,20 @@ def format_for_terminal(estimates: pd.DataFrame, max_collisions: int = 6) -> Ite
 def _format_row(row: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
     yield f"clip {row['clip']}, collision {row['collision']}{describe_frames(row)}: {describe_status(row)}."
     is_measured = row["status"] in MEASURED
-    lines = list_quantities(row, names if is_measured else ("v0", "drag", "decel"))
-    methods = 2 if is_measured else 1
+    lines = list_quantities(row, names if is_measured else ("v0", "b", "r", "drag", "decel"))
+    methods = 3 if is_measured else 1
+    if contact := describe_contact(row):
+        yield f"  {contact}."
     if lines and is_measured:
-        heads = "".join(f"{method:>16}" for method in list(METHODS.values())[:methods])
+        heads = "".join(f"{method:>19}" for method in METHODS.values())
         yield f"  {'':<8}{heads}  {describe_fit(row)}".rstrip()
     for line in lines:
-        values = "".join(f" {value:>15}" for value in line.values[:methods])
+        marks = ["*" if is_extrapolated(row, line.name, suffix) else "" for suffix in METHODS]
+        texts = [f"{value}{mark}" for value, mark in zip(line.values, marks, strict=True)]
+        values = "".join(f" {text:>{18 if is_measured else 15}}" for text in texts[:methods])
         yield f"  {line.quantity.plain_symbol:<8}{values}  {line.quantity.unit:<6}{line.quantity.meaning}".rstrip()
+    if any(is_extrapolated(row, line.name, "") for line in lines):
+        yield "  * extrapolated: a ball slides for longer than it is seen."
+    if lines and any(value == NOT_KNOWN for line in lines for value in line.values[:methods]):
+        for reason in explain_dashes(row, names):
+            yield f"  {NOT_KNOWN} {reason}."

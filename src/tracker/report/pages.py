@@ -42,10 +42,13 @@ from tracker.report.collision_figures import (
 )
 from tracker.report.estimates_text import (
     METHODS,
+    describe_contact,
     describe_fit,
     describe_frames,
     describe_status,
+    explain_dashes,
     format_value,
+    is_extrapolated,
     list_quantities,
     rows_as_dicts,
 )
@@ -108,8 +111,8 @@ class RecordingPage:
 
     def _describe(self, row: Mapping[str, Any]) -> str:
         number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""
-        fit = describe_fit(row)
-        return f"{number}{describe_status(row)}.{f' {fit}.' if fit else ''}"
+        parts = [describe_status(row), describe_contact(row), describe_fit(row)]
+        return number + " ".join(f"{part}." for part in parts if part)
 
     def _results(self, row: Mapping[str, Any]) -> list[Block]:
         rows = [
@@ -117,7 +120,16 @@ class RecordingPage:
             for name, q, values in list_quantities(row)
         ]
         title = f"Collision {row['collision']}" if len(self.rows) > 1 else ""
-        return [PageTable(["symbol", "quantity", "unit", *METHODS.values(), "column"], rows, title)] if rows else []
+        if not rows:
+            return []
+        reasons = [f"– {reason}." for reason in explain_dashes(row)]
+        late = [n for n in QUANTITIES if f"{n}_std" in row and is_extrapolated(row, n, "")]
+        if late:
+            reasons.append(
+                f"Extrapolated in the tied fit, because a ball slides for longer than it is seen: {', '.join(late)}."
+            )
+        table = PageTable(["symbol", "quantity", "unit", *METHODS.values(), "column"], rows, title)
+        return [table, *([" ".join(reasons)] if reasons else [])]
 
     def _film(self, folder: Path, views: Sequence[CollisionView | None]) -> str:
         if self.frames is None:

@@ -41,7 +41,7 @@ def test_near_pairs_hold_every_contact(seed):
     def contacts_of(pairs):
         return [(k, a.particle, b.particle) for a, b in pairs for k in contacts._contact_frames(a, b, diameter, 0.75)]
 
-    near = list(contacts._find_near_pairs(balls, diameter, 0.75))
+    near = list(contacts.find_near_pairs(balls, diameter, 0.75))
     assert contacts_of(near) == contacts_of(itertools.combinations(balls, 2))
     assert len(near) < 0.5 * len(balls) * (len(balls) - 1) / 2
 
@@ -51,7 +51,7 @@ def test_of_hundreds_of_balls_few_pairs_are_looked_at():
     table = wander(400, 10, 4000, np.random.default_rng(0))
     given = to_pixels(TrackTable(table), "tracks", PLAIN | {"size": [4000, 4000]})
     balls = to_ball_tracks(given.clips[0][0], given.camera)
-    assert len(list(contacts._find_near_pairs(balls, given.camera.ball_diameter, 0.75))) < 1500
+    assert len(list(contacts.find_near_pairs(balls, given.camera.ball_diameter, 0.75))) < 1500
 
 
 def test_too_many_particles_are_refused_with_the_option(tmp_path, monkeypatch, capsys):

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
-from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.noise.position_noise import ScatterRatio
 from tracker.settings import FitSettings
 
 MISFIT = "misfit"
+TOGETHER = "stay_together"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
 
 
@@ -34,6 +34,11 @@ class Flag(StrEnum):
     STRIKER_SLIDES = "striker slides"
     STRIKER_SPINS = "striker spins"
     ROLLS_LATE = "rolls late"
+    LASTS = "contact lasts"
+    LASTS_OR_SMALLER = "contact lasts or balls are smaller"
+    TOGETHER = "stay together"
+    STRAIGHT = "no slide seen"
+    ENCODED = "encoded with loss"
 
     @property
     def is_impossible(self) -> bool:
@@ -85,7 +90,16 @@ def p_free(rows: list[dict[str, Any]], size: ScatterRatio, ratio: float = 1.0) -
     return p_value(float(square) / ratio, float(dof), size.dof)
 
 
-def compare_fits(tied: CollisionFit, free: CollisionFit, noise_dof: float) -> float:
+class Chi2(Protocol):
+    """A fit by its chi^2 and degrees of freedom."""
+
+    @property
+    def chi2(self) -> float: ...
+    @property
+    def dof(self) -> int: ...
+
+
+def compare_fits(tied: Chi2, free: Chi2, noise_dof: float) -> float:
     """Compute the probability of so large a rise of chi^2 from the free fit to the tied one.
 
     Both are fits of the same positions; `noise_dof` as in `p_value`. NaN where the tied fit has no more degrees of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,14 +11,27 @@ from numpy.typing import NDArray
 
 from tracker.measurement.collision.adequacy import Flag, compare_fits, find_impossible_values, p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
-from tracker.measurement.collision.contacts import Contact, guess_parameters
+from tracker.measurement.collision.contacts import Contact, ContactCandidate, EarlierHit, guess_parameters
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.lasting_contact import (
+    MIN_SIGNIFICANCE,
+    LastingContact,
+    LastingFits,
+    as_collision_fits,
+    fit_lasting_contact,
+)
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, fit_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
 from tracker.measurement.collision.striker import alternative_strikers, is_believable
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
+
+
+HIDDEN_SLIDE = "the contact lasts as long as the balls may slide: it hides how they part"
+SHORT_SLIDE = "the balls move straight after the hit: they slide without friction, or roll at once"
+TOGETHER = ("mu_k", "C", "energy_fraction", "momentum_fraction", "final_angle")  # known once both balls roll
+AFTER_SLIDES = (*TOGETHER, "tau1", "tau2", "v1f", "v2f", "drag", "decel", "w1n", "w1t", "w2n", "w2t")
 
 
 @dataclass(frozen=True)
@@ -31,6 +45,18 @@ class CollisionFits:
     tied_values: DerivedValues
     free_values: DerivedValues
     flags: tuple[Flag, ...] = ()
+    unseen: frozenset[str] | None = None  # quantities that a lasting contact does not show
+    fits: LastingFits | None = None  # those of a lasting contact
+
+    @property
+    def tied_is_straight(self) -> bool:
+        """True if straight lines describe the balls after the hit, without laws of friction."""
+        return self.fits is not None and self.fits.tied is self.fits.free
+
+    @property
+    def lasting(self) -> LastingContact | None:
+        """The contact, if its frames are left out because it lasts."""
+        return None if self.fits is None else self.fits.contact
 
     @property
     def settings(self) -> FitSettings:
@@ -78,8 +104,13 @@ class CollisionFits:
     def is_misfit(self) -> bool:
         """True if the data reject the tied fit, or its values are physically impossible.
 
-        Values count only where the size of the errors is known.
+        Values count only where the size of the errors is known. A contact that may last, or be one of smaller balls, is
+        a misfit too, and so are straight lines of unequal balls.
         """
+        if self.lasting is not None and not self.lasting.is_certain:
+            return True
+        if self.fits is not None and not self.fits.is_balanced:
+            return True
         impossible = self.noise_dof > 0 and any(flag.is_impossible for flag in self.impossible_values)
         return not self.is_tied_accepted or impossible
 
@@ -119,6 +150,45 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         if per < least:
             read, least = replace(found, flags=other.flags), better_striker * per
     return read
+
+
+def fit_lasting_collision(
+    candidate: ContactCandidate,
+    diameter: float,
+    earlier: Mapping[int, EarlierHit],
+    settings: FitSettings,
+    least_sigma: float = MIN_SIGNIFICANCE,
+) -> CollisionFits | str | None:
+    """Fit a contact that lasts, or that balls leave in straight lines, as `fit_lasting_contact` does.
+
+    Quantities that are measured once both balls roll are unseen if the tracks do not show the ends of the slides. All
+    that the slides determine is unseen if the balls move in straight lines.
+    """
+    fits = fit_lasting_contact(candidate, diameter, earlier, settings, least_sigma)
+    if fits is None or isinstance(fits, str):
+        return fits
+    if fits.hides_slide:
+        return HIDDEN_SLIDE if fits.contact is not None else SHORT_SLIDE
+    tied, free = as_collision_fits(fits)
+    is_straight = fits.free is fits.tied
+    unseen = set(AFTER_SLIDES if is_straight else ())
+    for ball, seen in enumerate(fits.slide_ends_seen, 1):
+        if not seen:
+            unseen |= {f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", *TOGETHER}
+    flag = Flag.STRAIGHT
+    if fits.contact is not None:
+        flag = Flag.LASTS if fits.contact.is_certain else Flag.LASTS_OR_SMALLER
+    return CollisionFits(
+        contact=Contact(fits.pair, candidate.frame),
+        tied=tied,
+        free=free,
+        slide_ends_seen=fits.slide_ends_seen,
+        tied_values=fits.tied.values(),
+        free_values=fits.free.values(),
+        flags=(flag,),
+        unseen=frozenset(unseen),
+        fits=fits,
+    )
 
 
 def _is_accepted(read: CollisionFits | str) -> bool:

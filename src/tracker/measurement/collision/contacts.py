@@ -26,6 +26,18 @@ class Contact:
     pair: BallPair
     frame: int  # of least separation
     reason: str = ""  # why it cannot be fitted
+    first: int | None = None  # frames of a contact that lasts; None: `frame` alone
+    last: int | None = None
+
+    @property
+    def start(self) -> int:
+        """First frame in contact."""
+        return self.frame if self.first is None else self.first
+
+    @property
+    def end(self) -> int:
+        """Last frame in contact."""
+        return self.frame if self.last is None else self.last
 
 
 @dataclass(frozen=True)
@@ -51,7 +63,7 @@ def find_contacts(balls: list[BallTrack], diameter: float, steps: float = 0.75) 
     steps: frames' worth of approach by which balls that touch between two frames may be farther apart in both.
     """
     found = [
-        (k, a, b) for a, b in _find_near_pairs(balls, diameter, steps) for k in _contact_frames(a, b, diameter, steps)
+        (k, a, b) for a, b in find_near_pairs(balls, diameter, steps) for k in _contact_frames(a, b, diameter, steps)
     ]
     found.sort(key=lambda m: m[0])
     out = []
@@ -66,7 +78,7 @@ def find_contacts(balls: list[BallTrack], diameter: float, steps: float = 0.75) 
     return out
 
 
-def _find_near_pairs(balls: list[BallTrack], diameter: float, steps: float) -> Iterator[tuple[BallTrack, BallTrack]]:
+def find_near_pairs(balls: list[BallTrack], diameter: float, steps: float) -> Iterator[tuple[BallTrack, BallTrack]]:
     """Iterate over the pairs whose paths come so near that `_contact_frames` may find a contact, by their bounds."""
     if len(balls) < 2:
         return
@@ -82,6 +94,28 @@ def _find_near_pairs(balls: list[BallTrack], diameter: float, steps: float) -> I
         meet = np.minimum(last[rest], last[i]) - np.maximum(first[rest], first[i]) >= 4
         for j in np.flatnonzero((apart <= reach) & meet):
             yield ball, balls[i + 1 + j]
+
+
+def find_slow_contacts(balls: list[BallTrack], diameter: float, span: int = 40) -> list[ContactCandidate]:
+    """Find contacts that noise hides from frame to frame: balls that approach, touch and part over `span` frames."""
+    out = []
+    for a, b in find_near_pairs(balls, diameter, 1.0):
+        frames, one, two = np.intersect1d(a.frame, b.frame, return_indices=True)
+        if len(frames) < 12:
+            continue
+        apart = np.hypot(*(a.position[one] - b.position[two]).T)
+        noise = float(np.sqrt(np.trace(np.median(a.cov, axis=0) + np.median(b.cov, axis=0)) / 2))
+        near = np.flatnonzero(apart < diameter + 2 * noise)
+        if not len(near):
+            continue
+        for run in np.split(near, np.flatnonzero(np.diff(near) > 3) + 1):
+            slopes = []
+            for rows in (slice(max(run[0] - span, 0), run[0]), slice(run[-1] + 1, run[-1] + 1 + span)):
+                t = frames[rows] - frames[rows].mean() if len(frames[rows]) > 4 else np.zeros(1)
+                slopes.append(float(t @ apart[rows][: len(t)]) / np.sqrt(max(float(t @ t), 1e-300)) / noise)
+            if slopes[0] < -5 and slopes[1] > 5:
+                out.append(ContactCandidate(a, b, int(frames[run[np.argmin(apart[run])]])))
+    return sorted(out, key=lambda candidate: candidate.frame)[:1]
 
 
 def prepare_contact(

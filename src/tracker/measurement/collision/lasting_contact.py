@@ -1,0 +1,587 @@
+"""Contacts that last: rubber, springs and tape need several frames to throw two balls back, or never do.
+
+Outside the contact, the impulse acts as if it came at one instant. Let the balls touch at time 0 at separation D, close
+at speed v, and part at separation D after the time T at speed r v. Both straight lines of the separation then cross at
+the mean time of the impulse, r T/(1 + r), at the separation d = D - v r T/(1 + r). The fits here leave out the frames
+in contact and let d be a parameter. Restitution is then unbiased, and T = (D - d)(1 + r)/(r v).
+
+Plate friction acts from the first touch, (D - d)/v before the lines cross: the slides begin there. It presses the
+balls together, so that they push each other for longer. A spring gives back what that costs, a dashpot does not (see
+`dashpot_share`). In an oblique hit the line of centres turns, which adds a centrifugal acceleration to the separation
+and makes the paths miss each other a little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from tracker.measurement.collision.adequacy import compare_fits, find_impossible_values, p_value
+from tracker.measurement.collision.collision_model import (
+    AFTER,
+    FREE,
+    GRAVITY,
+    TIED,
+    directions,
+    mean_positions,
+    tied_to_free,
+)
+from tracker.measurement.collision.contacts import ContactCandidate, EarlierHit, fit_velocity, prepare_contact
+from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.least_squares import BROAD_PRIORS, BallPair, CollisionFit, covariance, minimise
+from tracker.measurement.collision.noise_correlation import with_correlated_noise
+from tracker.measurement.positions import BallTrack
+from tracker.settings import FitSettings
+
+Floats = NDArray[np.float64]
+TOO_FEW = "too few frames outside the contact"
+MIN_FRAMES = 4  # outside the contact, before and after it
+MIN_SIGNIFICANCE = 4.0  # standard errors by which the lines cross at less than one diameter
+STRAIGHT_CHI2 = 16.0  # rise of chi^2 up to which straight lines describe the balls after the hit
+STRAIGHT = (*FREE[:8], "v1x", "v1y", "v2x", "v2y", *FREE[-2:])  # free motions without a slide
+MIN_DURATION_FRAMES = 0.25  # below which a contact is as good as instantaneous
+BEND_SIGNIFICANCE = 3.5  # standard errors by which the paths bend in a contact that lasts
+_TAU = [FREE.index("log_tau1"), FREE.index("log_tau2")]
+_SHORT_SLIDE = np.log(1e-4)  # log s
+
+
+class LastingResiduals:
+    """Residuals of two balls' positions outside a contact.
+
+    The last two parameters are lengths: by how much the paths miss each other across the line of centres, and d.
+    kind: "tied", with a given friction or none, "free", or "straight", a free motion that no friction slows down.
+    """
+
+    def __init__(self, pair: BallPair, kind: str, friction: float | None = None) -> None:
+        self.pair, self.kind = pair, kind
+        every = {"tied": TIED, "free": FREE, "straight": STRAIGHT}[kind]
+        held = pair.zero_parameters | ({"drag", "decel"} if kind == "straight" else set())
+        self.names = tuple(name for name in every if name not in held)
+        self.index, self.size = np.array([every.index(name) for name in self.names]), len(every)
+        given = {} if friction is None else {"log_mu": (float(np.log(friction)), 0.02)}
+        priors = [given.get(name, BROAD_PRIORS.get(name, (0.0, np.inf))) for name in self.names]
+        self.prior = np.array([*(centre for centre, _ in priors), 0.0, pair.diameter])
+        self.weight = np.array([*(1 / width for _, width in priors), 200 / pair.diameter, 1 / pair.diameter])
+        tracks = [track for _, track in pair.balls]
+        self.ball = np.repeat([1, 2], [len(track) for track in tracks])
+        self.start = np.concatenate([track.start for track in tracks])
+        self.seen = np.concatenate([track.position for track in tracks])
+        self._last: tuple[bytes, Floats, Floats] | None = None
+
+    def to_free(self, x: NDArray[np.inexact]) -> NDArray[np.inexact]:
+        """The free parameters (..., 22) of x (..., p)."""
+        whole = np.zeros((*x.shape[:-1], self.size), dtype=x.dtype)
+        whole[..., self.index] = x[..., :-2]
+        if self.kind == "free":
+            return whole
+        if self.kind == "tied":
+            before = (self.pair.diameter - x[..., -1]) / (whole[..., 5] * np.cos(whole[..., 4]))
+            return advance_slides(tied_to_free(self.press(whole, x[..., -1]), self.pair.spin), before)
+        free = np.zeros((*x.shape[:-1], len(FREE)), dtype=x.dtype)
+        free[..., :8], free[..., -2:] = whole[..., :8], whole[..., -2:]
+        for ball, at in AFTER.items():
+            velocity = whole[..., 6 + 2 * ball : 8 + 2 * ball]
+            free[..., at : at + 2] = free[..., at + 2 : at + 4] = velocity
+            free[..., at + 4] = _SHORT_SLIDE
+        return free
+
+    def press(self, tied: NDArray[np.inexact], distance: NDArray[np.inexact]) -> NDArray[np.inexact]:
+        """Tied parameters (..., 16) whose r gives the whole impulse, with what friction and the turn add to it."""
+        closing, gap = tied[..., 5] * np.cos(tied[..., 4]), self.pair.diameter - distance
+        gap = np.where(gap.real > 0, gap, 0.0)
+        r, pull = np.where(tied[..., 8].real > 0.05, tied[..., 8], 0.05), np.exp(tied[..., 9]) * GRAVITY
+        after = 2 * gap / (r * closing + np.sqrt((r * closing) ** 2 + 4 * pull * gap))
+        out, before, share = tied.copy(), gap / closing, dashpot_share(r)
+        turn = np.tan(tied[..., 4]) ** 2 * closing / self.pair.diameter  # centrifugal, over the closing speed, 1/s
+        friction = 2 * pull / closing
+        out[..., 8] = tied[..., 8] * (1 + turn * before) + friction * before + (1 - share) * (friction - turn) * after
+        return out
+
+    def predict(self, x: Floats, ball: NDArray[np.int64], start: Floats) -> tuple[Floats, Floats]:
+        """Positions (n, 2) of exposures and their derivatives (n, 2, p)."""
+        free = np.asarray(self.to_free(x).real, dtype=np.float64)
+        steps = x + 1e-30j * np.eye(len(x))
+        by = np.asarray(self.to_free(steps).imag.T / 1e-30, dtype=np.float64)  # (22, p)
+        position, slope = mean_positions(free, ball, start, self.pair.struck.exposure, float(x[-1]))
+        slope = slope @ by
+        _, n, t = directions(free[3], free[4])
+        slope[..., -1] -= (ball == 2)[:, None] * n
+        across = np.where(start < free[0], 0.0, 1.5 - ball)[:, None] * t
+        position += x[-2] * across
+        slope[..., -2] += across
+        return position, slope
+
+    def __call__(self, x: Floats) -> tuple[Floats, Floats]:
+        """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
+        key = x.tobytes()
+        if self._last is None or self._last[0] != key:
+            with np.errstate(all="ignore"):  # a long step may overflow
+                self._last = (key, *self._evaluate(x))
+        return self._last[1], self._last[2]
+
+    def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
+        position, slope = self.predict(x, self.ball, self.start)
+        rows = np.concatenate([(position - self.seen)[None], np.moveaxis(slope, -1, 0)])
+        cut = len(self.pair.struck)
+        one, two = self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])
+        white = np.concatenate([one, two], axis=1)
+        residual = np.concatenate([white[0], (x - self.prior) * self.weight])
+        columns = np.concatenate([white[1:], np.diag(self.weight)], axis=1)
+        return np.clip(np.nan_to_num(residual, nan=1e9), -1e9, 1e9), np.nan_to_num(columns).T
+
+    def residual(self, x: Floats) -> Floats:
+        """Whitened residuals."""
+        return self(x)[0]
+
+    def slope(self, x: Floats) -> Floats:
+        """Derivatives of `residual`."""
+        return self(x)[1]
+
+
+def dashpot_share(r: NDArray[np.inexact]) -> NDArray[np.inexact]:
+    """Share that a dashpot adds to the speed lost while friction presses the balls together after t_c.
+
+    To first order in the constant force, for a linear spring with a dashpot of restitution r.
+    """
+    loss = -np.log(r)
+    return np.asarray(2 * (1 + r) ** 2 * loss / (np.pi**2 + loss**2))
+
+
+def advance_slides(free: NDArray[np.inexact], delay: NDArray[np.inexact]) -> NDArray[np.inexact]:
+    """The free parameters (..., 22) at t_c of slides that began `delay` (...) s earlier, from those at their start."""
+    out = free.copy()
+    for at in AFTER.values():
+        v, f, past = free[..., at : at + 2], free[..., at + 2 : at + 4], delay / np.exp(free[..., at + 4])
+        gone = 1 - np.exp(-past)  # share of the slide; never all of it
+        out[..., at : at + 2] = v + gone[..., None] * (f - v)
+        out[..., at + 4] = free[..., at + 4] - past
+    return out
+
+
+def rewind_slides(free: Floats, delay: Floats) -> Floats:
+    """The free parameters (..., 22) at the start of slides that began `delay` (...) s before t_c."""
+    out = free.copy()
+    for at in AFTER.values():
+        v, f, tau = free[..., at : at + 2], free[..., at + 2 : at + 4], np.exp(free[..., at + 4])
+        out[..., at : at + 2] = v + (delay / tau)[..., None] * (v - f)
+        out[..., at + 4] = np.log(tau + delay)
+    return out
+
+
+@dataclass(frozen=True)
+class LastingContact:
+    """A contact that lasts, measured from the frames outside it."""
+
+    first: int  # frame that is left out
+    last: int
+    duration: float  # s, if the diameter is right
+    duration_std: float
+    is_certain: bool  # whether the frames in contact show a bend; if not, the diameter may be wrong instead
+
+
+@dataclass(frozen=True)
+class LastingFit:
+    """One motion fitted to the frames outside a contact."""
+
+    problem: LastingResiduals
+    x: Floats  # (p,), as in `LastingResiduals`
+    cov: Floats  # (p, p)
+    chi2: float
+    dof: int
+    converged: bool
+
+    @staticmethod
+    def to(pair: BallPair, kind: str, starts: list[Floats], friction: float | None = None) -> LastingFit:
+        """Fit a motion from starts (p,)."""
+        problem = LastingResiduals(pair, kind, friction)
+        best, converged = minimise(problem, starts)
+        residual, rows = problem(best)
+        n = 2 * len(pair)
+        chi2 = float(residual[:n] @ residual[:n])
+        return LastingFit(problem, best, covariance(rows), chi2, n - len(best), converged)
+
+    @property
+    def diameter(self) -> float:
+        """The balls' diameter, m."""
+        return self.problem.pair.diameter
+
+    @property
+    def free(self) -> Floats:
+        """(22,) parameters."""
+        return np.asarray(self.problem.to_free(self.x), dtype=np.float64)
+
+    def slopes(self, function) -> Floats:  # type: ignore[no-untyped-def]
+        """Derivatives (m, p) of a function of x (..., p)."""
+        size = 0.01 * np.sqrt(np.diag(self.cov))
+        return ((function(self.x + np.diag(size)) - function(self.x - np.diag(size))) / (2 * size[:, None])).T
+
+    def times(self, x: Floats) -> Floats:
+        """(..., 3) of x (..., p): seconds from the first touch to t_c, from t_c to the end; d in diameters."""
+        free = np.asarray(self.problem.to_free(x), dtype=np.float64)
+        _, n, _ = directions(free[..., 3], free[..., 4])
+        closing, gap = free[..., 5] * np.cos(free[..., 4]), self.diameter - x[..., -1]
+        parting = ((free[..., 8:10] - free[..., 13:15]) * n).sum(-1)
+        after = gap / np.maximum(parting, 0.02 * closing)
+        return np.stack([gap / closing, after, x[..., -1] / self.diameter], -1)
+
+    def at_touch(self, x: Floats) -> Floats:
+        """The free parameters (..., 22) of x (..., p), the slides beginning at the first touch."""
+        free = np.asarray(self.problem.to_free(x), dtype=np.float64)
+        return free if self.problem.kind == "straight" else rewind_slides(free, self.times(x)[..., 0])
+
+    def restitution(self, x: Floats) -> Floats:
+        """(..., 3): the restitution, the part of friction in it, and the error of its corrections."""
+        free, times = np.asarray(self.problem.to_free(x), dtype=np.float64), self.times(x)
+        before, after = times[..., 0], times[..., 1]
+        _, n, _ = directions(free[..., 3], free[..., 4])
+        part = free if self.problem.kind == "straight" else rewind_slides(free, -after)
+        closing = free[..., 5] * np.cos(free[..., 4])
+        at_crossing, at_end = (((v[..., 8:10] - v[..., 13:15]) * n).sum(-1) / closing for v in (free, part))
+        turn = np.tan(free[..., 4]) ** 2 * closing / self.diameter * after
+        lost, share = at_crossing - at_end, dashpot_share(np.clip(at_end, 0.05, 1.0))
+        r = (at_end + turn) / (1 + turn * before / after) + share * (lost - turn)
+        error = np.hypot((0.05 + 0.5 * share) * lost, 0.2 * share * turn)
+        return np.stack([r, lost / np.clip(r, 0.1, 1.0), error], -1)
+
+    def values(self) -> DerivedValues:
+        """The quantities that it determines."""
+        if self.problem.kind == "tied":
+            every, index = len(TIED), self.problem.index
+            tied, cov = np.zeros(every), np.zeros((every, every))
+            tied[index], cov[np.ix_(index, index)] = self.x[:-2], self.cov[:-2, :-2]
+            found = derive_from_tied(self.problem.press(tied, self.x[-1]), cov, self.diameter, self.problem.pair.spin)
+            r, own = float(tied[8]), cov[8, 8]
+        else:
+            slope = self.slopes(self.at_touch)
+            with np.errstate(invalid="ignore", divide="ignore"):  # without a slide there is no friction
+                found = derive_from_free(self.at_touch(self.x), slope @ self.cov @ slope.T, self.diameter)
+            by = self.slopes(self.restitution)[0]
+            r, own = float(self.restitution(self.x)[0]), float(by @ self.cov @ by)
+        return self._with_systematic_errors(found, r, own)
+
+    def _with_systematic_errors(self, found: DerivedValues, restitution: float, variance: float) -> DerivedValues:
+        """The quantities with this r and its error by what is not modelled exactly, and with b in diameters."""
+        value, cov = found.value.copy(), found.cov.copy()
+        b, r = QUANTITY_NAMES.index("b"), QUANTITY_NAMES.index("r")
+        free = self.free
+        (before, after, distance), v0 = self.times(self.x), free[5]
+        value[b], cov[b], cov[:, b] = value[b] * distance, cov[b] * distance, cov[:, b] * distance
+        cov[b, b] += (value[b] * float(np.sqrt(self.cov[-1, -1])) / self.diameter) ** 2
+        value[r] = restitution
+        # .2: simulated springs with a dashpot, b to .6, durations to .3 diameters over the speed
+        turn = 0.2 * np.tan(free[4]) * (v0 * (before + after) / self.diameter) ** 2
+        cov[r, r] = variance + turn**2 + float(self.restitution(self.x)[2]) ** 2
+        return replace(found, value=value, cov=cov)
+
+    def predict_left_out(self, rows: BallTrack, ball: int) -> tuple[Floats, Floats]:
+        """Positions (n, 2) that were left out, less those of an instantaneous contact, and derivatives (n, 2, p)."""
+        position, slope = self.problem.predict(self.x, np.full(len(rows), ball), rows.start)
+        return rows.position - position, slope
+
+
+@dataclass(frozen=True)
+class LastingFits:
+    """The fits of one contact."""
+
+    contact: LastingContact | None  # None if it is as good as instantaneous, and the balls move straight after it
+    pair: BallPair  # without the frames in contact
+    tied: LastingFit
+    free: LastingFit  # straight lines, and `tied` the same, where no friction slows the balls
+    slide_ends_seen: tuple[bool, bool]
+    hides_slide: bool  # whether the balls may have slid while they were in contact, or hardly longer
+    is_balanced: bool = True  # whether straight lines keep the momentum of equal balls
+
+
+def fit_lasting_contact(
+    candidate: ContactCandidate,
+    diameter: float,
+    earlier: Mapping[int, EarlierHit],
+    settings: FitSettings,
+    least_sigma: float = MIN_SIGNIFICANCE,
+) -> LastingFits | str | None:
+    """Fit a contact that lasts by the frames outside it, or an instantaneous one of balls that move straight after it.
+
+    diameter in m, earlier as for `prepare_contact`. The contact lasts if the paths cross within one diameter by
+    `least_sigma` standard errors. None if it does not and the balls slide after it, or if it is no collision. A reason
+    if too few frames remain.
+    """
+    window, fit = _frames_within(candidate, diameter), None
+    contact = prepare_contact(replace(candidate, frame=window[0]), diameter, earlier, settings)
+    if contact.reason:
+        return TOO_FEW
+    pair, level = contact.pair, settings.rejection_level
+    for _ in range(12):
+        outside = _leave_out(pair, *window)
+        if outside is None:
+            return TOO_FEW
+        fit = _fit_outside(outside, window, fit)
+        if fit is None:
+            return None
+        wider = _widen(fit, pair, window)
+        if wider == window:
+            break
+        window = wider
+    assert fit is not None
+    outside = fit.problem.pair
+    correlated = with_correlated_noise(replace(outside, diameter=float(fit.x[-1])), _as_free(fit))
+    if correlated is not None:
+        outside = replace(correlated, diameter=pair.diameter)
+        fit = LastingFit.to(outside, fit.problem.kind, [fit.x])
+    noise_dof = outside.striker.noise_dof
+    if p_value(fit.chi2, fit.dof, noise_dof) < level:
+        return None
+    is_straight = fit.problem.kind == "straight"
+    tied = fit if is_straight else LastingFit.to(outside, "tied", _tied_starts(fit))
+    sigmas = [_sigmas_within(fit)]
+    if not is_straight and not compare_fits(tied, fit, noise_dof) < level:
+        sigmas.append(_sigmas_within(tied))
+    contact = None
+    step = float(np.median(np.diff(pair.striker.start)))
+    if max(sigmas) > least_sigma and fit.times(fit.x)[:2].sum() > MIN_DURATION_FRAMES * step:
+        best = (fit, tied)[int(np.argmax(sigmas))]
+        before, after, _ = best.times(best.x)
+        both = best.slopes(best.times)[:2].sum(axis=0)
+        own = float(both @ best.cov @ both) * max(1.0, best.chi2 / best.dof)
+        _, friction, _ = best.restitution(best.x)
+        duration_std = float(np.hypot(np.sqrt(own), 0.15 * friction * (before + after)))
+        certain = _bend(best, pair, window) > BEND_SIGNIFICANCE
+        contact = LastingContact(*window, float(before + after), duration_std, certain)
+    elif not is_straight or abs(max(sigmas)) > least_sigma:
+        return None
+    if is_straight:
+        balanced = not _momentum_p(fit) < level
+        if contact is None and not balanced:
+            return None
+        return LastingFits(contact, outside, fit, fit, (False, False), _may_hide_slide(fit), balanced)
+    left = float(np.exp(fit.free[_TAU]).min()) - fit.times(fit.x)[1]  # of the slides once the balls have parted, s
+    return LastingFits(contact, outside, tied, fit, _slide_ends_seen(fit), left < MIN_FRAMES * step)
+
+
+def _momentum_p(straight: LastingFit) -> float:
+    """p-value of the momentum that equal balls gain in a hit, which is none."""
+
+    def gain(x: Floats) -> Floats:
+        free = np.asarray(straight.problem.to_free(x), dtype=np.float64)
+        launch, _, _ = directions(free[..., 3], free[..., 4])
+        return free[..., 8:10] + free[..., 13:15] - 2 * free[..., -2:] - free[..., 5, None] * np.real(launch)
+
+    slope, change = straight.slopes(gain), gain(straight.x)
+    cov = slope @ straight.cov @ slope.T
+    return p_value(float(change @ np.linalg.solve(cov, change)), 2.0, straight.problem.pair.striker.noise_dof)
+
+
+def _sigmas_within(fit: LastingFit) -> float:
+    """Standard errors by which the paths cross within one diameter."""
+    std = float(np.sqrt(fit.cov[-1, -1] * max(1.0, fit.chi2 / fit.dof)))
+    return float(fit.diameter - fit.x[-1]) / std
+
+
+def _fit_outside(pair: BallPair, window: tuple[int, int], last: LastingFit | None) -> LastingFit | None:
+    """The free fit, of straight lines where the balls do not slide visibly. None if there is no collision."""
+    kind = "free" if last is None else last.problem.kind
+    starts = [last.x] if last is not None else _guess(pair, *window)
+    if not starts:
+        return None
+    free = LastingFit.to(pair, "free", starts) if kind == "free" else None
+    straight = LastingFit.to(pair, "straight", [_straighten(free, pair) if free is not None else starts[0]])
+    dof = pair.striker.noise_dof
+    if p_value(straight.chi2, straight.dof, dof) < 1e-3:
+        return free if free is not None else LastingFit.to(pair, "free", _guess(pair, *window))
+    if free is None:
+        free = LastingFit.to(pair, "free", _guess(pair, *window))
+    return straight if straight.chi2 < free.chi2 + STRAIGHT_CHI2 else free
+
+
+def count_frames_within(candidate: ContactCandidate, diameter: float) -> int:
+    """Count frames about a contact in which the balls are nearer than a diameter (m) by more than their noise."""
+    one, two = candidate.one, candidate.other
+    frames, first, second = np.intersect1d(one.frame, two.frame, return_indices=True)
+    apart = np.hypot(*(one.position[first] - two.position[second]).T)
+    noise = np.sqrt(np.trace(one.cov[first] + two.cov[second], axis1=1, axis2=2) / 2)
+    near = (apart < diameter - 3 * noise) & (np.abs(frames - candidate.frame) < 100)
+    return int(near.sum())
+
+
+def _frames_within(candidate: ContactCandidate, diameter: float) -> tuple[int, int]:
+    """First and last frame about a contact in which the balls are within a diameter; the frame itself if none."""
+    one, two = candidate.one, candidate.other
+    frames, first, second = np.intersect1d(one.frame, two.frame, return_indices=True)
+    apart = np.hypot(*(one.position[first] - two.position[second]).T)
+    at = int(np.argmin(np.abs(frames - candidate.frame)))
+    outside = np.flatnonzero(apart >= diameter)
+    begin = int(outside[outside < at].max(initial=-1)) + 1
+    end = int(outside[outside > at].min(initial=len(frames))) - 1
+    return int(frames[min(begin, at)]), int(frames[max(end, at)])
+
+
+def _leave_out(pair: BallPair, first: int, last: int) -> BallPair | None:
+    """The pair without some frames; None if it is then not seen for long enough before and after."""
+    struck, striker = (track.where((track.frame < first) | (track.frame > last)) for _, track in pair.balls)
+    for track in (struck, striker):
+        few = 1 if track is struck and not pair.target_moves else MIN_FRAMES
+        if (track.frame < first).sum() < few or (track.frame > last).sum() < MIN_FRAMES + 1:
+            return None
+    return replace(pair, struck=struck, striker=striker)
+
+
+def _guess(pair: BallPair, first: int, last: int, near: int = 8) -> list[Floats]:
+    """Starts (p,) of a free fit: straight lines before and after, and several slide times."""
+
+    def line(track: BallTrack, rows: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        part = track.where(rows)
+        velocity, middle, _ = fit_velocity(part)
+        return velocity, middle - velocity * part.time.mean()
+
+    (v1, x1), (v2, x2) = (line(t, (t.frame < first) & (t.frame >= first - near)) for _, t in pair.balls)
+    if not pair.target_moves:
+        rest = pair.struck.where(pair.struck.frame < first)
+        v1, x1 = np.zeros(2), rest.position.mean(axis=0)
+    (w1, y1), (w2, y2) = (line(t, (t.frame > last) & (t.frame <= last + near)) for _, t in pair.balls)
+    jump, gap = (w1 - w2) - (v1 - v2), (y1 - y2) - (x1 - x2)
+    launch = v2 - v1
+    if not (jump @ jump > 0 and launch @ launch > 0):
+        return []
+    t_c = -float(jump @ gap) / float(jump @ jump)
+    apart = (x1 - x2) + (v1 - v2) * t_c
+    heading = float(np.arctan2(launch[1], launch[0]))
+    beta = float(np.angle(np.exp(1j * (heading - np.arctan2(apart[1], apart[0])))))
+    if abs(beta) > 1.5:
+        return []
+    ends = [fit_velocity(t.where(t.frame > max(last, t.frame[-1] - 3 * near)))[0] for _, t in pair.balls]
+    base = [t_c, *(x1 + v1 * t_c), heading, beta, float(np.hypot(*launch)), 0.0, 0.0]
+    starts = []
+    for tau in (0.05, 0.015, 0.15):
+        free = np.array([*base, *w1, *ends[0], np.log(tau), *w2, *ends[1], np.log(tau), 0, 0, *v1])
+        names = LastingResiduals(pair, "free").index
+        starts.append(np.append(free[names], [0.0, np.hypot(*apart)]))
+    return starts
+
+
+def _widen(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> tuple[int, int]:
+    """Frames in contact by a fit, no fewer than before; one more on a side if the frames beside them do not fit."""
+    before, after, _ = fit.times(fit.x)
+    step = float(np.median(np.diff(pair.striker.start)))
+    margin = 0.5 * step + 0.05 * max(before + after, 0.0)
+    begin, end = fit.x[0] - before - margin, fit.x[0] + after + margin
+    first, last = window
+    for _, track in pair.balls:
+        inside = track.frame[(track.start + track.exposure > begin) & (track.start < end)]
+        if len(inside) and abs(end - begin) < 200 * step:
+            first, last = min(first, int(inside[0])), max(last, int(inside[-1]))
+    if (first, last) != window:
+        return first, last
+    for side in (-1, 1):
+        square = 0.0
+        for ball, track in fit.problem.pair.balls:
+            beside = track.where(
+                (track.frame < first) & (track.frame >= first - 2)
+                if side < 0
+                else (track.frame > last) & (track.frame <= last + 2)
+            )
+            if len(beside):
+                off, _ = fit.predict_left_out(beside, ball)
+                square += float(beside.whiten.distance(off).sum())
+        if chdtrc(8, square) < 1e-3:
+            first, last = (first - 1, last) if side < 0 else (first, last + 1)
+    return first, last
+
+
+def _bend(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> float:
+    """Standard errors by which the paths bend in the frames left out, as by a constant force, instead of breaking."""
+    before, after, _ = fit.times(fit.x)
+    _, normal, _ = directions(fit.x[3], fit.x[4])
+    parts = []
+    for ball, track in pair.balls:
+        rows = track.where((track.frame >= window[0]) & (track.frame <= window[1]))
+        since = rows.time - fit.x[0]
+        shape = np.clip(1 - np.where(since < 0, -since / before, since / after), 0, 1) ** 2
+        off, slope = fit.predict_left_out(rows, ball)
+        parts.append((rows.cov, off, slope, (1.5 - ball) * shape[:, None] * normal))
+    own, off, slope, shape = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if not shape.any():
+        return 0.0
+    slope = slope.reshape(-1, len(fit.x))
+    cov = slope @ fit.cov @ slope.T
+    for k, block in enumerate(own):
+        cov[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += block
+    weight = np.linalg.solve(cov, shape.ravel())
+    return float(weight @ off.ravel() / np.sqrt(weight @ shape.ravel()))
+
+
+def _slide_ends_seen(free: LastingFit) -> tuple[bool, bool]:
+    """For each ball whether it stops to slide in view, after the contact."""
+    seen = []
+    for end, (_, track) in zip(_TAU, free.problem.pair.balls, strict=True):
+        left = track.start[-1] - free.x[0]
+        k = int(np.flatnonzero(free.problem.index == end)[0])
+        seen.append(bool(np.exp(free.x[k]) < 0.9 * left and free.cov[k, k] < 0.2**2))
+    return seen[0], seen[1]
+
+
+def _straighten(free: LastingFit, pair: BallPair) -> Floats:
+    """Start (p,) of the straight motion: mean velocities over the first half of what is seen after the contact."""
+    problem = LastingResiduals(pair, "straight")
+    whole = np.concatenate([free.free[:8], np.zeros(4), free.free[-2:]])
+    for ball, track in pair.balls:
+        late = track.where(track.start > free.x[0])
+        whole[6 + 2 * ball : 8 + 2 * ball] = fit_velocity(late)[0]
+    return np.append(whole[problem.index], free.x[-2:])
+
+
+def _may_hide_slide(straight: LastingFit) -> bool:
+    """Decide whether balls that move straight after the contact may have slid, for hardly longer than it.
+
+    Balls that begin to roll at once part at (5 r - 2)/7 of their closing speed. The tied fit is tried with the friction
+    that plates have; the contact hides a slide if one describes the tracks with another restitution that is possible.
+    """
+    pair, n = straight.problem.pair, QUANTITY_NAMES.index("r")
+    index, r = LastingResiduals(pair, "tied").index, float(straight.restitution(straight.x)[0])
+    for mu in (0.07, 0.12, 0.2, 0.3, *((0.45, 0.7, 1.0) if r < 3 / 7 else ())):
+        starts = []
+        for guess in (min(1.0, (7 * r + 2) / 5), min(1.0, r + 0.1)):
+            whole = np.array([*straight.free[:8], guess, np.log(mu), 0.1, 0.0, 0.0, 0.0, *straight.free[-2:]])
+            starts.append(np.append(whole[index], straight.x[-2:]))
+        rolling = LastingFit.to(pair, "tied", starts, mu)
+        if rolling.chi2 > straight.chi2 + 2 * STRAIGHT_CHI2:
+            continue
+        values = rolling.values()
+        if abs(values.value[n] - r) > 0.01 and not find_impossible_values(values, 1.0, 3.0):
+            return True
+    return False
+
+
+def _tied_starts(free: LastingFit) -> list[Floats]:
+    """Starts (p,) of the tied fit, from what a free fit implies."""
+    index, values = LastingResiduals(free.problem.pair, "tied").index, free.values().value
+    r, mu = (float(values[QUANTITY_NAMES.index(name)]) for name in ("r", "mu_k"))
+    starts = []
+    for c in (0.1, 0.35):
+        impact = [np.clip(r, 0.05, 1.0), np.log(np.clip(np.nan_to_num(mu), 1e-3, 1.0)), c]
+        whole = np.array([*free.free[:8], *impact, 0.0, 0.0, 0.0, *free.free[-2:]])
+        starts.append(np.append(whole[index], free.x[-2:]))
+    return starts
+
+
+def _as_free(fit: LastingFit) -> CollisionFit:
+    """A free fit as those of instantaneous contacts at the distance where the paths cross."""
+    slope = fit.slopes(lambda x: np.asarray(fit.problem.to_free(x), dtype=np.float64))
+    pair = replace(fit.problem.pair, diameter=float(fit.x[-1]))
+    return CollisionFit(fit.free, slope @ fit.cov @ slope.T, fit.chi2, fit.dof, pair, 0, fit.converged)
+
+
+def as_collision_fits(fits: LastingFits) -> tuple[CollisionFit, CollisionFit]:
+    """Tied and free fit as those of instantaneous contacts; of straight lines the launch and r alone."""
+    free, tied = _as_free(fits.free), fits.tied
+    parameters, cov = np.zeros(len(TIED)), np.zeros((len(TIED), len(TIED)))
+    if tied.problem.kind == "tied":
+        index = tied.problem.index
+        parameters[index], cov[np.ix_(index, index)] = tied.x[:-2], tied.cov[:-2, :-2]
+    else:
+        parameters[:8], parameters[-2:], cov[:8, :8] = free.parameters[:8], free.parameters[-2:], free.cov[:8, :8]
+        parameters[8], parameters[9] = tied.restitution(tied.x)[0], np.log(1e-9)
+    pair = replace(fits.pair, diameter=float(tied.x[-1]))
+    return CollisionFit(parameters, cov, tied.chi2, tied.dof, pair, 0, tied.converged), free

@@ -1,0 +1,87 @@
+"""Balls that meet and stay together, such as discs with tape: their restitution is zero."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.collision.contacts import fit_velocity
+from tracker.measurement.positions import BallTrack
+
+Floats = NDArray[np.float64]
+MAX_DISTANCE = 1.02  # diameters
+MAX_SPEED_SHARE = 0.03  # of the closing speed, at which balls that stay together may move apart
+MIN_FRAMES = 10  # together
+APPROACH_FRAMES = 8  # from which the closing speed is read
+
+
+@dataclass(frozen=True, eq=False)
+class Stay:
+    """Two balls that stay together; ball 2 is the faster before."""
+
+    struck: BallTrack
+    striker: BallTrack
+    first: int  # frame in which they are together
+    last: int
+    time: float  # s, of the first touch
+    speed: float  # m/s, relative, before the touch
+    speed_std: float
+    offset: float  # impact parameter over the diameter
+    offset_std: float
+    r_std: float  # of the restitution, which is 0
+
+
+def find_stays(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[Stay]:
+    """Find where two balls meet and then keep their distance of about a diameter (m)."""
+    frames, one, two = np.intersect1d(a.frame, b.frame, return_indices=True)
+    if len(frames) < MIN_FRAMES:
+        return
+    way = a.position[one] - b.position[two]
+    time, apart = a.time[one], np.hypot(way[:, 0], way[:, 1])
+    noise = float(np.sqrt(np.trace(np.median(a.cov, axis=0) + np.median(b.cov, axis=0)) / 2))
+    near = apart < MAX_DISTANCE * diameter + 3 * noise
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], near.astype(np.int8), [0]])))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        early = np.arange(max(begin - APPROACH_FRAMES, 0), begin)
+        if end - begin < MIN_FRAMES or len(early) < 3:
+            continue
+        closing, closing_std = _slope(time[early], apart[early], noise)
+        late = np.arange((begin + end) // 2, end)
+        parts = [_slope(time[rows], apart[rows], noise) for rows in (late, late[len(late) // 2 :])]
+        limit = MAX_SPEED_SHARE * abs(closing)
+        if closing > -5 * closing_std or any(std > limit or abs(v) > max(3 * std, limit) for v, std in parts):
+            continue
+        tracks = sorted((a, b), key=lambda t: float(np.hypot(*_approach(t, frames[early])[0])))
+        (v1, x1, s1), (v2, x2, s2) = (_approach(t, frames[early]) for t in tracks)
+        launch, gap = v2 - v1, x1 - x2
+        speed = float(np.hypot(*launch))
+        offset = float(launch[1] * gap[0] - launch[0] * gap[1]) / (speed * diameter)
+        speed_std = float(np.hypot(s1, s2))
+        drift, drift_std = parts[0]
+        yield Stay(
+            struck=tracks[0],
+            striker=tracks[1],
+            first=int(frames[begin + int(np.argmax(apart[begin:end] < diameter))]),
+            last=int(frames[end - 1]),
+            time=float(time[early].mean() + (apart[early].mean() - diameter) / abs(closing)),
+            speed=speed,
+            speed_std=speed_std,
+            offset=offset,
+            offset_std=float(np.hypot(noise / np.sqrt(len(early)), speed_std / speed * np.hypot(*gap)) / diameter),
+            r_std=float(np.hypot(drift, drift_std) / abs(closing)),
+        )
+
+
+def _approach(track: BallTrack, frames: NDArray[np.int64]) -> tuple[Floats, Floats, float]:
+    return fit_velocity(track.where(np.isin(track.frame, frames)))
+
+
+def _slope(time: Floats, apart: Floats, noise: float) -> tuple[float, float]:
+    """Slope of a straight line, its standard error by the noise or, if larger, the scatter."""
+    t = time - time.mean()
+    slope = float(t @ apart / (t @ t))
+    rms = float(np.sqrt(((apart - apart.mean() - slope * t) ** 2).sum() / max(len(t) - 2, 1)))
+    return slope, max(noise, rms) / float(np.sqrt(t @ t))

@@ -1,0 +1,194 @@
+"""Contacts that take time, held to springs with dashpots that scipy integrates."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from tracker_contacts import SoftHit, draw_hit
+
+import tracker
+from tracker.measurement.collision.collision_model import FREE
+from tracker.measurement.collision.contacts import find_contacts
+from tracker.measurement.collision.lasting_contact import (
+    LastingResiduals,
+    advance_slides,
+    dashpot_share,
+    fit_lasting_contact,
+    rewind_slides,
+)
+from tracker.measurement.messages import list_messages
+from tracker.measurement.positions import BallTrack
+from tracker.report.estimates_text import format_for_terminal
+from tracker.settings import FitSettings
+
+
+def measure(hit, seed=0):
+    """The row of a hit, and the result."""
+    result = tracker.measure(hit.tracks(np.random.default_rng(seed)), hit.camera, unit="m")
+    return result.estimates.iloc[0], result
+
+
+def z(row, name, true):
+    return (row[name] - true) / row[f"{name}_std"]
+
+
+@pytest.mark.parametrize(
+    ("duration", "b", "r", "friction"),
+    [
+        (0.014, 0.2, 0.9, 0.0),
+        (0.018, 0.4, 0.9, 0.0),
+        (0.015, 0.0, 0.6, 0.0),
+        (0.006, 0.3, 0.8, 0.0),
+        (0.010, 0.0, 0.9, 0.2),
+        (0.016, 0.3, 0.7, 0.1),
+    ],
+)
+def test_rubber_keeps_its_restitution_and_gets_a_duration(duration, b, r, friction):
+    row, _ = measure(SoftHit(duration, r, b=b, friction=friction))
+    assert (row["status"], row["flags"]) == ("ok", "contact lasts")
+    assert abs(z(row, "r", r)) < 4
+    assert abs(z(row, "contact_duration_s", duration)) < 4
+    assert row["r_std"] < 0.03
+    assert row["contact_duration_s_std"] < 0.05 * duration
+    assert row["noise_rho"] == 0
+    if friction:
+        assert abs(z(row, "mu_k", friction)) < 4
+
+
+def test_finite_differences_leave_the_contact_out_and_claim_nothing_after_it():
+    row, _ = measure(SoftHit(0.014, b=0.2))
+    assert row["r_paper"] == pytest.approx(0.9, abs=0.08)
+    assert np.isnan(row["r_paper_std"])
+    assert abs(z(row, "v0_paper", 0.3)) < 4
+
+
+def test_a_contact_between_two_frames_is_no_ok_but_keeps_r_free():
+    """A diameter that is too large by .6 % would look the same."""
+    row, result = measure(SoftHit(0.002, 0.9, friction=0.0, fps=250.0, b=0.2))
+    assert (row["status"], row["flags"]) == ("misfit", "contact lasts or balls are smaller")
+    assert np.isnan(row["r_std"])
+    assert abs(z(row, "r_free", 0.9)) < 4
+    assert "ball_diameter" in str(list_messages(result.estimates)[0])
+
+
+def test_slides_that_end_with_the_contact_give_no_restitution():
+    row, _ = measure(SoftHit(0.028, 0.4, v0=0.15, friction=0.2, fps=250.0))
+    assert "hides how they part" in row["status"]
+    assert np.isnan(row["r"])
+
+
+def test_too_few_frames_after_a_contact_are_named():
+    row, _ = measure(SoftHit(0.02, 0.9, after=14))
+    assert "too few frames" in row["status"]
+
+
+@pytest.mark.parametrize("b", [0.0, 0.3])
+def test_a_hit_without_friction_gives_r_by_straight_lines(b):
+    row, result = measure(SoftHit(0.0, 0.8, b=b))
+    assert row["status"] == "ok"
+    assert abs(z(row, "r", 0.8)) < 4
+    assert abs(z(row, "r_free", 0.8)) < 4
+    assert np.isnan(row[["mu_k", "tau1", "energy_fraction"]].astype(float)).all()
+    text = "\n".join(format_for_terminal(result.estimates))
+    assert "no slide is seen" in text
+    assert "finite differences" in text
+
+
+def test_a_slow_hit_without_friction_may_be_one_of_balls_that_roll_at_once():
+    """r of .3 without friction is the motion of r = .82 whose slides end within a frame."""
+    row, _ = measure(SoftHit(0.0, 0.3, v0=0.06, fps=250.0, before=60))
+    assert row["status"].startswith("the balls move straight after the hit")
+
+
+def test_an_instantaneous_hit_is_not_said_to_last():
+    row, result = measure(SoftHit(0.0, 0.9, friction=0.2, b=0.2))
+    assert (row["status"], row["flags"]) == ("ok", "")
+    assert np.isnan(row["contact_duration_s"])
+    assert row["contact_first"] == -1
+    assert "lasts" not in "\n".join(format_for_terminal(result.estimates))
+
+
+def test_noise_hides_a_contact_from_frame_to_frame_but_not_from_many():
+    row, _ = measure(SoftHit(0.02, 0.7, v0=0.36, fps=1000.0, noise=1.1e-4, before=80, after=350))
+    assert row["status"] == "ok"
+    assert abs(z(row, "r", 0.7)) < 4
+
+
+def test_errors_of_the_scale_move_the_duration_with_the_diameter():
+    hit = SoftHit(0.014, b=0.2)
+    tracks = hit.tracks(np.random.default_rng(0))
+    stds = []
+    for share in (0.0, 0.005):
+        camera = hit.camera | ({"ball_diameter_std": share * hit.diameter} if share else {})
+        row = tracker.measure(tracks, camera, unit="m").estimates.iloc[0]
+        stds.append(row["contact_duration_s_std"])
+    # T = (D - d)(1 + r)/(r v), so that dT/dD = (1 + r)/(r v)
+    assert np.hypot(stds[0], 0.005 * 0.05 * 1.9 / (0.9 * 0.3 * np.cos(np.arcsin(0.2)))) == pytest.approx(
+        stds[1], rel=0.1
+    )
+
+
+def test_slides_that_are_rewound_and_advanced_return():
+    free = np.arange(1.0, len(FREE) + 1)
+    for name, value in (("log_tau1", -2.0), ("log_tau2", -3.0)):
+        free[FREE.index(name)] = value
+    delay = np.array(1e-4)
+    assert advance_slides(rewind_slides(free, delay), delay) == pytest.approx(free, rel=1e-4)
+
+
+@pytest.mark.parametrize("r", [0.4, 0.7, 0.95])
+def test_a_dashpot_does_not_give_back_what_a_constant_force_costs(r):
+    """By integration: the speed at which a spring with a dashpot throws a mass back against a small force."""
+    damping = -np.log(r)  # a contact of 1 s
+    stiffness, force = np.pi**2 + damping**2, 0.01
+
+    def rates(t, y):
+        return [y[1], -stiffness * y[0] - 2 * damping * y[1] + force]
+
+    def leaves(t, y):
+        return y[0] if t > 0.1 else 1.0
+
+    leaves.terminal = True
+    found = solve_ivp(rates, (0, 3), [0.0, 1.0], events=leaves, rtol=1e-10, atol=1e-12)
+    lost = r + found.y[1, -1]
+    assert lost == pytest.approx(dashpot_share(r) * force / (1 + r), rel=0.03)
+
+
+@pytest.mark.parametrize("kind", ["free", "tied", "straight"])
+def test_derivatives_are_those_of_the_residuals(kind):
+    hit = SoftHit(0.014, b=0.2, friction=0.2)
+    table = hit.tracks(np.random.default_rng(1))
+    balls = []
+    for particle, part in table.groupby("particle"):
+        cov = np.tile(np.eye(2) * hit.noise**2, (len(part), 1, 1))
+        frame, position = part.frame.to_numpy(), part[["x", "y"]].to_numpy()
+        balls.append(BallTrack(particle, frame, frame / hit.fps, position, cov, 1e-3))
+    (candidate,) = find_contacts(balls, hit.diameter)
+    fits = fit_lasting_contact(candidate, hit.diameter, {}, FitSettings())
+    problem = LastingResiduals(fits.pair, kind)
+    names = {"free": fits.free.problem.names, "tied": fits.tied.problem.names}.get(kind)
+    if kind == "straight":
+        names = problem.names
+        free = dict(zip(FREE, fits.free.free, strict=True))
+        x = np.array([*(free[name] for name in names), 1e-5, fits.free.x[-1]])
+    else:
+        x = getattr(fits, kind).x
+    assert names == problem.names
+    _, slope = problem(x)
+    for k, size in enumerate(np.maximum(np.abs(x), 1e-2) * 1e-5):
+        step = size * np.eye(len(x))[k]
+        high, low = (LastingResiduals(fits.pair, kind).residual(x + sign * step) for sign in (1, -1))
+        numeric = (high - low) / (2 * size)
+        assert numeric == pytest.approx(slope[:, k], abs=0.01 * np.abs(slope[:, k]).max() + 1e-6)
+
+
+def test_scores_of_contacts_of_all_kinds():
+    """8 clips: rms z of what is claimed as ok, and no wild claim."""
+    found = []
+    for k in range(8):
+        rng = np.random.default_rng([1, k])
+        hit = draw_hit(rng)
+        row = tracker.measure(hit.tracks(rng), hit.camera, unit="m").estimates.iloc[0]
+        found += [z(row, name, hit.r) for name in ("r", "r_free") if np.isfinite(row[f"{name}_std"])]
+    assert len(found) > 4
+    assert np.abs(found).max() < 4
+    assert np.sqrt(np.mean(np.square(found))) < 1 + 4 / np.sqrt(2 * len(found))

@@ -1,0 +1,47 @@
+"""Bodies that stay together after the hit, such as discs with tape."""
+
+import numpy as np
+import pytest
+from tracker_contacts import SoftHit
+
+import tracker
+from tracker.report.estimates_text import format_for_terminal
+
+
+def measure(hit, seed=0):
+    return tracker.measure(hit.tracks(np.random.default_rng(seed)), hit.camera, unit="m").estimates
+
+
+@pytest.mark.parametrize("b", [0.0, 0.3, -0.5])
+@pytest.mark.parametrize("noise", [2e-5, 1e-4])
+def test_tape_has_a_restitution_of_zero(b, noise):
+    table = measure(SoftHit(0.012, sticky=True, b=b, noise=noise, after=180))
+    assert table["status"].tolist() == ["stay_together"]
+    row = table.iloc[0]
+    assert (row["flags"], row["r"]) == ("stay together", 0)
+    assert 0 < row["r_std"] < 0.05
+    assert row["contact_first"] == pytest.approx(30, abs=2)
+    assert row["contact_last"] == 209
+    assert row["v0"] == pytest.approx(0.3, abs=4 * row["v0_std"])
+    assert abs(row["b"]) == pytest.approx(abs(b), abs=4 * row["b_std"])
+
+
+def test_the_answer_names_the_frames():
+    table = measure(SoftHit(0.012, sticky=True, after=180))
+    text = "\n".join(format_for_terminal(table))
+    assert "stay together from frame" in text
+    assert "coefficient of restitution" in text
+
+
+@pytest.mark.parametrize("r", [0.2, 0.5, 0.9])
+def test_bodies_that_part_do_not_stay(r):
+    assert measure(SoftHit(0.02, r, after=180))["status"].iloc[0] != "stay_together"
+
+
+def test_balls_that_lie_beside_each_other_do_not_meet():
+    rng = np.random.default_rng(0)
+    hit = SoftHit(0.01)
+    table = hit.tracks(rng).query("frame < 60").copy()
+    still = table["particle"] == 1
+    table.loc[still, ["x", "y"]] = np.array([0.05, 0.0]) + rng.normal(0, 2e-5, (int(still.sum()), 2))
+    assert "stay_together" not in tracker.measure(table, hit.camera, unit="m").estimates["status"].tolist()
