@@ -42,13 +42,16 @@ from synthcam.model import Model, as_model
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
+    import pandas as pd
+
+    from tracker.camera.camera import CameraSource
     from tracker.recording import Result
 
 
 def find(
-    results: Sequence[Result] | str | Path,
+    results: Sequence[Result] | pd.DataFrame | str | Path,
     model: Model | Mapping[str, Any] | str | Path,
-    camera: str | Path | None = None,
+    camera: CameraSource | None = None,
     progress: Progress = lambda stage: None,
     minutes: float = math.inf,
     policy: SearchPolicy | None = None,
@@ -57,14 +60,14 @@ def find(
 
     Parameters
     ----------
-    results : sequence of tracker.Result, str or Path
+    results : sequence of tracker.Result, DataFrame, str or Path
         Results of `tracker.track` or `tracker.measure` for several clips of one camera; or a tracker's RESULTS;
-        or, with `camera`, a table of tracks.
+        or, with `camera`, a table of tracks: a file, or a DataFrame with the columns clip, frame, particle, x, y.
     model : Model, dict, str or Path
         The model to compare with the measurement: a model, its settings, a model or scene file, or the name of a scene
         that comes with synthcam. The search fits its base parameters that are not zero, and those in its ``free``.
-    camera : str or Path, optional
-        camera.json of a table.
+    camera : Camera, dict, str or Path, optional
+        Of a table: the keys of camera.json, or its path.
     progress : callable
         Called with the name of the stage, many times.
     minutes : float
@@ -94,7 +97,7 @@ def find(
     source = Path(results) if isinstance(results, str) else results
     given = as_model(model)
     with applied_policy(policy or SearchPolicy()):
-        clips, left_out = read_collisions(source, None if camera is None else Path(camera))
+        clips, left_out = read_collisions(source, Path(camera) if isinstance(camera, str) else camera)
         return search(clips, given, progress, 60 * minutes, left_out)
 
 

@@ -7,6 +7,7 @@ from .notes import Note as Note
 from .notes import NoteKind as NoteKind
 from .recording import Result as Result
 from .recording import measure as measure
+from .recording import measure_all as measure_all
 from .recording import track as track
 from .settings import DetectionSettings as DetectionSettings
 from .settings import FitSettings as FitSettings
@@ -26,5 +27,6 @@ __all__ = [
     "TrackerSettings",
     "__version__",
     "measure",
+    "measure_all",
     "track",
 ]

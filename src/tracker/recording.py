@@ -106,7 +106,8 @@ class Result:
         """The estimates, a row for each collision, with the columns of ``estimates.parquet``, SI.
 
         status is ok, misfit, no_collision or a reason. NAME, NAME_free and NAME_paper are the tied fit, the free fit
-        and the paper's differences, each with its _std; docs/format.md has all columns.
+        and the paper's differences, each with its _std; docs/format.md has all columns. Take ``estimates["clip"]`` and
+        ``estimates["flags"]`` by brackets, because pandas has attributes of these names.
         """
         return results.estimates_table({"clip": self.number, **row} for row in self.rows)
 
@@ -255,7 +256,7 @@ def measure(
 ) -> Result:
     """Measure the collisions in tracks that any program made.
 
-    An InputError refuses what is no such table, and tables of several clips.
+    An InputError refuses what is no such table, and tables of several clips, which `measure_all` takes.
 
     Parameters
     ----------
@@ -289,6 +290,48 @@ def measure(
     >>> bool(abs(result.estimates["r"][0] - clip.truth["r"]) < 1e-4)
     True
     """
+    found = measure_all(
+        tracks, camera, point=point, columns=columns, unit=unit, decimal=decimal, settings=settings, most_clips=1
+    )
+    return found[0]
+
+
+def measure_all(
+    tracks: pd.DataFrame | str | Path,
+    camera: CameraSource,
+    *,
+    point: str = "centre",
+    columns: str = "",
+    unit: str = "",
+    decimal: str = "",
+    settings: SettingsSource | None = None,
+    most_clips: int | None = None,
+) -> list[Result]:
+    """Measure the collisions of all clips of a table, which a column ``clip`` tells apart.
+
+    Parameters
+    ----------
+    tracks, camera, point, columns, unit, decimal, settings
+        As `measure` takes them.
+    most_clips : int, optional
+        An InputError refuses a table of more clips; default: no limit.
+
+    Returns
+    -------
+    list of Result
+        In the order of the clips' numbers, which are the column ``clip`` of their estimates. `discrepancy.find` takes
+        the list.
+
+    Examples
+    --------
+    >>> import pandas as pd, synthcam, tracker
+    >>> clips = [synthcam.Scene.read("painter_behringer").draw(k, seed=1) for k in (3, 5)]
+    >>> parts = [c.tracks[["frame", "particle"]].assign(x=c.tracks.x_mean_px, y=c.tracks.y_mean_px) for c in clips]
+    >>> table = pd.concat([part.assign(clip=c.number) for part, c in zip(parts, clips)])
+    >>> found = tracker.measure_all(table, clips[0].camera_json)
+    >>> pd.concat([result.estimates for result in found])["clip"].tolist()
+    [3, 5]
+    """
     if point not in ("centre", "glint"):
         raise InputError(f"point: expected centre or glint, not {point!r}")
     if camera is None:
@@ -297,13 +340,14 @@ def measure(
         given = to_pixels(TrackTable(tracks), "tracks", camera, unit)
     else:
         given = read_tracks(Path(tracks), camera, columns, unit, decimal)
-    if len(given.clips) > 1:
-        clips = len(given.clips)
-        raise InputError(f"tracks: {clips} clips, expected one; give them one by one, as of groupby('clip')")
-    ((number, (found, striker)),) = given.clips.items()
-    known = given.camera if striker is None else replace(given.camera, striker=striker)
-    result = measure_tracks(found, known, number, point, TrackerSettings.of(settings).fit)
-    return replace(result, notes=(*given.notes, *result.notes))
+    if most_clips is not None and len(given.clips) > most_clips:
+        raise InputError(f"tracks: {len(given.clips)} clips, expected {most_clips}; tracker.measure_all takes them all")
+    fit, results_of_clips = TrackerSettings.of(settings).fit, []
+    for number, (found, striker) in sorted(given.clips.items()):
+        known = given.camera if striker is None else replace(given.camera, striker=striker)
+        result = measure_tracks(found, known, number, point, fit)
+        results_of_clips.append(replace(result, notes=(*given.notes, *result.notes)))
+    return results_of_clips
 
 
 def track_and_measure(

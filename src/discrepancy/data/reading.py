@@ -19,7 +19,7 @@ from discrepancy.data.track_checks import detect_wrong_units, find_exchange, rem
 from discrepancy.data.uneven_times import note_uneven_times
 from discrepancy.policy import current_policy
 from synthcam_shared.errors import InputError as InputError
-from tracker.camera.camera import Camera
+from tracker.camera.camera import Camera, CameraSource
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MISFIT
 from tracker.measurement.estimate import measure
@@ -27,12 +27,13 @@ from tracker.measurement.track_repair import repair_tracks
 from tracker.notes import Note, NoteKind
 from tracker.recording import Result
 from tracker.results import read_clip
-from tracker.tables.read import ClipTracks, read_tracks
+from tracker.tables.read import ClipTracks, read_tracks, to_pixels
 from tracker.tables.rows import split_tracks
+from tracker.tables.table import TrackTable
 
 
 def read_collisions(
-    measured: Path | Sequence[Result], camera: Path | None = None
+    measured: Path | pd.DataFrame | Sequence[Result], camera: CameraSource | None = None
 ) -> tuple[list[MeasuredCollision], list[SearchNote]]:
     """Read the collisions of a tracker's RESULTS, of a table of tracks, or of results in memory.
 
@@ -45,7 +46,12 @@ def read_collisions(
         A file is missing or malformed, no clip has a measured collision, or speeds and units are implausible.
     """
     left_out: list[SearchNote] = []
-    if not isinstance(measured, Path):
+    if isinstance(measured, pd.DataFrame):
+        if camera is None:
+            raise InputError("camera: expected a camera, its keys or a path, beside a table of tracks")
+        given, measured = to_pixels(TrackTable(measured), "tracks", camera), Path("tracks")
+        sources, left_out = _read_table(measured, given), _note_strikers(given)
+    elif not isinstance(measured, Path):
         sources, measured = _read_memory(measured), Path("results")
     elif measured.is_dir():
         if camera is not None:
@@ -57,9 +63,7 @@ def read_collisions(
         raise InputError(f"{measured}: expected --camera camera.json with a table of tracks")
     else:
         given = read_tracks(measured, camera)
-        sources = _read_table(measured, given)
-        unstated = [note for note in given.notes if note.kind is NoteKind.STRIKER]
-        left_out = [SearchNote(SearchNoteKind.NO_STRIKER, values={"text": note.text}) for note in unstated]
+        sources, left_out = _read_table(measured, given), _note_strikers(given)
     kept, rejected = [], []
     for source in sources:
         left_out += [
@@ -111,6 +115,8 @@ def _build(source: _Source) -> tuple[MeasuredCollision | SearchNote, bool]:
 def _read_memory(results: Sequence[Result]) -> Iterator[_Source]:
     """Clips as if written and read again, for the same numbers to the last bit. Equal clip numbers are renumbered."""
     expected = "what tracker.track or tracker.measure gives"
+    if isinstance(results, Result):
+        results = [results]
     if not isinstance(results, Sequence):
         raise InputError(f"results: of type {type(results).__name__}, expected a list of {expected}")
     for k, result in enumerate(results):
@@ -139,6 +145,11 @@ def _read_results(folder: Path) -> Iterator[_Source]:
     for number, rows in table.groupby("clip"):
         clip = int(str(number))
         yield _Source(clip, *read_clip(folder, clip), partial(rows.to_dict, "records"))
+
+
+def _note_strikers(given: ClipTracks) -> list[SearchNote]:
+    unstated = [note for note in given.notes if note.kind is NoteKind.STRIKER]
+    return [SearchNote(SearchNoteKind.NO_STRIKER, values={"text": note.text}) for note in unstated]
 
 
 def _read_table(path: Path, given: ClipTracks) -> Iterator[_Source]:

@@ -62,7 +62,7 @@ def as_detector(given: Any, point: str = "") -> DetectorClass:
     if inspect.isclass(given):
         if not any(callable(vars(c).get(m)) for c in given.__mro__ for m in ("__call__", "detect")):
             raise PluginError(f"detector {given.__name__}: expected a method __call__(frame) or detect(frames)")
-        found: DetectorClass = given
+        found: Any = given
         return found
     if not callable(given):
         raise InputError(f"detector: of type {type(given).__name__}, expected a name, a function or a class")

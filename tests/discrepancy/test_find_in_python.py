@@ -1,0 +1,65 @@
+"""find and measure from tables in memory: the same collisions as from files, and each clip under its number."""
+
+import json
+
+import pandas as pd
+import pytest
+
+import synthcam
+import tracker
+from discrepancy.data.launch import V0
+from discrepancy.data.reading import read_collisions
+from synthcam_shared.errors import InputError
+
+NUMBERS = (2, 5, 9)
+
+
+@pytest.fixture(scope="module")
+def made():
+    """A table of three clips, and their camera."""
+    scene = synthcam.Scene.read("painter_behringer")
+    clips = [scene.draw(number, seed=1) for number in NUMBERS]
+    parts = [
+        c.tracks.query("visible")[["frame", "particle"]].assign(
+            clip=c.number, x=c.tracks["x_mean_px"], y=c.tracks["y_mean_px"]
+        )
+        for c in clips
+    ]
+    return pd.concat(parts, ignore_index=True), clips[0].camera_json, [c.truth["r"] for c in clips]
+
+
+def test_measure_all_keeps_the_numbers_of_clips(made):
+    table, camera, true = made
+    found = tracker.measure_all(table.sample(frac=1, random_state=0), camera)
+    estimates = pd.concat([result.estimates for result in found], ignore_index=True)
+    assert estimates["clip"].tolist() == list(NUMBERS)
+    assert estimates["r"].to_numpy() == pytest.approx(true, abs=1e-3)
+
+
+def test_measure_names_the_function_for_several(made):
+    table, camera, _ = made
+    with pytest.raises(InputError, match=r"tracks: 3 clips, expected 1; tracker\.measure_all takes them all"):
+        tracker.measure(table, camera)
+
+
+@pytest.mark.parametrize("kind", ["keys", "camera", "path", "results", "one result"])
+def test_collisions_of_a_table_in_memory(kind, made, tmp_path):
+    table, camera, _ = made
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    table.to_csv(tmp_path / "tracks.csv", index=False)
+    of_file, _ = read_collisions(tmp_path / "tracks.csv", tmp_path / "camera.json")
+    given = {
+        "keys": (table, camera),
+        "camera": (table, tracker.Camera.from_dict(camera)),
+        "path": (table, tmp_path / "camera.json"),
+        "results": (tracker.measure_all(table, camera), None),
+        "one result": (tracker.measure(table[table["clip"] == NUMBERS[0]], camera), None),
+    }[kind]
+    found, _ = read_collisions(*given)
+    expected = of_file[:1] if kind == "one result" else of_file
+    assert [c.launch[V0] for c in found] == pytest.approx([c.launch[V0] for c in expected], rel=1e-3)
+
+
+def test_a_table_without_a_camera_is_refused(made):
+    with pytest.raises(InputError, match="camera: expected a camera, its keys or a path, beside a table of tracks"):
+        read_collisions(made[0])
