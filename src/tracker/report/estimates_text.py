@@ -144,7 +144,8 @@ def format_for_terminal(estimates: pd.DataFrame, max_collisions: int = 6) -> Ite
 def _format_row(row: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
     yield f"clip {row['clip']}, collision {row['collision']}{describe_frames(row)}: {describe_status(row)}."
     is_measured = row["status"] in MEASURED
-    lines = list_quantities(row, names if is_measured else ("v0", "b", "r", "drag", "decel"))
+    unmeasured = ("v0", "b", "r") if row["status"] == TOGETHER else ("v0", "drag", "decel")
+    lines = list_quantities(row, names if is_measured else unmeasured)
     methods = 3 if is_measured else 1
     if contact := describe_contact(row):
         yield f"  {contact}."
