@@ -29,6 +29,8 @@ from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import FilmClock, drop_repeated, find_changes, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its warnings name lines of source code
+UNREADABLE = RuntimeError, ValueError, TypeError, AttributeError  # that tifffile raises at damaged tags
 AXIS_NAMES = {"C": "channel", "Z": "focal plane", "S": "sample of a pixel", "P": "position", "R": "position"}
 
 
@@ -54,7 +56,9 @@ def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
             order = tif.byteorder
             paint, notes = choose_colours(tif.series[0].keyframe)
             clock = _read_times(tif, layout) if options.times != "even" else None
-    except (tifffile.TiffFileError, OSError, IndexError, KeyError, struct.error) as error:
+    except InputError:
+        raise
+    except (tifffile.TiffFileError, OSError, LookupError, ArithmeticError, struct.error, *UNREADABLE) as error:
         raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({first_line(error)})") from None
     if 0 in layout.plane:
         raise InputError(f"{path}: expected a stack of pictures, not an array of {layout.plane}")
@@ -217,7 +221,10 @@ def _read_pages(path: Path, layout: _Layout) -> Callable[[int], Any]:
             page = pages[int(layout.pages[k])]
             if page is None:
                 raise ValueError("the file does not hold it")
-            return np.asarray(page.asarray()).reshape(layout.plane)
+            picture = np.asarray(page.asarray())
+            if (picture.size, picture.dtype) != (math.prod(layout.plane), layout.dtype.newbyteorder("=")):
+                raise ValueError(f"{picture.shape} of {picture.dtype}, expected {layout.plane} of {layout.dtype}")
+            return picture.reshape(layout.plane)
         except Exception as error:  # decoders raise their own kinds
             raise InputError(f"{path}: frame {k} cannot be read ({first_line(error)})") from None
 

@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +62,7 @@ def as_detector(given: Any, point: str = "") -> DetectorClass:
     if inspect.isclass(given):
         if not any(callable(vars(c).get(m)) for c in given.__mro__ for m in ("__call__", "detect")):
             raise PluginError(f"detector {given.__name__}: expected a method __call__(frame) or detect(frames)")
-        found: Any = given
-        return found
+        return cast("DetectorClass", given)
     if not callable(given):
         raise InputError(f"detector: of type {type(given).__name__}, expected a name, a function or a class")
     return _ask(given, point or str(getattr(given, "point", "either")))
