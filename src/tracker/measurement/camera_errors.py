@@ -161,7 +161,7 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
     errors, fits = camera_errors(camera), read.fits
     if not errors or fits is None:
         return read
-    changed = {}
+    changed: dict[str, Any] = {}
     for name in ("tied", "free"):
         fit: LastingFit = getattr(fits, name)
         residual, rows = fit.problem(fit.x)
@@ -179,8 +179,10 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
         response = differentiate(errors, values)
         changed[name] = replace(getattr(read, name), chi2=fit.chi2 - explained)
         changed[f"{name}_values"] = getattr(read, f"{name}_values").with_shared(np.nan_to_num(response[:-1]))
-    std = float(np.hypot(fits.contact.duration_std, np.linalg.norm(response[-1])))
-    return replace(read, **changed, fits=replace(fits, contact=replace(fits.contact, duration_std=std)))
+    if fits.contact is not None:
+        std = float(np.hypot(fits.contact.duration_std, np.linalg.norm(response[-1])))
+        changed["fits"] = replace(fits, contact=replace(fits.contact, duration_std=std))
+    return replace(read, **changed)
 
 
 def measure_contact_distance(free: CollisionFit, camera: Camera, tied: bool = False) -> tuple[float, float]:

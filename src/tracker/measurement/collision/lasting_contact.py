@@ -217,7 +217,8 @@ class LastingFit:
     def slopes(self, function) -> Floats:  # type: ignore[no-untyped-def]
         """Derivatives (m, p) of a function of x (..., p)."""
         size = 0.01 * np.sqrt(np.diag(self.cov))
-        return ((function(self.x + np.diag(size)) - function(self.x - np.diag(size))) / (2 * size[:, None])).T
+        moved = function(self.x + np.diag(size)) - function(self.x - np.diag(size))
+        return np.asarray((moved / (2 * size[:, None])).T, dtype=np.float64)
 
     def times(self, x: Floats) -> Floats:
         """(..., 3) of x (..., p): seconds from the first touch to t_c, from t_c to the end; d in diameters."""
@@ -253,7 +254,8 @@ class LastingFit:
             every, index = len(TIED), self.problem.index
             tied, cov = np.zeros(every), np.zeros((every, every))
             tied[index], cov[np.ix_(index, index)] = self.x[:-2], self.cov[:-2, :-2]
-            found = derive_from_tied(self.problem.press(tied, self.x[-1]), cov, self.diameter, self.problem.pair.spin)
+            pressed = np.asarray(self.problem.press(tied, self.x[-1]), dtype=np.float64)
+            found = derive_from_tied(pressed, cov, self.diameter, self.problem.pair.spin)
             r, own = float(tied[8]), cov[8, 8]
         else:
             slope = self.slopes(self.at_touch)
@@ -339,7 +341,7 @@ def fit_lasting_contact(
     sigmas = [_sigmas_within(fit)]
     if not is_straight and not compare_fits(tied, fit, noise_dof) < level:
         sigmas.append(_sigmas_within(tied))
-    contact = None
+    lasting = None
     step = float(np.median(np.diff(pair.striker.start)))
     if max(sigmas) > least_sigma and fit.times(fit.x)[:2].sum() > MIN_DURATION_FRAMES * step:
         best = (fit, tied)[int(np.argmax(sigmas))]
@@ -349,16 +351,16 @@ def fit_lasting_contact(
         _, friction, _ = best.restitution(best.x)
         duration_std = float(np.hypot(np.sqrt(own), 0.15 * friction * (before + after)))
         certain = _bend(best, pair, window) > BEND_SIGNIFICANCE
-        contact = LastingContact(*window, float(before + after), duration_std, certain)
+        lasting = LastingContact(*window, float(before + after), duration_std, certain)
     elif not is_straight or abs(max(sigmas)) > least_sigma:
         return None
     if is_straight:
         balanced = not _momentum_p(fit) < level
-        if contact is None and not balanced:
+        if lasting is None and not balanced:
             return None
-        return LastingFits(contact, outside, fit, fit, (False, False), _may_hide_slide(fit), balanced)
+        return LastingFits(lasting, outside, fit, fit, (False, False), _may_hide_slide(fit), balanced)
     left = float(np.exp(fit.free[_TAU]).min()) - fit.times(fit.x)[1]  # of the slides once the balls have parted, s
-    return LastingFits(contact, outside, tied, fit, _slide_ends_seen(fit), left < MIN_FRAMES * step)
+    return LastingFits(lasting, outside, tied, fit, _slide_ends_seen(fit), left < MIN_FRAMES * step)
 
 
 def _momentum_p(straight: LastingFit) -> float:
@@ -367,7 +369,8 @@ def _momentum_p(straight: LastingFit) -> float:
     def gain(x: Floats) -> Floats:
         free = np.asarray(straight.problem.to_free(x), dtype=np.float64)
         launch, _, _ = directions(free[..., 3], free[..., 4])
-        return free[..., 8:10] + free[..., 13:15] - 2 * free[..., -2:] - free[..., 5, None] * np.real(launch)
+        after = free[..., 8:10] + free[..., 13:15]
+        return np.asarray(after - 2 * free[..., -2:] - free[..., 5, None] * np.real(launch), dtype=np.float64)
 
     slope, change = straight.slopes(gain), gain(straight.x)
     cov = slope @ straight.cov @ slope.T
