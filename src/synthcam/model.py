@@ -159,6 +159,7 @@ class Model:
 
     Attributes
     ----------
+    ball : Ball
     gravity : float
         m/s^2.
     restitution, sliding_friction, spin_transfer : float
@@ -196,6 +197,14 @@ class Model:
     def read(cls, path: str | Path) -> Model:
         """Read a model file, or a scene whose physics are numbers; scenes that come with synthcam by name.
 
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        Model
+
         Raises
         ------
         InputError
@@ -210,7 +219,12 @@ class Model:
         return read_model(Path(path))
 
     def write(self, path: str | Path) -> None:
-        """Write a model file that `read` gives back and ``synthcam generate`` takes."""
+        """Write a model file that `read` gives back and ``synthcam generate`` takes.
+
+        Parameters
+        ----------
+        path : str or Path
+        """
         write_model(self, Path(path))
 
     @cached_property
@@ -219,7 +233,17 @@ class Model:
         return Laws(self.effects)
 
     def bodies(self, labels: Sequence[str]) -> Bodies:
-        """Radii and masses of balls with labels "a" or "b", in this order, with the active effects on them."""
+        """Radii and masses of balls, with the active effects on them.
+
+        Parameters
+        ----------
+        labels : sequence of {"a", "b"}
+
+        Returns
+        -------
+        Bodies
+            In the order of `labels`.
+        """
         of_a = np.array([float(label == "a") for label in labels])
         a = self.laws("radius", self.ball.radius, {}), self.laws("mass", self.ball.mass, {})
         b = self.ball.radius, self.ball.mass
@@ -246,7 +270,17 @@ class Model:
         return float(getattr(present, parameter))
 
     def replace(self, values: Mapping[str, float]) -> Model:
-        """A copy with other values by dotted name. An effect that is not in the model is added."""
+        """A copy with other values.
+
+        Parameters
+        ----------
+        values : dict
+            By dotted name. An effect that is not in the model is added.
+
+        Returns
+        -------
+        Model
+        """
         base = {SYMBOLS.get(k, k): v for k, v in values.items() if "." not in k}
         effects = {e.name(): e for e in self.effects}
         for name, value in values.items():

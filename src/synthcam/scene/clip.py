@@ -51,6 +51,9 @@ class Clip:
         The camera that the experimenter knows.
     camera : PinholeCamera
         The real camera, which differs from the nominal one by the effects.
+    lamp : Lamp
+    surface : Surface
+    sensor : Sensor
     frames : int
         Their number.
     seed : int

@@ -106,6 +106,7 @@ class Scene:
 
     Attributes
     ----------
+    name : str
     settings : dict
         By section, as in the scene's file. Missing keys have the paper's value. See docs/format.md.
     where : str
@@ -136,6 +137,10 @@ class Scene:
         **sections
             Values that replace the file's. ``launch={"v0": 0.3}`` changes only that key of its section;
             ``effects={"plate_tilt": {"x": 1e-3}}`` adds an effect to those of the file.
+
+        Returns
+        -------
+        Scene
 
         Raises
         ------

@@ -147,7 +147,7 @@ def without_positions(folder):
          "axes; did you mean axes"),
         (lambda folder: (folder / "axis").mkdir(), "axis: not named after a film"),
         (without_clip, "axes.csv: no column clip, expected clip, frame, particle, x, y; found frame, particle"),
-        (without_positions, "s: no position in any table, expected the balls of axes"),
+        (without_positions, "s/axes.csv: x, y: blank in all 288 rows, expected positions"),
     ],
 )  # fmt: skip
 def test_a_submission_without_what_it_must_have_is_one_line(tmp_path, change, said):

@@ -179,10 +179,16 @@ def measured(folder, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("frame,particle,x,y\n10000000000000000000,0,1,2\n", "frame: expected whole numbers from 0 to 2147483647"),
-        ("frame,particle,x,y\n0,1e19,1,2\n", "particle: expected whole numbers from 0 to 2147483647, not 1e+19"),
-        ("clip,frame,particle,x,y\n1e18,0,1,1,2\n", "clip: expected whole numbers"),
-        ("frame,particle,x,y\n0,1,1e300,2\n", "x: expected positions in px, not 1e+300"),
+        (
+            "frame,particle,x,y\n10000000000000000000,0,1,2\n",
+            "line 2, frame: expected whole numbers from 0 to 2147483647",
+        ),
+        (
+            "frame,particle,x,y\n0,1e19,1,2\n",
+            "line 2, particle: expected whole numbers from 0 to 2147483647, not 1e+19",
+        ),
+        ("clip,frame,particle,x,y\n1e18,0,1,1,2\n", "line 2, clip: expected whole numbers"),
+        ("frame,particle,x,y\n0,1,1e300,2\n", "line 2, x: expected positions in px, not 1e+300"),
         ("frame,particle,x,y,x_std,y_std\n0,1,1,2,1,1e300\n", "y_std: expected standard errors"),
         ("frame,particle,x,y,x_std,y_std,cov_xy\n0,1,1,2,1,1,1e300\n", "cov_xy: expected covariances"),
     ],

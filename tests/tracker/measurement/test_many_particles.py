@@ -56,7 +56,7 @@ def test_of_hundreds_of_balls_few_pairs_are_looked_at():
 
 def test_too_many_particles_are_refused_with_the_option(tmp_path, monkeypatch, capsys):
     rows = {"frame": np.tile([0, 1], 3000), "particle": np.repeat(np.arange(3000), 2)}
-    table = pd.DataFrame(rows).assign(x=lambda t: t.particle % 60, y=lambda t: t.particle // 60)
+    table = pd.DataFrame(rows).assign(x=lambda t: 40.0 * (t.particle % 60), y=lambda t: 40.0 * (t.particle // 60))
     with pytest.raises(InputError, match=r"clip 0: 3000 particles, expected at most 2000; .*max_particles: 3000"):
         tracker.measure(table, PLAIN | {"size": [4000, 4000]})
     table.to_csv(tmp_path / "tracks.csv", index=False)

@@ -45,6 +45,10 @@ def read(content: Content) -> TrackTable | None:
         rows[side] = numbers[side]
     if "confidence" in numbers:
         rows["confidence"] = numbers["confidence"]
+        ignored = (numbers["confidence"] == 0).to_numpy()
+        if Path(where).name == "gt.txt" and 0 < ignored.sum() < len(rows):  # the name of the truth in MOTChallenge
+            notes.append(f"gt.txt: {ignored.sum()} of {len(rows)} rows have confidence 0, the mark of ignored ones")
+            rows = rows[~ignored]
     return TrackTable(rows, NAME, "px", notes=tuple(notes))
 
 
