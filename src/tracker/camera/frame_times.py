@@ -18,7 +18,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class FilmClock:
-    """The place of each stored frame in time.
+    """The time of each stored frame: its number and, where frames are uneven, its seconds.
 
     Attributes
     ----------

@@ -165,7 +165,7 @@ def find_unreachable(tracks: Tracks, diameter: float) -> tuple[Ints, NDArray[np.
 
 
 def _is_near_another(tracks: Tracks, some: NDArray[np.bool_], diameter: float) -> NDArray[np.bool_]:
-    """Whether those rows, or some of their run, lie where another ball was or will be within two frames."""
+    """True if those rows, or some of their run, lie where another ball was or will be within two frames."""
     rest = np.flatnonzero(~some)
     frame, particle, xy = tracks.frame[rest], tracks.particle[rest], tracks.xy[rest]
     same = (np.diff(particle) == 0) & (np.diff(frame) == 1)
