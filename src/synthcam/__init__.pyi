@@ -1,6 +1,10 @@
 """The public names, listed once."""
 
 from .camera.render import NoGL as NoGL
+from .dataset.recorded_clip import RecordedClip as RecordedClip
+from .dataset.recorded_clip import RecordedFilm as RecordedFilm
+from .dataset.recorded_dataset import Dataset as Dataset
+from .dataset.recorded_dataset import open_dataset as open_dataset
 from .library import add_effects as add_effects
 from .model import Ball as Ball
 from .model import Model as Model
@@ -10,4 +14,18 @@ from .scene.scene import Scene as Scene
 from .settings import InputError as InputError
 
 __version__: str
-__all__ = ["Ball", "Clip", "InputError", "Model", "Motion", "NoGL", "Scene", "__version__", "add_effects"]
+__all__ = [
+    "Ball",
+    "Clip",
+    "Dataset",
+    "InputError",
+    "Model",
+    "Motion",
+    "NoGL",
+    "RecordedClip",
+    "RecordedFilm",
+    "Scene",
+    "__version__",
+    "add_effects",
+    "open_dataset",
+]

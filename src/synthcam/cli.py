@@ -78,6 +78,7 @@ def generate(
     from synthcam.dataset.generate import GenerationPlan, generate_dataset
     from synthcam.dataset.partial_dataset import check_apart
     from synthcam.scene.scene import read_scene
+    from synthcam.scene.visibility import describe_unseen_balls
 
     started = time.monotonic()
     most_clips = 1_000_000  # numbered by six digits
@@ -93,6 +94,8 @@ def generate(
     plan = GenerationPlan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
     if plan.shard and withhold_truth:
         raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
+    for k, scene in enumerate(read):
+        _print_hint(describe_unseen_balls(scene, k * clips, plan.seed))
     with progress_bar("clips") as progress:
         tell = partial(print, file=sys.stderr) if sys.stderr.isatty() and not scheduler else None
         outcome = generate_dataset(plan, output, workers or 0, progress, withhold_truth, scheduler, tell)
@@ -185,11 +188,14 @@ def preview(
     add_effect_folders(effects_dir)
     from synthcam.dataset.preview import write_animation, write_preview
     from synthcam.scene.scene import read_scene
+    from synthcam.scene.visibility import describe_unseen_balls
 
     kind = output.suffix.lower()
     if kind not in (".png", ".gif", ".mp4"):
         raise InputError(f"{output}: expected a name that ends in .png, .gif or .mp4")
-    drawn = read_scene(scene, tuple(set_ or ()), model).draw(clip, seed)
+    read = read_scene(scene, tuple(set_ or ()), model)
+    drawn = read.draw(clip, seed)
+    _print_hint(describe_unseen_balls(read, clip, seed))
     summary: dict[str, Any] = {"output": str(output)}
     if kind == ".png":
         write_preview(drawn, output, frame, magnify)
@@ -318,6 +324,11 @@ def doctor(as_json: Json = False) -> None:
     info["frames_per_second"] = round(measure_speed(), 1)
     text = "\n".join(f"{key}: {value}" for key, value in info.items())
     _print_result(info, as_json, text + "\n(two balls, 640 x 480 px, rendered and exposed by one process)")
+
+
+def _print_hint(text: str) -> None:
+    if text:
+        print(f"synthcam: {text}", file=sys.stderr)
 
 
 def _print_result(summary: dict[str, Any], as_json: bool, text: str) -> None:

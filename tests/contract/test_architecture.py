@@ -89,6 +89,7 @@ LAYERS = {
         "motion",
         "clip",
         "scene",
+        "visibility",
     ],
     "discrepancy.free_laws": [
         "axis",

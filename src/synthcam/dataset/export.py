@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import json
 import pkgutil
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from synthcam.dataset import exports
-from synthcam.dataset.files import clip_folders
-from synthcam.dataset.recorded_clip import RecordedClip, first_line
+from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.recorded_dataset import Dataset, open_dataset
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from synthcam_shared.outputs import as_input_error, check_writable
@@ -54,44 +51,15 @@ def export(dataset: Path, kind: str, output: Path, progress: Progress, truth: Pa
         raise InputError(f"{table}: no such file; expected a dataset with its truth (withheld: --truth TRUTH)")
     output = output.resolve()
     check_writable(output)
+    clips = open_dataset(dataset, truth)
     with as_input_error(output), open_scratch_folder(output) as beside:
-        rows = _read_rows(table)
-        write(_iterate_clips(dataset, truth or dataset, rows, progress), beside)
+        write(_iterate_clips(clips, progress), beside)
         publish(beside, output)
-    return len(rows)
+    return len(clips)
 
 
-def _read_rows(table: Path) -> pd.DataFrame:
-    """Read the truth's row of each clip. Raises InputError if the table is damaged."""
-    try:
-        rows = pd.read_parquet(table)
-        return rows.astype({"clip": int, "scene": str})
-    except (KeyError, ValueError, TypeError, OSError) as error:  # pyarrow's are of all kinds
-        raise InputError(f"{table}: damaged ({first_line(error)})") from None
-
-
-def _iterate_clips(dataset: Path, truth: Path, rows: pd.DataFrame, progress: Progress) -> Iterator[RecordedClip]:
-    each, folders = rows["scene"].value_counts(), clip_folders(dataset)
-    if [int(f.name) for f in folders] != rows["clip"].tolist():
-        raise InputError(f"{dataset}: {len(folders)} clips for {len(rows)} rows of its truth")
-    for k, folder in enumerate(folders):
-        secret, scalars = truth / "clips" / folder.name / "truth", {str(c): v for c, v in rows.iloc[k].items()}
-        try:
-            clip = RecordedClip(
-                number=int(folder.name),
-                scene=str(scalars["scene"]),
-                of=int(each[scalars["scene"]]),
-                camera=json.loads((folder / "camera.json").read_text()),
-                drawn=json.loads((secret / "scene.json").read_text())["drawn"],
-                scalars=scalars,
-                tracks=pd.read_parquet(secret / "tracks.parquet"),
-                events=pd.read_parquet(secret / "events.parquet"),
-                stack=folder / "frames.tif",
-            )
-            clip.check()
-        except FileNotFoundError as e:
-            raise InputError(f"{e.filename}: missing; `synthcam verify` lists what else is") from None
-        except (KeyError, ValueError, TypeError, OSError, RecursionError) as e:
-            raise InputError(f"{folder}: damaged ({first_line(e)}); `synthcam verify` lists more") from None
+def _iterate_clips(clips: Dataset, progress: Progress) -> Iterator[RecordedClip]:
+    for k, clip in enumerate(clips):
+        clip.check()
         yield clip
-        progress(k + 1, len(rows))
+        progress(k + 1, len(clips))

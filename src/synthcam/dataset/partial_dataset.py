@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import json
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -56,8 +58,21 @@ class PartialDataset:
         """Move the complete dataset to its place, the truth first."""
         (self.folder / PLAN).unlink(missing_ok=True)
         if self.withheld:
-            self.truth.rename(self.withheld)
-        self.folder.rename(self.output)
+            _replace(self.truth, self.withheld)
+        _replace(self.folder, self.output)
+
+    def take_clips(self, output: Path, withheld: Path | None) -> None:
+        """Take the clips of a smaller dataset, by links where the file system has them."""
+        done = self.list_done()
+        for made in clip_folders(output):
+            if int(made.name) in done:
+                continue
+            folder, truth = self.clip(int(made.name))
+            secret = withheld / "clips" / made.name / "truth" if withheld else None
+            with place_clip(folder, truth if secret else None) as (aside, truth_aside):
+                shutil.copytree(made, aside, copy_function=_link)
+                if secret:
+                    shutil.copytree(secret, truth_aside, copy_function=_link)
 
 
 @contextmanager
@@ -65,6 +80,8 @@ def open_partial(
     output: Path, document: dict[str, Any], withheld: Path | None = None
 ) -> Iterator[PartialDataset | None]:
     """Open the folder in which the dataset of `document` is made; None if the dataset is complete.
+
+    A complete dataset with fewer clips of the same single scene gives its clips to the new one, which replaces it.
 
     Raises InputError if a folder holds something else, another process is at work there, the disk is full, or the
     withheld truth would lie in the dataset.
@@ -74,17 +91,20 @@ def open_partial(
         check_apart(output, withheld)
     partial = _beside(output)
     truth = _beside(withheld) if withheld else partial
-    if output.exists() and not _is_empty(output):
-        _check_same(document, output, _document_file(withheld or output))
+    for final in filter(None, (output, withheld)):
+        _put_back(final)
+    ended = (partial / SUMS).exists() and not (partial / PLAN).exists()
+    if withheld and ended and _check_same(document, withheld, _document_file(withheld)):
+        _replace(partial, output)  # a run was killed between its last moves
         yield None
         return
-    if withheld and withheld.exists() and not _is_empty(withheld):
+    smaller = _is_filled(output)
+    if smaller and _check_same(document, output, _document_file(withheld or output)):
+        yield None
+        return
+    if withheld and _is_filled(withheld) and not smaller:
         _check_same(document, withheld, _document_file(withheld))
-        if (partial / PLAN).exists() or not (partial / SUMS).exists():
-            raise InputError(f"{withheld}: holds the truth of a dataset that is not at {output}")
-        partial.rename(output)  # a run was killed between its last two moves
-        yield None
-        return
+        raise InputError(f"{withheld}: holds the truth of a dataset that is not at {output}")
     # A run that was killed at its very end has removed its plan, but has written a dataset.json.
     plan, complete = partial / PLAN, _document_file(truth)
     for folder in {partial, truth}:
@@ -94,6 +114,8 @@ def open_partial(
         try:
             (truth / "clips").mkdir(parents=True, exist_ok=True)
             made.tidy()
+            if smaller:
+                made.take_clips(output, withheld)
             yield made
         except BaseException:
             if not made.list_done():
@@ -138,14 +160,46 @@ def _document_file(folder: Path) -> Path:
     return shard if shard.is_file() and not dataset.is_file() else dataset
 
 
-def _is_empty(folder: Path) -> bool:
-    return folder.is_dir() and not any(folder.iterdir())
+def _is_filled(folder: Path) -> bool:
+    return folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
 
 
-def _check_same(wanted: dict[str, Any], folder: Path, document: Path) -> None:
-    """Raise InputError if the folder holds anything but the dataset of the wanted document."""
-    if not folder.exists() or _is_empty(folder):
-        return
+def _replace(aside: Path, final: Path) -> None:
+    """Move a complete folder to its place. A smaller dataset that is there is moved aside first, then removed."""
+    if _is_filled(final):
+        final.rename(name_temporary(final))
+    aside.rename(final)
+    for old in _list_replaced(final):
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _put_back(final: Path) -> None:
+    """Undo the first of the two moves of `_replace`, between which a run was killed."""
+    if not final.exists():
+        for old in _list_replaced(final)[:1]:
+            old.rename(final)
+
+
+def _list_replaced(final: Path) -> list[Path]:
+    """The folders that `_replace` has moved aside, by their names of `name_temporary`."""
+    return sorted(final.parent.glob(f"{glob.escape(final.name)}-{'[0-9a-f]' * 12}.tmp"))
+
+
+def _link(source: str, target: str) -> None:
+    """Link a file, which no command changes once its clip is complete; copy it where there are no links."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
+
+
+def _check_same(wanted: dict[str, Any], folder: Path, document: Path) -> bool:
+    """Raise InputError if the folder holds anything but the dataset of the wanted document, or the first clips of it.
+
+    Returns whether it holds all clips.
+    """
+    if not _is_filled(folder):
+        return False
     if not document.is_file():
         raise InputError(f"{folder}: holds something else; expected a dataset of this scene, or nothing")
     try:
@@ -153,11 +207,15 @@ def _check_same(wanted: dict[str, Any], folder: Path, document: Path) -> None:
     except ValueError:
         raise InputError(f"{document}: not JSON; remove the folder to start again") from None
     wanted = json.loads(json.dumps(wanted))
+    clips = found.get("clips_per_scene") if isinstance(found, dict) else None
+    fewer = isinstance(clips, int) and clips < wanted["clips_per_scene"] and len(wanted["scenes"]) == 1
+    if fewer:  # clips of one scene keep their numbers
+        found["clips_per_scene"] = wanted["clips_per_scene"]
     for key in [*wanted, "compression", "shard", "effect_files"]:  # the last three are missing at their defaults
         if not isinstance(found, dict) or found.get(key) != wanted.get(key):
             what = {
                 "scenes": "scene",
-                "clips_per_scene": "number of clips (--clips)",
+                "clips_per_scene": f"number of clips ({clips}); only more clips of a single scene can be added",
                 "seed": "seed (--seed)",
                 "video": "--no-video",
                 "version": "version of synthcam",
@@ -166,3 +224,4 @@ def _check_same(wanted: dict[str, Any], folder: Path, document: Path) -> None:
                 "effect_files": "effect file",
             }[key]
             raise InputError(f"{folder}: holds a dataset made with another {what}; choose another folder")
+    return not fewer

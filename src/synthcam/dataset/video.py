@@ -123,14 +123,14 @@ def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None
     for clip in clips:
         if not clip.video:
             raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
-        size = (int(clip.camera["size"][0]), int(clip.camera["size"][1]))
-        if problem := find_video_problem(how, size, clip.camera["fps"]):
+        size = (int(clip.camera_json["size"][0]), int(clip.camera_json["size"][1]))
+        if problem := find_video_problem(how, size, clip.camera_json["fps"]):
             raise InputError(f"{clip.stack}: {problem}")
         own = folder / "clips" / f"{clip.number:06d}"
         own.mkdir(parents=True)
-        about = json.dumps(clip.camera | {"video": how}, indent=1) + "\n"
+        about = json.dumps(clip.camera_json | {"video": how}, indent=1) + "\n"
         (own / "camera.json").write_text(about, encoding="utf-8")
-        film = VideoWriter(own, how, float(clip.camera["fps"]), size, clip.bits)
+        film = VideoWriter(own, how, float(clip.camera_json["fps"]), size, clip.bits)
         for frame in clip.pictures():
             film.write(frame)
         film.close()

@@ -158,6 +158,34 @@ class Scene:
             loaded[name] = plain
         return check_scene(loaded, str(path))
 
+    @classmethod
+    def build(cls, name: str = "scene", **sections: Any) -> Scene:
+        """Build a scene from values, without a file.
+
+        Parameters
+        ----------
+        name : str
+        **sections
+            Dicts with the keys of the scene's file, as ``launch={"v0": {"uniform": [0.1, 0.6]}, "b": 0.2}`` and
+            ``effects={"plate_tilt": {"x": 1e-3}}``. Missing keys have the paper's value.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        InputError
+            If a key or value is wrong: one line with the key.
+
+        Examples
+        --------
+        >>> import synthcam
+        >>> synthcam.Scene.build("fast", launch={"v0": {"uniform": [0.4, 0.6]}}, timing={"fps": 500})
+        Scene fast: launch.v0 uniform [0.4, 0.6]
+        """
+        return check_scene({"name": name} | _plain(sections), name)
+
     def __repr__(self) -> str:
         sections = ((s, values) for s, values in self.settings.items() if isinstance(values, dict))
         found = {f"{s}.{k}": v for s, values in sections for k, v in values.items()}

@@ -21,15 +21,15 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
         own = folder / f"{clip.number:06d}"
         own.mkdir()
-        (own / "camera.json").write_text(json.dumps(clip.camera, indent=1) + "\n", encoding="utf-8")
+        (own / "camera.json").write_text(json.dumps(clip.camera_json, indent=1) + "\n", encoding="utf-8")
         depth = cv2.CV_8U if clip.bits == 8 else cv2.CV_16U
         colour = bool(clip.drawn["camera"].get("colour"))
         if colour and depth == cv2.CV_16U:
             raise InputError(f"{clip.stack}: colour of {clip.bits} bits; generate --encode ffv1 keeps it")
         kind = [cv2.VIDEOWRITER_PROP_IS_COLOR, int(colour), cv2.VIDEOWRITER_PROP_DEPTH, depth]
         code = cv2.VideoWriter.fourcc(*"FFV1")
-        path, size = own / "frames.mkv", tuple(clip.camera["size"])
-        film = cv2.VideoWriter(os.fspath(path), cv2.CAP_FFMPEG, code, float(clip.camera["fps"]), size, kind)
+        path, size = own / "frames.mkv", tuple(clip.camera_json["size"])
+        film = cv2.VideoWriter(os.fspath(path), cv2.CAP_FFMPEG, code, float(clip.camera_json["fps"]), size, kind)
         if not film.isOpened():
             raise InputError(f"{path}: this OpenCV cannot write FFV1")
         for frame in clip.pictures():

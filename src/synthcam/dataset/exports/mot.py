@@ -28,11 +28,11 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
 
 
 def _info(clip: RecordedClip) -> str:
-    width, height = clip.camera["size"]
+    width, height = clip.camera_json["size"]
     entries = {
         "name": f"clip-{clip.number:06d}",
         "imDir": "img1",
-        "frameRate": f"{clip.camera['fps']:g}",
+        "frameRate": f"{clip.camera_json['fps']:g}",
         "seqLength": clip.frames,
         "imWidth": width,
         "imHeight": height,
@@ -42,7 +42,7 @@ def _info(clip: RecordedClip) -> str:
 
 
 def _boxes(clip: RecordedClip) -> Iterator[str]:
-    side, size = clip.diameter_px, np.array(clip.camera["size"], float)
+    side, size = clip.diameter_px, np.array(clip.camera_json["size"], float)
     tracks = clip.tracks.sort_values(["frame", "particle"])
     positions = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float)
     corners = positions - side / 2 + MOT_CORNER_PX

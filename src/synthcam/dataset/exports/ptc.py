@@ -11,7 +11,7 @@ from synthcam_shared.track_formats import challenge_xml
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
         sensor = clip.drawn["sensor"]
-        peak, dark = sensor["glint_peak"] * sensor["gain"], sensor["dark"] * clip.camera["exposure"]
+        peak, dark = sensor["glint_peak"] * sensor["gain"], sensor["dark"] * clip.camera_json["exposure"]
         snr = float(peak / math.sqrt(peak + dark + sensor["read_noise"] ** 2))  # peak over its own noise
         scenario = "".join(c if c.isalnum() or c in "-_." else "_" for c in clip.scene)
         text = challenge_xml(clip.visible_tracks(), f"{snr:.1f}", scenario)

@@ -9,5 +9,5 @@ from synthcam_shared.track_formats import trackmate_xml
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
-        text = trackmate_xml(clip.visible_tracks(), clip.camera["fps"], "synthcam")
+        text = trackmate_xml(clip.visible_tracks(), clip.camera_json["fps"], "synthcam")
         (folder / f"{clip.number:06d}_Tracks.xml").write_text(text, encoding="UTF-8")

@@ -68,14 +68,17 @@ class _Scene:
         )
 
     def add(self, clip: RecordedClip) -> None:
-        same = all(clip.camera[k] == self.first.camera[k] for k in ("size", "fps")) and clip.bits == self.first.bits
+        same = (
+            all(clip.camera_json[k] == self.first.camera_json[k] for k in ("size", "fps"))
+            and clip.bits == self.first.bits
+        )
         if not same or clip.frames != self.first.frames:
             raise InputError(f"clip {clip.number}: another size, rate or length than clip {self.first.number}")
-        if clip.camera not in self.cameras:
-            self.cameras.append(clip.camera)
+        if clip.camera_json not in self.cameras:
+            self.cameras.append(clip.camera_json)
         if self.first.video:
             self.group["frames"][self.count + len(self.waiting)] = np.stack(list(clip.pictures()))
-        self.waiting.append(_truth(clip) | {"camera": np.int64(self.cameras.index(clip.camera))})
+        self.waiting.append(_truth(clip) | {"camera": np.int64(self.cameras.index(clip.camera_json))})
         if len(self.waiting) == CLIPS_PER_CHUNK_OF_TRUTH:
             self._flush()
 
@@ -100,5 +103,5 @@ def _truth(clip: RecordedClip) -> dict[str, NDArray[Any]]:
         if column == "state":
             values = np.array([STATES.index(v) for v in values], np.uint8)
         out[f"truth/{column}"] = values.reshape(balls, clip.frames)
-    numbers = {k: v for k, v in clip.scalars.items() if isinstance(v, float)}
+    numbers = {k: v for k, v in clip.truth.items() if isinstance(v, float)}
     return out | {f"scalars/{k}": np.asarray(v) for k, v in numbers.items()}

@@ -1,0 +1,35 @@
+"""Whether a film shows its balls: too few frames show one that is too fast, or that the camera does not see."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from synthcam.scene.scene import Scene
+
+MIN_FRAMES_IN_PICTURE = 5  # of a ball; fewer say little about its path
+
+
+def describe_unseen_balls(scene: Scene, number: int = 0, seed: int = 0) -> str:
+    """Describe, in one line, a ball that hardly any frame of a clip shows; "" if its film shows all balls."""
+    try:
+        clip = scene.draw(number, seed)
+        view = clip.view
+    except ValueError:  # its maker reports a clip that cannot be made
+        return ""
+    centres = view.at(view.spans(clip.frames).mean(axis=1))[..., :3]
+    size = np.array(clip.camera.size)
+    for ball, path in enumerate(centres):
+        px = clip.camera.project(path)
+        shown = int(((px > -0.5) & (px < size - 0.5)).all(axis=1).sum())
+        if shown >= min(MIN_FRAMES_IN_PICTURE, clip.frames / 2):
+            continue
+        drawn, camera = clip.drawn, clip.nominal
+        step, width = drawn["launch"]["v0"] / camera.fps, camera.scale * camera.size[0]
+        who = "the ball" if len(centres) == 1 else f"ball {ball + 1}"
+        said = f"{who} is in the picture in {shown} of {clip.frames} frames; expected {MIN_FRAMES_IN_PICTURE} or more"
+        moves = f"launch.v0 {drawn['launch']['v0']:g} m/s is {step:.3g} m a frame, in a picture of {width:.3g} m"
+        cure = (
+            "lower launch.v0, or raise timing.fps or camera.scale" if step > width / 20 else "check timing and launch"
+        )
+        return f"{scene.where}, clip {number}: {said}. {moves}: {cure}"
+    return ""
