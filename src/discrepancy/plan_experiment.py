@@ -30,6 +30,7 @@ from discrepancy.planning.plan_result import IndistinguishablePair, PlanResult
 from discrepancy.report import plan_page
 from synthcam.library import library
 from synthcam.scene.scene import Scene
+from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.settings import did_you_mean
@@ -129,6 +130,7 @@ class Plan:
         return Path(folder) / "index.html"
 
 
+@check_arguments
 def plan(
     scene: Scene | str | Path,
     effects: Sequence[str] | None = None,

@@ -39,6 +39,7 @@ from discrepancy.validate.outlier_clips import find_outlier_clips
 from discrepancy.validate.residual_map import find_disagreements
 from discrepancy.verdict import Verdict, decide_verdict, more_is_missing
 from synthcam.model import Model, as_model
+from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from tracker.recording import Result
 
 
+@check_arguments
 def find(
     results: Sequence[Result] | pd.DataFrame | str | Path,
     model: Model | Mapping[str, Any] | str | Path,

@@ -94,11 +94,16 @@ def generate(
     plan = GenerationPlan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
     if plan.shard and withhold_truth:
         raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
-    for k, scene in enumerate(read):
-        _print_hint(describe_unseen_balls(scene, k * clips, plan.seed))
+    hints = [describe_unseen_balls(scene, k * clips, plan.seed) for k, scene in enumerate(read)]
     with progress_bar("clips") as progress:
         tell = partial(print, file=sys.stderr) if sys.stderr.isatty() and not scheduler else None
-        outcome = generate_dataset(plan, output, workers or 0, progress, withhold_truth, scheduler, tell)
+
+        def show(done: int, total: int) -> None:
+            while hints:  # once all that would refuse the command is checked
+                _print_hint(hints.pop(0))
+            progress(done, total)
+
+        outcome = generate_dataset(plan, output, workers or 0, show, withhold_truth, scheduler, tell)
     listed = 20  # failed clips; --json lists all
     for line in outcome.failed[:listed]:
         print(f"synthcam: {line}", file=sys.stderr)
@@ -195,7 +200,6 @@ def preview(
         raise InputError(f"{output}: expected a name that ends in .png, .gif or .mp4")
     read = read_scene(scene, tuple(set_ or ()), model)
     drawn = read.draw(clip, seed)
-    _print_hint(describe_unseen_balls(read, clip, seed))
     summary: dict[str, Any] = {"output": str(output)}
     if kind == ".png":
         write_preview(drawn, output, frame, magnify)
@@ -204,6 +208,7 @@ def preview(
         slower = write_animation(drawn, output)
         text = f"{output}: clip {clip} of {scene}, in {slower:.3g} times slow motion"
         _print_result(summary | {"slower": slower}, as_json, text)
+    _print_hint(describe_unseen_balls(read, clip, seed))
 
 
 @app.command()

@@ -23,6 +23,7 @@ from typing import TypeVar
 from synthcam import effects
 from synthcam.effect import LAWS, Effect
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, table_names
+from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError, PluginError
 
 T = TypeVar("T")
@@ -78,6 +79,7 @@ def _load_entry_point(name: str, load: Callable[[], object], known: dict[str, ty
     return kind
 
 
+@check_arguments
 def add_effects(folder: str | Path) -> None:
     """Add the effects of your own folder to the library, one file for each, written like those of synthcam.
 

@@ -19,6 +19,7 @@ from synthcam.effect import Effect, Laws
 from synthcam.library import cache_until_effects_change, library
 from synthcam.settings import read_yaml
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TabulatedLaw, kind_of, table_names
+from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, Positive, Settings, did_you_mean, to_input_error
 
@@ -194,6 +195,7 @@ class Model:
     free: tuple[str, ...] = ()
 
     @classmethod
+    @check_arguments
     def read(cls, path: str | Path) -> Model:
         """Read a model file, or a scene whose physics are numbers; scenes that come with synthcam by name.
 

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import format_with_error
 from tracker import results
@@ -37,9 +38,8 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.track_repair import repair_tracks
 from tracker.notes import Note, NoteKind, note_all
 from tracker.settings import FitSettings, SettingsSource, TrackerSettings
-from tracker.tables.read import read_tracks, to_pixels
+from tracker.tables.read import ClipTracks, read_frame, read_tracks
 from tracker.tables.rows import tracks_table
-from tracker.tables.table import TrackTable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,6 +166,7 @@ class Result:
         return ax
 
 
+@check_arguments
 def track(
     film: Film,
     camera: CameraSource | None = None,
@@ -244,6 +245,7 @@ def _open(film: Film, camera: CameraSource | None, options: FilmOptions) -> Reco
     return make_recording(number, open_frames(location, options), known, (f"{location}", names[1]), options)
 
 
+@check_arguments
 def measure(
     tracks: pd.DataFrame | str | Path,
     camera: CameraSource,
@@ -252,6 +254,7 @@ def measure(
     columns: str = "",
     unit: str = "",
     decimal: str = "",
+    number: int | None = None,
     settings: SettingsSource | None = None,
 ) -> Result:
     """Measure the collisions in tracks that any program made.
@@ -261,18 +264,21 @@ def measure(
     Parameters
     ----------
     tracks : DataFrame, str or Path
-        Of one clip, in trackpy's columns: frame, particle, x, y (px); x_std, y_std, cov_xy, clip and striker may be
-        there. Or a file of them, or one of the formats of docs/format.md.
+        Of one clip, with columns (or levels of the index) frame, particle, x, y (px), as trackpy has them; x_std,
+        y_std, cov_xy, clip and striker may be there. Particles and clips have numbers or names. Or a file of them, or
+        one of the formats of docs/format.md.
     camera : Camera, dict, str or Path
         What camera.json holds, or where it lies.
     point : {"centre", "glint"}
         What x and y are: ball centres, means over the exposure, or glints.
     columns : str
-        Of a file, its own names of columns, as in "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID", or their numbers.
+        The table's own names of columns, as in "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID", or their numbers.
     unit : str
-        Of lengths: px, m, cm, mm, ...; default: what the file says, or px.
+        Of lengths: px, m, cm, mm, ...; default: what the table says, or px.
     decimal : str
         Of a file, the decimal mark of its numbers, "." or ","; default: what the numbers show.
+    number : int, optional
+        Of the clip, which is the column ``clip`` of its estimates; default: the table's, else 0.
     settings : TrackerSettings, dict, str or Path, optional
         As `track` takes them; only the section `fit` counts.
 
@@ -290,12 +296,14 @@ def measure(
     >>> bool(abs(result.estimates["r"][0] - clip.truth["r"]) < 1e-4)
     True
     """
-    found = measure_all(
-        tracks, camera, point=point, columns=columns, unit=unit, decimal=decimal, settings=settings, most_clips=1
-    )
-    return found[0]
+    given = _read_given(tracks, camera, columns, unit, decimal)
+    if len(given.clips) > 1:
+        raise InputError(f"tracks: {len(given.clips)} clips, expected 1; tracker.measure_all takes them all")
+    (result,) = _measure_given(given, point, settings)
+    return result if number is None else replace(result, number=number)
 
 
+@check_arguments
 def measure_all(
     tracks: pd.DataFrame | str | Path,
     camera: CameraSource,
@@ -305,7 +313,6 @@ def measure_all(
     unit: str = "",
     decimal: str = "",
     settings: SettingsSource | None = None,
-    most_clips: int | None = None,
 ) -> list[Result]:
     """Measure the collisions of all clips of a table, which a column ``clip`` tells apart.
 
@@ -313,8 +320,6 @@ def measure_all(
     ----------
     tracks, camera, point, columns, unit, decimal, settings
         As `measure` takes them.
-    most_clips : int, optional
-        An InputError refuses a table of more clips; default: no limit.
 
     Returns
     -------
@@ -332,22 +337,28 @@ def measure_all(
     >>> pd.concat([result.estimates for result in found])["clip"].tolist()
     [3, 5]
     """
-    if point not in ("centre", "glint"):
-        raise InputError(f"point: expected centre or glint, not {point!r}")
+    return _measure_given(_read_given(tracks, camera, columns, unit, decimal), point, settings)
+
+
+def _read_given(
+    tracks: pd.DataFrame | str | Path, camera: CameraSource, columns: str, unit: str, decimal: str
+) -> ClipTracks:
     if camera is None:
         raise InputError("camera: expected a camera, its keys, or a path; tracks alone have no times and lengths")
     if isinstance(tracks, pd.DataFrame):
-        given = to_pixels(TrackTable(tracks), "tracks", camera, unit)
-    else:
-        given = read_tracks(Path(tracks), camera, columns, unit, decimal)
-    if most_clips is not None and len(given.clips) > most_clips:
-        raise InputError(f"tracks: {len(given.clips)} clips, expected {most_clips}; tracker.measure_all takes them all")
-    fit, results_of_clips = TrackerSettings.of(settings).fit, []
-    for number, (found, striker) in sorted(given.clips.items()):
+        return read_frame(tracks, camera, columns, unit)
+    return read_tracks(Path(tracks), camera, columns, unit, decimal)
+
+
+def _measure_given(given: ClipTracks, point: str, settings: SettingsSource | None) -> list[Result]:
+    if point not in ("centre", "glint"):
+        raise InputError(f"point: expected centre or glint, not {point!r}")
+    fit, found = TrackerSettings.of(settings).fit, []
+    for number, (tracks, striker) in sorted(given.clips.items()):
         known = given.camera if striker is None else replace(given.camera, striker=striker)
-        result = measure_tracks(found, known, number, point, fit)
-        results_of_clips.append(replace(result, notes=(*given.notes, *result.notes)))
-    return results_of_clips
+        result = measure_tracks(tracks, known, number, point, fit)
+        found.append(replace(result, notes=(*given.notes, *result.notes)))
+    return found
 
 
 def track_and_measure(

@@ -18,7 +18,7 @@ FILES = sorted(SRC.rglob("*.py"))
 LAYERS = {
     "synthcam_shared": [
         "errors interruption job_result track_formats whitening",
-        "outputs settings application start dask_cluster",
+        "arguments outputs settings application start dask_cluster",
         "overwriting jobs",
         "report",
     ],

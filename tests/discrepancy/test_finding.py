@@ -142,7 +142,7 @@ def test_what_are_no_results_is_one_line(recorded, results):
         ([results[0].tracks], "results: number 0 is of type DataFrame, expected what tracker.track"),
         (results[:2], "2 measured collisions: expected 6 or more"),
         (str(recorded / "nowhere"), "nowhere: no such file or folder"),
-        (recorded / "tracks.csv", "expected --camera camera.json"),
+        (recorded / "tracks.csv", "expected argument camera"),
         (7, "results: of type int, expected"),
     ):
         with pytest.raises(discrepancy.InputError, match=said) as error:

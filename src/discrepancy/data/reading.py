@@ -27,9 +27,8 @@ from tracker.measurement.track_repair import repair_tracks
 from tracker.notes import Note, NoteKind
 from tracker.recording import Result
 from tracker.results import read_clip
-from tracker.tables.read import ClipTracks, read_tracks, to_pixels
+from tracker.tables.read import ClipTracks, read_frame, read_tracks
 from tracker.tables.rows import split_tracks
-from tracker.tables.table import TrackTable
 
 
 def read_collisions(
@@ -49,18 +48,18 @@ def read_collisions(
     if isinstance(measured, pd.DataFrame):
         if camera is None:
             raise InputError("camera: expected a camera, its keys or a path, beside a table of tracks")
-        given, measured = to_pixels(TrackTable(measured), "tracks", camera), Path("tracks")
+        given, measured = read_frame(measured, camera), Path("tracks")
         sources, left_out = _read_table(measured, given), _note_strikers(given)
     elif not isinstance(measured, Path):
         sources, measured = _read_memory(measured), Path("results")
     elif measured.is_dir():
         if camera is not None:
-            raise InputError(f"--camera {camera}: {measured} contains its own; --camera is for a table of tracks")
+            raise InputError(f"--camera: {measured} contains its own; --camera is for a table of tracks")
         sources = _read_results(measured)
     elif camera is None:
         if not measured.exists():
             raise InputError(f"{measured}: no such file or folder, expected RESULTS of a tracker or a table of tracks")
-        raise InputError(f"{measured}: expected --camera camera.json with a table of tracks")
+        raise InputError(f"{measured}: a table of tracks, expected --camera with its camera file")
     else:
         given = read_tracks(measured, camera)
         sources, left_out = _read_table(measured, given), _note_strikers(given)

@@ -13,6 +13,7 @@ import pandas as pd
 
 from synthcam.dataset.files import clip_folders
 from synthcam.dataset.recorded_clip import RecordedClip, first_line
+from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
 
 
@@ -94,6 +95,7 @@ class Dataset(Sequence[RecordedClip]):
         return RecordedClip(int(folder.name), folder, truth, secret, self._clips_of_scene[truth["scene"]])
 
 
+@check_arguments
 def open_dataset(folder: str | Path, truth: str | Path | None = None) -> Dataset:
     """Open a dataset that `synthcam generate` has made. Its clips are read when they are asked for.
 

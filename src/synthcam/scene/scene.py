@@ -29,6 +29,7 @@ from synthcam.scene.apparatus import CameraSettings, SceneLampSettings, SensorSe
 from synthcam.scene.clip import Clip, build_clip
 from synthcam.scene.distribution import draw, find_choices, pick_representatives, replace_at, replace_by_extremes
 from synthcam.settings import InputError, read_yaml
+from synthcam_shared.arguments import check_arguments
 from synthcam_shared.settings import NotNegative, Positive, Settings, parse_yaml, to_input_error
 
 Position = Annotated[
@@ -127,6 +128,7 @@ class Scene:
     where: str
 
     @classmethod
+    @check_arguments
     def read(cls, path: str | Path, **sections: Any) -> Scene:
         """Read a scene's YAML file, and change some of it.
 
@@ -159,6 +161,7 @@ class Scene:
         return check_scene(loaded, str(path))
 
     @classmethod
+    @check_arguments
     def build(cls, name: str = "scene", **sections: Any) -> Scene:
         """Build a scene from values, without a file.
 
@@ -194,6 +197,7 @@ class Scene:
         listed[4:] = [f"{len(listed) - 4} more"] if len(listed) > 4 else []
         return f"Scene {self.name}: {', '.join(listed) or 'all clips are the same except for noise'}"
 
+    @check_arguments
     def draw(self, number: int = 0, seed: int = 0) -> Clip:
         """Draw a clip.
 
@@ -214,6 +218,9 @@ class Scene:
         InputError
             If the drawn values contradict each other.
         """
+        for name, value in (("number", number), ("seed", seed)):
+            if value < 0:
+                raise InputError(f"{name}: expected 0 or more, not {value}")
         where = f"{self.where}, clip {number}"
         return build_clip(number, _validate(draw(self.settings, number, seed), where), seed, where)
 

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
@@ -112,6 +113,7 @@ class TrackerRun:
         return ax
 
 
+@check_arguments
 def run(
     detector: DetectorChoice | Finder,
     suite: Path | str | None = None,

@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_json import STANDARD_ERRORS, HasCameraJson, LampSettings, parse, read_source
 from tracker.camera.camera_keys import NUMBERS
@@ -285,6 +286,7 @@ class Camera:
         return Camera.from_dict(read_source(given), f"{given}" if isinstance(given, str | Path) else "camera")
 
     @staticmethod
+    @check_arguments
     def read(path: Path | str) -> Camera:
         """Read a camera file. An InputError names the file and the key.
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 
-from tracker.tables.table import LENGTH_UNITS
+import numpy as np
+import pandas as pd
+
+from tracker.tables.rows import REQUIRED_COLUMNS, to_numbers
+from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times
 
 _ALIASES = {
     "frame": "frame frames frame_no frame_nr frame_number frameno framenumber frame_id frame_idx frame_index "
@@ -50,3 +55,31 @@ def find_columns(names: Iterable[str], wanted: Iterable[str]) -> tuple[dict[str,
         if key in ("x", "y") and key in found:
             units.add(_UNITS.get(split_unit(found[key])[1], ""))
     return found, units.pop() if len(units) == 1 else ""
+
+
+def read_named_columns(rows: pd.DataFrame, where: str) -> TrackTable | None:
+    """A table whose columns have known names, with t (s) in place of frame if need be; None where some are missing."""
+    columns, unit = find_columns(rows.columns, REQUIRED_COLUMNS)
+    fps = math.nan
+    if set(REQUIRED_COLUMNS) - set(columns) == {"frame"}:
+        times, _ = find_columns(rows.columns, ["t"])
+        if times:
+            given = to_numbers(rows[times["t"]], times["t"], where)
+            frame, time, fps = frames_from_times(given, where)
+            rows, columns = rows.assign(frame=frame, t_s=time), columns | {"frame": "frame"}
+    if not set(REQUIRED_COLUMNS) <= set(columns):
+        return None
+    rows = rows.rename(columns={own: name for name, own in columns.items()})
+    return TrackTable(_with_errors(rows, where), unit=unit, fps=fps)
+
+
+def _with_errors(rows: pd.DataFrame, where: str) -> pd.DataFrame:
+    """The rows with `ep` as standard errors; what is not over 0 is not known."""
+    if {"x_std", "y_std"} & set(rows):
+        return rows
+    for name, given in (("x_std", ("ep_x", "ep")), ("y_std", ("ep_y", "ep"))):
+        found = next((ep for ep in given if ep in rows), None)
+        if found is not None:
+            error = to_numbers(rows[found], found, where)
+            rows = rows.assign(**{name: np.where(error > 0, error, np.nan)})
+    return rows

@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import math
 import pkgutil
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from tracker.camera.camera_keys import did_you_mean, format_value
 from tracker.detection.link import Tracks
 from tracker.notes import Note, NoteKind, note_all
 from tracker.tables import formats as format_files
+from tracker.tables.column_names import read_named_columns
 from tracker.tables.content import ZIP, Content
 from tracker.tables.rows import REQUIRED_COLUMNS, check_columns, split_tracks, to_numbers
 from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
@@ -27,6 +29,10 @@ from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, un
 NO_STRIKER = (
     "no column striker, so that ball {} counts as the striker of every clip; if the balls change roles, add a column"
     " striker (a or b, the same in all rows of a clip): without it no effect of one ball alone can be found"
+)
+ROLES_CHANGE = (
+    "particle {} strikes in {} clips and particle {} in {}; where a number is the same ball in all clips, write a and b"
+    " in the column particle, which then says who strikes"
 )
 OPTIONAL_COLUMNS = "t clip striker x_std y_std cov_xy ep".split()
 
@@ -58,7 +64,12 @@ def read_tracks(path: Path, camera: CameraSource, columns: str = "", unit: str =
         if path.suffix.lower() in (".xlsx", ".xlsm", ".ods"):
             raise content.wrong("not a workbook that can be read, expected a table of tracks; save it as CSV")
         raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
-    table = _pick_columns(content, columns) if columns else recognise_format(content)
+    if columns:
+        named = content.is_binary or content.has_header
+        rows = content.cells() if named else content.cells(names=_count_columns(content))
+        table = _pick_columns(rows, columns, content.where, content.notes)
+    else:
+        table = recognise_format(content)
     return to_pixels(table, path.name, camera, unit, str(path))
 
 
@@ -75,7 +86,7 @@ def recognise_format(content: Content, empty_allowed: bool = False) -> TrackTabl
     for one in every:
         table: TrackTable | None = one.read(content) if hasattr(one, "read") else None
         if table is not None:
-            return replace(table, notes=(*content.notes, *table.notes))
+            return replace(table, notes=(*content.notes, *table.notes)).number_names(Path(content.where).name)
     if content.text[:100].lstrip().startswith("{"):
         raise content.wrong("JSON, expected a table of tracks; camera.json belongs behind --camera")
     if content.root is not None:
@@ -86,7 +97,7 @@ def recognise_format(content: Content, empty_allowed: bool = False) -> TrackTabl
     raise AssertionError("a table with these columns is trackpy's")
 
 
-def _pick_columns(content: Content, columns: str) -> TrackTable:
+def _pick_columns(rows: pd.DataFrame, columns: str, where: str, notes: Iterable[str] = ()) -> TrackTable:
     """A table whose columns the user names."""
     pairs = dict(part.partition("=")[::2] for part in columns.split(","))
     known = {name: name for name in (*REQUIRED_COLUMNS, "track", *OPTIONAL_COLUMNS)}
@@ -94,22 +105,33 @@ def _pick_columns(content: Content, columns: str) -> TrackTable:
         if key not in known or not name:
             hint = did_you_mean(key, known)
             raise InputError(f"--columns: {format_value(key)}: expected NAME=COLUMN of {', '.join(known)}{hint}")
-    rows = content.cells() if content.is_binary or content.has_header else content.cells(names=_count_columns(content))
     pairs = {key: _find_column(name, rows) for key, name in pairs.items()}
     if missing := [name for name in pairs.values() if name not in rows]:
         there = format_value(", ".join(map(str, rows.columns)), quoted=False)
-        raise content.wrong(f"no column {', '.join(missing)}, as --columns says; found {there}")
+        raise InputError(f"{where}: no column {', '.join(missing)}, as --columns says; found {there}")
     rows = pd.DataFrame({key: rows[name] for key, name in pairs.items()}).rename(columns={"track": "particle"})
     fps = math.nan
     if "t" in rows:
-        frame, time, fps = frames_from_times(to_numbers(rows.pop("t"), "t", content.where), content.where)
+        frame, time, fps = frames_from_times(to_numbers(rows.pop("t"), "t", where), where)
         rows = rows.assign(t_s=time) if "frame" in rows else rows.assign(t_s=time, frame=frame)
-    check_columns(rows, f"{content.where}, by --columns")
+    check_columns(rows, f"{where}, by --columns")
     if "ep" in rows and "x_std" not in rows:
         rows = rows.assign(x_std=rows["ep"], y_std=rows["ep"])
-    if not pd.api.types.is_numeric_dtype(rows["particle"]):  # names
-        rows = rows.assign(particle=pd.factorize(rows["particle"])[0])
-    return TrackTable(rows, fps=fps, notes=tuple(content.notes))
+    return TrackTable(rows, fps=fps, notes=tuple(notes)).number_names(Path(where).name)
+
+
+def read_frame(
+    tracks: pd.DataFrame, camera: CameraSource, columns: str = "", unit: str = "", where: str = "tracks"
+) -> ClipTracks:
+    """Read a table in memory as `read_tracks` does a file. Raises InputError."""
+    levels = [name for name in tracks.index.names if name is not None and name not in tracks]
+    rows = tracks.reset_index(levels) if levels else tracks.reset_index(drop=True)
+    rows = rows.set_axis([str(name) for name in rows.columns], axis=1)
+    table = _pick_columns(rows, columns, where) if columns else read_named_columns(rows, where)
+    if table is None:
+        check_columns(rows, where, "; --columns x=NAME,y=NAME,... names others")
+        raise AssertionError("a table with these columns is read by their names")
+    return to_pixels(table.number_names(where), where, camera, unit)
 
 
 def _count_columns(content: Content) -> list[str]:
@@ -152,8 +174,45 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
         _refuse_wrong_unit([tracks for tracks, _ in clips.values()], known, where)
     said = note_all(NoteKind.TABLE, notes)
     if len(clips) > 1 and "striker" not in table.rows and not _names_striker(camera):
-        said.append(Note(NoteKind.STRIKER, f"{name}: {NO_STRIKER.format(known.striker)}"))
+        clips, note = _infer_strikers(clips, table.balls, known.striker)
+        said.append(replace(note, text=f"{name}: {note}"))
     return ClipTracks(clips, known, tuple(said))
+
+
+def _infer_strikers(
+    clips: dict[int, tuple[Tracks, str | None]], balls: tuple[str, ...], default: str
+) -> tuple[dict[int, tuple[Tracks, str | None]], Note]:
+    """The clips with their strikers where two names of balls and their motion say them; and a note.
+
+    Numbers say nothing, since programs number balls anew in each clip.
+    """
+    movers = {number: find_first_mover(tracks) for number, (tracks, _) in clips.items()}
+    particles = sorted({int(p) for tracks, _ in clips.values() for p in np.unique(tracks.particle)})
+    counts = Counter(movers.values())
+    if len(balls) == 2 and None not in counts:
+        strikers = {number: "ab"[mover] for number, mover in movers.items() if mover is not None}
+        roles = ", ".join(f"{balls[k]} (ball {'ab'[k]}) strikes in {counts[k]} clips" for k in (0, 1))
+        text = f"no column striker; by who moves first {roles}"
+        return {n: (tracks, strikers[n]) for n, (tracks, _) in clips.items()}, Note(NoteKind.TABLE, text)
+    text = NO_STRIKER.format(default)
+    if len(particles) == 2 and all(counts[p] for p in particles):
+        one, other = particles
+        text += f". {ROLES_CHANGE.format(one, counts[one], other, counts[other])}"
+    return clips, Note(NoteKind.STRIKER, text)
+
+
+def find_first_mover(tracks: Tracks) -> int | None:
+    """The particle of the two seen most often that moves before they come nearest; None where it is not certain."""
+    pair = _common_frames(tracks)
+    if pair is None:
+        return None
+    particles, one, two = pair
+    nearest = int(np.argmin(np.hypot(*(one - two).T)))
+    moved = [float(np.hypot(*np.ptp(xy[:nearest], axis=0))) for xy in (one, two)] if nearest > 1 else [0.0, 0.0]
+    # a ball at rest scatters by its errors alone; two balls that both move are no certain case
+    least_ratio, least_px = 5.0, 2.0
+    certain = max(moved) > least_ratio * min(moved) and max(moved) > least_px
+    return int(particles[int(np.argmax(moved))]) if certain else None
 
 
 def _names_striker(camera: CameraSource) -> bool:
@@ -169,7 +228,7 @@ def _refuse_wrong_unit(clips: list[Tracks], camera: Camera, where: str) -> None:
 
     Two balls are never nearer than a diameter, and hardly any track lies outside the picture.
     """
-    pairs = [pair for tracks in clips if (pair := _common_frames(tracks)) is not None]
+    pairs = [pair[1:] for tracks in clips if (pair := _common_frames(tracks)) is not None]
     if not pairs or not camera.metric or not camera.knows_diameter:
         return
     touching, diameter = camera.diameter_px, camera.ball_diameter
@@ -198,14 +257,15 @@ def _refuse_wrong_unit(clips: list[Tracks], camera: Camera, where: str) -> None:
         )
 
 
-def _common_frames(tracks: Tracks) -> tuple[Any, Any] | None:
-    """The positions (k, 2) of the two balls seen most often, in the frames that both are in, if any."""
+def _common_frames(tracks: Tracks) -> tuple[Any, Any, Any] | None:
+    """The numbers of the two balls seen most often, and their positions (k, 2) in the frames that both are in."""
     particles, counts = np.unique(tracks.particle, return_counts=True)
     if len(particles) < 2:
         return None
-    first, second = (np.flatnonzero(tracks.particle == p) for p in particles[np.argsort(-counts, kind="stable")[:2]])
+    often = particles[np.argsort(-counts, kind="stable")[:2]]
+    first, second = (np.flatnonzero(tracks.particle == p) for p in often)
     frame, one, two = np.intersect1d(tracks.frame[first], tracks.frame[second], return_indices=True)
-    return (tracks.xy[first[one]], tracks.xy[second[two]]) if len(frame) else None
+    return (often, tracks.xy[first[one]], tracks.xy[second[two]]) if len(frame) else None
 
 
 def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camera:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,10 +40,31 @@ class TrackTable:
     )
     fps: float = math.nan  # frame rate that the file claims; NaN where it does not
     notes: tuple[str, ...] = ()  # how the file was read
+    balls: tuple[str, ...] = ()  # names of the particles, by number, where the table has names
 
     def find_unit(self, where: str) -> str:
         """The unit of lengths, a key of LENGTH_UNITS; "" where nothing says it. Raises InputError."""
         return "" if self.unit.strip().strip("()").lower() in UNKNOWN_UNITS else unit_of(self.unit, where)
+
+    def number_names(self, name: str) -> TrackTable:
+        """The same with numbers for names of particles and of clips, in the order of the alphabet.
+
+        name: what a note calls the table.
+        """
+        rows, notes, balls = self.rows, list(self.notes), self.balls
+        for column in (c for c in ("particle", "clip") if c in rows):
+            values = rows[column]
+            if pd.api.types.is_numeric_dtype(values) or not _holds_names(values):
+                continue
+            texts = values.astype(str).where(values.notna())
+            names = sorted(texts.dropna().unique(), key=_natural_order)
+            numbers = pd.Index(names).get_indexer(pd.Index(texts))
+            rows = rows.assign(**{column: np.where(texts.isna(), np.nan, numbers)})
+            if column == "particle":
+                balls = tuple(names)
+            listed = ", ".join(f"{k} is {format_value(one, quoted=False)}" for k, one in enumerate(names[:4]))
+            notes.append(f"{name}: column {column} has names: {listed}{', ...' if len(names) > 4 else ''}")
+        return replace(self, rows=rows, notes=tuple(notes), balls=balls)
 
     def leave_out_unassigned(self, name: str, where: str = "") -> TrackTable:
         """The same without rows of no particle, which programs mark by -1 or by nothing.
@@ -69,6 +91,18 @@ class TrackTable:
             for name in (n for n in names if n in rows):
                 rows[name] = to_numbers(rows[name], name, where) * by
         return replace(self, rows=rows)
+
+
+def _holds_names(values: pd.Series) -> bool:
+    """Whether a column holds no numbers, or few."""
+    known = values.dropna()
+    return len(known) > 0 and bool(pd.to_numeric(known, errors="coerce").notna().sum() <= len(known) / 2)
+
+
+def _natural_order(text: str) -> list[tuple[bool, int, str]]:
+    """For sorting: run2 before run10."""
+    parts = re.split(r"(\d+)", text)
+    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
 def unit_of(name: str, where: str) -> str:

@@ -1,0 +1,72 @@
+"""Check the arguments of public functions, and name arguments in their errors where commands name options."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import os
+import re
+from collections.abc import Callable
+from numbers import Integral, Real
+from typing import Any, ParamSpec, TypeVar
+
+from synthcam_shared.errors import InputError
+
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
+_KINDS = {
+    "str": str,
+    "int": Integral,
+    "float": Real,
+    "bool": (bool, Integral),
+    "Path": os.PathLike,
+    "None": type(None),
+    "Sequence[str]": (list, tuple),
+}
+_OPTION = re.compile(r"(?<![\w-])--([a-z]+)")
+
+
+def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
+    """Raise InputError, in place of any other error, for arguments of another type than the function's signature says.
+
+    Annotations of plain types and classes are checked; others are the function's own business. The InputErrors of the
+    function name `--option` as "argument option".
+    """
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def checked(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            expected = f"{signature.parameters[name].annotation}"
+            kinds = _kinds(expected, function)
+            if kinds and not isinstance(value, kinds):
+                raise InputError(f"{name}: of type {type(value).__name__}, expected {expected.replace('pd.', '')}")
+        try:
+            return function(*args, **kwargs)
+        except InputError as error:
+            text = _name_arguments(str(error))
+            if text == str(error):
+                raise
+            raise type(error)(text) from None
+
+    return checked
+
+
+def _name_arguments(text: str) -> str:
+    """The text with arguments for options, but in commands between backquotes."""
+    parts = re.sub(r"^--([a-z]+):", r"\1:", text).split("`")
+    return "`".join(part if k % 2 else _OPTION.sub(r"argument \1", part) for k, part in enumerate(parts))
+
+
+def _kinds(annotation: str, function: Callable[..., Any]) -> tuple[Any, ...]:
+    """The classes of an annotation such as `str | Path | None`; none where it has parts of another form."""
+    names: dict[str, Any] = getattr(function, "__globals__", {})
+    found: list[Any] = []
+    for part in annotation.split(" | "):
+        kind = _KINDS.get(part, names.get(part))
+        if part == "pd.DataFrame":
+            kind = getattr(names.get("pd"), "DataFrame", None)
+        if kind is Any or not isinstance(kind, type | tuple):
+            return ()
+        found += kind if isinstance(kind, tuple) else [kind]
+    return tuple(found)
