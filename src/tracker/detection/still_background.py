@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
 from tracker.detection.candidates import spread_frames
+from tracker.detection.picture_sorting import sort_strips
 
 SURROUNDINGS_PX = (11, 31, 91, 271)  # widths of the neighbourhoods that are averaged, the smallest first
 
@@ -20,11 +21,20 @@ SURROUNDINGS_PX = (11, 31, 91, 271)  # widths of the neighbourhoods that are ave
 class StillBackground:
     """The picture (h, w) without balls, but with everything else that never moves."""
 
-    level: Array  # counts
-    error: Array  # standard errors of the level, counts
+    level: NDArray[np.float32]  # counts
+    error: NDArray[np.float32]  # standard errors of the level, counts
     known: NDArray[np.bool_]
     """Whether the pixel was seen without a ball. Elsewhere the level is that of the surroundings, and the error is that
     of the texture."""
+    _blurred: dict[Any, NDArray[Any]] = field(default_factory=dict, repr=False)
+
+    def blur(self, box: tuple[int, int], dtype: Any) -> NDArray[Any]:
+        """Means of the level over boxes (width, height), px, rounded to the pixel type `dtype`."""
+        key = box, np.dtype(dtype)
+        if key not in self._blurred:
+            mean = cv2.blur(self.level, box)
+            self._blurred[key] = mean if key[1].kind == "f" else np.rint(mean).astype(dtype)
+        return self._blurred[key]
 
 
 def estimate_still_background(frames: Sequence[Any], noise: float) -> StillBackground:
@@ -35,64 +45,101 @@ def estimate_still_background(frames: Sequence[Any], noise: float) -> StillBackg
     the ball was there in all samples, it is the level of the surroundings. `noise` is the standard deviation of one
     pixel in one frame, counts.
     """
-    picks = sorted({*spread_frames(frames, 31)})
-    stack = np.stack([np.asarray(frames[k]) for k in picks])
+    pictures = [np.asarray(frames[k]) for k in sorted({*spread_frames(frames, 31)})]
+    count = len(pictures)
     step = max(6.0 * noise, 3.0)  # counts between a pixel with and without a ball, at least
-    level = np.empty(stack.shape[1:])
+    level = np.empty(pictures[0].shape, np.float32)
     often = np.empty(level.shape, np.uint8)
-    rows = _rows_at_once(stack[:, 0].size)
-    for top in range(0, len(level), rows):
-        part = stack[:, top : top + rows].astype(float)
-        level[top : top + rows] = np.median(part, axis=0)
-        often[top : top + rows] = (np.abs(part - level[top : top + rows]) > step).mean(axis=0) > 0.1
+    for at, (low, high) in sort_strips(pictures, ((count - 1) // 2, count // 2)):
+        level[at] = (low + high) / 2
+        away: NDArray[np.uint8] = np.zeros(low.shape, np.uint8)
+        for picture in pictures:
+            away += np.abs(picture[at] - level[at]) > step
+        often[at] = away / count > 0.1
     rested = np.asarray(cv2.morphologyEx(often, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), dtype=np.uint8)
     outlines, _ = cv2.findContours(rested, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(rested, outlines, -1, 1, cv2.FILLED)  # a hole: covered all the time
     known = np.ones(level.shape, bool)
-    error = np.full(level.shape, np.sqrt(np.pi / 2 / len(picks)) * noise)  # of a median
+    error = np.full(level.shape, np.sqrt(np.pi / 2 / count) * noise, np.float32)  # of a median
     if rested.any():
-        where = np.nonzero(rested)
-        smooth = _average_surroundings(level, rested)
-        near_by = (cv2.dilate(rested, np.ones((31, 31), np.uint8)) == 1) & (rested == 0)
-        # a pixel that differs from its surroundings by more than 6 times the usual shows part of a ball
-        texture = step + 6.0 * float(np.median(np.abs(level - smooth)[near_by])) if near_by.any() else step
-        around = smooth[where]
-        seen = _most_like_surroundings(stack[:, where[0], where[1]].astype(float), around, step, texture)
-        level[where], known[where] = np.where(np.isnan(seen), around, seen), ~np.isnan(seen)
-        error[where] = noise  # with any number of samples: a ball's rim may be in all of them
-        error[~known] = max(_texture(level, rested), noise)
+        at = _find_box(rested)
+        _fill_rested([picture[at] for picture in pictures], rested[at], noise, level[at], error[at], known[at])
     return StillBackground(level, error, known)
+
+
+def _fill_rested(
+    pictures: list[NDArray[Any]],
+    rested: NDArray[np.uint8],
+    noise: float,
+    level: NDArray[np.float32],
+    error: NDArray[np.float32],
+    known: NDArray[np.bool_],
+) -> None:
+    """Set level, error and `known` where a ball rested."""
+    step = max(6.0 * noise, 3.0)
+    where = np.nonzero(rested)
+    smooth = _average_surroundings(level, rested)
+    near_by = _find_beside(rested)
+    # a pixel that differs from its surroundings by more than 6 times the usual shows part of a ball
+    texture = step + 6.0 * float(np.median(np.abs(level - smooth)[near_by])) if near_by.any() else step
+    around = smooth[where].astype(float)
+    samples = np.stack([picture[where] for picture in pictures]).astype(float)
+    seen = _most_like_surroundings(samples, around, step, texture)
+    level[where], known[where] = np.where(np.isnan(seen), around, seen), ~np.isnan(seen)
+    error[where] = noise  # with any number of samples: a ball's rim may be in all of them
+    error[~known] = max(_texture(level, rested), noise)
 
 
 def average_uncovered(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]], noise: float) -> StillBackground:
     """As `estimate_still_background`, where the pixels that balls cover are known: by the mean of the middle half."""
-    count: NDArray[np.int64] = np.add.reduce([~c for c in covered], axis=0, dtype=np.int64)
-    level = np.empty(count.shape)
-    rows = _rows_at_once(len(frames) * count.shape[1])
-    rank = np.arange(len(frames))[:, None, None]
-    for top in range(0, len(level), rows):
-        at = slice(top, top + rows)
-        free = [np.where(c[at], np.inf, np.asarray(f[at])) for f, c in zip(frames, covered, strict=True)]
-        ordered, n = np.sort(free, axis=0), count[at]
-        middle = (rank >= n // 4) & (rank < n - n // 4)
-        level[at] = np.where(middle, ordered, 0.0).sum(axis=0) / np.maximum(n - 2 * (n // 4), 1)
+    shown, total = [np.asarray(frame) for frame in frames], len(frames)
+    if len({picture.dtype for picture in shown}) > 1:
+        shown = [picture.astype(np.float32) for picture in shown]
+    level = np.empty(shown[0].shape, np.float32)
+    count = np.full(level.shape, total, np.int16)
+    for own in covered:
+        count -= own
+    middle = range(total // 4, total - total // 4)
+    for at, values in sort_strips(shown, middle):
+        level[at] = np.add.reduce(values) / np.float32(len(middle))
+    partly = np.flatnonzero(count < total)
+    free = [
+        np.where(own.ravel()[partly], np.float32(np.inf), picture.ravel()[partly])[:, None].astype(np.float32)
+        for picture, own in zip(shown, covered, strict=True)
+    ]
+    few = count.ravel()[partly]
+    for at, values in sort_strips(free, range(total)):
+        n, sums = few[at], np.zeros(len(values[0]), np.float32)
+        for rank, value in enumerate(values):
+            used = (rank >= n // 4) & (rank < n - n // 4)
+            sums[used] += value[used, 0]
+        level.ravel()[partly[at]] = sums / np.maximum(n - 2 * (n // 4), 1)
     # variance of the mean of the middle half, over that of the mean of all, of normal errors: 1.2
-    error, never = np.sqrt(1.2 / np.maximum(count, 1)) * noise, (count == 0).astype(np.uint8)
+    error = (np.sqrt(1.2 / np.maximum(np.arange(total + 1), 1)) * noise).astype(np.float32)[count]
+    never = (count == 0).view(np.uint8)
     if never.any():
-        smooth = _average_surroundings(level, never)
-        level[never == 1] = smooth[never == 1]
-        error[never == 1] = max(_texture(level, never), noise)
+        at = _find_box(never)
+        hidden, around = never[at] == 1, level[at]
+        around[hidden] = _average_surroundings(around, never[at])[hidden]
+        error[at][hidden] = max(_texture(around, never[at]), noise)
     return StillBackground(level, error, never == 0)
 
 
-def _rows_at_once(pixels_of_a_row: int) -> int:
-    """How many rows of all samples are sorted at once, so that memory stays small: 2 million pixels."""
-    return max((1 << 21) // pixels_of_a_row, 1)
+def _find_box(hidden: NDArray[np.uint8]) -> tuple[slice, slice]:
+    """Index of the box around all hidden pixels, with the surroundings from which they are filled."""
+    rim = SURROUNDINGS_PX[-1] // 2 + 16
+    left, top, width, height = cv2.boundingRect(hidden)
+    return slice(max(top - rim, 0), top + height + rim), slice(max(left - rim, 0), left + width + rim)
 
 
-def _texture(level: Array, hidden: NDArray[np.uint8]) -> float:
+def _find_beside(hidden: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Pixels within 15 px of hidden ones."""
+    return np.asarray((cv2.dilate(hidden, np.ones((31, 31), np.uint8)) == 1) & (hidden == 0))
+
+
+def _texture(level: NDArray[np.float32], hidden: NDArray[np.uint8]) -> float:
     """Standard deviation, counts, by which levels near the hidden pixels differ from their surroundings."""
-    beside = (cv2.dilate(hidden, np.ones((31, 31), np.uint8)) == 1) & (hidden == 0)
+    beside = _find_beside(hidden)
     off = level - cv2.blur(level, (SURROUNDINGS_PX[1], SURROUNDINGS_PX[1]))
     return 1.4826 * float(np.median(np.abs(off)[beside])) if beside.any() else 0.0
 
@@ -113,12 +160,14 @@ def _most_like_surroundings(samples: Array, around: Array, step: float, texture:
     return np.where(np.abs(found - around) < texture, found, np.nan)
 
 
-def _average_surroundings(middle: Array, rested: NDArray[np.uint8]) -> Array:
+def _average_surroundings(middle: NDArray[np.float32], rested: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Means (h, w) of near pixels on which no ball has rested, in the smallest neighbourhood with 5 % of them."""
-    free, out = (rested == 0).astype(float), np.full(middle.shape, np.nan)
+    free, out = (rested == 0).astype(np.float32), np.full(middle.shape, np.nan, np.float32)
     for wide in SURROUNDINGS_PX:
         weight = cv2.boxFilter(free, -1, (wide, wide), normalize=True)
         found = np.isnan(out) & (weight > 0.05)
         out[found] = (cv2.boxFilter(middle * free, -1, (wide, wide), normalize=True) / np.maximum(weight, 1e-6))[found]
+        if not np.isnan(out).any():
+            break
     out[np.isnan(out)] = np.median(middle)
     return out
