@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,6 +17,7 @@ from tracker.camera.lens import Array
 from tracker.camera.recordings import Recording
 from tracker.detection.candidates import estimate_noise, median_of_nine, spread_frames
 from tracker.detection.still_background import estimate_still_background
+from tracker.detection.windows import find_regions
 
 GLINTS, DISCS = "maximum_likelihood", "discs"
 MIN_BODY_AREA_PX = 28  # of a ball seen whole, 6 px across
@@ -125,16 +127,14 @@ def _of_common_size(radii: Array, usual: float) -> NDArray[np.bool_]:
 
 def _moving_bodies(pictures: list[Frame], expected: float | None) -> Array:
     """Radii, px, of the round bodies that differ from the median of nine pictures."""
-    level = median_of_nine([picture.copy() for picture in pictures]).astype(float)
+    level = median_of_nine([picture.copy() for picture in pictures])
     least = _least_contrast(estimate_noise(pictures))
     return np.concatenate([find_round_bodies(picture, level, least, expected) for picture in pictures])
 
 
 def _shows_large_region(frame: NDArray[Any], level: NDArray[Any], least: float, smallest: float) -> bool:
     """True if a region larger than a glint differs from the plate."""
-    mask = (cv2.absdiff(frame, level) > least).view(np.uint8)
-    areas = cv2.connectedComponentsWithStats(mask, connectivity=4)[2][1:, cv2.CC_STAT_AREA]
-    return bool((areas > smallest).any())
+    return bool(find_regions(cv2.absdiff(frame, level) > math.floor(least), smallest))
 
 
 def find_round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, expected: float | None) -> Array:
@@ -142,18 +142,19 @@ def find_round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, ex
 
     `expected` is the radius of the balls, px, where the camera file gives it.
     """
-    mask = (np.abs(frame - level) > least).view(np.uint8)
-    _, labels, boxes, middles = cv2.connectedComponentsWithStats(mask, connectivity=4)
-    largest = [k for k in np.argsort(-boxes[:, cv2.CC_STAT_AREA])[: MAX_REGIONS + 1].tolist() if k > 0]
+    rounding = 0.5  # counts, of the level
+    rough = cv2.absdiff(frame, np.rint(level).astype(frame.dtype)) > math.floor(least - rounding)
     found = []
-    for left, top, width, height, area, k in ((*boxes[k].tolist(), k) for k in largest):
-        if area < MIN_BODY_AREA_PX or area < MIN_ROUNDNESS * np.pi / 4 * max(width, height) ** 2:
+    for region in find_regions(
+        rough, MIN_BODY_AREA_PX - 1, lambda at: np.abs(np.subtract(frame[at], level[at], dtype=np.float32)) > least
+    )[:MAX_REGIONS]:
+        if region.area < MIN_ROUNDNESS * np.pi / 4 * max(region.own.shape) ** 2:
             continue
-        part = slice(top, top + height), slice(left, left + width)
-        y, x = np.mgrid[part]
-        away = np.hypot(x - middles[k][0], y - middles[k][1]) / np.sqrt(area / np.pi)
-        whole = frame[part] - level[part]
-        over, ring = whole[labels[part] == k], whole[(away > 0.5) & (away < 0.8)]
+        rows, columns = np.nonzero(region.own)
+        y, x = np.ogrid[: region.own.shape[0], : region.own.shape[1]]
+        away = np.hypot(x - columns.mean(), y - rows.mean()) / np.sqrt(region.area / np.pi)
+        whole = np.subtract(frame[region.at], level[region.at], dtype=np.float32)
+        over, ring = whole[region.own], whole[(away > 0.5) & (away < 0.8)]
         if len(ring) == 0:
             continue
         body = float(np.median(ring))

@@ -73,7 +73,7 @@ def split_region(
     """
     max_lean_ratio = 1.4  # long half axis over short one of a ball whose dark side does not show
     min_blur_share = 0.8  # of the long axis' standard deviation; a shorter blur is an effect of the pixels
-    left, top, width, height, _ = box
+    left, top, width, height = box
     inside = sign * apart if sign else np.abs(apart)
     if sign:
         own = own & (inside > low / 2)

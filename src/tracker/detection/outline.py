@@ -14,7 +14,12 @@ Picture = NDArray[np.floating[Any]]
 
 
 def fit_outline_circle(
-    frame: Picture, level: Array, at: tuple[float, float], radius: float, others: list[tuple[float, float]], low: float
+    frame: Picture,
+    level: Picture,
+    at: tuple[float, float],
+    radius: float,
+    others: list[tuple[float, float]],
+    low: float,
 ) -> Array | None:
     """Fit a circle to the outline, which is where rays from the middle cross half the contrast.
 

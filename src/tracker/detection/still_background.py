@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import cv2
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
 from tracker.detection.candidates import spread_frames
-from tracker.detection.picture_sorting import sort_strips
 
 SURROUNDINGS_PX = (11, 31, 91, 271)  # widths of the neighbourhoods that are averaged, the smallest first
+STRIP_PIXELS = 1 << 15  # of each picture; all strips of 31 pictures fit into a cache of 1 to 2 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +63,8 @@ def estimate_still_background(frames: Sequence[Any], noise: float) -> StillBackg
     known = np.ones(level.shape, bool)
     error = np.full(level.shape, np.sqrt(np.pi / 2 / count) * noise, np.float32)  # of a median
     if rested.any():
-        at = _find_box(rested)
-        _fill_rested([picture[at] for picture in pictures], rested[at], noise, level[at], error[at], known[at])
+        box = _find_box(rested)
+        _fill_rested([picture[box] for picture in pictures], rested[box], noise, level[box], error[box], known[box])
     return StillBackground(level, error, known)
 
 
@@ -118,10 +119,10 @@ def average_uncovered(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]
     error = (np.sqrt(1.2 / np.maximum(np.arange(total + 1), 1)) * noise).astype(np.float32)[count]
     never = (count == 0).view(np.uint8)
     if never.any():
-        at = _find_box(never)
-        hidden, around = never[at] == 1, level[at]
-        around[hidden] = _average_surroundings(around, never[at])[hidden]
-        error[at][hidden] = max(_texture(around, never[at]), noise)
+        box = _find_box(never)
+        hidden, around = never[box] == 1, level[box]
+        around[hidden] = _average_surroundings(around, never[box])[hidden]
+        error[box][hidden] = max(_texture(around, never[box]), noise)
     return StillBackground(level, error, never == 0)
 
 
@@ -171,3 +172,46 @@ def _average_surroundings(middle: NDArray[np.float32], rested: NDArray[np.uint8]
             break
     out[np.isnan(out)] = np.median(middle)
     return out
+
+
+def sort_strips(
+    pictures: Sequence[NDArray[Any]], ranks: Sequence[int]
+) -> Iterator[tuple[slice, list[NDArray[np.float32]]]]:
+    """Sort pictures (h, w) of one type pixel by pixel, and yield strips of rows: which, and the values of these ranks.
+
+    Rank 0 is the least value. Pixels are uint8, uint16 or float32.
+    """
+    height, width = pictures[0].shape
+    network = _make_network(len(pictures), tuple(ranks))
+    rows = max(STRIP_PIXELS // width, 1)
+    for top in range(0, height, rows):
+        at = slice(top, top + rows)
+        sheets = [np.array(picture[at]) for picture in pictures]
+        spare = np.empty_like(sheets[0])
+        for low, high in network:
+            one, two = sheets[low], sheets[high]
+            sheets[low], spare = np.asarray(cv2.min(one, two, dst=spare)), one
+            sheets[high] = np.asarray(cv2.max(one, two, dst=two))
+        yield at, [sheets[rank].astype(np.float32) for rank in ranks]
+
+
+@cache
+def _make_network(count: int, ranks: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    """Pairs of numbers to compare and exchange: merge exchange (Knuth, vol. 3, 5.2.2 M) as far as the ranks need it."""
+    pairs = []
+    first = (1 << (count - 1).bit_length()) // 2
+    step = first
+    while step:
+        last, phase, apart = first, 0, step
+        while True:
+            pairs += [(k, k + apart) for k in range(count - apart) if k & step == phase]
+            if last == step:
+                break
+            apart, last, phase = last - step, last // 2, step
+        step //= 2
+    needed, used = set(ranks), []
+    for low, high in reversed(pairs):
+        if low in needed or high in needed:
+            needed |= {low, high}
+            used.append((low, high))
+    return tuple(reversed(used))

@@ -1,9 +1,10 @@
-"""Finds the windows of a picture that hold connected regions, so that only these are examined pixel by pixel."""
+"""Finds connected regions: coarsely, in tiles of a picture, and pixel by pixel where a tile has some."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -12,45 +13,71 @@ from numpy.typing import NDArray
 TILE_PX = 16
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
-    """A rectangle of a picture, and which of its pixels (h, w) belong to the same group of regions."""
+Index: TypeAlias = tuple[slice, slice]
 
-    rows: slice
-    columns: slice
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A connected region (4 neighbours): its place in the picture, px, and which pixels of its box are its own."""
+
+    left: int
+    top: int
+    area: int
     own: NDArray[np.bool_]
 
     @property
-    def at(self) -> tuple[slice, slice]:
-        """Index into the picture."""
-        return self.rows, self.columns
+    def at(self) -> Index:
+        """Index of the box into the picture."""
+        height, width = self.own.shape
+        return slice(self.top, self.top + height), slice(self.left, self.left + width)
 
-    def widen(self, by: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-        """Index of the window with a rim of so many pixels, as far as it lies in the picture; of the window in it."""
-        top, left = max(self.rows.start - by, 0), max(self.columns.start - by, 0)
-        wide = slice(top, self.rows.stop + by), slice(left, self.columns.stop + by)
-        inner = [slice(s.start - a, s.stop - a) for s, a in ((self.rows, top), (self.columns, left))]
-        return wide, (inner[0], inner[1])
+    def touches_rim(self, shape: tuple[int, ...]) -> bool:
+        """True if the region touches the rim of a picture of this shape."""
+        rows, columns = self.at
+        return min(self.left, self.top) == 0 or rows.stop == shape[0] or columns.stop == shape[1]
 
 
-def find_windows(mask: NDArray[np.bool_], least: float) -> Iterator[Window]:
-    """Find the windows of a mask (h, w) with its connected regions (4 neighbours) of more than `least` pixels.
+def find_regions(
+    rough: NDArray[np.bool_], least: float, examine: Callable[[Index], NDArray[np.bool_]] | None = None
+) -> list[Region]:
+    """Find the connected regions of more than `least` pixels, the largest first.
 
-    Regions in neighbouring tiles share a window. Each region lies in one window whole; a window may hold small ones too.
+    Parameters
+    ----------
+    rough : (h, w) array of bool
+        A quick mask that holds all of their pixels, and few others.
+    least : float
+        px^2.
+    examine : callable, optional
+        Takes the index of a window, and returns its exact mask; default: `rough` is exact.
     """
+    found = []
+    for at, own in _find_windows(rough, least):
+        mask = (rough[at] if examine is None else examine(at)) & own
+        count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
+        for k in range(1, count):
+            left, top, width, height, area = boxes[k].tolist()
+            if area > least:
+                part = labels[top : top + height, left : left + width] == k
+                found.append(Region(left + at[1].start, top + at[0].start, area, part))
+    return sorted(found, key=lambda region: -region.area)
+
+
+def _find_windows(mask: NDArray[np.bool_], least: float) -> Iterator[tuple[Index, NDArray[np.bool_]]]:
+    """Windows with regions of more than `least` pixels, each region in one of them; and the pixels of their tiles."""
     height, width = mask.shape
     counts = _count_in_tiles(mask)
     found, labels, boxes, _ = cv2.connectedComponentsWithStats((counts > 0).view(np.uint8), connectivity=8)
     totals = np.bincount(labels.ravel(), counts.ravel(), found)
-    for k in np.flatnonzero(totals > least).tolist():
-        if k == 0:
+    for k in range(1, found):
+        if totals[k] <= least:
             continue
         left, top, across, down = boxes[k][:4].tolist()
         tiles = labels[top : top + down, left : left + across] == k
         rows = slice(top * TILE_PX, min((top + down) * TILE_PX, height))
         columns = slice(left * TILE_PX, min((left + across) * TILE_PX, width))
         own = tiles.repeat(TILE_PX, axis=0).repeat(TILE_PX, axis=1)
-        yield Window(rows, columns, own[: rows.stop - rows.start, : columns.stop - columns.start])
+        yield (rows, columns), own[: rows.stop - rows.start, : columns.stop - columns.start]
 
 
 def _count_in_tiles(mask: NDArray[np.bool_]) -> NDArray[np.int32]:

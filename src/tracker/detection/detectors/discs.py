@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import cv2
 import numpy as np
@@ -19,7 +20,9 @@ from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.outline import fit_outline_circle
 from tracker.detection.still_background import StillBackground, average_uncovered, estimate_still_background
 from tracker.detection.takes import find_takes
+from tracker.detection.windows import Index, Region, find_regions
 
+ContrastArea: TypeAlias = tuple[Region, NDArray[np.float32]]  # a region, and its difference from the background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 
 
@@ -151,9 +154,10 @@ class Discs:
         frames, covered = [], []
         for frame in self._samples(scene):
             light = _match_brightness(frame, ground.level)
-            parts, labels = self._regions((light - ground.level).astype(np.float32))
-            mask = ((labels > 0) & ground.known).view(np.uint8)  # elsewhere a difference may be the plate's
-            for x, y in self._in_frame(frame, ground)[0].xy:
+            parts = self._split(self._find_areas(light, ground))
+            differs = self._smooth_difference(light, ground) > self.low
+            mask = (differs & ground.known).view(np.uint8)  # elsewhere a difference may be the plate's
+            for x, y in self._fit_parts(light, ground, parts)[0].xy:
                 cv2.circle(mask, (round(x), round(y)), round(self.radius), 1, -1)
             balls = [part for part in parts if part.sign > 0 and self._is_disc(part, self.radius)]
             for part in parts:
@@ -166,7 +170,12 @@ class Discs:
     def _in_frame(self, frame: NDArray[Any], ground: StillBackground) -> tuple[Glints, int]:
         """Discs of one frame, and how many objects are not discs."""
         light = _match_brightness(frame, ground.level)
-        parts, _ = self._regions(light - ground.level.astype(np.float32))
+        return self._fit_parts(light, ground, self._split(self._find_areas(light, ground)))
+
+    def _fit_parts(
+        self, light: NDArray[Any], ground: StillBackground, parts: list[ContrastRegion]
+    ) -> tuple[Glints, int]:
+        """The same, of the parts of its regions."""
         fits, refused, balls = list[tuple[DiscFit, int, float]](), 0, list[ContrastRegion]()
         for part in sorted(parts, key=lambda p: -p.sign):
             radius = min(self.radii, key=lambda r: abs(r - part.minor))
@@ -183,28 +192,38 @@ class Discs:
             fits += [(f, flag, radius) for f, flag in fitted]
         return self._glints(fits, light.shape) if fits else Glints.none(), refused
 
-    def _regions(
-        self, apart: NDArray[np.float32], inside: bool = False
-    ) -> tuple[list[ContrastRegion], NDArray[np.int32]]:
-        """The parts of the regions, largest first, that differ from the background; and the picture of the regions.
+    def _find_areas(self, light: NDArray[Any], ground: StillBackground) -> list[ContrastArea]:
+        """The regions of a frame that differ from the background, largest first, with their differences."""
+        least, reach = np.pi * self.settings.min_disc_radius_px**2, max(self.box) // 2
+        rounding = 1.0  # counts, of both means
+        away = self._smooth_difference(light, ground)
 
-        A part is a ball without its shadow, or the brighter or darker part of a region. `inside`: only those of regions
-        that do not touch the picture's rim.
-        """
-        mask = (np.abs(cv2.blur(apart, self.box)) > self.low).view(np.uint8)
-        count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-        large = [k for k in range(1, count) if boxes[k][4] > np.pi * self.settings.min_disc_radius_px**2]
-        large.sort(key=lambda k: -int(boxes[k][4]))
-        parts, (h, w), least = list[ContrastRegion](), apart.shape, self.settings.min_disc_radius_px
-        for k in large[: self.settings.max_objects_per_frame]:
-            left, top, width, height, _ = box = tuple(boxes[k].tolist())
-            if inside and (min(left, top) == 0 or left + width == w or top + height == h):
-                continue
-            at = slice(top, top + height), slice(left, left + width)
-            smooth = cv2.blur(apart[at], (3, 3)) if self.is_noisy else apart[at]
+        def examine(at: Index) -> NDArray[np.bool_]:
+            top, left = (max(side.start - reach, 0) for side in at)
+            wide = slice(top, at[0].stop + reach), slice(left, at[1].stop + reach)
+            mean = cv2.blur(np.subtract(light[wide], ground.level[wide], dtype=np.float32), self.box)
+            inner = mean[at[0].start - top : at[0].stop - top, at[1].start - left : at[1].stop - left]
+            return np.asarray(np.abs(inner) > self.low)
+
+        regions = find_regions(away > math.floor(self.low - rounding), least, examine)
+        return [
+            (region, np.subtract(light[region.at], ground.level[region.at], dtype=np.float32))
+            for region in regions[: self.settings.max_objects_per_frame]
+        ]
+
+    def _smooth_difference(self, light: NDArray[Any], ground: StillBackground) -> NDArray[Any]:
+        """How far the means over boxes of pixels differ from those of the background, in whole counts as the frame."""
+        return np.asarray(cv2.absdiff(cv2.blur(light, self.box), ground.blur(self.box, light.dtype)))
+
+    def _split(self, areas: list[ContrastArea]) -> list[ContrastRegion]:
+        """The parts of regions: a ball without its shadow, or the brighter or darker part of a region."""
+        parts, least = list[ContrastRegion](), self.settings.min_disc_radius_px
+        for region, apart in areas:
+            smooth = cv2.blur(apart, (3, 3)) if self.is_noisy else apart
+            box = (region.left, region.top, *region.own.shape[::-1])
             for sign in self.signs:
-                parts += split_region(smooth, labels[at] == k, box, sign, self.low, least)
-        return parts, np.asarray(labels, dtype=np.int32)
+                parts += split_region(smooth, region.own, box, sign, self.low, least)
+        return parts
 
     def _usual_radius(self, given: float | None) -> tuple[list[float], float]:
         """The common radii of discs in frames spread over the film, px, or the given one; and their contrast."""
@@ -223,11 +242,11 @@ class Discs:
 
     def _without_shadows(self, given: float | None) -> list[ContrastRegion]:
         """Discs in frames spread over the film; decides whether balls are lit from one side or are dark."""
-        regions_of_frames = list(self._survey())
-        either = [p for parts in regions_of_frames for p in parts if self._is_disc(p, given or p.minor)]
+        areas_of_frames = list(self._survey())
+        either = [p for areas in areas_of_frames for p in self._split(areas) if self._is_disc(p, given or p.minor)]
         self.signs = (1, -1)
         bright, shadowed, alone = list[ContrastRegion](), 0, 0
-        for parts in self._survey():  # again, now with brighter and darker parts separate
+        for parts in map(self._split, areas_of_frames):  # again, now with brighter and darker parts separate
             balls = [p for p in parts if p.sign > 0 and self._is_disc(p, given or p.minor)]
             bright += balls
             shadowed += sum(any(casts_shadow(p, other) for other in parts) for p in balls)
@@ -240,19 +259,19 @@ class Discs:
         self.signs = (0,)
         return either
 
-    def _survey(self) -> Iterator[list[ContrastRegion]]:
+    def _survey(self) -> Iterator[list[ContrastArea]]:
         """The regions of each of 25 frames spread over the film that do not touch the picture's rim."""
         frames = sorted(self.scene_of)
         for k in (frames[i] for i in sorted({*spread_frames(frames, 25)})):
-            level = self.scenes[self.scene_of[k]].level
-            apart = (_match_brightness(np.asarray(self.view.frames[k]), level) - level).astype(np.float32)
-            yield self._regions(apart, inside=True)[0]
+            ground = self.scenes[self.scene_of[k]]
+            light = _match_brightness(np.asarray(self.view.frames[k]), ground.level)
+            yield [area for area in self._find_areas(light, ground) if not area[0].touches_rim(light.shape)]
 
     def _is_disc(self, region: ContrastRegion, radius: float) -> bool:
         return region.is_disc(radius, self.settings.disc_radius_tolerance)
 
     def _in_part(
-        self, light: NDArray[np.float32], ground: StillBackground, part: ContrastRegion, radius: float
+        self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
     ) -> list[tuple[DiscFit, int]]:
         """Discs in one part, with their flags."""
         found: list[tuple[DiscFit, int]] = []
@@ -275,17 +294,24 @@ class Discs:
         )
 
     def _touching(
-        self, light: NDArray[np.float32], ground: StillBackground, part: ContrastRegion, radius: float
+        self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
     ) -> list[tuple[DiscFit, int]]:
         """Discs in a region that is not one whole disc: cut by the picture's rim, or several that touch."""
         centres = [(x + part.left, y + part.top) for x, y in find_disc_centres(part, radius)]
-        found, own = [], light
+        if not centres:
+            return []
+        found, at_window = list[tuple[DiscFit, int]](), _find_rays(centres, radius, light.shape)
+        corner = np.array([at_window[1].start, at_window[0].start])
+        level = ground.level[at_window]
+        own = light[at_window].astype(np.float32)
         if part.sign:  # without the shadows of the others
-            level = ground.level.astype(np.float32)
-            own = level + part.sign * np.maximum(part.sign * (light - level), 0)
+            own = level + part.sign * np.maximum(part.sign * (own - level), 0)
         for at in centres:
             others = [p for p in centres if p != at]
-            start = fit_outline_circle(own, ground.level, at, radius, others, self.low)
+            here, *there = (tuple(np.subtract(p, corner)) for p in (at, *others))
+            start = fit_outline_circle(own, level, here, radius, there, self.low)
+            if start is not None:
+                start = start + corner
             if start is None and part.sign and others:  # the lit part of a ball is not round
                 start = np.array(at)
             fitted = None
@@ -317,12 +343,19 @@ class Discs:
         )
 
 
-def _match_brightness(frame: NDArray[Any], level: Array) -> NDArray[np.float32]:
+def _match_brightness(frame: NDArray[Any], level: NDArray[np.float32]) -> NDArray[Any]:
     """A frame with the brightness of the background, where the camera has adapted its exposure by over a count."""
-    light = frame.astype(np.float32)
-    step = max(1, int(np.sqrt(light.size / 16_000)))
-    change = float(np.median(light[::step, ::step] - level[::step, ::step]))
-    return light - change if abs(change) > 1 else light
+    step = max(1, int(np.sqrt(frame.size / 16_000)))
+    change = float(np.median(frame[::step, ::step] - level[::step, ::step]))
+    return frame.astype(np.float32) - np.float32(change) if abs(change) > 1 else frame
+
+
+def _find_rays(centres: list[tuple[float, float]], radius: float, shape: tuple[int, ...]) -> Index:
+    """Index of the part of the picture in which the outlines of discs are looked for, as far as 1.6 radii away."""
+    reach = int(1.6 * radius) + 4
+    (left, top), (right, bottom) = (np.round(edge(centres, axis=0)).astype(int) for edge in (np.min, np.max))
+    rows = slice(max(top - reach, 0), min(bottom + reach + 1, shape[0]))
+    return rows, slice(max(left - reach, 0), min(right + reach + 1, shape[1]))
 
 
 def _lit_from_one_side(discs: list[ContrastRegion]) -> bool:

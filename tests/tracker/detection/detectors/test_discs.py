@@ -127,3 +127,20 @@ def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):
         note.startswith("detector: discs, because maximum_likelihood finds nothing (")
         for note in map(str, result.notes)
     )
+
+
+@pytest.mark.parametrize("lit", [False, True])
+def test_the_coarse_search_finds_what_the_search_of_whole_frames_finds(monkeypatch, lit):
+    """Plain discs, and lit spheres with shadows, which touch as they collide."""
+    rng, ways = np.random.default_rng(3), collision(14, 6)
+    clip = recorded(lit_film(rng, ways) if lit else film(rng, ways), Camera.from_dict(CAMERA))
+
+    def locate():
+        return detect(clip, make_view(clip, "discs"), "discs").glints
+
+    coarse = locate()
+    monkeypatch.setattr("tracker.detection.windows.TILE_PX", 240)  # one tile is the whole frame
+    whole = locate()
+    assert len(coarse) == len(whole) > 24
+    std = np.sqrt(np.diagonal(whole.cov, axis1=1, axis2=2))
+    assert (np.abs(coarse.xy - whole.xy) / std).max() < 1e-3
