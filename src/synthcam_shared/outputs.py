@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from synthcam_shared.errors import InputError
 
+MADE_BY = ".made_by"  # in a folder that the same command may go on with or overwrite: which command that is
 RESUMES = "; the same command continues where it stopped"
 
 
@@ -117,17 +118,29 @@ def lock_folder(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-@contextmanager
-def open_resumable(folder: Path, marks: Sequence[str], expected: str) -> Iterator[None]:
-    """Work in a locked folder that is new, empty, or begun by an earlier run, which left one of `marks` in it.
+def claim_folder(folder: Path, maker: str, expected: str) -> None:
+    """Make a folder, or take one that `maker` has begun; its name is in the file `MADE_BY` of the folder.
 
     Raises InputError if it holds something else; `expected` ends the message.
     """
-    if folder.exists() and not (
-        folder.is_dir() and (not any(folder.iterdir()) or any((folder / mark).exists() for mark in marks))
-    ):
-        raise InputError(f"{folder}: exists and holds something else, expected {expected}")
+    mark = folder / MADE_BY
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        own = mark.is_file() and mark.read_text(errors="replace").strip() == maker
+        if not own:
+            raise InputError(f"{folder}: exists and holds something else, expected {expected}")
     check_writable(folder)
+    with as_input_error(folder):
+        write_atomically(mark, f"{maker}\n")
+
+
+@contextmanager
+def open_resumable(folder: Path, maker: str, expected: str) -> Iterator[None]:
+    """Work in a locked folder that is new, empty, or begun by an earlier run of `maker`.
+
+    Raises InputError if it holds something else; `expected` ends the message.
+    """
+    check_utf8(folder)
+    claim_folder(folder, maker, expected)
     with lock_folder(folder), as_input_error(folder, RESUMES):
         yield
 

@@ -28,7 +28,6 @@ app = command_line(
     "Finds rolling steel balls by their glint, follows them, and measures the collision with standard errors.",
 )
 app.add_typer(benchmark_app, name="benchmark")
-SCORE = "score.json"
 MAX_ROWS_OF_A_PAGE = 100_000  # positions of a recording whose page is written unasked; more take minutes
 DETECTORS = (
     ", ".join(m.name for m in pkgutil.iter_modules(detector_files.__path__))
@@ -53,7 +52,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 
 @app.command()
 def track(
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Dataset, clip, stack, video or pictures.")],
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Dataset, clip, stack, video, pictures or .npy.")],
     output: Results,
     camera: Annotated[Path | None, typer.Option(help="camera.json that replaces the source's own.")] = None,
     detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}. Without it the film decides.")] = None,
@@ -179,18 +178,15 @@ def score(
 
     Example: tracker score theirs.txt --truth gt.txt -o out/report
     """
-    from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
+    from synthcam_shared.outputs import open_resumable
     from tracker.results import RUN, load_json
     from tracker.scoring.score import check_same_dataset
     from tracker.scoring.score import score as score_results
     from tracker.scoring.score_page import write_report
     from tracker.scoring.summary import summarise
 
-    if output.exists() and not (output.is_dir() and (not any(output.iterdir()) or (output / SCORE).is_file())):
-        raise InputError(f"{output}: exists and holds something else, expected a new folder for the report")
-    check_writable(output)
     new = not output.exists()
-    with lock_folder(output), as_input_error(output):
+    with open_resumable(output, "tracker score", "a new folder for the report"):
         try:
             if truth.is_file() and not results.is_dir():
                 _score_tables(results, truth, output, gate, name, as_json)

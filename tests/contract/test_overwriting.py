@@ -170,3 +170,41 @@ def test_links_do_not_hide_that_a_file_is_read(tmp_path):
     check_not_read(tmp_path / "new.csv", file, tmp_path / "missing")
     shutil.copy(file, tmp_path / "copy.csv")
     check_not_read(tmp_path / "copy.csv", file)
+
+
+@pytest.mark.parametrize(
+    ("words", "files"),
+    [
+        ("tracker score results --truth dataset -o mine", ("score.json",)),
+        ("tracker score tracks.csv --truth tracks.csv -o mine", ("score.json", "index.html")),
+        ("tracker compare dataset --detectors centroid -o mine", ("results/notes.txt", "index.html")),
+        ("tracker benchmark run --size small -o mine", ("suite/notes.txt",)),
+        ("tracker benchmark make --size small -o mine", ("definition.yaml",)),
+    ],
+)
+def test_a_folder_with_names_like_a_report_is_not_one(own, results, words, files, capsys):
+    """A file or folder that has such a name may be anybody's."""
+    for name in files:
+        path = Path("mine", name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("mine")
+    Path("results").symlink_to(results)
+    Path("dataset/truth").mkdir(parents=True)
+    Path("dataset/truth/clips.parquet").touch()
+    refused(*words.split())
+    err = capsys.readouterr().err
+    assert "mine: exists and holds something else, expected a new folder" in err
+    assert err.count("\n") == 1
+    assert sorted(str(p.relative_to("mine")) for p in Path("mine").rglob("*") if p.is_file()) == sorted(files)
+    assert all(Path("mine", name).read_text() == "mine" for name in files)
+
+
+def test_a_report_is_replaced_by_the_same_command_alone(own, monkeypatch, capsys):
+    words = ["tracker", "score", "tracks.csv", "--truth", "tracks.csv", "-o", "report"]
+    for _ in range(2):
+        monkeypatch.setattr(sys, "argv", words)
+        with pytest.raises(SystemExit) as left:
+            tracker.cli.main()
+        assert left.value.code in (0, None)
+    refused("tracker", "benchmark", "run", "--size", "small", "-o", "report")
+    assert "report: exists and holds something else" in capsys.readouterr().err

@@ -75,7 +75,8 @@ def run(
 
     Example: tracker benchmark run --trackers synthcam,my_detector --size small -o out/mine
     """
-    from tracker.benchmark.contest import SUITE, run_contest
+    from synthcam_shared.outputs import claim_folder
+    from tracker.benchmark.contest import MAKER, SUITE, run_contest
     from tracker.benchmark.suite.definition import read_definition
     from tracker.benchmark.suite.folder import open_suite, with_truth
     from tracker.benchmark.suite.make import make as make_suite
@@ -84,7 +85,9 @@ def run(
     parse_names(trackers)  # before films are made for minutes
     with progress_bar("steps") as progress:
         if suite is None:
-            made = make_suite(output / SUITE, read_definition(None, size), progress=progress, scheduler=scheduler)
+            chosen = read_definition(None, size)
+            claim_folder(output, MAKER, "a new folder for the report")
+            made = make_suite(output / SUITE, chosen, progress=progress, scheduler=scheduler)
         else:
             made = with_truth(open_suite(suite, truth))
     with progress_bar("trackers") as progress:

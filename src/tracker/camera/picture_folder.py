@@ -107,8 +107,9 @@ def read_picture(path: Path) -> Any:
         except Exception as error:
             raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({first_line(error)})") from None
     try:
-        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:  # a header that promises more than there is memory for
+        # read here, since OpenCV ends the program at a name that is not UTF-8
+        picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except (cv2.error, OSError) as error:  # a header that promises more than there is memory for
         raise InputError(f"{path}: cannot be read as a picture ({first_line(error)})") from None
     if picture is None:
         raise InputError(f"{path}: cannot be read as a picture, truncated or damaged")

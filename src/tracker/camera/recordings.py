@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from synthcam_shared.errors import InputError
+from tracker.camera.array_file import ARRAYS, read_array_file
 from tracker.camera.camera import Camera
 from tracker.camera.camera_notes import describe_frame_rate
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
@@ -194,9 +195,10 @@ def _find_clips(path: Path | str, camera: Path | str | None) -> RecordingSource:
     if not location.exists():
         raise InputError(f"{location}: no such file or folder, expected a dataset, clip, stack, video or pictures")
     if location.is_file():
-        if location.suffix.lower() not in TIFF + VIDEOS:
+        if location.suffix.lower() not in TIFF + VIDEOS + ARRAYS:
             raise InputError(
-                f"{location}: expected a TIFF stack or a video, not a {location.suffix or 'nameless'} file"
+                f"{location}: expected a TIFF stack, a video or an array of numpy.save (.npy), not a "
+                f"{location.suffix or 'nameless'} file"
             )
         return RecordingSource(location, ((0, location),), given)
     if (location / "clips").is_dir():
@@ -204,6 +206,8 @@ def _find_clips(path: Path | str, camera: Path | str | None) -> RecordingSource:
     if (film := _film(location)) is not None:
         number = int(location.name) if location.name.isdecimal() else 0
         return RecordingSource(location, ((number, film),), given)
+    if any((location / name).is_file() for name in ("zarr.json", ".zarray", ".zgroup")):
+        raise InputError(f"{location}: a Zarr store, expected a stack or a video; numpy.save makes a .npy of it")
     if not list_pictures(location):
         raise InputError(
             f"{location}: nothing to track in it, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})"
@@ -229,7 +233,7 @@ def _dataset(location: Path, camera: Path | None) -> RecordingSource:
 
 def _film(folder: Path) -> Path | None:
     """A clip's frames: a stack, or the film encoded."""
-    films = (folder / f"frames{ending}" for ending in (".tif", *VIDEOS))
+    films = (folder / f"frames{ending}" for ending in (".tif", *VIDEOS, *ARRAYS))
     return next((film for film in films if film.is_file()), None)
 
 
@@ -239,6 +243,8 @@ def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
         frames = read_picture_folder(location, options)
     elif location.suffix.lower() in TIFF:
         frames = read_tiff_stack(location, options)
+    elif location.suffix.lower() in ARRAYS:
+        frames = read_array_file(location)
     else:
         from tracker.camera.video import read_video  # here alone: FFmpeg's libraries are slow to load
 

@@ -37,7 +37,7 @@ def compare(
     known = dataset / "truth" / "clips.parquet"
     if not known.is_file():
         raise InputError(f"{known}: no such file, expected a dataset with its truth")
-    with open_resumable(report, ["results"], "a new folder for the report"):
+    with open_resumable(report, "tracker compare", "a new folder for the report"):
         (report / "results").mkdir(exist_ok=True)
         scores = []
         for k, name in enumerate(chosen):

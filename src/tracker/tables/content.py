@@ -254,7 +254,10 @@ class Content:
             need = "xlrd" if self.data.startswith(OLD_EXCEL) else "openpyxl" if b"xl/workbook" in self.data else "odfpy"
             return pd.read_excel(source)
         except ImportError:
-            raise self.wrong(f"this kind of table is read with {need}: pip install {need}, or save it as CSV") from None
+            package = "'synthcam[tables]'" if need == "openpyxl" else need
+            raise self.wrong(
+                f"read with {need}, which is not installed; type: pip install {package}, or save as CSV"
+            ) from None
         except Exception as error:  # readers raise their own kinds
             raise self.wrong(f"cannot be read as a table of tracks ({first_line(error)})") from None
 

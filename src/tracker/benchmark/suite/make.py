@@ -46,7 +46,7 @@ def make(
         raise InputError(f"{truth}: is inside {output} or contains it; expected a separate folder for the truth")
     if (output / SUITE).is_file():
         return _reopen(output, truth, definition, seed)
-    with open_resumable(output, [DEFINITION], "a new folder for the suite"):
+    with open_resumable(output, "tracker benchmark make", "a new folder for the suite"):
         write_atomically(output / DEFINITION, definition.text)
         truth.mkdir(parents=True, exist_ok=True)
         chosen = _seed(truth, definition, seed, withhold is not None)

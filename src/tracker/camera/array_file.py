@@ -1,0 +1,38 @@
+"""Reads a film that numpy.save has written, frame by frame from the disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synthcam_shared.errors import InputError
+from tracker.camera.camera_keys import first_line
+from tracker.camera.frame_times import drop_repeated, find_changes
+from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
+
+ARRAYS = (".npy",)
+
+
+def read_array_file(path: Path) -> Frames:
+    """Frames of an array (frames, height, width), in colour (frames, height, width, 3). Raises InputError."""
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise InputError(f"{path}: cannot be read as an array of numpy.save ({first_line(error)})") from None
+    if not isinstance(array, np.ndarray) or array.ndim not in (3, 4) or 0 in array.shape:
+        shape = getattr(array, "shape", "of several arrays")
+        raise InputError(f"{path}: an array {shape}, expected (frames, height, width), in colour (..., 3)")
+    kind = array.dtype.newbyteorder("=")
+    check_pixel_type(path, kind)
+    check_frame_size(path, array.shape[1:])
+
+    def fetch(k: int) -> Any:
+        return np.ascontiguousarray(array[k], dtype=kind)
+
+    frames = make_grey_frames(path, len(array), array.shape[1:], kind, fetch)
+    middle = array.shape[1] // 2
+    return drop_repeated(
+        frames, find_changes(len(array), (lambda k: fetch(k)[middle].tobytes(), lambda k: fetch(k).tobytes()))
+    )
