@@ -105,12 +105,12 @@ def find(
         replace_folder(output, search_page.FILES, "a report of an earlier search") as folder,
     ):
         _print_camera_notes(measured, camera)
-        clips, left_out = read_collisions(measured, camera)
-        for note in left_out:
+        clips, notes = read_collisions(measured, camera)
+        for note in notes:
             if note.kind is SearchNoteKind.NO_STRIKER:  # at once: a search without it may look for the wrong ball
                 print(f"discrepancy: {note}", file=sys.stderr)
         with show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report")) as progress:
-            found = search(clips, given, progress, 60 * minutes, left_out)
+            found = search(clips, given, progress, 60 * minutes, notes)
             progress("report")
             search_page.write(found, folder)
         document = json.loads((folder / "discrepancy.json").read_text())
@@ -118,9 +118,8 @@ def find(
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
     if not as_json:
         print(f"verdict: {found.verdict}")
-        for line in document["processed"]:
-            print(f"Tracks: {line}.")
-        lost = count_lost_clips(left_out)
+        _print_processed(document["processed"])
+        lost = count_lost_clips(notes)
         _print_left_out(document["clips"]["left_out"], lost > len(clips))
         used = f"{len(found.data.clips) + len(found.data.held_out)} of {len(clips) + lost}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
@@ -142,6 +141,7 @@ def add(
     """
     from discrepancy.add import add as fitted
     from discrepancy.add import check_effect
+    from discrepancy.data.notes import count_lost_clips, sort_notes
     from discrepancy.data.reading import read_collisions
 
     check_not_read(output, model, measured, camera, *(effects_dir or ()))
@@ -154,17 +154,19 @@ def add(
     check_writable(output)
     _print_camera_notes(measured, camera)
     clips, notes = read_collisions(measured, camera)
-    left_out = [str(n) for n in notes]
     with show_stages(("noise", "fit", "search")) as progress:
         new = fitted(clips, given, effect, progress)
     with as_input_error(output):
         write_atomically(output, f"{ADDED} {effect}\n{to_yaml(settings_of(new.fit.model))}")
+    sorted_notes, lost = sort_notes(notes), count_lost_clips(notes)
+    left_out, processed = [*map(str, sorted_notes.left_out), *new.left_out], list(map(str, sorted_notes.processed))
     if as_json:
-        lost = [*left_out, *new.left_out]
-        print(json.dumps({"model": str(output)} | new.document() | {"clips": len(clips), "left_out": lost}))
+        counts = {"clips": len(clips), "left_out": left_out, "processed": processed}
+        print(json.dumps({"model": str(output)} | new.document() | counts))
     else:
-        print(f"{output}: {new.sentence()} ({len(clips)} of {len(clips) + len(left_out)})")
-        _print_left_out([*left_out, *new.left_out], len(left_out) > len(clips))
+        print(f"{output}: {new.sentence()} ({len(clips)} of {len(clips) + lost})")
+        _print_processed(processed)
+        _print_left_out(left_out, lost > len(clips))
 
 
 @app.command()
@@ -266,6 +268,11 @@ def _print_camera_notes(measured: Path, camera: Path | None) -> None:
     if camera is not None and measured.is_file():
         for note in Camera.read(camera).unmodelled:
             print(f"discrepancy: {note}", file=sys.stderr)
+
+
+def _print_processed(lines: Sequence[str]) -> None:
+    for line in lines:
+        print(f"Tracks: {line}.")
 
 
 def _print_left_out(left_out: Sequence[str], most: bool) -> None:

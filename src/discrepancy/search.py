@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.notes import SearchNote, SearchNoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
 from discrepancy.data.prior_processing import detect_processing
 from discrepancy.data.reading import read_collisions
 from discrepancy.data.study_design import find_uniform_conditions
@@ -99,8 +99,8 @@ def find(
     source = Path(results) if isinstance(results, str) else results
     given = as_model(model)
     with applied_policy(policy or SearchPolicy()):
-        clips, left_out = read_collisions(source, Path(camera) if isinstance(camera, str) else camera)
-        return search(clips, given, progress, 60 * minutes, left_out)
+        clips, notes = read_collisions(source, Path(camera) if isinstance(camera, str) else camera)
+        return search(clips, given, progress, 60 * minutes, notes)
 
 
 def search(
@@ -108,9 +108,9 @@ def search(
     model: Model,
     progress: Progress = lambda stage: None,
     seconds: float = math.inf,
-    left_out: Sequence[SearchNote] = (),
+    notes: Sequence[SearchNote] = (),
 ) -> SearchResult:
-    """Search collisions from `read_collisions`; left_out: its notes on unusable collisions.
+    """Search collisions from `read_collisions`, with its notes.
 
     See `find`. The policy is that of the context (`applied_policy`).
     """
@@ -125,7 +125,13 @@ def search(
             held_out = HeldOutClips(data.held_out, data.noise, gap.before)
             validated = validate(selection, library, held_out, lambda: progress("gap"))
         result = summarise(clips, data, validated, library, gap, progress)
-        return replace(result, left_out=(*left_out, *data.left_out))
+        given = sort_notes(notes)
+        return replace(
+            result,
+            left_out=(*given.left_out, *data.left_out),
+            processed=(*given.processed, *result.processed),
+            uniform=(*given.common, *result.uniform),
+        )
 
 
 def select_until_stable(

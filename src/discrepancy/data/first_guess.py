@@ -19,7 +19,7 @@ from discrepancy.data.uneven_times import find_clock_start, measure_unevenness, 
 from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT
+from tracker.measurement.collision.adequacy import HIDDEN_SLIDE, MEASURED, MISFIT, TOGETHER, TOO_FEW, Flag
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,8 @@ def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> M
     cannot be used. The row needs the number of the clip, "clip".
     """
     policy, clip = current_policy(), int(row["clip"])
+    if why := _describe_lasting_contact(row):
+        return SearchNote(SearchNoteKind.CONTACT_LASTS, clip, values={"why": why})
     measured, start = row["status"] in MEASURED, find_clock_start(tracks, camera)
     hit = _hit_from_estimates(row, start) if measured else guess_hit_from_outgoing(tracks, camera)
     if hit is None:
@@ -89,6 +91,17 @@ def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> M
         offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)) if resting.any() else 0.0,
         max_shift_frames=moved if moved > policy.max_uneven_frames else 0.0,
     )
+
+
+def _describe_lasting_contact(row: Mapping[Any, Any]) -> str:
+    """Say how a contact takes time; "" if it is an impact, or may be one of smaller balls."""
+    if row["status"] == TOGETHER:
+        return "the balls stay together"
+    if row["status"] in (HIDDEN_SLIDE, TOO_FEW):
+        return str(row["status"])
+    if Flag.LASTS in str(row.get("flags", "")).split("|"):
+        return f"the contact lasts {1e3 * float(row['contact_duration_s']):.3g} ms"
+    return ""
 
 
 def _hit_from_estimates(row: Mapping[Any, Any], start: float) -> HitGuess | None:

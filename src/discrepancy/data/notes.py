@@ -17,6 +17,7 @@ class SearchNoteKind(Enum):
     SEVERAL_COLLISIONS = "{count} collisions in one recording"
     NOT_MEASURED = "{status}"
     NO_ESTIMATE = "no estimate of the contact"
+    CONTACT_LASTS = "{why}: the impacts of a model take no time, so this clip is no evidence"
     TOO_FEW_FRAMES = "a ball is seen in fewer than {least} frames before the contact"
     LOST_TO_FILTER = (
         "too few positions of a ball remain before or after the contact, without those that a smoothing filter moves"
@@ -24,10 +25,10 @@ class SearchNoteKind(Enum):
     UNLIKE_OTHERS = "chi^2 per point is {chi2:.3g}, far above all other clips with every model{held_out}"
     CONTRADICTS_OTHERS = "its shared parameters contradict all other clips by {sigma:.0f} sigma{held_out}"
     # positions that are left out
-    REPAIRED = "{text}"
     STRAYS = "positions of another ball, in frame {frames}, to which a ball jumps and back"
     OUTLIERS = "{count} of {total} positions, in frame {frames}, far off the path through their neighbours"
     # what was done to the tracks
+    REPAIRED = "{text}"
     SMOOTHED = (
         "positions have been smoothed by a filter, which moves them near hits, gaps and ends by more than their noise; "
         "give them as they were measured"
@@ -41,7 +42,11 @@ class SearchNoteKind(Enum):
         "frames are at uneven times, up to {off:.2g} frames off an even rate: positions are moved along their paths to "
         "even times, and those at the contact are left out"
     )
-    # what all clips have in common
+    # what many clips have in common
+    CONTACTS_MAY_LAST = (
+        "in {count} clips the paths cross within one diameter: contacts of about {duration_ms:.2g} ms and "
+        "diameter_mismatch look the same"
+    )
     NO_STRIKER = "who strikes: {text}"
     ONE_SPEED = "all clips are at {speed:.2g} m/s: they hardly show how {laws} depends on the speed"
     ONE_IMPACT_PARAMETER = (
@@ -66,7 +71,23 @@ class SearchNote:
         return text if self.clip is None else f"clip {self.clip}: {text}"
 
 
+@dataclass(frozen=True)
+class SortedNotes:
+    """Notes by what they are about."""
+
+    left_out: tuple[SearchNote, ...]  # clips, or positions of a clip, that are not used
+    processed: tuple[SearchNote, ...]  # what was done to tracks that are used
+    common: tuple[SearchNote, ...]  # what many clips have in common
+
+
+def sort_notes(notes: Sequence[SearchNote]) -> SortedNotes:
+    """Sort the notes of `read_collisions`."""
+    kinds = SearchNoteKind.REPAIRED, SearchNoteKind.NO_STRIKER, SearchNoteKind.CONTACTS_MAY_LAST
+    processed = tuple(note for note in notes if note.kind is kinds[0])
+    common = tuple(note for note in notes if note.kind in kinds[1:])
+    return SortedNotes(tuple(note for note in notes if note.kind not in kinds), processed, common)
+
+
 def count_lost_clips(notes: Sequence[SearchNote]) -> int:
     """Count the clips that are left out; other notes are about clips that are used."""
-    used = (SearchNoteKind.REPAIRED, SearchNoteKind.STRAYS, SearchNoteKind.NO_STRIKER)
-    return sum(note.kind not in used for note in notes)
+    return sum(note.kind is not SearchNoteKind.STRAYS for note in sort_notes(notes).left_out)

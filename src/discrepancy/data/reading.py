@@ -14,7 +14,7 @@ import pandas as pd
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.first_guess import build_collision
 from discrepancy.data.launch import V0, equalise_launches
-from discrepancy.data.notes import SearchNote, SearchNoteKind
+from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
 from discrepancy.data.track_checks import detect_wrong_units, find_exchange, remove_strays
 from discrepancy.data.uneven_times import note_uneven_times
 from discrepancy.policy import current_policy
@@ -44,12 +44,12 @@ def read_collisions(
     InputError
         A file is missing or malformed, no clip has a measured collision, or speeds and units are implausible.
     """
-    left_out: list[SearchNote] = []
+    notes: list[SearchNote] = []
     if isinstance(measured, pd.DataFrame):
         if camera is None:
             raise InputError("camera: expected a camera, its keys or a path, beside a table of tracks")
         given, measured = read_frame(measured, camera), Path("tracks")
-        sources, left_out = _read_table(measured, given), _note_strikers(given)
+        sources, notes = _read_table(measured, given), _note_strikers(given)
     elif not isinstance(measured, Path):
         sources, measured = _read_memory(measured), Path("results")
     elif measured.is_dir():
@@ -62,28 +62,34 @@ def read_collisions(
         raise InputError(f"{measured}: a table of tracks, expected --camera with its camera file")
     else:
         given = read_tracks(measured, camera)
-        sources, left_out = _read_table(measured, given), _note_strikers(given)
-    kept, rejected = [], []
+        sources, notes = _read_table(measured, given), _note_strikers(given)
+    kept, rejected, durations = [], [], []
     for source in sources:
-        left_out += [
+        notes += [
             SearchNote(SearchNoteKind.REPAIRED, source.number, note.frames, {"text": note.text})
             for note in source.repairs
         ]
-        outcome, misfit = _build(source)
+        outcome, misfit, duration = _build(source)
         if isinstance(outcome, SearchNote):
-            left_out.append(outcome)
+            notes.append(outcome)
             continue
         kept.append(outcome)
         rejected.append(misfit)
+        durations.append(duration)
         if source.strays:
-            left_out.append(SearchNote(SearchNoteKind.STRAYS, source.number, tuple(source.strays)))
+            notes.append(SearchNote(SearchNoteKind.STRAYS, source.number, tuple(source.strays)))
     if not kept:
-        raise InputError(f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
+        raise InputError(
+            f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in sort_notes(notes).left_out[:1])
+        )
+    if (doubtful := np.array([t for t in durations if np.isfinite(t)])).size:
+        values = {"count": len(doubtful), "duration_ms": 1e3 * float(np.median(doubtful))}
+        notes.append(SearchNote(SearchNoteKind.CONTACTS_MAY_LAST, values=values))
     typical = float(np.median([c.launch[V0] for c in kept]))
     if typical > current_policy().max_launch_speed_m_s:
         raise InputError(f"{measured}: the balls move at {typical:.3g} m/s (median); check scale and fps of the camera")
     launches = equalise_launches([c.launch for c in kept], rejected)
-    return [replace(c, launch=one) for c, one in zip(kept, launches, strict=True)], left_out
+    return [replace(c, launch=one) for c, one in zip(kept, launches, strict=True)], notes
 
 
 @dataclass(frozen=True)
@@ -98,17 +104,21 @@ class _Source:
     repairs: tuple[Note, ...] = ()
 
 
-def _build(source: _Source) -> tuple[MeasuredCollision | SearchNote, bool]:
-    """The clip's collision, or why it cannot be used; and whether the tracker's own model of it is rejected."""
+def _build(source: _Source) -> tuple[MeasuredCollision | SearchNote, bool, float]:
+    """The clip's collision, or why it cannot be used.
+
+    Also whether the tracks reject the tracker's own model, and how long the contact may last, s; NaN: no time.
+    """
     number, tracks, camera = source.number, source.tracks, source.camera
     if (frame := find_exchange(tracks, camera)) is not None:
-        return SearchNote(SearchNoteKind.BALLS_EXCHANGED, number, (frame,)), False
+        return SearchNote(SearchNoteKind.BALLS_EXCHANGED, number, (frame,)), False, np.nan
     if uneven := note_uneven_times(tracks, camera, number):
-        return uneven, False
+        return uneven, False, np.nan
     rows = source.estimates()
     if len(rows) > 1:
-        return SearchNote(SearchNoteKind.SEVERAL_COLLISIONS, number, values={"count": len(rows)}), False
-    return build_collision(tracks, {"clip": number} | rows[0], camera), rows[0]["status"] == MISFIT
+        return SearchNote(SearchNoteKind.SEVERAL_COLLISIONS, number, values={"count": len(rows)}), False, np.nan
+    outcome = build_collision(tracks, {"clip": number} | rows[0], camera)
+    return outcome, rows[0]["status"] == MISFIT, float(rows[0].get("contact_duration_s", np.nan))
 
 
 def _read_memory(results: Sequence[Result]) -> Iterator[_Source]:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from tracker.camera.views import perturb_view, scale_at
 from tracker.measurement.collision.collision_fit import CollisionFits
-from tracker.measurement.collision.derived import DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.collision_model import GRAVITY
+from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
 from tracker.measurement.collision.lasting_contact import LastingFit, LastingResiduals
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.positions import BallTrack
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 DERIVATIVE_STEP = 1e-3  # of a standard error, for derivatives: t_c must not leave the exposure in which it lies
+HARD_CONTACT_S = 3e-4  # of steel, glass and billiard balls, which take .02 to .3 ms
 KEYS_WITH_ERRORS = ("scale", "fps", "ball_diameter")
 
 
@@ -183,6 +185,38 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
         std = float(np.hypot(fits.contact.duration_std, np.linalg.norm(response[-1])))
         changed["fits"] = replace(fits, contact=replace(fits.contact, duration_std=std))
     return replace(read, **changed)
+
+
+def add_contact_errors(
+    fit: CollisionFit, values: DerivedValues, tied: bool, camera: Camera, distance: tuple[float, float]
+) -> DerivedValues:
+    """Add to the errors of a fit of an impact what a contact changes that takes time but is too short to be seen.
+
+    distance: of the centres at the contact, as `measure_contact_distance` gives it. The longest contact that it leaves
+    open lets the paths cross within one diameter, and plate friction presses the balls together while it lasts. A
+    contact under `HARD_CONTACT_S` adds nothing.
+    """
+    value = dict(zip(QUANTITY_NAMES, values.value, strict=True))
+    nearer = (max(1 - distance[0], 0.0) + distance[1]) * fit.pair.diameter  # m, by which the paths may cross within
+    closing = value["v0"] * np.sqrt(max(1 - value["b"] ** 2, 0.1))
+    longest = nearer * (1 + 1 / min(max(value["r"], 0.1), 1.0)) / max(closing, 1e-9)
+    if not longest > HARD_CONTACT_S:
+        return values
+    unit = CameraError("ball_diameter", camera.ball_diameter, -nearer / fit.pair.diameter)
+    index, residual, rows, disturbed = _disturb(fit, tied, [unit], camera)
+    shift = np.zeros(len(fit.parameters))
+    shift[index] = linear_response(residual, rows, fit.cov[np.ix_(index, index)], disturbed)[0][:, 0]
+
+    def changed(_: CameraError, by: float) -> Floats:
+        at = fit.parameters + by * shift
+        if tied:
+            return derive_from_tied(at, fit.cov, fit.pair.diameter, fit.pair.spin).value
+        return derive_from_free(at, fit.cov, fit.pair.diameter).value
+
+    effect = np.nan_to_num(differentiate([unit], changed)[:, 0])
+    pressed = 2 * np.nan_to_num(min(max(value["mu_k"], 0.0), 1.0)) * GRAVITY * longest
+    effect[QUANTITY_NAMES.index("r")] -= pressed / max(closing, 1e-9)
+    return replace(values, cov=values.cov + np.outer(effect, effect))
 
 
 def measure_contact_distance(free: CollisionFit, camera: Camera, tied: bool = False) -> tuple[float, float]:

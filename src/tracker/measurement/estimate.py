@@ -23,16 +23,21 @@ from tracker.measurement import painter_behringer
 from tracker.measurement.camera_errors import (
     add_camera_errors,
     add_camera_errors_to_lasting,
+    add_contact_errors,
     effects_to_json,
     measure_contact_distance,
 )
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT, TOGETHER, Flag, flag_contact_distance, p_free
-from tracker.measurement.collision.collision_fit import (
+from tracker.measurement.collision.adequacy import (
     HIDDEN_SLIDE,
-    CollisionFits,
-    fit_collision,
-    fit_lasting_collision,
+    MEASURED,
+    MISFIT,
+    TOGETHER,
+    TOO_FEW,
+    Flag,
+    flag_contact_distance,
+    p_free,
 )
+from tracker.measurement.collision.collision_fit import CollisionFits, fit_collision, fit_lasting_collision
 from tracker.measurement.collision.collision_model import FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import (
     Contact,
@@ -40,11 +45,12 @@ from tracker.measurement.collision.contacts import (
     EarlierHit,
     find_contacts,
     find_near_pairs,
+    find_second_touch,
     find_slow_contacts,
     prepare_contact,
 )
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
-from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, TOO_FEW, count_frames_within
+from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_frames_within
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, Stay, find_stays
 from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.joint_fit import fit_all
@@ -126,7 +132,13 @@ def _measure_balls(balls: list[BallTrack], camera: Camera, settings: FitSettings
         return [empty_row(camera, reason) | noise]
     found = find_contacts(balls, camera.ball_diameter) if len(balls) > 1 else []
     near = find_near_pairs(balls, MAX_DISTANCE * camera.ball_diameter, 1.0) if len(balls) > 1 else ()
-    stays = [stay for a, b in near for stay in find_stays(a, b, camera.ball_diameter)]
+    together = [stay for a, b in near for stay in find_stays(a, b, camera.ball_diameter)]
+    stays = [stay for stay in together if not stay.bounces]
+    found += [
+        ContactCandidate(stay.struck, stay.striker, stay.first)
+        for stay in together
+        if stay.bounces and not any(_is_within(candidate, stay) for candidate in found)
+    ]
     if found or stays:
         return _measure_collisions(found, stays, noise, camera, settings)
     found = find_slow_contacts(balls, camera.ball_diameter) if len(balls) > 1 else []
@@ -201,6 +213,10 @@ def _measure_collision(
     candidate: ContactCandidate, earlier: dict[int, EarlierHit], camera: Camera, index: int, settings: FitSettings
 ) -> tuple[dict[str, Any], dict[int, EarlierHit]]:
     """The row of one collision, and by particle the state in which it leaves the balls."""
+    again = find_second_touch(candidate, camera.ball_diameter)
+    if again is not None:
+        one, other = (track.where(track.frame < again) for track in (candidate.one, candidate.other))
+        candidate = replace(candidate, one=one, other=other)
     contact = prepare_contact(candidate, camera.ball_diameter, earlier, settings)
     row = empty_row(camera, contact.reason or "ok", index)
     row |= {f"particle{i}": track.particle for i, track in contact.pair.balls}
@@ -214,6 +230,7 @@ def _measure_collision(
         return row | {"status": read}, unknown
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
     row |= {"adequate": read.p_tied, "adequate_free": read.p_free, "agree": read.p_agree}
+    flags = [*flags, *([] if again is None else [Flag.TOUCH_AGAIN])]
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
     row |= painter_behringer.paper_columns(contact, camera, read.lasting)
     if not read.is_misfit:
@@ -252,6 +269,9 @@ def _fit(
         free, free_values = add_camera_errors(read.free, read.free_values, False, camera)
         read = replace(read, tied=tied, free=free, tied_values=tied_values, free_values=free_values)
         by_free, by_tied = (measure_contact_distance(fit, camera, fit is tied) for fit in (free, tied))
+        if not read.is_misfit:
+            read = replace(read, tied_values=add_contact_errors(tied, tied_values, True, camera, by_tied))
+        read = replace(read, free_values=add_contact_errors(free, free_values, False, camera, by_free))
         flags = flag_contact_distance(*by_free, settings)
         nearer = max((1 - distance) / std for distance, std in (by_free, by_tied))
     if isinstance(read, str) or _may_last(read, nearer):

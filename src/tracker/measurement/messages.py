@@ -35,6 +35,8 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     "frames contact_first to contact_last",
     Flag.LASTS_OR_SMALLER: "the paths cross within one diameter, because the contact lasts contact_duration_s or "
     "because ball_diameter is too large; r_free holds for both. Check ball_diameter, or film at a higher rate",
+    Flag.TOUCH_AGAIN: "the balls come back and touch again, as rolling ones do whose r is under .4; the fits leave out "
+    "all frames from then on",
     Flag.TOGETHER: "the balls do not part from frame contact_first to contact_last; r is 0 within its error",
     Flag.ENCODED: "the codec of the video moves what it shows, the likely cause of this misfit; film again without "
     "compression, or with less of it",

@@ -15,6 +15,9 @@ from tracker.settings import FitSettings
 
 MISFIT = "misfit"
 TOGETHER = "stay_together"
+HIDDEN_SLIDE = "the contact lasts as long as the balls may slide: it hides how they part"
+SHORT_SLIDE = "the balls move straight after the hit: they slide without friction, or roll at once"
+TOO_FEW = "too few frames outside the contact"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
 
 
@@ -38,6 +41,7 @@ class Flag(StrEnum):
     LASTS_OR_SMALLER = "contact lasts or balls are smaller"
     TOGETHER = "stay together"
     STRAIGHT = "no slide seen"
+    TOUCH_AGAIN = "touch again"
     ENCODED = "encoded with loss"
 
     @property

@@ -9,7 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.adequacy import Flag, compare_fits, find_impossible_values, p_value
+from tracker.measurement.collision.adequacy import (
+    HIDDEN_SLIDE,
+    SHORT_SLIDE,
+    Flag,
+    compare_fits,
+    find_impossible_values,
+    p_value,
+)
 from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, EarlierHit, guess_parameters
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
@@ -28,10 +35,8 @@ from tracker.settings import FitSettings
 Floats = NDArray[np.float64]
 
 
-HIDDEN_SLIDE = "the contact lasts as long as the balls may slide: it hides how they part"
-SHORT_SLIDE = "the balls move straight after the hit: they slide without friction, or roll at once"
-TOGETHER = ("mu_k", "C", "energy_fraction", "momentum_fraction", "final_angle")  # known once both balls roll
-AFTER_SLIDES = (*TOGETHER, "tau1", "tau2", "v1f", "v2f", "drag", "decel", "w1n", "w1t", "w2n", "w2t")
+ONCE_BOTH_ROLL = ("mu_k", "C", "energy_fraction", "momentum_fraction", "final_angle")  # known once both balls roll
+AFTER_SLIDES = (*ONCE_BOTH_ROLL, "tau1", "tau2", "v1f", "v2f", "drag", "decel", "w1n", "w1t", "w2n", "w2t")
 
 
 @dataclass(frozen=True)
@@ -174,7 +179,7 @@ def fit_lasting_collision(
     unseen = set(AFTER_SLIDES if is_straight else ())
     for ball, seen in enumerate(fits.slide_ends_seen, 1):
         if not seen:
-            unseen |= {f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", *TOGETHER}
+            unseen |= {f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", *ONCE_BOTH_ROLL}
     flag = Flag.STRAIGHT
     if fits.contact is not None:
         flag = Flag.LASTS if fits.contact.is_certain else Flag.LASTS_OR_SMALLER

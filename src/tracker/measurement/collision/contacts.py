@@ -78,6 +78,26 @@ def find_contacts(balls: list[BallTrack], diameter: float, steps: float = 0.75) 
     return out
 
 
+def find_second_touch(candidate: ContactCandidate, diameter: float) -> int | None:
+    """Find the frame in which balls that have parted come back to a diameter (m); None if they do not.
+
+    Rolling balls whose restitution is under .4 do so, because the striker rolls on faster than the struck ball.
+    """
+    smoothed = 5  # frames, over which the separation is averaged
+    frames, one, two = np.intersect1d(candidate.one.frame, candidate.other.frame, return_indices=True)
+    apart = np.hypot(*(candidate.one.position[one] - candidate.other.position[two]).T)
+    late = frames > candidate.frame
+    if late.sum() < 2 * smoothed:
+        return None
+    noise = np.sqrt(np.trace(candidate.one.cov[one] + candidate.other.cov[two], axis1=1, axis2=2) / 2)
+    error = float(np.median(noise)) / np.sqrt(smoothed)
+    excess = np.convolve(apart[late], np.ones(smoothed) / smoothed, "valid") - diameter
+    parted = np.flatnonzero(excess > 5 * error)
+    back = np.flatnonzero(excess < 2 * error)
+    back = back[back > parted[0]] if len(parted) else back[:0]
+    return int(frames[late][back[0]]) if len(back) else None
+
+
 def find_near_pairs(balls: list[BallTrack], diameter: float, steps: float) -> Iterator[tuple[BallTrack, BallTrack]]:
     """Iterate over the pairs whose paths come so near that `_contact_frames` may find a contact, by their bounds."""
     if len(balls) < 2:

@@ -1,14 +1,14 @@
 """Contacts that last: rubber, springs and tape need several frames to throw two balls back, or never do.
 
-Outside the contact, the impulse acts as if it came at one instant. Let the balls touch at time 0 at separation D, close
-at speed v, and part at separation D after the time T at speed r v. Both straight lines of the separation then cross at
-the mean time of the impulse, r T/(1 + r), at the separation d = D - v r T/(1 + r). The fits here leave out the frames
-in contact and let d be a parameter. Restitution is then unbiased, and T = (D - d)(1 + r)/(r v).
+Outside the contact, the impulse acts as if it came at one instant, whatever the law of the force. Let the balls close
+at speed v, and let the impulse have its mean time t after they touch at separation D. The paths before and after it
+cross then, at the separation d = D - v t. The fits here leave out the frames in contact and let d be a parameter.
 
-Plate friction acts from the first touch, (D - d)/v before the lines cross: the slides begin there. It presses the
-balls together, so that they push each other for longer. A spring gives back what that costs, a dashpot does not (see
-`dashpot_share`). In an oblique hit the line of centres turns, which adds a centrifugal acceleration to the separation
-and makes the paths miss each other a little.
+Two results follow from the fitted paths alone, without a law of the force: the duration, which is the time for which
+the centres are nearer than D, and the ratio of the radial speeds at which they leave and enter D. A force that springs
+back gives back what a constant push costs, so that this ratio is the restitution. Plate friction, which acts from the
+first touch on, is such a push, and so is the centrifugal acceleration in an oblique hit, the other way. A force that
+loses energy gives back a part of it; see `kept_share`.
 """
 
 from __future__ import annotations
@@ -20,25 +20,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from tracker.measurement.collision.adequacy import compare_fits, find_impossible_values, p_value
+from tracker.measurement.collision.adequacy import TOO_FEW, compare_fits, find_impossible_values, p_value
 from tracker.measurement.collision.collision_model import (
     AFTER,
     FREE,
-    GRAVITY,
     TIED,
     directions,
     mean_positions,
     tied_to_free,
 )
 from tracker.measurement.collision.contacts import ContactCandidate, EarlierHit, fit_velocity, prepare_contact
-from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.derived import (
+    QUANTITY_NAMES,
+    DerivedValues,
+    derive_from_free,
+    derive_from_tied,
+    dot,
+)
 from tracker.measurement.collision.least_squares import BROAD_PRIORS, BallPair, CollisionFit, covariance, minimise
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
-TOO_FEW = "too few frames outside the contact"
 MIN_FRAMES = 4  # outside the contact, before and after it
 MIN_SIGNIFICANCE = 4.0  # standard errors by which the lines cross at less than one diameter
 STRAIGHT_CHI2 = 16.0  # rise of chi^2 up to which straight lines describe the balls after the hit
@@ -79,8 +83,8 @@ class LastingResiduals:
         if self.kind == "free":
             return whole
         if self.kind == "tied":
-            before = (self.pair.diameter - x[..., -1]) / (whole[..., 5] * np.cos(whole[..., 4]))
-            return advance_slides(tied_to_free(self.press(whole, x[..., -1]), self.pair.spin), before)
+            before = time_before_crossing(whole[..., 4], whole[..., 5], x[..., -1], self.pair.diameter)
+            return advance_slides(tied_to_free(whole, self.pair.spin), before)
         free = np.zeros((*x.shape[:-1], len(FREE)), dtype=x.dtype)
         free[..., :8], free[..., -2:] = whole[..., :8], whole[..., -2:]
         for ball, at in AFTER.items():
@@ -88,18 +92,6 @@ class LastingResiduals:
             free[..., at : at + 2] = free[..., at + 2 : at + 4] = velocity
             free[..., at + 4] = _SHORT_SLIDE
         return free
-
-    def press(self, tied: NDArray[np.inexact], distance: NDArray[np.inexact]) -> NDArray[np.inexact]:
-        """Tied parameters (..., 16) whose r gives the whole impulse, with what friction and the turn add to it."""
-        closing, gap = tied[..., 5] * np.cos(tied[..., 4]), self.pair.diameter - distance
-        gap = np.where(gap.real > 0, gap, 0.0)
-        r, pull = np.where(tied[..., 8].real > 0.05, tied[..., 8], 0.05), np.exp(tied[..., 9]) * GRAVITY
-        after = 2 * gap / (r * closing + np.sqrt((r * closing) ** 2 + 4 * pull * gap))
-        out, before, share = tied.copy(), gap / closing, dashpot_share(r)
-        turn = np.tan(tied[..., 4]) ** 2 * closing / self.pair.diameter  # centrifugal, over the closing speed, 1/s
-        friction = 2 * pull / closing
-        out[..., 8] = tied[..., 8] * (1 + turn * before) + friction * before + (1 - share) * (friction - turn) * after
-        return out
 
     def predict(self, x: Floats, ball: NDArray[np.int64], start: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 2) of exposures and their derivatives (n, 2, p)."""
@@ -142,13 +134,24 @@ class LastingResiduals:
         return self(x)[1]
 
 
-def dashpot_share(r: NDArray[np.inexact]) -> NDArray[np.inexact]:
-    """Share that a dashpot adds to the speed lost while friction presses the balls together after t_c.
+def time_before_crossing(
+    beta: NDArray[np.inexact], v0: NDArray[np.inexact], distance: NDArray[np.inexact], diameter: float
+) -> NDArray[np.inexact]:
+    """Seconds from the first touch to the crossing of the paths at a distance (m) under the angle beta."""
+    reach = diameter**2 - (distance * np.sin(beta)) ** 2
+    return np.asarray((np.sqrt(np.where(reach.real > 0, reach, 0.0)) - distance * np.cos(beta)) / v0)
 
-    To first order in the constant force, for a linear spring with a dashpot of restitution r.
+
+def kept_share(r: Floats) -> tuple[Floats, Floats]:
+    """Share of the speed lost to a small constant push after t_c that a contact does not give back, and its error.
+
+    A spring without loss gives all of it back. To first order in the push it is 2 (1 + r)^2 L/(pi^2 + L^2), L = -log r,
+    for a linear spring with a dashpot, and the largest for bodies that keep a dent: (1 - r)(1.07 + .2 r) by
+    integration. Hertz contacts with dashpots lie between. The error is that of laws spread evenly between the two.
     """
     loss = -np.log(r)
-    return np.asarray(2 * (1 + r) ** 2 * loss / (np.pi**2 + loss**2))
+    spring, dent = 2 * (1 + r) ** 2 * loss / (np.pi**2 + loss**2), (1 - r) * (1.07 + 0.2 * r)
+    return np.asarray((spring + dent) / 2), np.asarray(np.abs(dent - spring) / np.sqrt(12))
 
 
 def advance_slides(free: NDArray[np.inexact], delay: NDArray[np.inexact]) -> NDArray[np.inexact]:
@@ -170,6 +173,18 @@ def rewind_slides(free: Floats, delay: Floats) -> Floats:
         out[..., at : at + 2] = v + (delay / tau)[..., None] * (v - f)
         out[..., at + 4] = np.log(tau + delay)
     return out
+
+
+def _part(free: Floats, start: Floats, time: Floats) -> tuple[Floats, Floats]:
+    """Separation (..., 2) and its rate, `time` (...) s after the paths cross at the separation `start` (..., 2)."""
+    apart, speed = start, np.zeros_like(start)
+    for sign, at in zip((1, -1), AFTER.values(), strict=True):
+        v, f, tau = free[..., at : at + 2], free[..., at + 2 : at + 4], np.exp(free[..., at + 4])
+        slid = np.minimum(time, tau)[..., None]
+        bend = (f - v) / tau[..., None]
+        apart = apart + sign * (v * slid + bend * slid**2 / 2 + f * (time[..., None] - slid))
+        speed = speed + sign * (v + bend * slid)
+    return apart, speed
 
 
 @dataclass(frozen=True)
@@ -222,12 +237,28 @@ class LastingFit:
 
     def times(self, x: Floats) -> Floats:
         """(..., 3) of x (..., p): seconds from the first touch to t_c, from t_c to the end; d in diameters."""
+        before, after, _, _ = self._passage(x)
+        return np.stack([before, after, x[..., -1] / self.diameter], -1)
+
+    def _passage(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Of x (..., p): seconds (...) from the first touch to t_c and on to the end, radial speeds (...) at both."""
         free = np.asarray(self.problem.to_free(x), dtype=np.float64)
-        _, n, _ = directions(free[..., 3], free[..., 4])
-        closing, gap = free[..., 5] * np.cos(free[..., 4]), self.diameter - x[..., -1]
-        parting = ((free[..., 8:10] - free[..., 13:15]) * n).sum(-1)
-        after = gap / np.maximum(parting, 0.02 * closing)
-        return np.stack([gap / closing, after, x[..., -1] / self.diameter], -1)
+        d, n, t = (np.asarray(a, dtype=np.float64) for a in directions(free[..., 3], free[..., 4]))
+        v0, distance = free[..., 5], x[..., -1]
+        before = np.asarray(time_before_crossing(free[..., 4], v0, distance, self.diameter), dtype=np.float64)
+        coming = n * distance[..., None] + d * (v0 * before)[..., None]
+        closing = v0 * dot(d, coming) / self.diameter
+        start, least = n * distance[..., None] + t * x[..., -2, None], 0.02 * closing
+        parting = dot(free[..., 8:10] - free[..., 13:15], n)
+        after = (self.diameter - distance) / np.maximum(parting, least)
+        longest = np.abs(self.diameter - distance) / least
+        for _ in range(4):  # Newton's steps to the time at which they are a diameter apart
+            apart, speed = _part(free, start, after)
+            size = np.hypot(apart[..., 0], apart[..., 1])
+            slope = np.maximum(dot(apart, speed) / size, least)
+            after = np.clip(after - (size - self.diameter) / slope, -longest, longest)
+        apart, speed = _part(free, start, after)
+        return before, after, closing, dot(apart, speed) / np.hypot(apart[..., 0], apart[..., 1])
 
     def at_touch(self, x: Floats) -> Floats:
         """The free parameters (..., 22) of x (..., p), the slides beginning at the first touch."""
@@ -235,18 +266,17 @@ class LastingFit:
         return free if self.problem.kind == "straight" else rewind_slides(free, self.times(x)[..., 0])
 
     def restitution(self, x: Floats) -> Floats:
-        """(..., 3): the restitution, the part of friction in it, and the error of its corrections."""
-        free, times = np.asarray(self.problem.to_free(x), dtype=np.float64), self.times(x)
-        before, after = times[..., 0], times[..., 1]
+        """(..., 3): the restitution, the part of friction in it, and the error of what the law of the force changes."""
+        free = np.asarray(self.problem.to_free(x), dtype=np.float64)
+        _, after, closing, parting = self._passage(x)
         _, n, _ = directions(free[..., 3], free[..., 4])
-        part = free if self.problem.kind == "straight" else rewind_slides(free, -after)
-        closing = free[..., 5] * np.cos(free[..., 4])
-        at_crossing, at_end = (((v[..., 8:10] - v[..., 13:15]) * n).sum(-1) / closing for v in (free, part))
+        at_crossing = dot(free[..., 8:10] - free[..., 13:15], n)
+        late = free if self.problem.kind == "straight" else rewind_slides(free, -after)
+        lost = (at_crossing - dot(late[..., 8:10] - late[..., 13:15], n)) / closing
         turn = np.tan(free[..., 4]) ** 2 * closing / self.diameter * after
-        lost, share = at_crossing - at_end, dashpot_share(np.clip(at_end, 0.05, 1.0))
-        r = (at_end + turn) / (1 + turn * before / after) + share * (lost - turn)
-        error = np.hypot((0.05 + 0.5 * share) * lost, 0.2 * share * turn)
-        return np.stack([r, lost / np.clip(r, 0.1, 1.0), error], -1)
+        share, error = kept_share(np.clip(parting / closing, 0.05, 1.0))
+        r = parting / closing + share * (lost - turn)
+        return np.stack([r, lost / np.clip(r, 0.1, 1.0), error * np.abs(lost - turn)], -1)
 
     def values(self) -> DerivedValues:
         """The quantities that it determines."""
@@ -254,29 +284,23 @@ class LastingFit:
             every, index = len(TIED), self.problem.index
             tied, cov = np.zeros(every), np.zeros((every, every))
             tied[index], cov[np.ix_(index, index)] = self.x[:-2], self.cov[:-2, :-2]
-            pressed = np.asarray(self.problem.press(tied, self.x[-1]), dtype=np.float64)
-            found = derive_from_tied(pressed, cov, self.diameter, self.problem.pair.spin)
-            r, own = float(tied[8]), cov[8, 8]
+            found = derive_from_tied(tied, cov, self.diameter, self.problem.pair.spin)
         else:
             slope = self.slopes(self.at_touch)
             with np.errstate(invalid="ignore", divide="ignore"):  # without a slide there is no friction
                 found = derive_from_free(self.at_touch(self.x), slope @ self.cov @ slope.T, self.diameter)
-            by = self.slopes(self.restitution)[0]
-            r, own = float(self.restitution(self.x)[0]), float(by @ self.cov @ by)
-        return self._with_systematic_errors(found, r, own)
+        return self._with_restitution(found)
 
-    def _with_systematic_errors(self, found: DerivedValues, restitution: float, variance: float) -> DerivedValues:
-        """The quantities with this r and its error by what is not modelled exactly, and with b in diameters."""
+    def _with_restitution(self, found: DerivedValues) -> DerivedValues:
+        """The quantities with r, its error by the law of the force, and with b in diameters."""
         value, cov = found.value.copy(), found.cov.copy()
         b, r = QUANTITY_NAMES.index("b"), QUANTITY_NAMES.index("r")
-        free = self.free
-        (before, after, distance), v0 = self.times(self.x), free[5]
+        distance = float(self.x[-1]) / self.diameter
         value[b], cov[b], cov[:, b] = value[b] * distance, cov[b] * distance, cov[:, b] * distance
         cov[b, b] += (value[b] * float(np.sqrt(self.cov[-1, -1])) / self.diameter) ** 2
-        value[r] = restitution
-        # .2: simulated springs with a dashpot, b to .6, durations to .3 diameters over the speed
-        turn = 0.2 * np.tan(free[4]) * (v0 * (before + after) / self.diameter) ** 2
-        cov[r, r] = variance + turn**2 + float(self.restitution(self.x)[2]) ** 2
+        by = self.slopes(self.restitution)[0]
+        value[r], _, error = self.restitution(self.x)
+        cov[r, r] = float(by @ self.cov @ by) + error**2
         return replace(found, value=value, cov=cov)
 
     def predict_left_out(self, rows: BallTrack, ball: int) -> tuple[Floats, Floats]:
@@ -360,7 +384,8 @@ def fit_lasting_contact(
             return None
         return LastingFits(lasting, outside, fit, fit, (False, False), _may_hide_slide(fit), balanced)
     left = float(np.exp(fit.free[_TAU]).min()) - fit.times(fit.x)[1]  # of the slides once the balls have parted, s
-    return LastingFits(lasting, outside, tied, fit, _slide_ends_seen(fit), left < MIN_FRAMES * step)
+    hides = left < MIN_FRAMES * step or (not _knows_friction(tied, settings) and _may_hide_slide(tied))
+    return LastingFits(lasting, outside, tied, fit, _slide_ends_seen(fit), hides)
 
 
 def _momentum_p(straight: LastingFit) -> float:
@@ -535,8 +560,14 @@ def _straighten(free: LastingFit, pair: BallPair) -> Floats:
     return np.append(whole[problem.index], free.x[-2:])
 
 
+def _knows_friction(tied: LastingFit, settings: FitSettings) -> bool:
+    """Test whether a tied fit determines the friction on the plate."""
+    values, mu = tied.values(), QUANTITY_NAMES.index("mu_k")
+    return bool(values.std[mu] < settings.max_relative_error * values.value[mu])
+
+
 def _may_hide_slide(straight: LastingFit) -> bool:
-    """Decide whether balls that move straight after the contact may have slid, for hardly longer than it.
+    """Decide whether balls that seem to move straight after the contact may have slid, for hardly longer than it.
 
     Balls that begin to roll at once part at (5 r - 2)/7 of their closing speed. The tied fit is tried with the friction
     that plates have; the contact hides a slide if one describes the tracks with another restitution that is possible.

@@ -16,6 +16,7 @@ MAX_DISTANCE = 1.02  # diameters
 MAX_SPEED_SHARE = 0.03  # of the closing speed, at which balls that stay together may move apart
 MIN_FRAMES = 10  # together
 APPROACH_FRAMES = 8  # from which the closing speed is read
+SMOOTHED_FRAMES = 5  # over which the separation is averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,7 @@ class Stay:
     offset: float  # impact parameter over the diameter
     offset_std: float
     r_std: float  # of the restitution, which is 0
+    bounces: bool  # whether they part first, so that this is no restitution
 
 
 def find_stays(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[Stay]:
@@ -42,7 +44,8 @@ def find_stays(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[Stay]:
     way = a.position[one] - b.position[two]
     time, apart = a.time[one], np.hypot(way[:, 0], way[:, 1])
     noise = float(np.sqrt(np.trace(np.median(a.cov, axis=0) + np.median(b.cov, axis=0)) / 2))
-    near = apart < MAX_DISTANCE * diameter + 3 * noise
+    depth = max((MAX_DISTANCE - 1) * diameter, diameter - float(apart.min()))  # tape swings out as far as in
+    near = apart < diameter + depth + 3 * noise
     edges = np.flatnonzero(np.diff(np.concatenate([[0], near.astype(np.int8), [0]])))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         early = np.arange(max(begin - APPROACH_FRAMES, 0), begin)
@@ -54,6 +57,7 @@ def find_stays(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[Stay]:
         limit = MAX_SPEED_SHARE * abs(closing)
         if closing > -5 * closing_std or any(std > limit or abs(v) > max(3 * std, limit) for v, std in parts):
             continue
+        inside = begin + int(np.argmax(apart[begin:end] < diameter))
         tracks = sorted((a, b), key=lambda t: float(np.hypot(*_approach(t, frames[early])[0])))
         (v1, x1, s1), (v2, x2, s2) = (_approach(t, frames[early]) for t in tracks)
         launch, gap = v2 - v1, x1 - x2
@@ -64,7 +68,7 @@ def find_stays(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[Stay]:
         yield Stay(
             struck=tracks[0],
             striker=tracks[1],
-            first=int(frames[begin + int(np.argmax(apart[begin:end] < diameter))]),
+            first=int(frames[inside]),
             last=int(frames[end - 1]),
             time=float(time[early].mean() + (apart[early].mean() - diameter) / abs(closing)),
             speed=speed,
@@ -72,7 +76,28 @@ def find_stays(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[Stay]:
             offset=offset,
             offset_std=float(np.hypot(noise / np.sqrt(len(early)), speed_std / speed * np.hypot(*gap)) / diameter),
             r_std=float(np.hypot(drift, drift_std) / abs(closing)),
+            bounces=bounces_first(apart[inside:end] - diameter, noise),
         )
+
+
+def bounces_first(excess: Floats, noise: float) -> bool:
+    """Decide whether two balls part before they end up side by side, as rolling ones of r near .4 do.
+
+    Tape swings out for as long as the balls were nearer than a diameter. Plate friction takes longer to stop balls that
+    part, and their separation grows all the while. excess: of the separation over the diameter from the touch on, m.
+    """
+    mean = np.convolve(excess, np.ones(3) / 3, "valid")
+    within = int(np.argmax(mean > 0)) if (mean > 0).any() else len(mean)
+    outside = excess[within:]
+    if len(outside) < SMOOTHED_FRAMES:
+        return False
+    smooth = np.convolve(outside, np.ones(SMOOTHED_FRAMES) / SMOOTHED_FRAMES, "valid")
+    swing = int(np.argmax(smooth < 0)) if (smooth < 0).any() else len(outside)
+    first = max(3, within)
+    if swing <= 2 * within + 3 or len(outside) <= first:
+        return False
+    rise = float(smooth[: max(swing, 1)].max() - outside[:first].mean())
+    return rise > 4 * noise * np.sqrt(1 / SMOOTHED_FRAMES + 1 / first)
 
 
 def _approach(track: BallTrack, frames: NDArray[np.int64]) -> tuple[Floats, Floats, float]:
