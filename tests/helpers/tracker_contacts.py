@@ -254,4 +254,6 @@ def draw_hit(rng: np.random.Generator, **fixed: object) -> SoftHit:
         heading=rng.uniform(0, 2 * np.pi),
         law=str(rng.choice(LAWS)),
     )
+    if hit.law == "dents" and hit.r < 0.5:  # a dent of a low restitution is as deep as balls are not
+        hit = replace(hit, law="cut")
     return replace(hit, **{"before": int(0.08 * hit.fps), "after": int(0.35 * hit.fps)} | fixed)

@@ -37,7 +37,12 @@ from tracker.measurement.collision.adequacy import (
     flag_contact_distance,
     p_free,
 )
-from tracker.measurement.collision.collision_fit import CollisionFits, fit_collision, fit_lasting_collision
+from tracker.measurement.collision.collision_fit import (
+    AFTER_SLIDES,
+    CollisionFits,
+    fit_collision,
+    fit_lasting_collision,
+)
 from tracker.measurement.collision.collision_model import FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import (
     Contact,
@@ -233,6 +238,8 @@ def _measure_collision(
     flags = [*flags, *([] if again is None else [Flag.TOUCH_AGAIN])]
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
     row |= painter_behringer.paper_columns(contact, camera, read.lasting)
+    if read.tied_is_straight:  # differences of noise
+        row |= {f"{name}_paper{kind}": np.nan for name in AFTER_SLIDES for kind in ("", "_std")}
     if not read.is_misfit:
         known = any(np.isfinite(row[f"{name}{kind}"]) for name in QUANTITY_NAMES for kind in ("", "_free"))
         return row | {"status": "ok" if known else NOTHING_KNOWN}, _earlier_hits(read, earlier)

@@ -31,13 +31,13 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     Flag.STRIKER_SPINS: "the fit lets the striker spin about the vertical (side2i); anything else that adds to the "
     "friction of the hit has the same effect",
     Flag.ROLLS_LATE: "the fit leaves out the first positions of the striker, where it does not roll",
-    Flag.LASTS: "the balls push each other for contact_duration_s, as rubber or springs do; the fits leave out the "
-    "frames contact_first to contact_last",
-    Flag.LASTS_OR_SMALLER: "the paths cross within one diameter, because the contact lasts contact_duration_s or "
-    "because ball_diameter is too large; r_free holds for both. Check ball_diameter, or film at a higher rate",
+    Flag.LASTS: "the balls push each other for {duration}, as rubber or springs do; the fits leave out {frames}",
+    Flag.LASTS_OR_SMALLER: "the paths cross within one diameter, because the contact lasts {duration} or "
+    "because ball_diameter is too large; r of the free fit holds for both. "
+    "Check ball_diameter, or film at a higher rate",
     Flag.TOUCH_AGAIN: "the balls come back and touch again, as rolling ones do whose r is under .4; the fits leave out "
     "all frames from then on",
-    Flag.TOGETHER: "the balls do not part from frame contact_first to contact_last; r is 0 within its error",
+    Flag.TOGETHER: "the balls do not part in {frames}; r is 0 within its error",
     Flag.ENCODED: "the codec of the video moves what it shows, the likely cause of this misfit; film again without "
     "compression, or with less of it",
     Flag.STRAIGHT: "the balls move straight after the hit: r is that of straight lines, and nothing shows friction",
@@ -71,7 +71,9 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
         notes.append(Note(NoteKind.MISFIT, text))
     flags = Counter(flag for row in estimates["flags"] for flag in row.split("|") if flag)
     for name, count in sorted(flags.items()):
-        notes.append(Note(NoteKind.FLAG, f"{name} ({_count(count)}): {_EXPLANATIONS.get(name, '')}"))
+        flagged = estimates[[name in text.split("|") for text in estimates["flags"]]]
+        text = _EXPLANATIONS.get(name, "").format(duration=_name_duration(flagged), frames=_name_frames(flagged))
+        notes.append(Note(NoteKind.FLAG, f"{name} ({_count(count)}): {text}"))
     ratio = estimates["noise_ratio"].dropna().to_numpy(float)
     if len(ratio):
         text = (
@@ -87,6 +89,18 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
         )
         notes.append(Note(NoteKind.NOISE, text))
     return notes
+
+
+def _name_duration(rows: pd.DataFrame) -> str:
+    median = float(rows.get("contact_duration_s", pd.Series(dtype=float)).median())
+    return f"{1e3 * median:.3g} ms" + (" (median)" if len(rows) > 1 else "")
+
+
+def _name_frames(rows: pd.DataFrame) -> str:
+    if len(rows) != 1 or "contact_first" not in rows:
+        return "the frames in contact"
+    first, last = (int(rows[column].iloc[0]) for column in ("contact_first", "contact_last"))
+    return f"frames {first} to {last}" if last > first else f"frame {first}"
 
 
 def _count(number: int) -> str:

@@ -31,8 +31,8 @@ TIME_STD_FRAMES = float(np.sqrt(2 / 12))  # frames; std of a time between two in
 def paper_columns(contact: Contact, camera: Camera, lasting: LastingContact | None = None) -> dict[str, float]:
     """NAME_paper and NAME_paper_std, with the errors of the camera file.
 
-    The frames of a contact that lasts are left out. Only the speed before it then has an error: the differences after
-    it are as far from it as its duration is long.
+    A contact that lasts leaves only the speed before it: the differences after it are as far from its beginning as its
+    duration is long.
     """
     if lasting is not None:
         contact = replace(contact, first=lasting.first, last=lasting.last)
@@ -44,9 +44,13 @@ def paper_columns(contact: Contact, camera: Camera, lasting: LastingContact | No
         high, low = (read_differences(replace(contact, pair=p), error.rate(fps, sign)) for sign, p in pairs)
         for name in table:
             square[name] += ((high[name][0] - low[name][0]) / 2) ** 2
-    values = {f"{name}_paper": value for name, (value, _) in table.items()}
-    kept = {name: s if lasting is None or name == "v0" else np.nan for name, s in square.items()}
-    return values | {f"{name}_paper_std": float(np.sqrt(s)) for name, s in kept.items()}
+    out = {}
+    for name, (value, _) in table.items():
+        known = lasting is None or name == "v0"
+        out[f"{name}_paper"], out[f"{name}_paper_std"] = (
+            (value, float(np.sqrt(square[name]))) if known else (np.nan,) * 2
+        )
+    return out
 
 
 def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, float]]:

@@ -51,12 +51,30 @@ def describe_status(row: Mapping[str, Any]) -> str:
     if row["status"] == TOGETHER:
         frames = f"from frame {row['contact_first']:.0f} to {row['contact_last']:.0f}"
         return f"Two balls collide and stay together {frames}"
-    known = {
-        "ok": "Two balls collide. One model of impact, sliding and rolling describes their tracks",
-        MISFIT: "Two balls collide. Their tracks reject the model of two equal balls that roll, collide and slide",
-        "no_collision": "No two balls touch",
-    }
-    return known.get(row["status"], f"Not measured: {row['status']}")
+    if row["status"] == "no_collision":
+        return "No two balls touch"
+    if row["status"] not in MEASURED:
+        return f"Not measured: {row['status']}"
+    if is_straight(row):
+        model = "straight lines of two equal bodies, before and after the contact, without a law of friction"
+    elif row.get("contact_first", -1) >= 0:
+        model = "the model of two equal balls that roll, push each other for a while, slide and roll on"
+    else:
+        model = "the model of two equal balls that roll, collide and slide"
+    if row["status"] == MISFIT:
+        return f"Two balls collide. Their tracks reject {model}"
+    if row.get("contact_first", -1) < 0 and not is_straight(row):
+        return "Two balls collide. One model of impact, sliding and rolling describes their tracks"
+    return f"Two balls collide. Their tracks agree with {model}"
+
+
+def is_straight(row: Mapping[str, Any]) -> bool:
+    """Decide whether the fits of a collision are straight lines after the contact, which need no law of friction."""
+    if row["status"] not in MEASURED:
+        return False
+    if Flag.STRAIGHT in row.get("flags", "").split("|"):
+        return True
+    return bool(row.get("contact_first", -1) >= 0 and row["r"] == row["r_free"] and not _is_known(row, "mu_k"))
 
 
 def describe_contact(row: Mapping[str, Any]) -> str:
@@ -79,7 +97,8 @@ def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES
     missing = {s: {n for n in names if not _is_known(row, f"{n}{s}")} for s in ("", "_free")}
     bare = any(_is_known(row, n) and not _is_known(row, f"{n}_std") for n in names)
     reasons = []
-    if Flag.STRAIGHT in flags or (row["contact_first"] >= 0 and row["r"] == row["r_free"]):
+    straight, lasts = is_straight(row), Flag.LASTS in flags or Flag.LASTS_OR_SMALLER in flags
+    if straight:
         reasons.append("both fits are straight lines after the contact: no slide is seen, so nothing that needs one")
     elif missing["_free"] & {"tau1", "tau2", "mu_k", "r", "energy_fraction"}:
         reasons.append(
@@ -89,10 +108,15 @@ def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES
         reasons.append("tied fit: the error is larger than a fifth of the value, or than the limits of docs/format.md")
     if row["status"] == MISFIT and bare:
         reasons.append("no error: the tracks reject the fit")
-    if not any(_is_known(row, f"{n}_paper") for n in names):
-        reasons.append("finite differences: frames next to the contact are missing")
-    elif Flag.LASTS in flags or Flag.LASTS_OR_SMALLER in flags:
-        reasons.append("finite differences of a contact that lasts have no errors")
+    shown = [n for n in names if any(_is_known(row, f"{n}{s}") for s in METHODS)]
+    if any(not _is_known(row, f"{n}_paper") for n in shown):
+        if lasts:
+            why = "the frames after a contact that lasts are too far from its beginning to show what it changes"
+        elif straight:
+            why = "no slide is seen, so nothing that needs one"
+        else:
+            why = "frames next to the contact, or next to the end of a slide, are missing"
+        reasons.append(f"finite differences: {why}")
     return reasons
 
 

@@ -49,6 +49,7 @@ from tracker.report.estimates_text import (
     explain_dashes,
     format_value,
     is_extrapolated,
+    is_straight,
     list_quantities,
     rows_as_dicts,
 )
@@ -62,11 +63,13 @@ CAPTIONS = {
     "energy": "Translational energy against time, from differences of neighbouring frames, corrected for noise. "
     "Dashed: energy that a head-on impact alone would leave. Sliding on the plate takes the rest.",
 }
+MODELS = (
+    "The tied fit uses one physical model of impact, sliding and rolling. The free fit assumes no law for the impact."
+)
 HOW_TO_READ = (
-    "0.9027(12) means 0.9027 ± 0.0012, one standard error. A value without brackets claims no error. The tied fit uses "
-    "one physical model of impact, sliding and rolling. The free fit assumes no law for the impact. Finite differences "
-    "take velocities from neighbouring frames. χ²/dof near 1 means that the residuals of the tied fit are as large as "
-    "the errors of the positions; p is the probability of a χ² at least as large."
+    "0.9027(12) means 0.9027 ± 0.0012, one standard error. A value without brackets claims no error. {models} Finite "
+    "differences take velocities from neighbouring frames. χ²/dof near 1 means that the residuals of the tied fit are "
+    "as large as the errors of the positions; p is the probability of a χ² at least as large."
 )
 
 
@@ -98,7 +101,7 @@ class RecordingPage:
         titles = [f"Collision {row['collision']}" for row in self.rows]
         sections = [
             Section("", results_tables),
-            Section("How to read the table", [HOW_TO_READ] if results_tables else []),
+            Section("How to read the table", [self._how_to_read()] if results_tables else []),
             Section("Film with measured positions", [self._film(folder, views)]),
             *(Section(title, self._figures(view)) for title, view in zip(titles, views, strict=True)),
             Section("Whole recording", self._overview()),
@@ -108,6 +111,13 @@ class RecordingPage:
         estimates = pd.DataFrame([{"clip": 0, **row} for row in self.rows])
         warnings = [*map(str, list_messages(estimates)), *map(str, self.notes)]
         return write_page(folder / PAGE, self.name, sections, command, summary, warnings)
+
+    def _how_to_read(self) -> str:
+        straight = [str(row["collision"]) for row in self.collisions if is_straight(row)]
+        which = f" of collision {', '.join(straight)}" if len(self.rows) > 1 else ""
+        lines = f"Both fits{which} are straight lines after the contact, without a law of friction." if straight else ""
+        models = MODELS if len(straight) < len(self.collisions) or not straight else ""
+        return HOW_TO_READ.format(models=" ".join(filter(None, [models, lines])))
 
     def _describe(self, row: Mapping[str, Any]) -> str:
         number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""

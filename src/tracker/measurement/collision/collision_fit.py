@@ -188,12 +188,21 @@ def fit_lasting_collision(
         tied=tied,
         free=free,
         slide_ends_seen=fits.slide_ends_seen,
-        tied_values=fits.tied.values(),
+        tied_values=_with_launch(fits.tied.values(), fits.free.values()),
         free_values=fits.free.values(),
         flags=(flag,),
         unseen=frozenset(unseen),
         fits=fits,
     )
+
+
+def _with_launch(tied: DerivedValues, free: DerivedValues) -> DerivedValues:
+    """The tied values with v0 and b of the free fit: the laws that tie them hold less exactly while a contact lasts."""
+    value, cov = tied.value.copy(), tied.cov.copy()
+    for k in (QUANTITY_NAMES.index("v0"), QUANTITY_NAMES.index("b")):
+        value[k], cov[k], cov[:, k] = free.value[k], 0.0, 0.0
+        cov[k, k] = free.cov[k, k]
+    return replace(tied, value=value, cov=cov)
 
 
 def _is_accepted(read: CollisionFits | str) -> bool:

@@ -24,6 +24,8 @@ from tracker.measurement.collision.adequacy import TOO_FEW, compare_fits, find_i
 from tracker.measurement.collision.collision_model import (
     AFTER,
     FREE,
+    GRAVITY,
+    SLIP_RATE,
     TIED,
     directions,
     mean_positions,
@@ -50,6 +52,7 @@ STRAIGHT = (*FREE[:8], "v1x", "v1y", "v2x", "v2y", *FREE[-2:])  # free motions w
 MIN_DURATION_FRAMES = 0.25  # below which a contact is as good as instantaneous
 BEND_SIGNIFICANCE = 3.5  # standard errors by which the paths bend in a contact that lasts
 _TAU = [FREE.index("log_tau1"), FREE.index("log_tau2")]
+DELAY_ERROR = 0.6  # share of `delay_of_slides`, over the laws of the force
 _SHORT_SLIDE = np.log(1e-4)  # log s
 
 
@@ -84,7 +87,8 @@ class LastingResiduals:
             return whole
         if self.kind == "tied":
             before = time_before_crossing(whole[..., 4], whole[..., 5], x[..., -1], self.pair.diameter)
-            return advance_slides(tied_to_free(whole, self.pair.spin), before)
+            delay = delay_of_slides(whole[..., 5] * np.cos(whole[..., 4]), whole[..., 8], whole[..., 9], before)
+            return advance_slides(tied_to_free(whole, self.pair.spin), before - delay)
         free = np.zeros((*x.shape[:-1], len(FREE)), dtype=x.dtype)
         free[..., :8], free[..., -2:] = whole[..., :8], whole[..., -2:]
         for ball, at in AFTER.items():
@@ -140,6 +144,21 @@ def time_before_crossing(
     """Seconds from the first touch to the crossing of the paths at a distance (m) under the angle beta."""
     reach = diameter**2 - (distance * np.sin(beta)) ** 2
     return np.asarray((np.sqrt(np.where(reach.real > 0, reach, 0.0)) - distance * np.cos(beta)) / v0)
+
+
+def delay_of_slides(
+    closing: NDArray[np.inexact], r: NDArray[np.inexact], log_mu: NDArray[np.inexact], before: NDArray[np.inexact]
+) -> NDArray[np.inexact]:
+    """Seconds after the first touch by which slides begin late, in effect: balls roll until the push exceeds 7/2 mu g.
+
+    closing, m/s; before: s from the touch to t_c. Until then friction is 2/7 of the push, so that half of this time
+    counts. A push that rises straight to its mean over the contact, J/T, passes the limit at 7/2 mu g T^2/(4 J); one of
+    Hertz rises later. The time is that of the half sine times 1.5, and uncertain by `DELAY_ERROR` of itself.
+    """
+    lasts = before * (1 + r) / np.where(r.real > 0.1, r, 0.1)
+    impulse = (1 + r) / 2 * closing
+    delay = 1.5 * SLIP_RATE * np.exp(log_mu) * GRAVITY * lasts**2 / (np.pi**2 * impulse)
+    return np.asarray(np.where(delay.real < 0.5 * before.real, delay, 0.5 * before))
 
 
 def kept_share(r: Floats) -> tuple[Floats, Floats]:
@@ -301,7 +320,24 @@ class LastingFit:
         by = self.slopes(self.restitution)[0]
         value[r], _, error = self.restitution(self.x)
         cov[r, r] = float(by @ self.cov @ by) + error**2
+        if self.problem.kind == "tied":
+            effect = self._effect_of_delay()
+            cov += np.outer(effect, effect)
         return replace(found, value=value, cov=cov)
+
+    def _effect_of_delay(self) -> Floats:
+        """Change of the quantities (20,) of a tied fit by the uncertainty of when its slides begin."""
+        whole = np.zeros(self.problem.size)
+        whole[self.problem.index] = self.x[:-2]
+        before, _, _ = self.times(self.x)
+        late = DELAY_ERROR * delay_of_slides(whole[5] * np.cos(whole[4]), whole[8], whole[9], before)
+        effect, mu = np.zeros(len(QUANTITY_NAMES)), QUANTITY_NAMES.index("mu_k")
+        pull = np.exp(whole[9]) * GRAVITY
+        effect[QUANTITY_NAMES.index("r")] = 2 * pull * late / (whole[5] * np.cos(whole[4]))
+        slide = (1 + whole[8]) / 2 * whole[5] / (SLIP_RATE * pull)  # of a head-on hit
+        effect[mu] = np.exp(whole[9]) * late / slide
+        effect[[QUANTITY_NAMES.index(name) for name in ("tau1", "tau2")]] = -late
+        return effect
 
     def predict_left_out(self, rows: BallTrack, ball: int) -> tuple[Floats, Floats]:
         """Positions (n, 2) that were left out, less those of an instantaneous contact, and derivatives (n, 2, p)."""
@@ -377,7 +413,7 @@ def fit_lasting_contact(
         certain = _bend(best, pair, window) > BEND_SIGNIFICANCE
         lasting = LastingContact(*window, float(before + after), duration_std, certain)
     elif not is_straight or abs(max(sigmas)) > least_sigma:
-        return None
+        return None if is_straight or _knows_friction(tied, settings) else _find_straight_alternative(fit, pair, level)
     if is_straight:
         balanced = not _momentum_p(fit) < level
         if lasting is None and not balanced:
@@ -564,6 +600,16 @@ def _knows_friction(tied: LastingFit, settings: FitSettings) -> bool:
     """Test whether a tied fit determines the friction on the plate."""
     values, mu = tied.values(), QUANTITY_NAMES.index("mu_k")
     return bool(values.std[mu] < settings.max_relative_error * values.value[mu])
+
+
+def _find_straight_alternative(free: LastingFit, pair: BallPair, level: float) -> LastingFits | None:
+    """Straight lines that describe an impact whose slides no fit shows; None if the data reject them."""
+    outside = free.problem.pair
+    straight = LastingFit.to(outside, "straight", [_straighten(free, pair)])
+    p = p_value(straight.chi2, straight.dof, outside.striker.noise_dof)
+    if p < 1e-3 or _momentum_p(straight) < level:
+        return None
+    return LastingFits(None, outside, straight, straight, (False, False), _may_hide_slide(straight))
 
 
 def _may_hide_slide(straight: LastingFit) -> bool:

@@ -97,7 +97,7 @@ def bounces_first(excess: Floats, noise: float) -> bool:
     if swing <= 2 * within + 3 or len(outside) <= first:
         return False
     rise = float(smooth[: max(swing, 1)].max() - outside[:first].mean())
-    return rise > 4 * noise * np.sqrt(1 / SMOOTHED_FRAMES + 1 / first)
+    return bool(rise > 4 * noise * np.sqrt(1 / SMOOTHED_FRAMES + 1 / first))
 
 
 def _approach(track: BallTrack, frames: NDArray[np.int64]) -> tuple[Floats, Floats, float]:

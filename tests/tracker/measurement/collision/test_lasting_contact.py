@@ -54,11 +54,18 @@ def test_rubber_keeps_its_restitution_and_gets_a_duration(duration, b, r, fricti
         assert abs(z(row, "mu_k", friction)) < 4
 
 
-def test_finite_differences_leave_the_contact_out_and_claim_nothing_after_it():
-    row, _ = measure(SoftHit(0.014, b=0.2))
-    assert row["r_paper"] == pytest.approx(0.9, abs=0.08)
-    assert np.isnan(row["r_paper_std"])
+def test_finite_differences_show_nothing_after_a_contact_that_lasts():
+    row, result = measure(SoftHit(0.014, b=0.2))
+    assert np.isnan(row[["r_paper", "r_paper_std", "tau2_paper", "C_paper"]].astype(float)).all()
     assert abs(z(row, "v0_paper", 0.3)) < 4
+    text = "\n".join(format_for_terminal(result.estimates))
+    assert "straight lines of two equal bodies" in text
+    assert "finite differences: the frames after a contact that lasts are too far" in text
+    (note,) = list_messages(result.estimates)
+    assert "contact_duration_s" not in str(note)
+    frames = f"frames {row['contact_first']} to {row['contact_last']}"
+    assert f"for {1e3 * row['contact_duration_s']:.3g} ms" in str(note)
+    assert frames in str(note)
 
 
 def test_a_contact_between_two_frames_is_no_ok_but_keeps_r_free():
@@ -89,8 +96,9 @@ def test_a_hit_without_friction_gives_r_by_straight_lines(b):
     assert abs(z(row, "r_free", 0.8)) < 4
     assert np.isnan(row[["mu_k", "tau1", "energy_fraction"]].astype(float)).all()
     text = "\n".join(format_for_terminal(result.estimates))
-    assert "no slide is seen" in text
+    assert "straight lines of two equal bodies" in text
     assert "finite differences" in text
+    assert np.isnan(row[["tau2_paper", "C_paper", "energy_fraction_paper"]].astype(float)).all()
 
 
 def test_a_slow_hit_without_friction_may_be_one_of_balls_that_roll_at_once():
