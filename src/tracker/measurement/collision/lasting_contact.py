@@ -288,7 +288,7 @@ class LastingFit:
         """(..., 3): the restitution, the part of friction in it, and the error of what the law of the force changes."""
         free = np.asarray(self.problem.to_free(x), dtype=np.float64)
         _, after, closing, parting = self._passage(x)
-        _, n, _ = directions(free[..., 3], free[..., 4])
+        n = np.asarray(directions(free[..., 3], free[..., 4])[1], dtype=np.float64)
         at_crossing = dot(free[..., 8:10] - free[..., 13:15], n)
         late = free if self.problem.kind == "straight" else rewind_slides(free, -after)
         lost = (at_crossing - dot(late[..., 8:10] - late[..., 13:15], n)) / closing
