@@ -17,7 +17,7 @@ import typer
 from synthcam_shared.application import command_line, progress_bar, run
 from synthcam_shared.errors import InputError
 from tracker.benchmark.commands import app as benchmark_app
-from tracker.camera.camera_keys import CHANNELS
+from tracker.camera.camera_keys import CHANNELS, PLANES
 from tracker.detection import detectors as detector_files
 
 if TYPE_CHECKING:
@@ -57,7 +57,10 @@ def track(
     camera: Annotated[Path | None, typer.Option(help="camera.json that replaces the source's own.")] = None,
     detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}. Without it the film decides.")] = None,
     channel: Annotated[
-        str | None, typer.Option(help=f"{', '.join(CHANNELS)}, of a film in colour. Without it the film decides.")
+        str | None,
+        typer.Option(
+            help=f"{', '.join((*CHANNELS, *PLANES))} or #rrggbb, of a film in colour. Without it the film decides."
+        ),
     ] = None,
     times: Annotated[
         str,

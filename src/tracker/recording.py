@@ -193,8 +193,8 @@ def track(
         How balls are found, by name, FILE.py or MODULE:NAME; or a function that is given a grey frame and returns
         positions (n, 2), x and y in px, perhaps with a third column of standard errors; or a class as the files of
         ``detectors/`` hold. Default: what the film asks for.
-    channel : {"grey", "red", "green", "blue"}, optional
-        Of a film in colour; default: grey, unless another shows more balls.
+    channel : {"grey", "red", "green", "blue", "red-green", "red-blue", "green-blue", "colour"} or "#rrggbb", optional
+        Of a film in colour; default: grey, unless another shows its balls better.
     number : int, optional
         Of the clip; default: its folder's, else 0.
     settings : TrackerSettings, dict, str or Path, optional

@@ -1,4 +1,4 @@
-"""`Frames`: the grey pictures of a film, or one colour channel of them, each read when it is indexed."""
+"""`Frames`: the grey pictures of a film, or one plane of its colours, each read when it is indexed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import CHANNELS, LONGEST_SIDE, MOST_PIXELS
+from tracker.camera.camera_keys import CHANNELS, LONGEST_SIDE, MOST_PIXELS, PLANES
+from tracker.camera.colour_planes import is_plane, read_plane
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -89,16 +90,34 @@ class Frames(Sequence[Any]):
         return out
 
     def select_channel(self, name: str) -> Frames:
-        """The frames in "red", "green" or "blue"; "grey" is what they are. Raises InputError for a film in grey."""
-        if name not in CHANNELS:
-            raise InputError(f"--channel: expected one of {', '.join(CHANNELS)}, not {name!r}")
+        """The frames in "red", "green", "blue" or a plane of `colour_planes`; "grey" is what they are.
+
+        Raises InputError for a film in grey.
+        """
+        if name not in CHANNELS and not is_plane(name):
+            known = ", ".join((*CHANNELS, *PLANES))
+            raise InputError(f"--channel: expected one of {known} or #rrggbb, not {name!r}")
         colours = self.colours
         if name == GREY:
             return self
         if colours is None:
             raise InputError(f"--channel: the film is in grey, expected no {name!r}")
-        layer = CHANNELS.index(name) - 1
-        return self.with_fetch(lambda k: np.ascontiguousarray(colours(k)[..., layer]))
+        convert: Callable[[Any], Any] | None = None
+
+        def sample() -> list[Any]:
+            return [np.asarray(colours(k)) for k in sorted({*np.linspace(0, len(self) - 1, 9).astype(int).tolist()})]
+
+        def fetch(k: int) -> Any:
+            nonlocal convert
+            if convert is None:  # planes look at the film when the first frame is asked for
+                convert = read_plane(name, sample, self.white(sample() if self.dtype != np.uint8 else ()))
+            return convert(colours(k))
+
+        return self.with_fetch(fetch, np.uint8 if is_plane(name) else None)
+
+    def white(self, pictures: Sequence[Any]) -> float:
+        """The count of white: 255, or the largest of these pictures where the film has more bits."""
+        return 255.0 if self.dtype == np.uint8 else float(max(np.max(picture) for picture in pictures)) or 1.0
 
 
 def make_grey_frames(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -11,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera
-from tracker.camera.camera_keys import CHANNELS
-from tracker.camera.frames import GREY, Frame, Frames
+from tracker.camera.camera_keys import CHANNELS, PLANES
+from tracker.camera.colour_planes import read_plane
+from tracker.camera.frames import GREY, Frames
 from tracker.camera.lens import Array
 from tracker.camera.recordings import Recording
 from tracker.detection.candidates import estimate_noise, median_of_nine, spread_frames
-from tracker.detection.still_background import estimate_still_background
+from tracker.detection.still_background import StillBackground, estimate_still_background
 from tracker.detection.windows import find_regions
 
 GLINTS, DISCS = "maximum_likelihood", "discs"
@@ -28,6 +30,9 @@ MAX_GLINT_RATIO = (
 )
 MIN_STEEPNESS = 0.4  # pixels over 4/5 of the contrast among those over 1/5: discs have edges, glints fade
 MIN_RADIUS_PX = 4.0  # where no radius is expected: a clipped glint looks like a small disc
+LONGEST_SIDE_OF_CHOICE_PX = 960  # of the pictures in which the channel is chosen
+MAX_THRESHOLD_OF_CHOICE = 120  # counts; balls of more contrast show at a lower one too
+MIN_SCORE = 3.0  # bodies in 15 frames that only another channel than grey shows
 SIZE_LIMITS = 0.8, 1.25  # of the radius over the expected one; a glint out of focus is smaller than its ball
 
 
@@ -51,7 +56,7 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     if not any(_shows_large_region(np.asarray(frames[k]), level, least, smallest) for k in picks):
         return GLINTS, ""
     level = estimate_still_background(frames, noise).level
-    found = [find_round_bodies(np.asarray(frames[k]), level, least, expected) for k in picks]
+    found = [find_round_bodies(np.asarray(frames[k]), level, least, expected)[:, 0] for k in picks]
     radii = np.concatenate(found)
     if len(radii) == 0:
         return GLINTS, ""
@@ -66,30 +71,103 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
 
 
 def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
-    """Choose the colour channel, "grey", "red", "green" or "blue", from nine frames spread over a film.
+    """Choose the plane of a film in colour in which it shows its balls best, from 15 frames spread over it.
 
-    A red ball on green cloth, for example, may be as grey as the cloth. A colour is chosen if it shows 1.25 times the
-    round bodies that grey shows, and 6 more. Where the camera knows the diameter of its balls, only bodies of about
-    that size count. The second result is a note that gives the reason; '' for grey.
+    A red ball on green cloth may be as grey as the cloth, and a moving shadow may hide a ball in grey. Each plane has a
+    score: the number of round bodies of one size, times the share of the changed pixels that they cover. Shadows, hands
+    and cues cover the rest. Grey is kept unless another plane has 1.5 times its score, or 1.2 times where bodies cover
+    less than half of what changes in grey. Where the camera knows the diameter of its balls, only bodies of about that
+    size count. The second result is a note that gives the reason; '' for grey.
     """
     if frames.colours is None:
         return GREY, ""
-    picks = spread_frames(frames)
-    colours = [np.asarray(frames.colours(k)) for k in picks]
-    layers = {GREY: [frames[k] for k in picks]}
-    layers |= {name: [np.array(picture[..., k]) for picture in colours] for k, name in enumerate(CHANNELS[1:])}
-    expected = camera.diameter_px / 2 if camera.knows_diameter else None
-    found = {name: _moving_bodies(shots, expected) for name, shots in layers.items()}
-    every = np.concatenate(list(found.values()))
-    usual = float(np.median(every)) if len(every) else 0.0
-    number = {name: int(_of_common_size(radii, usual).sum()) for name, radii in found.items()}
-    best = max(number, key=lambda name: number[name])  # the first of equals
-    if number[best] < max(1.25 * number[GREY], number[GREY] + 6):
+    picks = sorted({*spread_frames(frames, 15)})
+    shrink = min(1.0, LONGEST_SIDE_OF_CHOICE_PX / max(frames.shape[1:]))
+    expected = shrink * camera.diameter_px / 2 if camera.knows_diameter else None
+    colours = [_shrink(frames.colours(k), shrink) for k in picks]
+    found = {GREY: _rate_plane([_shrink(frames[k], shrink) for k in picks], expected)}
+    white = frames.white(colours)
+    for name in (*CHANNELS[1:], *PLANES):
+        make = read_plane(name, lambda: colours, white)
+        found[name] = _rate_plane([make(picture) for picture in colours], expected)
+    most = max(rating.score for rating in found.values())
+    best = next(name for name, rating in found.items() if rating.score >= 0.9 * most)  # the plainest of equals
+    if most < MIN_SCORE or most < (1.5 if found[GREY].share > 0.5 else 1.2) * found[GREY].score:
         return GREY, ""
     return best, (
-        f"channel: {best}, because it shows {number[best]} round bodies where grey shows {number[GREY]}; "
+        f"channel: {best}, because it shows {found[best].describe()}, and grey {found[GREY].describe()}; "
         "--channel overrides this"
     )
+
+
+@dataclass(frozen=True)
+class _Rating:
+    """How well a plane shows balls."""
+
+    bodies: int  # round, of one size, on ground that was seen empty
+    share: float  # of the pixels that differ from the background, which they cover
+
+    @property
+    def score(self) -> float:
+        return self.bodies * self.share
+
+    def describe(self) -> str:
+        return f"{self.bodies} round bodies ({100 * self.share:.0f} % of what changes)"
+
+
+def _rate_plane(pictures: list[NDArray[Any]], expected: float | None) -> _Rating:
+    """Rate a plane by its pictures, at the threshold that suits it best: 1, 2, 4 or 8 times the least contrast."""
+    noise = estimate_noise(pictures)
+    ground = estimate_still_background(pictures, noise)
+    level, best = ground.level.astype(np.float32), _Rating(0, 0.0)
+    for least in (_least_contrast(noise) * times for times in (1, 2, 4, 8)):
+        if least > MAX_THRESHOLD_OF_CHOICE:
+            break
+        found, changed = [np.empty((0, 3))], 0
+        for picture in pictures:
+            bodies = find_round_bodies(picture, level, least, expected)
+            column, row = np.round(bodies[:, 1:].T).astype(int)
+            contrast = picture[row, column] - level[row, column]
+            seen = [_was_seen_empty(ground, b) and _differs_from_ring(picture, b, least) for b in bodies]
+            found.append(bodies[np.array(seen, bool) & ~_are_shadows(bodies, contrast)])
+            changed += int(((cv2.absdiff(picture.astype(np.float32), level) > least) & ground.known).sum())
+        radii = np.concatenate(found)[:, 0]
+        same = radii[_of_common_size(radii, float(np.median(radii)))] if len(radii) else radii
+        rating = _Rating(len(same), min(float(np.pi * (same**2).sum()) / max(changed, 1), 1.0))
+        best = max(best, rating, key=lambda r: r.score)
+    return best
+
+
+def _was_seen_empty(ground: StillBackground, body: Array) -> bool:
+    """True if most of the ground behind a body (3,) was seen without it."""
+    reach, x, y = np.round(body).astype(int)
+    return bool(ground.known[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].mean() > 0.5)
+
+
+def _differs_from_ring(picture: NDArray[Any], body: Array, least: float) -> bool:
+    """True if a body (3,) differs from the ring around it in its picture; else the background shows a ball there."""
+    radius, x, y = body
+    reach = int(1.8 * radius) + 1
+    top, left = max(round(y) - reach, 0), max(round(x) - reach, 0)
+    part = picture[top : round(y) + reach + 1, left : round(x) + reach + 1].astype(np.float32)
+    rows, columns = np.mgrid[top : top + part.shape[0], left : left + part.shape[1]]
+    away = np.hypot(columns - x, rows - y) / radius
+    inside, ring = part[away < 0.7], part[(away > 1.3) & (away < 1.8)]
+    return len(inside) > 0 and len(ring) > 0 and abs(float(np.median(inside)) - float(np.median(ring))) > least / 2
+
+
+def _are_shadows(bodies: Array, contrast: Array) -> NDArray[np.bool_]:
+    """Which bodies (n, 3) lie within three radii of one that differs more from the background, to the other side."""
+    away = np.hypot(*(bodies[:, None, 1:] - bodies[None, :, 1:]).transpose(2, 0, 1))
+    other = contrast[:, None] * contrast < 0
+    weaker = np.abs(contrast)[:, None] < np.abs(contrast)
+    return np.asarray((other & weaker & (away < 3 * bodies[:, 0])).any(axis=1))
+
+
+def _shrink(picture: NDArray[Any], times: float) -> NDArray[Any]:
+    if times == 1:
+        return np.array(picture)
+    return np.asarray(cv2.resize(np.ascontiguousarray(picture), None, fx=times, fy=times, interpolation=cv2.INTER_AREA))
 
 
 def select_channel(clip: Recording, name: str | None) -> tuple[Recording, str]:
@@ -125,20 +203,13 @@ def _of_common_size(radii: Array, usual: float) -> NDArray[np.bool_]:
     return np.asarray(np.abs(radii - usual) < 0.25 * usual)
 
 
-def _moving_bodies(pictures: list[Frame], expected: float | None) -> Array:
-    """Radii, px, of the round bodies that differ from the median of nine pictures."""
-    level = median_of_nine([picture.copy() for picture in pictures])
-    least = _least_contrast(estimate_noise(pictures))
-    return np.concatenate([find_round_bodies(picture, level, least, expected) for picture in pictures])
-
-
 def _shows_large_region(frame: NDArray[Any], level: NDArray[Any], least: float, smallest: float) -> bool:
     """True if a region larger than a glint differs from the plate."""
     return bool(find_regions(cv2.absdiff(frame, level) > math.floor(least), smallest))
 
 
 def find_round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, expected: float | None) -> Array:
-    """Radii (n,), px, of the round bodies that differ from the background by `least` counts in one frame.
+    """Radius, x and y (n, 3), px, of the round bodies that differ from the background by `least` counts in one frame.
 
     `expected` is the radius of the balls, px, where the camera file gives it.
     """
@@ -165,5 +236,5 @@ def find_round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, ex
         low, high = SIZE_LIMITS
         large = radius > MIN_RADIUS_PX if expected is None else low < radius / expected < high
         if not glint and large and steep > MIN_STEEPNESS:
-            found.append(radius)
-    return np.array(found)
+            found.append((radius, region.left + columns.mean(), region.top + rows.mean()))
+    return np.array(found).reshape(-1, 3)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tracker.camera.lens import Array
 
 MIN_BLUR_PX = 1.5  # the shortest displacement during the exposure that is fitted; shorter ones do not show
+MIN_STREAK_FULLNESS = 0.96
 Box = tuple[int, ...]
 
 
@@ -39,11 +40,27 @@ class ContrastRegion:
             return self.minor
         return float((np.sqrt(long**2 + np.pi * self.area) - long) / np.pi)
 
-    def is_disc(self, radius: float, tolerance: float) -> bool:
-        """True if it has the shape of one disc of this radius (px, relative tolerance) that moved a little."""
-        long = float(np.hypot(*self.blur))
-        sized = abs(self.minor - radius) < tolerance * radius and abs(self.radius - radius) < tolerance * radius
-        return sized and self.fullness > 0.9 and long < 2.2 * radius
+    def why_no_disc(self, radius: float, tolerance: float, elongated: bool = False) -> str:
+        """Why it has not the shape of one disc that moved a little; '' if it has.
+
+        radius, tolerance: of the disc, px, and relative to it. elongated: balls look elongated at rest,
+        so that their blur and the radius without it mean little.
+        """
+        smaller = 0.35 if elongated else tolerance
+        if radius - self.minor >= tolerance * radius or radius - self.radius >= smaller * radius:
+            return "too small"
+        if max(self.minor, self.radius) - radius >= tolerance * radius:
+            return "too large"
+        if self.fullness <= 0.9:
+            return "not round"
+        long = float(np.hypot(*self.blur)) / max(radius, 1e-9)
+        # Two discs that touch are as long as a streak of 3.5 radii, but have a waist.
+        streak = elongated and long < 3.5 and self.fullness > MIN_STREAK_FULLNESS
+        return "too long" if long >= 2.2 and not streak else ""
+
+    def is_disc(self, radius: float, tolerance: float, elongated: bool = False) -> bool:
+        """True if it has the shape of one disc of this radius, as `why_no_disc` says."""
+        return not self.why_no_disc(radius, tolerance, elongated)
 
     def fill(self, picture: NDArray[np.uint8]) -> None:
         """Set the region's pixels in a picture (h, w) to 1."""

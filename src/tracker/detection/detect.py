@@ -124,12 +124,13 @@ def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracker
     settings = settings or TrackerSettings()
     if detected_point(name, clip.camera) == "centre":
         takes = find_takes(clip.frames)
-        return View(clip.camera, EmptyPlate(np.asarray(clip.frames[0]), takes.noise), clip.frames, takes, settings)
+        plate = EmptyPlate(np.asarray(clip.frames[0]), takes.noise)
+        return View(clip.camera, plate, clip.frames, takes, settings, clip.channel)
     plate = estimate_empty_plate(clip.frames)
     if plate.level.shape != clip.frames.shape[1:]:
         raise InputError(f"clip {clip.number}: frames of unequal sizes, expected all as the first")
     camera = estimate_unknown_settings(clip.camera, plate, clip.frames)
-    return View(camera, plate, clip.frames, settings=settings)
+    return View(camera, plate, clip.frames, settings=settings, channel=clip.channel)
 
 
 def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detections:

@@ -21,6 +21,7 @@ from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera
+from tracker.camera.frames import GREY
 from tracker.detection.candidates import EmptyPlate
 from tracker.detection.glints import Glints
 from tracker.detection.motion_blur import MotionBlurEvidence
@@ -44,6 +45,8 @@ class View:
     """For a detector of centres: the takes of the film, repeated frames, and the noise of a pixel."""
     settings: TrackerSettings = field(default_factory=TrackerSettings)
     """The user's settings; detectors use ``settings.detection``."""
+    channel: str = GREY
+    """Which plane of a film in colour the frames are: "grey", "red", "red-blue", ..."""
 
     @property
     def sigma(self) -> float:

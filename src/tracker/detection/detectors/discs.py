@@ -11,9 +11,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.colour_planes import is_plane
 from tracker.camera.lens import Array
 from tracker.detection.candidates import spread_frames
-from tracker.detection.contrast_regions import ContrastRegion, casts_shadow, find_disc_centres, split_region
+from tracker.detection.contrast_regions import (
+    MIN_STREAK_FULLNESS,
+    ContrastRegion,
+    casts_shadow,
+    find_disc_centres,
+    split_region,
+)
 from tracker.detection.detector import Detections, OutlineRadius, View
 from tracker.detection.disc_fit import DiscAppearance, DiscFit, fit_disc
 from tracker.detection.glints import Glints, PositionFlag
@@ -53,13 +60,15 @@ class Discs:
             )
             for scene in sorted(set(self.takes.scenes))
         }
+        self.in_colour = is_plane(view.channel)  # shadows hardly show; hands and cues do
+        self.elongated = False  # balls look elongated even at rest: the view is oblique, or pixels are not square
         self.signs: tuple[int, ...] = (0,)
         self.dark_balls = True
         self.fitted: list[float] = []  # radii of whole discs, px
         self.relative_radius_std = 0.0
         self.true_to_fitted_radius = 1.0
-        self.radii, contrast = self._usual_radius(given if view.camera.knows_diameter else None)
-        self.low = max(self.low, 0.2 * contrast)  # fainter objects are not balls
+        self.radii, self.contrast = self._usual_radius(given if view.camera.knows_diameter else None)
+        self.low = max(self.low, 0.2 * self.contrast)  # fainter objects are not balls
         self.scenes = {scene: self._clean_background(scene) for scene in self.scenes}
         if self.is_shaded and len(self.fitted) > 3:
             fitted = np.array(self.fitted)
@@ -236,14 +245,19 @@ class Discs:
         usual = float(contrasts[order][np.searchsorted(weight, weight[-1] / 2)])
         strong = contrasts > 0.35 * usual  # fainter discs do not enter the radius
         still = strong & [float(np.hypot(*p.blur)) < MAX_BLUR_AT_REST * p.minor for p in seen]
-        return [given] if given else _common_radii(
-            radii[still if still.sum() > 3 else strong], self.settings.disc_radius_tolerance
-        ), usual
+        if given:
+            return [given], usual
+        if self.in_colour and still.sum() <= 3:
+            self.elongated = True  # or all move fast: the short half axis is the radius of both
+            radii, still = np.array([p.minor for p in seen]), strong
+        return _common_radii(radii[still], self.settings.disc_radius_tolerance), usual
 
     def _without_shadows(self, given: float | None) -> list[ContrastRegion]:
         """Discs in frames spread over the film; decides whether balls are lit from one side or are dark."""
         areas_of_frames = list(self._survey())
         either = [p for areas in areas_of_frames for p in self._split(areas) if self._is_disc(p, given or p.minor)]
+        if self.in_colour:  # neither light nor shadow shows enough
+            return either
         self.signs = (1, -1)
         bright, shadowed, alone = list[ContrastRegion](), 0, 0
         for parts in map(self._split, areas_of_frames):  # again, now with brighter and darker parts separate
@@ -268,7 +282,7 @@ class Discs:
             yield [area for area in self._find_areas(light, ground) if not area[0].touches_rim(light.shape)]
 
     def _is_disc(self, region: ContrastRegion, radius: float) -> bool:
-        return region.is_disc(radius, self.settings.disc_radius_tolerance)
+        return region.is_disc(radius, self.settings.disc_radius_tolerance, self.elongated)
 
     def _in_part(
         self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
@@ -279,11 +293,34 @@ class Discs:
             fitted = fit_disc(light, ground, part.middle, self._look(radius), part.blur, [])
             flag = PositionFlag.STREAK if np.hypot(*part.blur) > MAX_BLUR_AT_REST * radius else 0
             found = [(fitted, flag)] if fitted is not None else []
+        elif self.in_colour and (inner := self._inner_disc(light, ground, part, radius)) is not None:
+            found = [(inner, PositionFlag.NEAR)]
         elif 0.3 < part.area / (np.pi * radius**2) < 6:
             found = self._touching(light, ground, part, radius)
         found = [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]
         self.fitted += [f.radius for f, flag in found if flag == 0]
         return found
+
+    def _inner_disc(
+        self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
+    ) -> DiscFit | None:
+        """The disc of the usual contrast in a region that has less elsewhere: a ball that a hand or a cue touches."""
+        at = part.top + 1, part.left + 1
+        own = part.mask[1:-1, 1:-1]
+        inside = tuple(slice(first, first + long) for first, long in zip(at, own.shape, strict=True))
+        apart = (light[inside] - ground.level[inside]).astype(np.float32)
+        box = (at[1], at[0], own.shape[1], own.shape[0])
+        fits = list[DiscFit]()
+        for share in (0.6, 0.7):
+            strong = (own > 0) & (np.abs(apart) > share * self.contrast)
+            parts = split_region(apart, strong, box, 0, self.low, 0.6 * radius) if strong.any() else []
+            for p in parts:  # a rough look: the fit decides
+                streak = np.hypot(*p.blur) > 2.2 * radius
+                if p.fullness > (MIN_STREAK_FULLNESS if streak else 0.85) and 0.6 < p.minor / radius < 1.25:
+                    fitted = fit_disc(light, ground, p.middle, self._look(radius), p.blur, [])
+                    if fitted is not None and abs(fitted.radius / radius - 1) < 0.15:
+                        fits.append(fitted)
+        return min(fits, key=lambda fit: fit.spread, default=None)
 
     def _look(self, radius: float) -> DiscAppearance:
         return DiscAppearance(

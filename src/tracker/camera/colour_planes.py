@@ -1,0 +1,91 @@
+"""Grey planes of a film in colour in which a shadow hardly shows: differences of two colours, and distances in colour.
+
+A shadow darkens red, green and blue by one factor, so that their shares of the sum stay. All planes here are made of
+these shares. Their counts are uint8, whatever the depth of the film:
+
+- "red-green", "red-blue", "green-blue": 128 and 127 times the difference of two shares;
+- "colour": the distance from the picture's own colours without balls, 0 to 200; more than a few standard deviations of
+  the noise saturate, so that a ball of two colours is one disc;
+- "#rrggbb": how near a pixel is to that colour, 200 on it and 0 as far from it as the usual colour of the film.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.camera.camera_keys import CHANNELS, PLANES
+
+Colours = NDArray[Any]  # (h, w, 3): red, green, blue
+Shares = NDArray[np.float32]  # (h, w, 3): of the sum of the three
+DIFFERENCES = {"red-green": (0, 1), "red-blue": (0, 2), "green-blue": (1, 2)}
+DISTANCE = "colour"
+HEX_COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
+DARK = 0.15  # of white, added to each colour of a difference: the encoder smears colours into dark pixels
+DARK_IN_DISTANCE = 0.03  # the same of a distance, which shadows must not reach
+LEAST_SPREAD = 0.008  # of a share, the noise of an encoder
+SATURATION_SPREADS = 4.0  # distance, in standard deviations of the shares, from which a pixel is another colour
+TOP = 200.0  # counts
+
+
+def is_plane(name: str) -> bool:
+    """Tell whether a name stands for one of these planes."""
+    return name in PLANES or HEX_COLOUR.fullmatch(name) is not None
+
+
+def find_shares(picture: Colours, white: float) -> Shares:
+    """The shares of red, green and blue of their sum, darkened a little towards 0 in dark pixels."""
+    light = picture[..., :3].astype(np.float32)
+    total = light.sum(axis=2) + np.float32(3 * DARK_IN_DISTANCE * white)
+    return np.asarray(light / total[..., None], np.float32)
+
+
+def read_plane(name: str, sample: Callable[[], Sequence[Colours]], white: float) -> Callable[[Colours], Any]:
+    """A function from red, green and blue to one of them, or to a plane of this name.
+
+    sample: gives pictures spread over the film, for planes that depend on its colours; white: the largest count.
+    """
+    if name in CHANNELS:
+        layer = CHANNELS.index(name) - 1
+        return lambda picture: np.ascontiguousarray(picture[..., layer])
+    if name in DIFFERENCES:
+        one, two = DIFFERENCES[name]
+
+        def difference(picture: Colours) -> Any:
+            light = np.ascontiguousarray(picture[..., :3], dtype=np.float32)
+            pair: Any = cv2.transform(light, np.array([np.eye(3)[one] - np.eye(3)[two], np.ones(3)]))
+            pair[..., 1] += 3 * DARK * white
+            return np.rint(128 + 127 * (pair[..., 0] / pair[..., 1])).astype(np.uint8)
+
+        return difference
+    shares = [find_shares(picture, white) for picture in sample()]
+    usual: Any = np.median(shares, axis=0).astype(np.float32)
+    if name == DISTANCE:
+        spread = 1.4826 * np.median([np.sqrt(((s - usual) ** 2).sum(axis=2)) for s in shares], axis=0)
+        wide = 2 * round(max(usual.shape[:2]) / 100) + 3  # px, of a neighbourhood with one noise
+        calm = cv2.blur(spread.astype(np.float32), (wide, wide))
+        scale = 1 / (SATURATION_SPREADS * np.clip(calm, LEAST_SPREAD, 4 * LEAST_SPREAD)) ** 2
+
+        def distance(picture: Colours) -> Any:
+            far = ((find_shares(picture, white) - usual) ** 2).sum(axis=2) * scale
+            return np.rint(TOP * (1 - np.exp(-far / 2))).astype(np.uint8)
+
+        return distance
+    wanted = find_shares(hex_to_rgb(name)[None, None] * (white / 255), white)[0, 0]
+    reach = max(float(np.sqrt(((wanted - np.median(usual, axis=(0, 1))) ** 2).sum())), 3 * LEAST_SPREAD)
+
+    def nearness(picture: Colours) -> Any:
+        far = np.sqrt(((find_shares(picture, white) - wanted) ** 2).sum(axis=2))
+        return np.rint(TOP * np.clip(1 - far / reach, 0, 1)).astype(np.uint8)
+
+    return nearness
+
+
+def hex_to_rgb(name: str) -> NDArray[np.float32]:
+    """Red, green and blue, 0 to 255, of "#rrggbb"."""
+    return np.array([int(name[k : k + 2], 16) for k in (1, 3, 5)], np.float32)

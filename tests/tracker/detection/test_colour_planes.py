@@ -1,0 +1,118 @@
+"""Balls among shadows, hands and cues: the planes of a film in colour, and the choice of one."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from tracker_discs import CAMERA, SIZE, apart, disc
+
+import tracker
+from synthcam_shared.errors import InputError
+from tracker.camera.camera_keys import PLANES
+from tracker.camera.colour_planes import DARK, read_plane
+from tracker.camera.film_in_memory import wrap_frames
+
+GREEN, ORANGE, SKIN, WOOD = (28.0, 125.0, 98.0), (235.0, 150.0, 30.0), (205.0, 155.0, 130.0), (215.0, 190.0, 140.0)
+Y, X = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+FRAMES = 24
+
+
+def over(picture, cover, colour):
+    return picture * (1 - cover[..., None]) + np.array(colour) * cover[..., None]
+
+
+def shade(k):
+    """A soft shadow (h, w) as of a person, that walks through the picture."""
+    return 1 - 0.5 * gaussian_filter((np.hypot(X - 20 - 7 * k, (Y - 70) / 1.6) < 45).astype(float), 6)
+
+
+def hand(k):
+    """A palm and three fingers (h, w) that come in from the left and go."""
+    tip = 80 - 7 * abs(k - 11)
+    parts = [(np.hypot((X - tip + 40) / 1.3, Y - 22) < 17)]
+    parts += [(np.abs(Y - 10 - 11 * n) < 4) & (tip - 6 * abs(n - 1) > X) & (tip - 45 < X) for n in range(3)]
+    return gaussian_filter(np.any(parts, axis=0).astype(float), 0.7)
+
+
+def cue(k):
+    """A bar (h, w) that comes in from the left and goes."""
+    along, across = X + 0.2 * (Y - 140), Y - 140 - 0.2 * X
+    return gaussian_filter(((np.abs(across) < 3) & (along < 115 - 9 * abs(k - 14))).astype(float), 0.7)
+
+
+def draw(ways, balls, ground=GREEN, shadow=True, people=(), seed=0):
+    """uint8 frames (n, h, w, 3) of balls, functions (distance in x) -> colour, or colours."""
+    rng, out = np.random.default_rng(seed), []
+    for k in range(ways.shape[1]):
+        picture = np.broadcast_to(ground, (*SIZE, 3)).copy()
+        for way, ball in zip(ways[:, k], balls, strict=True):
+            two = ball if isinstance(ball[0], tuple) else (ball, ball)
+            cover, right = disc(way), way[0] < X
+            picture = over(over(picture, cover * ~right, two[0]), cover * right, two[1])
+        for shape, colour in people:
+            picture = over(picture, shape(k), colour)
+        picture *= shade(k)[..., None] if shadow else 1
+        out.append(np.clip(np.rint(picture + rng.normal(0, 2.0, picture.shape)), 0, 255))
+    return np.array(out).astype(np.uint8)
+
+
+def count(result, ways, gate=1.5):
+    """Balls found and false positions of a result."""
+    found = false = 0
+    for k in range(ways.shape[1]):
+        seen = result.found.xy[result.found.frame == k]
+        away = np.hypot(*(seen[:, None] - ways[:, k][None]).transpose(2, 0, 1))
+        hits = int((away.min(axis=0, initial=99) < gate).sum())
+        found, false = found + hits, false + len(seen) - hits
+    return found, false
+
+
+@pytest.mark.parametrize(("name", "expected"), [
+    ("red-green", 128 + 127 * (235 - 150) / (415 + 3 * DARK * 255)),
+    ("red-blue", 128 + 127 * (235 - 30) / (415 + 3 * DARK * 255)),
+    ("green-blue", 128 + 127 * (150 - 30) / (415 + 3 * DARK * 255)),
+    ("red", 235), ("blue", 30), ("#eb961e", 200), ("#1c7d62", 0),
+])  # fmt: skip
+def test_a_plane_has_the_counts_of_its_formula(name, expected):
+    cloth = np.full((8, 8, 3), GREEN).astype(np.uint8)
+    plane = read_plane(name, lambda: [cloth] * 3, 255.0)(np.full((1, 1, 3), ORANGE).astype(np.uint8))
+    assert plane.dtype == np.uint8
+    assert abs(float(plane[0, 0]) - expected) < 0.51
+
+
+@pytest.mark.parametrize("name", [*PLANES, "#eb961e"])
+def test_a_shadow_hardly_shows_beside_a_ball(name):
+    """The distance saturates, and knows of no shadow in this sample: it may take two fifths of the ball's counts."""
+    cloth, ball = (np.full((8, 8, 3), colour).astype(np.uint8) for colour in (GREEN, ORANGE))
+    read = read_plane(name, lambda: [cloth] * 3, 255.0)
+    ground, dark, seen = (float(read(p).mean()) for p in (cloth, (cloth * 0.6).astype(np.uint8), ball))
+    assert abs(dark - ground) < (0.4 if name == "colour" else 0.125) * abs(seen - ground)
+    deep = read_plane(name, lambda: [cloth * np.uint16(257)] * 3, 65535.0)(ball * np.uint16(257))
+    assert abs(float(deep.mean()) - seen) < 1
+
+
+@pytest.mark.parametrize(("ball", "people"), [
+    (ORANGE, ()), (ORANGE, ((hand, SKIN),)), (ORANGE, ((cue, WOOD),)),
+    ((190.0, 40.0, 60.0), ((hand, SKIN), (cue, WOOD))),
+])  # fmt: skip
+def test_shadows_hands_and_cues_are_no_balls(ball, people):
+    ways = apart(FRAMES)[:1] + np.array([25.0, -5.0])
+    result = tracker.track(draw(ways, [ball], people=people), CAMERA)
+    assert count(result, ways) == (FRAMES, 0)
+    assert any(str(note).startswith("channel: ") for note in result.notes)
+
+
+def test_balls_of_two_colours_are_whole_discs():
+    ways = np.stack([apart(FRAMES)[0] + [10.0, -10.0], apart(FRAMES)[1] + [10.0, -15.0]])
+    pictures = draw(ways, [((20.0, 120.0, 60.0), (225.0, 200.0, 150.0)), ((30.0, 60.0, 110.0), (225.0, 200.0, 150.0))],
+                    (205.0, 210.0, 200.0), shadow=False)  # fmt: skip
+    result = tracker.track(pictures, CAMERA)
+    assert count(result, ways, 2.0)[1] == 0
+    assert count(result, ways, 2.0)[0] >= 2 * FRAMES - 2
+    assert any(str(note).startswith("channel: colour, ") for note in result.notes)
+
+
+def test_a_wrong_channel_is_one_line():
+    with pytest.raises(InputError, match=r"expected one of grey, red, green, blue, red-green, .*, colour or #rrggbb"):
+        wrap_frames(np.zeros((3, 20, 20, 3), np.uint8)).select_channel("#12345")
+    with pytest.raises(InputError, match="the film is in grey, expected no 'red-blue'"):
+        wrap_frames(np.zeros((3, 20, 20), np.uint8)).select_channel("red-blue")
