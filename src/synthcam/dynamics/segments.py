@@ -88,7 +88,7 @@ class SlideSegment(Segment):
     def average_centres(self, middle: Array, wide: Real) -> Array:
         t, u = middle - self.begins[:, None], contact_velocity(self.state, self.radius)
         bend = -0.5 * (self.slowing / np.hypot(u[:, 0], u[:, 1]))[:, None] * u
-        x, v, bend = (_plane(a) for a in (self.state[:, :2], self.state[:, 3:5], bend))
+        x, v, bend = (_with_axes_first(a) for a in (self.state[:, :2], self.state[:, 3:5], bend))
         return np.asarray(x + (v + bend * t) * t + bend * (wide * wide / 12))
 
 
@@ -112,7 +112,7 @@ class RollSegment(Segment):
         z = self.drag * wide / 2  # the mean of an exponential is sinh(z)/z times that in the middle
         mean = wide * wide / 24 * (1 + z * z / 20 * (1 + z * z / 42 * (1 + z * z / 72)))
         path -= (self.drag + slowing) * (1 - self.drag * decay) * mean
-        return np.asarray(_plane(self.state[:, :2]) + path * _plane(self.state[:, 3:5]))
+        return np.asarray(_with_axes_first(self.state[:, :2]) + path * _with_axes_first(self.state[:, 3:5]))
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,9 @@ class FlightSegment(Segment):
         return fly(self.state, self.gravity, times - self.begins[:, None])
 
     def average_centres(self, middle: Array, wide: Real) -> Array:
-        return np.asarray(_plane(self.state[:, :2]) + _plane(self.state[:, 3:5]) * (middle - self.begins[:, None]))
+        return np.asarray(
+            _with_axes_first(self.state[:, :2]) + _with_axes_first(self.state[:, 3:5]) * (middle - self.begins[:, None])
+        )
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,7 @@ class TrajectorySegment(Segment):
         return np.asarray(self.motion.average(spans, lambda states: states[..., :2])[0].T[:, None])
 
 
-def _plane(vectors: Array) -> Array:
+def _with_axes_first(vectors: Array) -> Array:
     """Turn (k, 2) into (2, k, 1)."""
     return np.asarray(vectors.T[..., None])
 

@@ -44,7 +44,7 @@ def glint_share(pairs: pd.DataFrame, min_lever_px: float = 0.05) -> float:
     return float((lever[use] * own[use]).sum()) / weight if weight > min_lever_px**2 * max(use.sum(), 1) else np.nan
 
 
-def measure_defects(held: PositionMatches, base: Mapping[int, TrueTracks]) -> dict[str, Any]:
+def measure_shifts_by_defects(held: PositionMatches, base: Mapping[int, TrueTracks]) -> dict[str, Any]:
     """Measure how far each defect alone moves each quantity.
 
     `base` has, by clip, the value of `simulate_at_bound`. Returns `size`: of locking (px, peak to peak), of glint (the

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tracker.benchmark.judging.defects import measure_defects, simulate_at_bound
+from tracker.benchmark.judging.defects import measure_shifts_by_defects, simulate_at_bound
 from tracker.benchmark.judging.positions import gap_curve, match_positions, phase_curve
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.definition import SuitePart
@@ -33,7 +33,9 @@ def make_entry(
     defects: dict[str, Any] = {}
     for name in (name for name in chosen.parts_of("physics") if name in run):
         clips = tracked.sample.of(run[name])[:max_physics_clips]
-        defects = measure_defects(held[name], {clip: simulate_at_bound(suite, run[name], clip) for clip in clips})
+        defects = measure_shifts_by_defects(
+            held[name], {clip: simulate_at_bound(suite, run[name], clip) for clip in clips}
+        )
     out: dict[str, Any] = {
         "tracker": dict(about),
         "suite": {key: suite.about[key] for key in ("version", "size", "split", "definition_sha256", "truth_sha256")},

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benchmark_suite import Given, noisy, suite
 
-from tracker.benchmark.judging.defects import measure_defects, simulate_at_bound
+from tracker.benchmark.judging.defects import measure_shifts_by_defects, simulate_at_bound
 from tracker.benchmark.judging.positions import match_positions
 
 
@@ -17,7 +17,7 @@ def base():
 def judged(base, change):
     made = suite()
     part = made.parts["bright"]
-    return measure_defects(match_positions(made, Given(made, change), part), base)
+    return measure_shifts_by_defects(match_positions(made, Given(made, change), part), base)
 
 
 def test_a_tracker_without_defects_moves_nothing(base):
