@@ -30,9 +30,9 @@ LAWS: dict[str, tuple[str, ...]] = {
     "mass": (),
     "radius": (),
     # impact, once a collision; speeds in m/s, approach_speed of the centres, normal_impulse over twice the reduced
-    # mass, obliqueness of the approach: |b|, the sine of its angle with the normal
+    # mass, obliqueness of the approach: |b|, the sine of its angle with the normal; inertia: I/(m R^2)
     "restitution": ("normal_speed", "heading", "obliqueness"),
-    "spin_transfer": ("contact_speed", "normal_impulse", "approach_speed", "heading", "obliqueness"),
+    "spin_transfer": ("contact_speed", "normal_impulse", "approach_speed", "heading", "obliqueness", "inertia"),
     "loft": (),  # share of the vertical impulse that the plate does not hold back
     "rebound": (),  # the plate's restitution
     # sliding: mu; the load on the plate over the mass, m/s^2; the torque about the vertical, as dwz/dt

@@ -26,6 +26,9 @@ from synthcam_shared.settings import Fraction, Positive, Settings, did_you_mean,
 Array = NDArray[np.float64]
 
 
+SOLID_BALL = 0.4  # I/(m R^2)
+
+
 class BallSettings(Settings):
     """`ball:` the paper's steel ball."""
 
@@ -144,14 +147,22 @@ class Ball:
 
 @dataclass(frozen=True)
 class Bodies:
-    """Balls in a row: radius (n,) m, mass (n,) kg, of_a (n,): 1 for the experimenter's ball a, 0 for ball b."""
+    """Balls in a row: radius (n,) m, mass (n,) kg, of_a (n,): 1 for the experimenter's ball a, 0 for ball b.
+
+    inertia: I/(m R^2), (n,); 2/5 of solid balls.
+    """
 
     radius: Array
     mass: Array
     of_a: Array
+    inertia: Array
 
     def __getitem__(self, which: Any) -> Bodies:
-        return Bodies(self.radius[which], self.mass[which], self.of_a[which])
+        return Bodies(self.radius[which], self.mass[which], self.of_a[which], self.inertia[which])
+
+    @classmethod
+    def join(cls, *parts: Bodies) -> Bodies:
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(cls)))
 
 
 @dataclass(frozen=True)
@@ -250,7 +261,7 @@ class Model:
         a = self.laws("radius", self.ball.radius, {}), self.laws("mass", self.ball.mass, {})
         b = self.ball.radius, self.ball.mass
         radius, mass = (np.where(of_a == 1, x, y) for x, y in zip(a, b, strict=True))
-        return Bodies(radius, mass, of_a)
+        return Bodies(radius, mass, of_a, np.full(len(of_a), SOLID_BALL))
 
     def value(self, name: str) -> float:
         """The value of a parameter.

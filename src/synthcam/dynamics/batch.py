@@ -145,7 +145,7 @@ def solve_collisions(
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))
     one = model.bodies(["b" if a else "a" for a in is_a])
     two = model.bodies(["a" if a else "b" for a in is_a])
-    both = Bodies(*(np.concatenate([getattr(one, f), getattr(two, f)]) for f in ("radius", "mass", "of_a")))
+    both = Bodies.join(one, two)
     t_c = launches[:, 2].astype(float)
     spin = launches[:, 6:] if launches.shape[1] > len(LAUNCH_COLUMNS) else None
     target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2], spin)
@@ -259,8 +259,9 @@ class _BatchSolver:
     def _slide_before(self, who: Ints, states: Array, start: Array) -> None:
         """Add slides in closed form that end in these states at the contacts."""
         radius, slowing = self.bodies.radius[who], np.full(len(who), self.model.sliding_friction * self.model.gravity)
-        first = kinematics.slide(states, radius, slowing, (start - self.t_c[who])[:, None])[:, 0]
-        self.out.segments.append(SlideSegment(who, start, self.t_c[who], first, radius, slowing))
+        inertia = self.bodies.inertia[who]
+        first = kinematics.slide(states, radius, slowing, (start - self.t_c[who])[:, None], inertia)[:, 0]
+        self.out.segments.append(SlideSegment(who, start, self.t_c[who], first, radius, slowing, inertia))
 
     def _approach_with_push(self, states: Array) -> tuple[Array, Array]:
         """Solve the approach of balls that push each other."""
@@ -374,7 +375,7 @@ class _BatchSolver:
         rolls = (slip > ZERO_SPEED_M_S) & (left <= 1e-9 * slip)
         vertical = after[:, 5].copy()
         radius = self.bodies.radius[who]
-        q = rolling_velocity(after, radius)
+        q = rolling_velocity(after, radius, self.bodies.inertia[who])
         after[rolls] = rolling_state(after[rolls, :2], q[rolls], after[rolls, 8], radius[rolls])
         after[:, 5] = vertical
         states[who] = after
@@ -402,12 +403,12 @@ class _BatchSolver:
             for some in _group_by_size(who, np.hypot(u[:, 0], u[:, 1])):
                 self._propagate(some, states, now)
             return
-        begins, from_, radius = now[who], states[who], self.bodies.radius[who]
+        begins, from_, radius, inertia = now[who], states[who], self.bodies.radius[who], self.bodies.inertia[who]
         slowing = np.full(len(who), self.model.sliding_friction * self.model.gravity)
-        lasts = kinematics.slide_time(from_, radius, slowing)
-        ends, last = begins + lasts, kinematics.slide(from_, radius, slowing, lasts[:, None])[:, 0]
-        self.out.segments.append(SlideSegment(who, begins, ends, from_, radius, slowing))
-        states[who] = rolling_state(last[:, :2], rolling_velocity(last, radius), last[:, 8], radius)
+        lasts = kinematics.slide_time(from_, radius, slowing, inertia)
+        ends, last = begins + lasts, kinematics.slide(from_, radius, slowing, lasts[:, None], inertia)[:, 0]
+        self.out.segments.append(SlideSegment(who, begins, ends, from_, radius, slowing, inertia))
+        states[who] = rolling_state(last[:, :2], rolling_velocity(last, radius, inertia), last[:, 8], radius)
         now[who] = ends
         self.out.slide_ends[who] = ends
         self._add_kink(who, ends)

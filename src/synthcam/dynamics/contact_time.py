@@ -1,44 +1,29 @@
-"""Contact detection: when two balls first touch, given how each of them moves."""
+"""Contact detection: when a ball first touches another, or a wall, given how each of them moves.
+
+The steps in time cannot pass a contact. The distance of a point in free motion from another, and from a wall, is convex
+in time. So the gap h stays above h + h' s - A s^2/2, where A bounds the sum of the accelerations. Near a contact the
+steps converge like Newton's method.
+"""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
 
 from synthcam.dynamics.kinematics import TOUCH_TOLERANCE
 from synthcam.dynamics.trajectory import Leg
+from synthcam.dynamics.walls import Wall, time_to_close
 
 MIN_IMPACT_SPEED_M_S = 1e-9  # softer impacts belong to an endless sequence, which a restitution under 0.4 may bring
 STAYING = "stay in contact from {:.6g} s on: only separate impacts are modelled"
+MAX_TOUCHING_STEPS = 10_000  # an impact may leave two balls with one velocity, side by side for a while
+OVERLAP_TOLERANCE = 1e-6  # of the reach
 
 
-def first_contact(
-    legs: Sequence[Leg], radius: Sequence[float], t: float, horizon: float
-) -> tuple[float, int, int] | None:
-    """Find the first contact between any two balls, from t to the horizon, s: its time and the two balls, or None.
+def find_contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | None:
+    """Find the first time in [t, horizon] at which two balls touch and approach; reach: the sum of their radii, m.
 
-    radius: of each ball, m. Raises ValueError if balls overlap, or touch and do not part.
+    Raises ValueError if balls overlap, or touch and do not part.
     """
-    first = None
-    for i, j in itertools.combinations(range(len(legs)), 2):
-        if legs[i].motion == legs[j].motion == "rest":
-            continue
-        when = _contact(legs[i], legs[j], t, horizon, radius[i] + radius[j])
-        if when is not None:
-            first, horizon = (when, i, j), when
-    return first
-
-
-def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | None:
-    """Find the first time in [t, horizon] at which two balls touch and approach; reach: the sum of their radii.
-
-    The steps cannot pass a contact. The distance of two points in free motion is convex in time, so the gap h stays
-    above h + h' s - A s^2/2, where A bounds the sum of both accelerations. Near a contact the steps converge like
-    Newton's method.
-    """
-    overlap_tolerance = 1e-6 * reach
-    max_touching_steps = 10_000  # an impact may leave two balls with one velocity, side by side for a while
     steepest = a.bound(t) + b.bound(t)
     touching, begun, touched = TOUCH_TOLERANCE * reach / 2, t, 0
     while True:
@@ -54,13 +39,13 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | 
             parting = (vx * vx + vy * vy + vz * vz - rate * rate) / distance - steepest  # as they pass each other
             if rate < 0 and not (rate > -MIN_IMPACT_SPEED_M_S and rate * rate < 2 * parting * touching):
                 return t
-            if gap < -overlap_tolerance:
+            if gap < -OVERLAP_TOLERANCE * reach:
                 raise ValueError(f"balls overlap by {-gap:.3g} m at {t:.6g} s")
             gap, rate = (touching, 0.0) if rate <= 0 else (max(gap, 0.0), rate)
             touched += 1
-            if touched > max_touching_steps:
+            if touched > MAX_TOUCHING_STEPS:
                 raise ValueError("two balls " + STAYING.format(begun))
-        step = _safe_step(gap, rate, steepest)
+        step = time_to_close(gap, rate, steepest)
         if t + step > horizon:
             return None
         if t + step == t and rate < 0:  # closer than the last bit of the time resolves
@@ -68,9 +53,28 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | 
         t = max(t + step, math.nextafter(t, math.inf))
 
 
-def _safe_step(gap: float, rate: float, steepest: float) -> float:
-    """Return the positive root s of gap + rate s - steepest s^2/2 = 0."""
-    if steepest == 0:
-        return gap / -rate if rate < 0 else math.inf
-    root = math.sqrt(rate * rate + 2 * steepest * gap)
-    return (rate + root) / steepest if rate > 0 else 2 * gap / (root - rate)
+def find_wall_contact(ball: Leg, wall: Wall, t: float, horizon: float, radius: float) -> float | None:
+    """Find the first time in [t, horizon] at which a ball touches a wall and approaches it."""
+    steepest, reach = ball.bound(t), wall.reach(radius)
+    touching, begun, touched = TOUCH_TOLERANCE * radius, t, 0
+    while True:
+        state = ball.now(t)
+        far, nx, ny = wall.distance(state[0], state[1])
+        gap, rate = far - reach, state[3] * nx + state[4] * ny
+        if math.isnan(gap):
+            raise ValueError(f"the motion of a ball cannot be followed beyond {begun:.6g} s")
+        if gap <= touching:
+            if rate < 0:
+                return t
+            if gap < -OVERLAP_TOLERANCE * radius:
+                raise ValueError(f"a ball is {-gap:.3g} m deep in a wall at {t:.6g} s")
+            gap, rate = (touching, 0.0) if rate <= 0 else (max(gap, 0.0), rate)
+            touched += 1
+            if touched > MAX_TOUCHING_STEPS:
+                raise ValueError(f"a ball and a wall {STAYING.format(begun)}")
+        step = wall.time_to_close(state, gap, rate, steepest)
+        if t + step > horizon:
+            return None
+        if t + step == t and rate < 0:
+            return t
+        t = max(t + step, math.nextafter(t, math.inf))

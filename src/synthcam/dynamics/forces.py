@@ -16,7 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, Array, contact_velocity, rolling_velocity
+from synthcam.dynamics.kinematics import (
+    TOUCH_TOLERANCE,
+    Array,
+    contact_velocity,
+    push_share,
+    rolling_velocity,
+    slip_rate,
+)
 from synthcam.model import Bodies, Model
 
 Ints = NDArray[np.intp]
@@ -44,14 +51,16 @@ class Forces:
 
     model: Model
     constants: dict[str, Any]
+    inertia: Array  # (m, 1)
 
     @classmethod
     def of(cls, model: Model, bodies: Bodies) -> Forces:
         known: dict[str, Any] = dict(gravity=model.gravity, radius=bodies.radius[:, None], mass=bodies.mass[:, None])
-        return cls(model, known | dict(of_a=bodies.of_a[:, None], ball=model.ball))
+        return cls(model, known | dict(of_a=bodies.of_a[:, None], ball=model.ball), bodies.inertia[:, None])
 
     def __getitem__(self, rows: Any) -> Forces:
-        return Forces(self.model, {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.constants.items()})
+        constants = {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.constants.items()}
+        return Forces(self.model, constants, self.inertia[rows])
 
     def act_on_sliding(self, slip: Array, hat: Array, spin: Any, place: Array, v: Array, other: Any) -> tuple[Any, ...]:
         """Evaluate the forces on m sliding balls at n instants each.
@@ -71,7 +80,7 @@ class Forces:
         instant |= dict(slip_speed=slip, slip=last_axis(hat))
         friction = laws("friction", self.model.sliding_friction, instant)
         load = laws("normal_load", self.model.gravity, instant)
-        slowing = 3.5 * friction * load + np.zeros_like(slip)
+        slowing = slip_rate(self.inertia) * friction * load + np.zeros_like(slip)
         twist = 0.0
         if laws.has_effect_on("drilling"):
             twist = laws("drilling", 0.0, instant | {"friction": friction, "load": load})
@@ -87,7 +96,9 @@ class Forces:
         instant = self.constants | dict(position=last_axis(place), velocity=last_axis(v), other=other, speed=speed)
         loss = model.laws("rolling", model.rolling_drag * speed + model.rolling_decel, instant)
         out = v * (-loss / np.maximum(speed, TINY))
-        return np.asarray(out + 5 / 7 * self.push(place, v, other) if model.laws.has_effect_on("push") else out)
+        if model.laws.has_effect_on("push"):
+            out = out + push_share(self.inertia) * self.push(place, v, other)
+        return np.asarray(out)
 
     def push(self, place: Array, v: Array, other: Any) -> Array:
         """Return the push on balls at these positions with these velocities, (2, m, n) m/s^2."""
@@ -160,7 +171,8 @@ def find_ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NO
     u, forces = contact_velocity(state, bodies.radius), Forces.of(model, bodies)
     first = np.hypot(u[:, 0], u[:, 1])
     hat, slip = (u.T / np.maximum(first, TINY))[..., None], np.full((len(state), 1), probe)
-    v = rolling_velocity(state, bodies.radius).T[..., None] + 2 / 7 * slip * hat
+    inertia = bodies.inertia
+    v = rolling_velocity(state, bodies.radius, inertia).T[..., None] + 1 / slip_rate(inertia)[:, None] * slip * hat
     there = state[:, :2].T[..., None], v, other
     found = [forces.act_on_sliding(slip, hat, spins * state[:, 8:], *there) for spins in (0.0, 1.0)]
     push = found[0][2] + np.zeros((2, len(state), 1))

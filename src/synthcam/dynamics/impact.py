@@ -1,4 +1,4 @@
-"""The two kinds of impact, both instantaneous: ball on ball (one pair or many), and ball on plate."""
+"""The kinds of impact, all instantaneous: ball on ball (one pair or many), ball on wall, and ball on plate."""
 
 from __future__ import annotations
 
@@ -7,10 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.kinematics import Array, Real, State, apply_friction_impulse, contact_velocity
+from synthcam.dynamics.kinematics import (
+    Array,
+    Real,
+    State,
+    apply_friction_impulse,
+    contact_velocity,
+    push_share,
+    slip_rate,
+)
+from synthcam.dynamics.walls import Wall
 from synthcam.model import Bodies, Model
 
-MAX_SPIN_TRANSFER = 5 / 7  # more would create energy
 MIN_BOUNCE_SPEED_M_S = 1e-7  # a lower bounce, some 10 ns, and all that follow it are taken together
 
 
@@ -25,25 +33,37 @@ class Impact:
     impulse_t: Array
 
 
+@dataclass(frozen=True)
+class WallImpact:
+    """The outcome of an impact on a wall."""
+
+    after: State
+    n: tuple[float, float]  # unit vector from the wall to the ball, seen from above
+    impulse_n: float  # along the normal, N s
+    impulse_t: float  # along z x n, N s
+
+
 def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodies) -> Impact:
     """Let k pairs collide: targets in states (k, 9), bodies `one`, and strikers, bodies `two`. See `strike`."""
     first, second = (tuple(np.ascontiguousarray(states.T)) for states in (target, striker))
-    *vectors, along_n, along_t = strike(model, first, second, (one.radius, one.mass), (two.radius, two.mass))
+    *vectors, along_n, along_t = strike(
+        model, first, second, (one.radius, one.mass, one.inertia), (two.radius, two.mass, two.inertia)
+    )
     a, b, n = (np.stack(np.broadcast_arrays(*parts), axis=-1) for parts in vectors)
     return Impact(a, b, n, along_n, along_t)
 
 
 def strike(
-    model: Model, target: State, striker: State, one: tuple[Real, Real], two: tuple[Real, Real]
+    model: Model, target: State, striker: State, one: tuple[Real, Real, Real], two: tuple[Real, Real, Real]
 ) -> tuple[State, State, tuple[Real, Real, Real], Real, Real]:
     """Let two balls that touch collide, by the laws `restitution`, `spin_transfer` and `loft` of the model.
 
-    With the reduced mass m:
+    With the reduced mass m and k = I/(m R^2), 2/5 for solid balls:
 
     - The normal impulse is P = (1 + r) v_n m along n.
-    - The tangential impulse is J = (2/5) C |u_t| 2 m against u_t. This is the velocity of the striker's surface
+    - The tangential impulse is J = k C |u_t| 2 m against u_t. This is the velocity of the striker's surface
       relative to the target's at the contact, its vertical part included.
-    - The spin of both balls changes by dw = (5/2) n x J / (mass R).
+    - The spin of both balls changes by dw = n x J / (k mass R). With two values of k, J has the k of `join_inertia`.
     - The plate holds back the vertical impulse except for the share `loft`. The part held back spins the balls but
       lifts neither.
 
@@ -52,10 +72,10 @@ def strike(
 
     The law of r and C is that of Painter & Behringer, Phys. Rev. E 62 (2000) 2380.
 
-    one, two: radius, m, and mass, kg, of target and striker. Returns the states just after, the unit vector from
+    one, two: radius, m, mass, kg, and k of target and striker. Returns the states just after, the unit vector from
     striker to target, and the impulses on the target along n and along z x n, N s.
     """
-    (r1, m1), (r2, m2) = one, two
+    (r1, m1, k1), (r2, m2, k2) = one, two
     nx, ny, nz = target[0] - striker[0], target[1] - striker[1], target[2] - striker[2]
     apart = (nx * nx + ny * ny + nz * nz) ** 0.5
     nx, ny, nz = nx / apart, ny / apart, nz / apart
@@ -65,24 +85,69 @@ def strike(
     ux = ax - v_n * nx + sy * nz - sz * ny
     uy = ay - v_n * ny + sz * nx - sx * nz
     uz = az - v_n * nz + sx * ny - sy * nx
-    r, c = _contact_coefficients(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny))
+    inertia = join_inertia(k1, m1, k2, m2)
+    r, c = _contact_coefficients(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny), inertia)
     reduced = m1 * m2 / (m1 + m2)
-    normal, pull = (1 + r) * v_n * reduced, 0.8 * c * reduced
+    normal, pull = (1 + r) * v_n * reduced, 2 * inertia * c * reduced
     tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
     px, py, pz = normal * nx + tx, normal * ny + ty, (normal * nz + tz) * model.laws("loft", 0.0, {})
-    turn = -2.5 * (ny * tz - nz * ty), -2.5 * (nz * tx - nx * tz), -2.5 * (nx * ty - ny * tx)
+    turn = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
 
-    def after(state: State, radius: Real, mass: Real) -> State:
+    def after(state: State, radius: Real, mass: Real, inertia: Real) -> State:
         x, y, z, vx, vy, vz, wx, wy, wz = state
-        size = abs(mass) * radius
-        wx, wy, wz = wx + turn[0] / size, wy + turn[1] / size, wz + turn[2] / size
+        inverse, size = 1 / inertia, abs(mass) * radius
+        wx, wy, wz = (w + inverse * part / size for w, part in zip((wx, wy, wz), turn, strict=True))
         return x, y, z, vx + px / mass, vy + py / mass, vz + pz / mass, wx, wy, wz
 
-    return after(target, r1, m1), after(striker, r2, -m2), (nx, ny, nz), normal, ty * nx - tx * ny
+    return after(target, r1, m1, k1), after(striker, r2, -m2, k2), (nx, ny, nz), normal, ty * nx - tx * ny
+
+
+def hit_wall(model: Model, wall: Wall, ball: State, body: tuple[float, float, float]) -> WallImpact:
+    """Let a ball hit a wall that it touches.
+
+    The normal points from the wall to the ball's centre, downwards where the wall touches above it. With k = I/(m R^2):
+
+    - The normal impulse is P = (1 + e) m v_n.
+    - The tangential impulse is J = min(mu P, (1 + beta) m |u|/(1 + 1/k)) against u, the velocity of the ball's surface.
+    - The plate holds back the vertical impulse except for the share `loft`, as in `strike`.
+
+    For a cushion this is the law of I. Han, J. Mech. Sci. Technol. 19 (2005) 976, with beta = 0.
+
+    body: radius, m, mass, kg, and k of the ball.
+    """
+    (radius, mass, inertia), (x, y, z, vx, vy, vz, wx, wy, wz) = body, ball
+    _, ax, ay = wall.distance(x, y)
+    nz = -wall.rise(radius)
+    level = (1 - nz * nz) ** 0.5
+    nx, ny = level * ax, level * ay
+    v_n = -(vx * nx + vy * ny + vz * nz)
+    ux = vx + v_n * nx - radius * (wy * nz - wz * ny)
+    uy = vy + v_n * ny - radius * (wz * nx - wx * nz)
+    uz = vz + v_n * nz - radius * (wx * ny - wy * nx)
+    slip, normal = (ux * ux + uy * uy + uz * uz) ** 0.5, (1 + wall.restitution) * v_n  # impulses over the mass
+    stick = (1 + wall.tangential_restitution) / slip_rate(inertia)
+    pull = -(min(stick, wall.friction * normal / slip) if slip > 0 else 0.0)
+    tx, ty, tz = pull * ux, pull * uy, pull * uz
+    loft, turn = float(model.laws("loft", 0.0, {})), 1 / (inertia * radius)
+    after = (
+        *(x, y, z, vx + normal * nx + tx, vy + normal * ny + ty, vz + loft * (normal * nz + tz)),
+        *(wx + turn * (nz * ty - ny * tz), wy + turn * (nx * tz - nz * tx), wz + turn * (ny * tx - nx * ty)),
+    )
+    return WallImpact(after, (ax, ay), mass * normal, mass * (ax * ty - ay * tx))
+
+
+def join_inertia(k1: Real, m1: Real, k2: Real, m2: Real) -> Real:
+    """Return k1 k2 (m1 + m2)/(m1 k1 + m2 k2), the factor k of two bodies in contact; exactly k where both have one."""
+    return k1 + (k2 - k1) * (k1 * m1 / (m1 * k1 + m2 * k2))
 
 
 def _contact_coefficients(
-    model: Model, v_n: Real, u: tuple[Real, ...], approach: tuple[Real, Real], normal: tuple[Real, Real]
+    model: Model,
+    v_n: Real,
+    u: tuple[Real, ...],
+    approach: tuple[Real, Real],
+    normal: tuple[Real, Real],
+    inertia: Real,
 ) -> tuple[Any, Any]:
     """Return restitution and spin transfer of these impacts, with the effects on them, within their limits."""
     r, c = model.restitution, model.spin_transfer
@@ -98,13 +163,14 @@ def _contact_coefficients(
             "contact_speed": np.sqrt(sum(np.atleast_1d(x * x) for x in u)),
             "normal_impulse": np.atleast_1d((1 + r) * v_n / 2),
             "approach_speed": speed,
+            "inertia": inertia,
         }
         c = model.laws("spin_transfer", c, instant)
     if isinstance(v_n, float):
-        limits = ((r, 1.0), (c, MAX_SPIN_TRANSFER))
+        limits = ((r, 1.0), (c, push_share(inertia)))
         one, two = (min(max(float(np.ravel(x)[0]) if isinstance(x, np.ndarray) else x, 0.0), top) for x, top in limits)
         return one, two
-    return np.clip(r, 0.0, 1.0), np.clip(c, 0.0, MAX_SPIN_TRANSFER)
+    return np.clip(r, 0.0, 1.0), np.clip(c, 0.0, push_share(inertia))
 
 
 def land(model: Model, state: Array, body: Bodies) -> Array:
@@ -130,7 +196,7 @@ def land(model: Model, state: Array, body: Bodies) -> Array:
     mu = model.laws("friction", model.sliding_friction, instant)
     up = rebound * down
     last = up < MIN_BOUNCE_SPEED_M_S
-    out = apply_friction_impulse(state, mu * (down + np.where(last, 0.0, up)), body.radius)
+    out = apply_friction_impulse(state, mu * (down + np.where(last, 0.0, up)), body.radius, body.inertia)
     out[:, 2] = body.radius
     out[:, 5] = np.where(last, 0.0, up)
     return out

@@ -17,6 +17,7 @@ import numpy as np
 from synthcam.dynamics.collocation import matrices, multiply, resample, series
 from synthcam.dynamics.forces import Flags, Ints
 from synthcam.dynamics.kinematics import Array, fly, plate_state
+from synthcam.model import Bodies
 
 NEGLIGIBLE_M = 1e-16  # coefficients of all balls that together are smaller are left out
 Pieces = Sequence[tuple[Array, Array]]
@@ -33,7 +34,7 @@ class IntegratedMotion:
     begins: Array
     durations: Array
     states: Array  # (m, 9), at the beginning
-    radius: Array
+    bodies: Bodies
     gravity: float
     pieces: Pieces
     power: int  # of the root in w; 0 where the nodes are even in time
@@ -41,7 +42,7 @@ class IntegratedMotion:
 
     def __getitem__(self, rows: Ints) -> IntegratedMotion:
         pieces = [(times[rows], y[:, rows]) for times, y in self.pieces]
-        of = {f: getattr(self, f)[rows] for f in ("begins", "durations", "states", "radius", "airborne")}
+        of = {f: getattr(self, f)[rows] for f in ("begins", "durations", "states", "bodies", "airborne")}
         return replace(self, pieces=pieces, **of)
 
     def shift(self, by: Array) -> IntegratedMotion:
@@ -67,7 +68,7 @@ class IntegratedMotion:
     def _assemble_states(self, y: Array, elapsed: Array) -> Array:
         x, q = np.moveaxis(y[:2], 0, -1), np.moveaxis(y[2:4], 0, -1)
         u, wz = (np.moveaxis(y[4:6], 0, -1), y[6]) if len(y) > 4 else (np.zeros(2), self.states[:, 8:])
-        out = plate_state(x, q, u, wz, self.radius[:, None])
+        out = plate_state(x, q, u, wz, self.bodies.radius[:, None], self.bodies.inertia[:, None])
         if self.airborne.any():
             aloft = fly(self.states[self.airborne], self.gravity, elapsed[self.airborne])
             aloft[..., 0:2], aloft[..., 3:5] = x[self.airborne], q[self.airborne]

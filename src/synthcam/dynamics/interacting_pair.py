@@ -46,7 +46,7 @@ def make_leg(motion: IntegratedMotion, ball: int, mode: int, now: float) -> Leg:
     own = motion[np.array([ball])].shift(np.array([now]))
     ends = sorted((now + float(motion.begins[ball]), now + float(motion.begins[ball] + motion.durations[ball])))
     if mode == REST:
-        return Rest(ends[0], ends[1], to_rest(tuple(motion.states[ball].tolist()), float(motion.radius[ball])))
+        return Rest(ends[0], ends[1], to_rest(tuple(motion.states[ball].tolist()), float(motion.bodies.radius[ball])))
     lift = motion.gravity if mode == FLY else 0.0
     return Numeric.of(ends[0], ends[1], NAMES[mode], lambda times: own.at(times[None])[0], lift)
 
@@ -75,7 +75,8 @@ class InteractingPair:
         else:
             pieces = self._propagate_back(rows, modes, lasted)
         for _, motion in pieces:
-            moved = classify_modes(motion.at((motion.begins + motion.durations / 2)[:, None])[:, 0], motion.radius)
+            halfway = motion.at((motion.begins + motion.durations / 2)[:, None])[:, 0]
+            moved = classify_modes(halfway, motion.bodies.radius)
             for ball, k in enumerate(order):
                 leg = make_leg(motion, ball, moved[ball], launch.time)
                 begins = max(leg.t0, self.start)

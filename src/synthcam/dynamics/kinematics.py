@@ -2,6 +2,7 @@
 
 The state of a ball is nine numbers: position x, y, z (m), velocity vx, vy, vz (m/s), spin wx, wy, wz (rad/s).
 On the plate z = R. The contact velocity u = v - R (w x z) is the velocity of the ball's lowest point; rolling is u = 0.
+`inertia` is I/(m R^2) everywhere: 2/5 for a solid ball, the default.
 
 - `slip_velocity`, `after_sliding`, `after_rolling` and `after_flight` take the nine numbers as floats or as arrays.
   The event loop of one run uses floats, since numpy is slow on single numbers.
@@ -16,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam.model import SOLID_BALL
+
 Array = NDArray[np.float64]
 Real = Any  # a float or an array
 State = tuple[Real, ...]  # nine of them
@@ -27,7 +30,17 @@ def slip_velocity(state: State, radius: Real) -> tuple[Real, Real]:
     return state[3] - radius * state[7], state[4] + radius * state[6]
 
 
-def after_sliding(state: State, radius: Real, slowing: Real, t: Real) -> State:
+def slip_rate(inertia: Real = SOLID_BALL) -> Any:
+    """Return how many times as fast as the speed friction changes the slip, 1 + 1/k: 7/2 for a solid ball."""
+    return 1 + 1 / inertia
+
+
+def push_share(inertia: Real = SOLID_BALL) -> Any:
+    """Return the share of a push on its centre that accelerates a rolling ball, 1/(1 + k): 5/7 of a solid ball."""
+    return 1 / inertia / (1 + 1 / inertia)
+
+
+def after_sliding(state: State, radius: Real, slowing: Real, t: Real, inertia: Real = SOLID_BALL) -> State:
     """Slide for the time t under constant friction: the centre moves on a parabola.
 
     `slowing` is mu times the load over the mass, m/s^2. The slip must not be zero.
@@ -36,7 +49,7 @@ def after_sliding(state: State, radius: Real, slowing: Real, t: Real) -> State:
     ux, uy = slip_velocity(state, radius)
     rate = -slowing / (ux * ux + uy * uy) ** 0.5
     ax, ay = rate * ux, rate * uy
-    turn = 2.5 / radius * t  # I dw/dt = -R z x F
+    turn = 1 / inertia / radius * t  # I dw/dt = -R z x F
     half = 0.5 * t * t
     out = (x + vx * t + ax * half, y + vy * t + ay * half, z)
     return (*out, vx + ax * t, vy + ay * t, vz, wx + turn * ay, wy - turn * ax, wz)
@@ -68,6 +81,11 @@ def to_rolling(state: State, radius: Real) -> State:
     return x, y, radius, vx, vy, vz, -vy / radius, vx / radius, wz
 
 
+def _for_vectors(numbers: Real) -> Any:
+    """Let numbers (...) multiply vectors (..., 2)."""
+    return numbers[..., None] if isinstance(numbers, np.ndarray) and numbers.ndim else numbers
+
+
 def _split_components(state: Array) -> State:
     """Split states (..., 9) into nine arrays that broadcast with times (..., m)."""
     return tuple(np.moveaxis(state[..., None, :], -1, 0))
@@ -85,25 +103,26 @@ def contact_velocity(state: Array, radius: Real) -> Array:
     return np.stack([state[..., 3] - radius * state[..., 7], state[..., 4] + radius * state[..., 6]], axis=-1)
 
 
-def rolling_velocity(state: Array, radius: Real) -> Array:
-    """Return q = (5 v + 2 R w x z)/7, shape (..., 2): the velocity with which the ball will roll once sliding ends.
+def rolling_velocity(state: Array, radius: Real, inertia: Real = SOLID_BALL) -> Array:
+    """Return q = (v + k R w x z)/(1 + k), shape (..., 2): the velocity with which the ball rolls once sliding ends.
 
     No force at the lowest point can change q (conservation of angular momentum about that point).
     """
-    return np.asarray(state[..., 3:5] - 2 / 7 * contact_velocity(state, radius))
+    return np.asarray(state[..., 3:5] - _for_vectors(1 / slip_rate(inertia)) * contact_velocity(state, radius))
 
 
-def plate_state(position: Array, q: Array, u: Array, wz: Real, radius: Real) -> Array:
+def plate_state(position: Array, q: Array, u: Array, wz: Real, radius: Real, inertia: Real = SOLID_BALL) -> Array:
     """Return the state of a ball on the plate from its rolling velocity q and contact velocity u, both (..., 2).
 
-    v = q + (2/7) u and R w x z = q - (5/7) u.
+    v = q + k/(1 + k) u and R w x z = q - u/(1 + k); the factors are 2/7 and 5/7 for a solid ball.
     """
+    slip, push = 1 / slip_rate(inertia), push_share(inertia)
     out = np.zeros((*np.broadcast_shapes(position.shape, q.shape)[:-1], 9))
     out[..., 0:2] = position
     out[..., 2] = radius
-    out[..., 3:5] = q + 2 / 7 * u
-    out[..., 6] = (5 / 7 * u[..., 1] - q[..., 1]) / radius
-    out[..., 7] = (q[..., 0] - 5 / 7 * u[..., 0]) / radius
+    out[..., 3:5] = q + _for_vectors(slip) * u
+    out[..., 6] = (push * u[..., 1] - q[..., 1]) / radius
+    out[..., 7] = (q[..., 0] - push * u[..., 0]) / radius
     out[..., 8] = wz
     return out
 
@@ -113,29 +132,29 @@ def rolling_state(position: Array, velocity: Array, wz: Real, radius: Real) -> A
     return plate_state(position, velocity, np.zeros(2), wz, radius)
 
 
-def apply_friction_impulse(state: Array, impulse: Real, radius: Real) -> Array:
+def apply_friction_impulse(state: Array, impulse: Real, radius: Real, inertia: Real = SOLID_BALL) -> Array:
     """Apply a friction impulse over the mass, (...), against the slip, but at most the impulse that ends the slip."""
     u = contact_velocity(state, radius)
     speed = np.hypot(u[..., 0], u[..., 1])
     hat = u / np.where(speed > 0, speed, 1)[..., None]
     out = state.copy()
-    given = np.minimum(impulse, speed / 3.5)[..., None] * hat
+    given = np.minimum(impulse, speed / slip_rate(inertia))[..., None] * hat
     out[..., 3:5] -= given
-    out[..., 6] -= 2.5 / radius * given[..., 1]
-    out[..., 7] += 2.5 / radius * given[..., 0]
+    out[..., 6] -= 1 / inertia / radius * given[..., 1]
+    out[..., 7] += 1 / inertia / radius * given[..., 0]
     return out
 
 
-def slide(state: Array, radius: Real, slowing: Real, elapsed: Array) -> Array:
+def slide(state: Array, radius: Real, slowing: Real, elapsed: Array, inertia: Real = SOLID_BALL) -> Array:
     """Slide many balls, each to many times: see `after_sliding`."""
-    radius, slowing = np.asarray(radius)[..., None], np.asarray(slowing)[..., None]
-    return _stack_components(after_sliding(_split_components(state), radius, slowing, elapsed), elapsed)
+    radius, slowing, inertia = (np.asarray(x)[..., None] for x in (radius, slowing, inertia))
+    return _stack_components(after_sliding(_split_components(state), radius, slowing, elapsed, inertia), elapsed)
 
 
-def slide_time(state: Array, radius: Real, slowing: Real) -> Any:
+def slide_time(state: Array, radius: Real, slowing: Real, inertia: Real = SOLID_BALL) -> Any:
     """Return how long a slide with constant friction lasts, s; without friction, years."""
     u = contact_velocity(state, radius)
-    return np.hypot(u[..., 0], u[..., 1]) / np.where(slowing > 0, 3.5 * slowing, 1e-9)
+    return np.hypot(u[..., 0], u[..., 1]) / np.where(slowing > 0, slip_rate(inertia) * slowing, 1e-9)
 
 
 def roll(state: Array, radius: Real, drag: float, decel: float, elapsed: Array) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, Array, plate_state, rolling_state
+from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, Array, plate_state, rolling_state, slip_rate
 from synthcam.model import Bodies
 
 SPIN_COLUMNS = ("slip_along", "slip_across", "side")  # of a striker, m/s: see `Launch.pair`
@@ -86,4 +86,5 @@ def touching(
     if spin is None:
         return target, rolling_state(place, v, 0.0, two.radius)
     u = spin[:, :1] * d + spin[:, 1:2] * np.stack([-d[:, 1], d[:, 0]], axis=-1)
-    return target, plate_state(place, v - 2 / 7 * u, u, spin[:, 2] / two.radius, two.radius)
+    q = v - u / slip_rate(two.inertia)[:, None]
+    return target, plate_state(place, q, u, spin[:, 2] / two.radius, two.radius, two.inertia)

@@ -4,11 +4,12 @@ A sliding ball is integrated in q = (5 v + 2 R w x z)/7 and the contact velocity
 
     v = q + (2/7) u,   x' = v,   q' = (5/7) p,   s' = -(7/2) mu N + p . u_hat = -A,   th' = (u_hat x p)/s
 
-with the push p and the load N over the mass; cos th and sin th take the place of th. Towards the end of the slide th'
-grows as 1/s. The slip of a ball whose slide will end therefore paces the integration, of both balls of a pair: with
-ln s in place of the time every right-hand side is smooth, and the end of the slide is a known point instead of an event
-to search for. Where nothing turns the slip, s itself serves. All other motion is integrated over time. A rolling ball,
-v' = (5/7) p - loss v_hat, is integrated for at most half the time that would stop it.
+with the push p and the load N over the mass; the numbers are those of a solid ball. cos th and sin th take the place of
+th. Towards the end of the slide th' grows as 1/s. The slip of a ball whose slide will end therefore paces the
+integration, of both balls of a pair: with ln s in place of the time every right-hand side is smooth, and the end of the
+slide is a known point instead of an event to search for. Where nothing turns the slip, s itself serves. All other
+motion is integrated over time. A rolling ball, v' = (5/7) p - loss v_hat, is integrated for at most half the time that
+would stop it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from synthcam.dynamics.forces import (
     last_axis,
 )
 from synthcam.dynamics.integrated_motion import IntegratedMotion, Pieces, snap_to_goal
-from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
+from synthcam.dynamics.kinematics import Array, contact_velocity, push_share, rolling_velocity, slip_rate
 
 MAX_SPEED_M_S = 1e3  # a ball that would have had to come faster has no past
 LOG_SLIP_BREAK = 0.33  # share of the fall of ln(slip) at which two pieces of a slide meet
@@ -68,6 +69,8 @@ class PhaseIntegrator:
     def __init__(self, balls: BallStates, spans: Array, ender: Ints) -> None:
         self.balls, self.modes, states, laws = balls, balls.modes, balls.states, balls.model.laws
         self.forces = Forces.of(balls.model, balls.bodies)
+        inertia = balls.bodies.inertia[:, None]
+        self.slip_share, self.push_share = 1 / slip_rate(inertia), push_share(inertia)
         found = {mode: np.flatnonzero(self.modes == mode) for mode in (ROLL, SLIDE, FLY)}
         self.rows: dict[int, Any] = {mode: rows for mode, rows in found.items() if len(rows)}
         if any(len(rows) == len(states) for rows in found.values()):
@@ -94,7 +97,7 @@ class PhaseIntegrator:
         self.late = bool(np.any(self.ends & drilling))  # slides that continue without drilling; pairs in a new phase
         self.closes = self.paced and not self.straight and not (self.late and balls.each > 1)
         self.log = np.log(np.where(self.ends, self.cut / np.maximum(self.first, TINY), 1.0))
-        q = rolling_velocity(states, balls.bodies.radius) if self.slides else states[:, 3:5]
+        q = rolling_velocity(states, balls.bodies.radius, balls.bodies.inertia) if self.slides else states[:, 3:5]
         q = np.where((self.modes == SLIDE)[:, None], q, states[:, 3:5])
         start = [*q.T[..., None], *states[:, :2].T[..., None]]
         if self.slides:
@@ -125,7 +128,7 @@ class PhaseIntegrator:
         """Evaluate dq/dt, A, u_hat x p and dwz/dt; late: in the rest of slides, which no longer drill."""
         at, rows = self.at, self.rows
         q, place, shape = y[at : at + 2], y[at + 2 : at + 4], y[at].shape
-        v = q + 2 / 7 * slip * y[:2] if self.slides else q
+        v = q + self.slip_share * slip * y[:2] if self.slides else q
         other = last_axis(place[:, self.balls.partner] - place) if self.balls.each > 1 else NOWHERE
         spins = np.where(self.ends, 0.0, self.spins) if late and self.drills else self.spins
 
@@ -146,7 +149,7 @@ class PhaseIntegrator:
             slowing, across, push, twist = self.forces[own].act_on_sliding(
                 slip[own], y[:2, own], (y[2] * spins)[own], *known(SLIDE)
             )
-            found[SLIDE] = 5 / 7 * push
+            found[SLIDE] = self.push_share[own] * push
             if len(found) > 1 or not isinstance(own, slice):
                 slowing, across, twist = (_scatter(f, own, shape) for f in (slowing, across, twist))
         if len(rows) == 1 and isinstance(next(iter(rows.values())), slice):
@@ -177,7 +180,7 @@ class PhaseIntegrator:
             yield slice(3, 4), (-slowing * rate)[None]
         if self.pushes or not self.slides:
             yield slice(at, at + 2), dq * rate
-        v = y[at : at + 2] + 2 / 7 * slip * y[:2] if self.slides else y[at : at + 2]
+        v = y[at : at + 2] + self.slip_share * slip * y[:2] if self.slides else y[at : at + 2]
         yield slice(at + 2, at + 4), v * rate
         if self.paced:
             yield slice(at + 4, at + 5), rate[None]
@@ -201,7 +204,9 @@ class PhaseIntegrator:
                 cos, sin = (1 - half * half) / (1 + half * half), 2 * half / (1 + half * half)
                 y[0], y[1] = y[0] * cos - y[1] * sin, y[1] * cos + y[0] * sin
                 y[2], y[3] = y[2] + twist * t, left
-            y[at + 2 : at + 4] += (start[at : at + 2] + dq / 2 * t + (first + left) / 7 * self.hat) * t
+            y[at + 2 : at + 4] += (
+                start[at : at + 2] + dq / 2 * t + (first + left) / 2 * self.slip_share * self.hat
+            ) * t
             y[at : at + 2] += dq * t
             return y
 
@@ -260,7 +265,7 @@ class PhaseIntegrator:
             u = slip * y[:2]
             du = across * np.stack([-y[1], y[0]]) - slowing * y[:2]
             du = np.where(ends & slides, -u / np.maximum(both, TINY), du)
-            v, dv = v + 2 / 7 * u, dv + 2 / 7 * du
+            v, dv = v + self.slip_share * u, dv + self.slip_share * du
             kept += [u + du * t, y[2:3] + twist * t]
         kept.insert(0, y[at + 2 : at + 4] + (v + dv / 2 * t) * t)
         return (y[-1] if self.paced else 0.0) + t, np.concatenate(kept)
@@ -269,7 +274,7 @@ class PhaseIntegrator:
         balls, flies = self.balls, self.modes == FLY
         power = 0 if not self.paced else 3 if self.closes else 1
         radius, gravity = balls.bodies.radius, balls.model.gravity
-        motion = IntegratedMotion(0 * lasts, lasts, balls.states, radius, gravity, pieces, power, flies)
+        motion = IntegratedMotion(0 * lasts, lasts, balls.states, balls.bodies, gravity, pieces, power, flies)
         last = motion.final_states()
         last[over & flies, 2] = radius[over & flies]
         return IntegrationStep(motion, last, lasts, over, sound)

@@ -81,9 +81,10 @@ class SlideSegment(Segment):
     state: Array
     radius: Array
     slowing: Array
+    inertia: Array
 
     def states(self, times: Array) -> Array:
-        return slide(self.state, self.radius, self.slowing, times - self.begins[:, None])
+        return slide(self.state, self.radius, self.slowing, times - self.begins[:, None], self.inertia)
 
     def average_centres(self, middle: Array, wide: Real) -> Array:
         t, u = middle - self.begins[:, None], contact_velocity(self.state, self.radius)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from synthcam.dynamics.contact_time import MIN_IMPACT_SPEED_M_S, STAYING, first_contact
+from synthcam.dynamics.calendar import Calendar
+from synthcam.dynamics.contact_time import MIN_IMPACT_SPEED_M_S, STAYING
 from synthcam.dynamics.forces import (
     LAWS,
     NOWHERE,
@@ -18,20 +20,38 @@ from synthcam.dynamics.forces import (
     classify_modes,
     find_ending_slip,
 )
-from synthcam.dynamics.impact import MIN_BOUNCE_SPEED_M_S, land, strike
+from synthcam.dynamics.impact import MIN_BOUNCE_SPEED_M_S, hit_wall, land, strike
 from synthcam.dynamics.interacting_pair import HELD, LEAD_TIME_S, InteractingPair, make_leg, make_start_event
-from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, Array, State, slip_velocity, stop_time, to_rest, to_rolling
+from synthcam.dynamics.kinematics import (
+    TOUCH_TOLERANCE,
+    Array,
+    State,
+    slip_rate,
+    slip_velocity,
+    stop_time,
+    to_rest,
+    to_rolling,
+)
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.propagate import MAX_SPEED_M_S, propagate, propagate_back
 from synthcam.dynamics.start_from_rest import MIN_IMPACT_SPEED_OF_PAIR_M_S, excess_push
 from synthcam.dynamics.trajectory import Event, Fly, Leg, Rest, Roll, Slide, Trajectory
+from synthcam.dynamics.walls import Wall
 from synthcam.model import Bodies, Model
 
 MAX_TIME_S = 1e4  # beyond it the last bit of the time is too coarse for an event
 MAX_PAIR_TIME_S = 60.0  # balls that push each other are integrated in small steps
 
 
-def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0, finish_slides: bool = True) -> Trajectory:
+def solve(
+    model: Model,
+    launch: Launch,
+    start: float = 0.0,
+    end: float = 0.0,
+    finish_slides: bool = True,
+    walls: Sequence[Wall] = (),
+    max_events: int = 1_000_000,
+) -> Trajectory:
     """Solve the motion of a launch from `start` to `end`, s; with `finish_slides` beyond, until the last slide has
     ended.
 
@@ -49,7 +69,7 @@ def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0, fi
             raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
         if lasts > MAX_PAIR_TIME_S:
             raise ValueError(f"balls that push each other are followed for {MAX_PAIR_TIME_S:g} s, not for {lasts:g} s")
-    return _EventLoop(model, launch, start, end, finish_slides).motion()
+    return _EventLoop(model, launch, start, end, finish_slides, walls).motion(max_events)
 
 
 def without_mutual_push(model: Model) -> Model:
@@ -60,61 +80,71 @@ def without_mutual_push(model: Model) -> Model:
 class _EventLoop:
     """One run of the event loop; states are nine floats. Balls that push each other are solved together."""
 
-    def __init__(self, model: Model, launch: Launch, start: float, end: float, finish_slides: bool) -> None:
+    def __init__(
+        self, model: Model, launch: Launch, start: float, end: float, finish_slides: bool, walls: Sequence[Wall]
+    ) -> None:
         self.model, self.bodies, self.end, self.finish_slides = model, launch.bodies, end, finish_slides
         self.radius, self.mass = launch.bodies.radius.tolist(), launch.bodies.mass.tolist()
+        self.inertia, self.walls = launch.bodies.inertia.tolist(), tuple(walls)
         self.start, self.t = start, launch.time
         self.events: list[Event] = []
         self.rolled: set[int] = set()  # balls whose slide ended at a bounce: slip in a flight is not a slide
         laws = model.laws
-        self.slides, self.rolls = (
-            laws.has_effect_on(*LAWS[SLIDE]),
-            laws.has_effect_on(*LAWS[ROLL]),
-        )  # without closed form
+        self.slides, self.rolls = (laws.has_effect_on(*LAWS[mode]) for mode in (SLIDE, ROLL))  # without closed form
         self.pushes, self.drills = laws.has_effect_on("push"), laws.has_effect_on("drilling")
         mutual = laws.needs("push", "other") and len(launch.states) == 2
         self.pairing = InteractingPair(model, launch.bodies, start, end) if mutual else None
-        self.until = math.inf  # to this time balls that push each other are solved
         states = {k: tuple(row) for k, row in enumerate(launch.states.tolist())}
         self.past: list[list[Leg]] = [[] for _ in states]
         if self.pairing:
             states, self.past, self.events = self.pairing.solve_past(launch)
         else:
             self.past = [self._past_legs(k, states[k], launch.time) for k in states]
-        self.legs = self._make_legs(states, tuple(states))
+        self.calendar = Calendar(self.radius, self.walls, max(end, self.t))
+        self.legs: list[Leg] = []
+        self._start_legs(states)
 
-    def motion(self, max_events: int = 10_000) -> Trajectory:
+    def motion(self, max_events: int) -> Trajectory:
         """Run to the end. Raises ValueError after `max_events`: the motion does not settle."""
         for _ in range(max_events):
             busy = self.finish_slides and any(leg.motion in ("slide", "fly") for leg in self.legs)
-            horizon = min([self.until, *(leg.t1 for leg in self.legs)] + ([] if busy else [max(self.end, self.t)]))
-            contact = first_contact(self.legs, self.radius, self.t, horizon)
-            if contact is not None:
-                self._collide(*contact)
-                continue
-            self.t = horizon
-            ending = [k for k, leg in enumerate(self.legs) if leg.t1 <= self.t]
-            if ending:
-                self._end_leg(ending[0])
-            elif self.t >= self.until:
+            due = self.calendar.pop(math.inf if busy else max(self.end, self.t))
+            if due is None:
+                break
+            self.t = due.t
+            if due.kind == "contact":
+                self._collide(due.i, due.j)
+            elif due.kind == "wall":
+                self._bounce(due.i, due.j)
+            elif due.kind == "renewal":
                 self._start_legs({})
             else:
-                break
+                self._end_leg(due.i)
         else:
             raise ValueError(f"the motion does not settle: {max_events} events by {self.t:g} s")
+        self.t = max(self.t, self.end)
         for k in range(len(self.legs)):
             self._archive_leg(k)
         return Trajectory(self.start, self.t, tuple(tuple(x) for x in self.past), tuple(self.events))
 
     def _start_legs(self, states: dict[int, State]) -> None:
         """Start new legs of these balls, and of those that they push."""
-        restarted = tuple(states)
-        if self.pairing:
+        restarted, until = tuple(states), math.inf
+        if self.pairing and self.legs:
             states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
-        for k in states:
+        for k in states if self.legs else ():
             self._archive_leg(k)
-        for k, leg in zip(states, self._make_legs(states, restarted), strict=True):
-            self.legs[k] = leg
+        if self.pairing:
+            legs, until, started = self.pairing.next_legs(states, self.t, restarted)
+            self.events += started
+        else:
+            legs = [self._next_leg(k, state, self.t) for k, state in states.items()]
+        if self.legs:
+            for k, leg in zip(states, legs, strict=True):
+                self.legs[k] = leg
+        else:
+            self.legs = legs
+        self.calendar.renew(self.legs, states, self.t, until)
 
     def _archive_leg(self, k: int) -> None:
         """Move the present leg of a ball to its past; a rest that continued stays one leg."""
@@ -122,14 +152,6 @@ class _EventLoop:
         if past and isinstance(leg, Rest) and isinstance(past[-1], Rest) and leg.state == past[-1].state:
             leg = leg.spanning(past.pop().t0, self.t)
         past.append(leg)
-
-    def _make_legs(self, states: dict[int, State], restarted: tuple[int, ...]) -> list[Leg]:
-        """Make the legs of balls in these states; restarted: those with an event now, where balls push each other."""
-        if self.pairing is None:
-            return [self._next_leg(k, states[k], self.t) for k in states]
-        legs, self.until, started = self.pairing.next_legs(states, self.t, restarted)
-        self.events += started
-        return legs
 
     # legs
 
@@ -186,8 +208,8 @@ class _EventLoop:
             slowing = self.model.sliding_friction * self.model.gravity
             if slowing == 0:
                 raise ValueError("sliding friction does not end the slide: there is none")
-            lasts = math.hypot(*slip_velocity(state, self.radius[k])) / (3.5 * slowing)
-            return Slide(t, t + lasts, t, state, self.radius[k], slowing)
+            lasts = math.hypot(*slip_velocity(state, self.radius[k])) / (slip_rate(self.inertia[k]) * slowing)
+            return Slide(t, t + lasts, t, state, self.radius[k], slowing, self.inertia[k])
         floor = find_ending_slip(self.model, np.array([state]), self._body(k)) if self.drills else np.full(1, math.inf)
         return self._integrate_leg(k, state, t, math.inf, floor)
 
@@ -235,7 +257,7 @@ class _EventLoop:
             self.events += started  # a pair has recorded its own
             self._start_legs({e.i: tuple(np.asarray(e.after)[0].tolist()) for e in started})
         elif leg.motion == "slide":
-            self._record_event("slide_end", k, before, _end_slip(before, radius))
+            self._record_event("slide_end", k, before, _end_slip(before, radius, self.inertia[k]))
         else:
             self._record_event("stop", k, before, to_rest(before, radius))
 
@@ -247,7 +269,7 @@ class _EventLoop:
         slips = [math.hypot(*slip_velocity(s, radius)) for s in (before, after)]
         self.events.append(Event(self.t, "land", k, before=down, after=up))
         if slips[0] > ZERO_SPEED_M_S and slips[1] <= 1e-9 * slips[0]:
-            after = _end_slip(after, radius)
+            after = _end_slip(after, radius, self.inertia[k])
             if k not in self.rolled:
                 self.events.append(Event(self.t, "slide_end", k, before=down, after=np.array([after])))
             self.rolled.add(k)
@@ -259,32 +281,47 @@ class _EventLoop:
         )
         self._start_legs({k: after})
 
-    def _collide(self, t: float, i: int, j: int) -> None:
-        self.t = t
+    def _collide(self, i: int, j: int) -> None:
+        t = self.t
         states = {k: self.legs[k].now(t) for k in (i, j)}
         if math.hypot(*states[i][3:5]) > math.hypot(*states[j][3:5]):
             i, j = j, i  # the slower ball is the target
-        bodies = (self.radius[i], self.mass[i]), (self.radius[j], self.mass[j])
-        target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], *bodies)
+        one, two = ((self.radius[k], self.mass[k], self.inertia[k]) for k in (i, j))
+        target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], one, two)
         if along_n < (MIN_IMPACT_SPEED_OF_PAIR_M_S if self.pairing else MIN_IMPACT_SPEED_M_S) * self.mass[i]:
             raise ValueError(f"balls {i} and {j} " + STAYING.format(t))
-        new = {
-            k: s if abs(s[5]) >= MIN_BOUNCE_SPEED_M_S else (*s[:5], 0.0, *s[6:]) for k, s in ((i, target), (j, striker))
-        }
+        new = {i: _without_bounce(target), j: _without_bounce(striker)}
         before: Array = np.array((states[i], states[j]))
         after: Array = np.array((new[i], new[j]))
         self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t))
-        self.rolled -= {i, j}
-        for k, state in new.items():
+        self._part(new)
+
+    def _bounce(self, k: int, wall: int) -> None:
+        before = self.legs[k].now(self.t)
+        hit = hit_wall(self.model, self.walls[wall], before, (self.radius[k], self.mass[k], self.inertia[k]))
+        after = _without_bounce(hit.after)
+        rows = np.array([before]), np.array([after])
+        self.events.append(Event(self.t, "wall", k, wall, *rows, hit.n, hit.impulse_n, hit.impulse_t))
+        self._part({k: after})
+
+    def _part(self, states: dict[int, State]) -> None:
+        """Start the legs of balls after an impact; those that it presses on the plate land at once."""
+        self.rolled -= set(states)
+        for k, state in states.items():
             if state[5] < 0 and not _is_airborne(state, self.radius[k]):
-                new[k] = self._land(k, state)
-        self._start_legs(new)
+                states[k] = self._land(k, state)
+        self._start_legs(states)
 
 
-def _end_slip(state: State, radius: float) -> State:
-    """Let the ball roll as after its slide, with (5 v + 2 R w x z)/7; a vertical velocity stays."""
-    ux, uy = slip_velocity(state, radius)
-    return to_rolling((*state[:3], state[3] - 2 / 7 * ux, state[4] - 2 / 7 * uy, *state[5:]), radius)
+def _without_bounce(state: State) -> State:
+    """Drop a vertical velocity that is too small for a bounce."""
+    return state if abs(state[5]) >= MIN_BOUNCE_SPEED_M_S else (*state[:5], 0.0, *state[6:])
+
+
+def _end_slip(state: State, radius: float, inertia: float) -> State:
+    """Let the ball roll as after its slide, with (v + k R w x z)/(1 + k); a vertical velocity stays."""
+    (ux, uy), share = slip_velocity(state, radius), 1 / slip_rate(inertia)
+    return to_rolling((*state[:3], state[3] - share * ux, state[4] - share * uy, *state[5:]), radius)
 
 
 def _is_airborne(state: State, radius: float) -> bool:

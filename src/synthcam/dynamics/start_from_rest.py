@@ -12,7 +12,7 @@ import numpy as np
 from synthcam.dynamics.collocation import matrices, multiply
 from synthcam.dynamics.forces import STOP_SPEED_M_S, TINY, BallStates, Flags, Forces, Ints, last_axis
 from synthcam.dynamics.integrated_motion import IntegratedMotion
-from synthcam.dynamics.kinematics import Array, rolling_state
+from synthcam.dynamics.kinematics import Array, push_share, rolling_state
 from synthcam.dynamics.propagate import propagate_back
 from synthcam.model import Bodies, Model
 
@@ -41,7 +41,7 @@ def excess_push(model: Model, bodies: Bodies, states: Array, other: Array) -> Ar
     known = Forces.of(model, bodies).constants | dict(position=last_axis(place), other=last_axis(other - place))
     known |= dict(velocity=last_axis(velocity), speed=speed)
     loss = model.laws("rolling", model.rolling_decel, known)
-    return np.asarray(size * 5 / 7 - np.maximum(model.rolling_decel, loss))
+    return np.asarray(size * push_share(bodies.inertia)[:, None] - np.maximum(model.rolling_decel, loss))
 
 
 def solve_approach(
@@ -107,7 +107,7 @@ def solve_start(
     long = lasts[:, None].copy()
     place, v1 = np.repeat(where, size, axis=-1), np.repeat(v_in, size, axis=-1)
     place[:, k:] += v_in * (long * (1 + on.nodes) / 2)
-    pull = 5 / 7 * push_at_rest(model, bodies[:k], states[:k], place[:, k:, :1])
+    pull = push_share(bodies.inertia[:k, None]) * push_at_rest(model, bodies[:k], states[:k], place[:, k:, :1])
     hat = pull / np.maximum(np.hypot(pull[0], pull[1]), TINY)
     lag, change = np.zeros((k, size)), np.full(k, np.inf)
     gain = np.maximum(np.hypot(pull[0], pull[1]) - decel, 0.0)
@@ -144,7 +144,7 @@ def solve_start(
     good = resolved & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
     long = np.tile(long, (2, 1))
     piece, none = (long * (1 + on.nodes) / 2, np.concatenate([place, v])), np.zeros(2 * k, dtype=bool)
-    return IntegratedMotion(0 * long[:, 0], long[:, 0], states, bodies.radius, model.gravity, [piece], 0, none), good
+    return IntegratedMotion(0 * long[:, 0], long[:, 0], states, bodies, model.gravity, [piece], 0, none), good
 
 
 def _pull_and_loss(one: Forces, place: Array, s: Array, e: Array, apart: Array) -> tuple[Array, Array]:
@@ -153,7 +153,7 @@ def _pull_and_loss(one: Forces, place: Array, s: Array, e: Array, apart: Array) 
     v = speed * e
     known = one.constants | dict(position=last_axis(place), velocity=last_axis(v), other=apart, speed=speed)
     base = model.rolling_drag * np.maximum(s, 0.0) + model.rolling_decel
-    return 5 / 7 * one.push(place, v, apart), model.laws("rolling", base, known) + 0 * s
+    return push_share(one.inertia) * one.push(place, v, apart), model.laws("rolling", base, known) + 0 * s
 
 
 def _solve_lag(weight: Array, slope: Array, phi: Array, lag: Array) -> Array:

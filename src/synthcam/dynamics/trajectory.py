@@ -88,13 +88,14 @@ class Slide(Leg):
     state: State
     radius: float
     slowing: float
+    inertia: float
     motion: Motion = field(default="slide", kw_only=True)
 
     def at(self, t: Array) -> Array:
-        return kinematics.slide(np.array(self.state), self.radius, self.slowing, t - self.time)
+        return kinematics.slide(np.array(self.state), self.radius, self.slowing, t - self.time, self.inertia)
 
     def now(self, t: float) -> State:
-        return kinematics.after_sliding(self.state, self.radius, self.slowing, t - self.time)
+        return kinematics.after_sliding(self.state, self.radius, self.slowing, t - self.time, self.inertia)
 
     def bound(self, t: float) -> float:
         return self.slowing
@@ -149,12 +150,12 @@ class Event:
     """Something that happens to one ball, or to two, at one instant."""
 
     t: float  # s
-    kind: Literal["contact", "slide_end", "stop", "start", "land"]
+    kind: Literal["contact", "wall", "slide_end", "stop", "start", "land"]
     i: int  # the ball, or the first of two
-    j: int = -1  # the second; -1 where the event has one ball
+    j: int = -1  # the second ball, or the number of the wall; -1 where the event has one ball
     before: Array | None = None  # states (2, 9) of i and j, or (1, 9) of i alone
     after: Array | None = None
-    # at a contact: horizontal part of the unit vector from the centre of ball j to that of ball i
+    # at a contact: horizontal part of the unit vector from the centre of ball j, or from the wall, to that of ball i
     n: tuple[float, float] = (np.nan, np.nan)
     impulse_n: float = np.nan  # at a contact: on ball i along n, N s
     impulse_t: float = np.nan  # at a contact: on ball i along t = z x n, N s

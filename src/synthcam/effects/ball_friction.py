@@ -32,7 +32,7 @@ class BallFriction(Effect):
     mu: float = parameter("1", typical=0.15, low=0, high=1, fixed=True, tries=np.geomspace(0.04, 0.4, 17))
     beta: float = parameter("1", typical=0.0, low=-1, high=1, fixed=True, given=True)
 
-    def spin_transfer(self, c: Any, contact_speed: Any, normal_impulse: Any) -> Any:
-        slipping = 2.5 * self.mu * normal_impulse / np.maximum(contact_speed, 1e-300)
-        sticking = (1 + self.beta) * (2.5 / 7)  # J/m = (1 + beta)|u_t|/7
+    def spin_transfer(self, c: Any, contact_speed: Any, normal_impulse: Any, inertia: Any) -> Any:
+        slipping = self.mu * normal_impulse / (inertia * np.maximum(contact_speed, 1e-300))
+        sticking = (1 + self.beta) / (2 * (1 + inertia))  # J/m = (1 + beta)|u_t|/7 for solid balls
         return (1 - self.share) * c + self.share * np.minimum(sticking, slipping)

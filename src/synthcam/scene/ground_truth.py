@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
+from synthcam.dynamics.impact import join_inertia
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.trajectory import Event, Trajectory
@@ -56,7 +57,8 @@ def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
     for k, ball in enumerate((hit.i, hit.j)):
         end = motion.first("slide_end", ball, hit.t)
         row[f"tau{k + 1}"] = end.t - hit.t if end else 0.0
-        finals[k] = rolling_velocity(hit.after[k], launch.bodies.radius[ball]) if not end else end.after[0, 3:5]  # type: ignore[index]
+        body = launch.bodies[ball]
+        finals[k] = rolling_velocity(hit.after[k], body.radius, body.inertia) if not end else end.after[0, 3:5]  # type: ignore[index]
         row[f"v{k + 1}f"] = float(np.hypot(*finals[k]))
     total = before.sum(axis=0)
     row["energy_fraction"] = float((finals**2).sum() / (before**2).sum())
@@ -67,15 +69,17 @@ def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
 
 
 def _spin_transfer(bodies: Bodies, hit: Event) -> float:
-    """Compute C from the striker's change of spin: J = (2/5) C |u_t| 2 m, dw = (5/2) n x J / (mass R), m reduced."""
+    """Compute C from the striker's change of spin: J = k C |u_t| 2 m, dw = n x J / (k mass R), m reduced."""
     before, after = np.asarray(hit.before), np.asarray(hit.after)
     radius, mass = bodies.radius[[hit.i, hit.j]], bodies.mass[[hit.i, hit.j]]
     n = before[0, :3] - before[1, :3]
     n = n / np.linalg.norm(n)
     approach = before[1, 3:6] - before[0, 3:6]
     u_t = approach - (approach @ n) * n + np.cross((radius[:, None] * before[:, 6:9]).sum(axis=0), n)
-    impulse = mass[1] * radius[1] / 2.5 * np.linalg.norm(after[1, 6:9] - before[1, 6:9])
-    return float(impulse / (0.8 * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
+    inertia = bodies.inertia[[hit.i, hit.j]]
+    impulse = inertia[1] * mass[1] * radius[1] * np.linalg.norm(after[1, 6:9] - before[1, 6:9])
+    joint = join_inertia(inertia[0], mass[0], inertia[1], mass[1])
+    return float(impulse / (2 * joint * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
 
 
 def tracks(

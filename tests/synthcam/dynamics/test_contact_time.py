@@ -7,10 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synthcam.dynamics.contact_time import first_contact
+from synthcam.dynamics.calendar import Calendar
 from synthcam.dynamics.trajectory import Rest, Roll, Slide
 
 R = 1.19e-3
+
+
+def first_contact(legs, radius, t, horizon):
+    calendar = Calendar(radius, (), horizon)
+    calendar.renew(legs, range(len(legs)), t, math.inf)
+    due = calendar.pop(horizon)
+    return due and (due.t, due.i, due.j)
 
 
 def rest(x, y=0.0):
@@ -46,7 +53,7 @@ def test_two_parabolas_that_come_near_and_part():
 
     def sliding(x, v, u):
         state = (x, 0.0, R, v, 0.0, 0.0, 0.0, (v - u) / R, 0.0)
-        return Slide(0.0, 1.0, 0.0, state, R, 2.0)
+        return Slide(0.0, 1.0, 0.0, state, R, 2.0, 0.4)
 
     def legs(gap):
         return [sliding(0.0, 0.1, 1.0), sliding(2 * R + gap, -0.1, -1.0)]

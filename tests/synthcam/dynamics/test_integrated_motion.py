@@ -9,9 +9,11 @@ from synthcam.dynamics.collocation import matrices
 from synthcam.dynamics.forces import END_SLIP_SHARE
 from synthcam.dynamics.integrated_motion import IntegratedMotion
 from synthcam.dynamics.propagate import END_TIMES, LOG_SLIP_BREAK
+from synthcam.model import Bodies
 
 KNOTS = np.log(END_SLIP_SHARE) * np.array([0.0, LOG_SLIP_BREAK, 1.0])
 LASTS = np.array([0.04, 0.013])
+BODIES = Bodies(np.ones(2), np.ones(2), np.zeros(2), np.full(2, 0.4))
 
 
 def place(t):
@@ -28,7 +30,7 @@ def integral(t):
 
 def led(pieces, power):
     nothing = np.zeros((2, 9))
-    return IntegratedMotion(np.zeros(2), LASTS, nothing, np.ones(2), 9.81, pieces, power, np.zeros(2, dtype=bool))
+    return IntegratedMotion(np.zeros(2), LASTS, nothing, BODIES, 9.81, pieces, power, np.zeros(2, dtype=bool))
 
 
 def read(logarithmic):

@@ -72,7 +72,7 @@ def test_impacts(v0, b, heading):
     one, two = model.bodies("a"), model.bodies("b")
     target, striker = touching(one, two, *(np.array([x]) for x in (v0, b, heading)), np.zeros((1, 2)))
     many = collide(model, target, striker, one, two)
-    bodies = ((x.radius.item(), x.mass.item()) for x in (one, two))
+    bodies = ((x.radius.item(), x.mass.item(), x.inertia.item()) for x in (one, two))
     single = strike(model, tuple(target[0].tolist()), tuple(striker[0].tolist()), *bodies)
     assert all(type(x) is float for state in single[:3] for x in state)
     for ours, theirs in zip(single, (many.target[0], many.striker[0], many.n[0]), strict=False):

@@ -43,7 +43,7 @@ def legs():
     lasts = np.hypot(*contact_velocity(SLIPPING, R).T) / 3.5 / slowing
     radius, end = BODIES.radius, START + 0.02
     yield RestSegment(WHO, START, end, ROLLING * [1, 1, 1, 0, 0, 0, 0, 0, 1])
-    yield SlideSegment(WHO, START, START + lasts, SLIPPING, radius, slowing)
+    yield SlideSegment(WHO, START, START + lasts, SLIPPING, radius, slowing, np.full(len(WHO), 0.4))
     yield RollSegment(WHO, START, START + 1, START + 0.2, ROLLING, radius, 0.135, 0.0103)
     yield RollSegment(WHO, START, START + 1, START + 0.2, ROLLING, radius, 1e-5, 0.0103)
     yield RollSegment(WHO, START, START + 1, START, ROLLING, radius, 3.0, 0.0)

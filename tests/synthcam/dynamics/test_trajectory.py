@@ -91,7 +91,7 @@ def test_the_contact_velocity_is_that_of_the_lowest_point():
 
 def test_a_slide_is_a_parabola_in_long_arithmetic():
     state = np.array([0.01, 0.02, R, 0.3, -0.1, 0, 10.0, 20.0, 30.0])
-    leg = Slide(0.5, 0.6, 0.5, tuple(state), R, 2.3)
+    leg = Slide(0.5, 0.6, 0.5, tuple(state), R, 2.3, 0.4)
     t = np.linspace(0, 0.03, 5).astype(np.longdouble)
     u = np.array([0.3 - R * 20, -0.1 + R * 10], np.longdouble)
     a = -2.3 * u / np.sqrt(u @ u)

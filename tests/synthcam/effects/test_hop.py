@@ -159,7 +159,8 @@ def test_the_impact_in_small_steps_of_a_stiff_contact(b, mu, heavier):
     restitution = (theirs[0] - theirs[1])[3:6] @ n / ((before[1] - before[0])[3:6] @ n)
     assert 0.88 < restitution < 0.96
     model = Model(restitution=restitution, effects=(Hop(share=1.0), BallFriction(mu=mu)))
-    ours = collide(model, one, two, *(Bodies(np.array([R]), mass[k : k + 1], np.zeros(1)) for k in (0, 1)))
+    balls = [Bodies(np.array([R]), mass[k : k + 1], np.zeros(1), np.full(1, 0.4)) for k in (0, 1)]
+    ours = collide(model, one, two, *balls)
     after = np.concatenate([ours.target, ours.striker])
     np.testing.assert_allclose(after[:, 3:6], theirs[:, 3:6], rtol=0, atol=0.3 * 3e-6)
     np.testing.assert_allclose(after[:, 6:9] * R, theirs[:, 6:9] * R, rtol=0, atol=0.3 * 3e-6)
