@@ -19,7 +19,7 @@ from synthcam.dynamics.trajectory import Leg, Rest, Roll
 from synthcam.dynamics.walls import Wall
 
 MAX_NEIGHBOURS = 12  # that a ball may come near while it looks ahead
-MIN_LOOK_S, MAX_LOOK_S = 1e-9, 10.0
+MAX_LOOK_S = 10.0
 Kind = Literal["contact", "wall", "end", "renewal", "look"]
 
 
@@ -94,13 +94,13 @@ class Calendar:
         done = set[int]()
         for k in balls:
             leg, known = self.legs[k], self.known[k]
-            still = isinstance(leg, Rest)
+            still, first = isinstance(leg, Rest), leg.now(t)
             for j in self._neighbours(k):
                 other = self.legs[j]
                 if j == k or j in done or (still and isinstance(other, Rest)):
                     continue
                 horizon = min(known, self.known[j])
-                when = find_contact(leg, other, t, horizon, self.radius[k] + self.radius[j])
+                when = find_contact(leg, other, t, horizon, self.radius[k] + self.radius[j], first)
                 if when is not None:
                     self._add(when, 0, "contact", min(k, j), max(k, j))
             done.add(k)
@@ -126,14 +126,15 @@ class Calendar:
             return min(t + MAX_LOOK_S, leg.t1) if not isinstance(leg, Rest) else leg.t1
         while True:
             horizon = leg.t1 if isinstance(leg, Rest) else min(t + look, leg.t1)
-            self._set_box(k, leg, t, horizon)
-            if isinstance(leg, Rest) or look < MIN_LOOK_S or len(self._neighbours(k)) <= MAX_NEIGHBOURS:
+            small = self._set_box(k, leg, t, horizon) < self.radius[k]  # to shrink it more would change little
+            if small or isinstance(leg, Rest) or len(self._neighbours(k)) <= MAX_NEIGHBOURS:
                 break
             look = (horizon - t) / 2
         self.look[k] = look
         return horizon
 
-    def _set_box(self, k: int, leg: Leg, t: float, horizon: float) -> None:
+    def _set_box(self, k: int, leg: Leg, t: float, horizon: float) -> float:
+        """Set the box that a ball keeps within until the horizon; returns by how much the path widens it, m."""
         one, two = leg.now(t), leg.now(horizon) if horizon < math.inf else leg.now(t)
         margin = self.radius[k] * (1 + OVERLAP_TOLERANCE)
         if not isinstance(leg, Rest | Roll):  # these paths are straight
@@ -141,6 +142,7 @@ class Calendar:
         for axis in (0, 1):
             self.low[axis, k] = min(one[axis], two[axis]) - margin
             self.high[axis, k] = max(one[axis], two[axis]) + margin
+        return max(abs(one[0] - two[0]), abs(one[1] - two[1])) + margin - self.radius[k]
 
     def _neighbours(self, k: int) -> Iterable[int]:
         """Return the balls whose boxes overlap with that of ball k, itself among them."""

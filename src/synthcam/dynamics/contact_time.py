@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from synthcam.dynamics.kinematics import TOUCH_TOLERANCE
+from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, State
 from synthcam.dynamics.trajectory import Leg
 from synthcam.dynamics.walls import Wall, time_to_close
 
@@ -19,15 +19,18 @@ MAX_TOUCHING_STEPS = 10_000  # an impact may leave two balls with one velocity, 
 OVERLAP_TOLERANCE = 1e-6  # of the reach
 
 
-def find_contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | None:
-    """Find the first time in [t, horizon] at which two balls touch and approach; reach: the sum of their radii, m.
+def find_contact(a: Leg, b: Leg, t: float, horizon: float, reach: float, first: State | None = None) -> float | None:
+    """Find the first time in [t, horizon] at which two balls touch and approach.
+
+    reach: the sum of their radii, m. first: the state of a at t, where it is known.
 
     Raises ValueError if balls overlap, or touch and do not part.
     """
     steepest = a.bound(t) + b.bound(t)
     touching, begun, touched = TOUCH_TOLERANCE * reach / 2, t, 0
     while True:
-        one, two = a.now(t), b.now(t)
+        one, two = first or a.now(t), b.now(t)
+        first = None
         x, y, z = one[0] - two[0], one[1] - two[1], one[2] - two[2]
         vx, vy, vz = one[3] - two[3], one[4] - two[4], one[5] - two[5]
         distance = math.sqrt(x * x + y * y + z * z)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,7 +55,12 @@ def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodie
 
 
 def strike(
-    model: Model, target: State, striker: State, one: tuple[Real, Real, Real], two: tuple[Real, Real, Real]
+    model: Model,
+    target: State,
+    striker: State,
+    one: tuple[Real, Real, Real],
+    two: tuple[Real, Real, Real],
+    soften: Callable[[Real, Real], Real] | None = None,
 ) -> tuple[State, State, tuple[Real, Real, Real], Real, Real]:
     """Let two balls that touch collide, by the laws `restitution`, `spin_transfer` and `loft` of the model.
 
@@ -72,7 +78,8 @@ def strike(
 
     The law of r and C is that of Painter & Behringer, Phys. Rev. E 62 (2000) 2380.
 
-    one, two: radius, m, mass, kg, and k of target and striker. Returns the states just after, the unit vector from
+    one, two: radius, m, mass, kg, and k of target and striker. soften: makes another restitution of the model's and
+    v_n. Returns the states just after, the unit vector from
     striker to target, and the impulses on the target along n and along z x n, N s.
     """
     (r1, m1, k1), (r2, m2, k2) = one, two
@@ -87,6 +94,7 @@ def strike(
     uz = az - v_n * nz + sx * ny - sy * nx
     inertia = join_inertia(k1, m1, k2, m2)
     r, c = _contact_coefficients(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny), inertia)
+    r = r if soften is None else soften(r, v_n)
     reduced = m1 * m2 / (m1 + m2)
     normal, pull = (1 + r) * v_n * reduced, 2 * inertia * c * reduced
     tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
@@ -102,7 +110,13 @@ def strike(
     return after(target, r1, m1, k1), after(striker, r2, -m2, k2), (nx, ny, nz), normal, ty * nx - tx * ny
 
 
-def hit_wall(model: Model, wall: Wall, ball: State, body: tuple[float, float, float]) -> WallImpact:
+def hit_wall(
+    model: Model,
+    wall: Wall,
+    ball: State,
+    body: tuple[float, float, float],
+    soften: Callable[[float, float], float] | None = None,
+) -> WallImpact:
     """Let a ball hit a wall that it touches.
 
     The normal points from the wall to the ball's centre, downwards where the wall touches above it. With k = I/(m R^2):
@@ -113,7 +127,7 @@ def hit_wall(model: Model, wall: Wall, ball: State, body: tuple[float, float, fl
 
     For a cushion this is the law of I. Han, J. Mech. Sci. Technol. 19 (2005) 976, with beta = 0.
 
-    body: radius, m, mass, kg, and k of the ball.
+    body: radius, m, mass, kg, and k of the ball. soften: as in `strike`.
     """
     (radius, mass, inertia), (x, y, z, vx, vy, vz, wx, wy, wz) = body, ball
     _, ax, ay = wall.distance(x, y)
@@ -124,7 +138,8 @@ def hit_wall(model: Model, wall: Wall, ball: State, body: tuple[float, float, fl
     ux = vx + v_n * nx - radius * (wy * nz - wz * ny)
     uy = vy + v_n * ny - radius * (wz * nx - wx * nz)
     uz = vz + v_n * nz - radius * (wx * ny - wy * nx)
-    slip, normal = (ux * ux + uy * uy + uz * uz) ** 0.5, (1 + wall.restitution) * v_n  # impulses over the mass
+    r = wall.restitution if soften is None else soften(wall.restitution, v_n)
+    slip, normal = (ux * ux + uy * uy + uz * uz) ** 0.5, (1 + r) * v_n  # impulses over the mass
     stick = (1 + wall.tangential_restitution) / slip_rate(inertia)
     pull = -(min(stick, wall.friction * normal / slip) if slip > 0 else 0.0)
     tx, ty, tz = pull * ux, pull * uy, pull * uz

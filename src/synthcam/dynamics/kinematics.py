@@ -179,6 +179,8 @@ def stop_time(speed: Real, drag: float, decel: float) -> Any:
 
 def coast(drag: float, t: Real) -> tuple[Real, Real]:
     """Return (1 - e^(-drag t))/drag and its integral over t, accurate at small drag t; t is a float or an array."""
+    if drag == 0 and isinstance(t, float):
+        return t, t * t / 2
     x = drag * t
     weak = drag <= 1e-3  # 1/s: the closed forms would lose digits to cancellation
     if isinstance(t, float) and weak and abs(x) < 1e-2:

@@ -77,7 +77,8 @@ class Roll(Leg):
         return kinematics.after_rolling(self.state, self.radius, self.drag, self.decel, t - self.time)
 
     def bound(self, t: float) -> float:
-        return float(self.drag * math.hypot(*self.now(t)[3:5]) + self.decel)
+        state = self.state if t >= self.time else self.now(t)  # it slows down
+        return self.drag * math.hypot(state[3], state[4]) + self.decel
 
 
 @dataclass(frozen=True)
