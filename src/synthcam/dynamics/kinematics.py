@@ -70,6 +70,43 @@ def after_flight(state: State, gravity: float, t: Real) -> State:
     return (x + vx * t, y + vy * t, z + vz * t - 0.5 * gravity * t * t, vx, vy, vz - gravity * t, *w)
 
 
+def after_gliding(state: State, drag: float, decel: float, curl: float, spin_drag: float, t: Real) -> State:
+    """Glide on air for the time t, a float or an array: v' = -(decel + drag v) v/|v| + curl z x v.
+
+    The spin about the vertical decays at the rate `spin_drag`. The speed must not be 0.
+    """
+    x, y, z, vx, vy, vz, wx, wy, wz = state
+    slowing = decel / (vx * vx + vy * vy) ** 0.5
+    decay, slack = coast(drag, t)
+    left = 1 - (drag + slowing) * decay
+    exp, cos, sin = (np.exp, np.cos, np.sin) if isinstance(t, np.ndarray) else (math.exp, math.cos, math.sin)
+    if curl == 0:
+        along, across, c, s = decay - slowing * slack, 0.0, 1.0, 0.0
+    else:
+        path = _turning_path(drag, slowing, curl, np.asarray(t, dtype=float))
+        along, across, c, s = path.real, path.imag, cos(curl * t), sin(curl * t)
+        if not isinstance(t, np.ndarray):
+            along, across = float(along), float(across)
+    spin = wz * exp(-spin_drag * t) if spin_drag else wz + 0 * t
+    place = x + along * vx - across * vy, y + along * vy + across * vx, z + 0 * t
+    return (*place, left * (c * vx - s * vy), left * (c * vy + s * vx), vz + 0 * t, wx + 0 * t, wy + 0 * t, spin)
+
+
+def _turning_path(drag: float, slowing: float, curl: float, t: Array) -> NDArray[np.complex128]:
+    """Integrate the speed over its first value, times exp(i curl t), from 0 to t."""
+    if drag * np.abs(t).max(initial=0.0) > 1e-3:  # below it the difference would lose digits
+        turn, fade = 1j * curl, 1j * curl - drag
+        one, two = np.expm1(turn * t) / turn, np.expm1(fade * t) / fade
+        return np.asarray(two - slowing * (one - two) / drag)
+    panels = 1 + int(abs(curl) * np.abs(t).max(initial=0.0) / 10)
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    shares = ((np.arange(panels)[:, None] + (1 + nodes) / 2) / panels).ravel()
+    times = t[..., None] * shares
+    decay, _ = coast(drag, times)
+    values = (1 - (drag + slowing) * decay) * np.exp(1j * curl * times)
+    return np.asarray(values @ np.tile(weights / 2 / panels, panels) * t)
+
+
 def to_rest(state: State, radius: Real) -> State:
     """Stop the ball; a spin about the vertical stays."""
     return state[0], state[1], radius, 0.0, 0.0, 0.0, 0.0, 0.0, state[8]
@@ -203,6 +240,11 @@ def _series(x: Real, n: int) -> Any:
         out *= -x / (n + k)
         out += 1
     return out if n == 1 else out / 2
+
+
+def glide(state: Array, drag: float, decel: float, curl: float, spin_drag: float, elapsed: Array) -> Array:
+    """Glide one body to many times (m,): see `after_gliding`."""
+    return _stack_components(after_gliding(tuple(state.tolist()), drag, decel, curl, spin_drag, elapsed), elapsed)
 
 
 def fly(state: Array, gravity: float, elapsed: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -35,11 +35,12 @@ from synthcam.dynamics.kinematics import (
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.propagate import MAX_SPEED_M_S, propagate, propagate_back
 from synthcam.dynamics.start_from_rest import MIN_IMPACT_SPEED_OF_PAIR_M_S, excess_push
+from synthcam.dynamics.table import Table
 from synthcam.dynamics.trajectory import Event, Fly, Leg, Rest, Roll, Slide, Trajectory
-from synthcam.dynamics.walls import Wall
 from synthcam.model import Bodies, Model
 
 MAX_TIME_S = 1e4  # beyond it the last bit of the time is too coarse for an event
+PLATE = Table()
 MAX_PAIR_TIME_S = 60.0  # balls that push each other are integrated in small steps
 
 
@@ -49,8 +50,7 @@ def solve(
     start: float = 0.0,
     end: float = 0.0,
     finish_slides: bool = True,
-    walls: Sequence[Wall] = (),
-    contact_duration: float = 0.0,
+    table: Table = PLATE,
     max_events: int = 10_000_000,
 ) -> Trajectory:
     """Solve the motion of a launch from `start` to `end`, s; with `finish_slides` beyond, until the last slide has
@@ -58,10 +58,10 @@ def solve(
 
     Legs are closed forms where no active effect changes their laws, and numerical solutions elsewhere.
 
-    Impacts take no time, so balls that lose energy may collide ever faster, without end. `contact_duration`, s, bounds
-    this: a ball that hits within this time of its last impact loses no energy, as in the model of S. Luding and
-    S. McNamara, Granular Matter 1 (1998) 113, and balls that are pressed together part at gravity times half of it.
-    With 0 such a sequence is an error.
+    Impacts take no time, so balls that lose energy may collide ever faster, without end. The contact duration of a
+    table bounds this. A ball that hits within this time of its last impact loses no energy, as in the model of
+    S. Luding and S. McNamara, Granular Matter 1 (1998) 113. Balls that are pressed together part at gravity times half
+    of it. With a duration of 0 such a sequence is an error.
 
     Balls that touch several others at once hit them one after the other, in the order of their numbers. So momentum is
     conserved, and a row of equal balls passes on an impact as Newton's cradle does.
@@ -78,7 +78,7 @@ def solve(
             raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
         if lasts > MAX_PAIR_TIME_S:
             raise ValueError(f"balls that push each other are followed for {MAX_PAIR_TIME_S:g} s, not for {lasts:g} s")
-    return _EventLoop(model, launch, start, end, finish_slides, walls, contact_duration).motion(max_events)
+    return _EventLoop(model, launch, start, end, finish_slides, table).motion(max_events)
 
 
 def without_mutual_push(model: Model) -> Model:
@@ -96,14 +96,14 @@ class _EventLoop:
         start: float,
         end: float,
         finish_slides: bool,
-        walls: Sequence[Wall],
-        contact_duration: float,
+        table: Table,
     ) -> None:
         self.model, self.bodies, self.end, self.finish_slides = model, launch.bodies, end, finish_slides
         self.radius, self.mass = launch.bodies.radius.tolist(), launch.bodies.mass.tolist()
-        self.inertia, self.walls = launch.bodies.inertia.tolist(), tuple(walls)
+        self.inertia, self.walls = launch.bodies.inertia.tolist(), table.walls
+        self.supports = table.supports or (None,) * len(self.radius)
         self.start, self.t = start, launch.time
-        self.contact_duration, self.last_hit = contact_duration, [-math.inf] * len(self.radius)
+        self.contact_duration, self.last_hit = table.contact_duration, [-math.inf] * len(self.radius)
         self.events: list[Event] = []
         self.rolled: set[int] = set()  # balls whose slide ended at a bounce: slip in a flight is not a slide
         laws = model.laws
@@ -179,6 +179,8 @@ class _EventLoop:
         """Make the legs that lead to a launch: the ball rolled, slid all the time, or was at rest."""
         if self.start >= time:
             return []
+        if (support := self.supports[k]) is not None:
+            return [support.leg(state, self.radius[k], time).spanning(self.start, time)]
         if state[5] != 0:
             raise ValueError("a ball that flies at its launch has no past: start the run at the launch")
         slides = math.hypot(*slip_velocity(state, self.radius[k])) > ZERO_SPEED_M_S
@@ -211,7 +213,9 @@ class _EventLoop:
 
     def _next_leg(self, k: int, state: State, t: float) -> Leg:
         """Make the leg of a ball in this state at t, up to its own next event."""
-        radius = self.radius[k]
+        radius, support = self.radius[k], self.supports[k]
+        if support is not None:
+            return support.leg(state, radius, t)
         if state[5] > 0 or _is_airborne(state, radius):
             return self._fly(k, state, t)
         if math.hypot(*slip_velocity(state, radius)) > ZERO_SPEED_M_S:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from synthcam.dynamics import kinematics
 from synthcam.dynamics.kinematics import Array, State
 
-Motion = Literal["rest", "roll", "slide", "fly"]
+Motion = Literal["rest", "roll", "slide", "fly", "glide"]
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,44 @@ class Fly(Leg):
 
     def bound(self, t: float) -> float:
         return self.gravity
+
+
+@dataclass(frozen=True)
+class Glide(Leg):
+    """Gliding on air, v' = -(decel + drag v) v/|v| + curl z x v; `state` holds at `time`."""
+
+    time: float
+    state: State
+    drag: float
+    decel: float
+    curl: float
+    spin_drag: float
+    motion: Motion = field(default="glide", kw_only=True)
+
+    @classmethod
+    def of(cls, t: float, state: State, decel: float, drag: float, curl: float, spin_drag: float) -> Glide:
+        """Glide from the time t, s, until the body stops."""
+        lasts = kinematics.stop_time(math.hypot(state[3], state[4]), drag, decel)
+        return cls(t, t + lasts, t, state, drag, decel, curl, spin_drag)
+
+    def at(self, t: Array) -> Array:
+        if self.motion == "rest":
+            out = np.tile(np.array(self.state), (len(t), 1))
+            out[:, 8] *= np.exp(-self.spin_drag * (t - self.time))
+            return out
+        return kinematics.glide(np.array(self.state), self.drag, self.decel, self.curl, self.spin_drag, t - self.time)
+
+    def now(self, t: float) -> State:
+        if self.motion == "rest":
+            return (*self.state[:8], self.state[8] * math.exp(-self.spin_drag * (t - self.time)))
+        return kinematics.after_gliding(self.state, self.drag, self.decel, self.curl, self.spin_drag, t - self.time)
+
+    def bound(self, t: float) -> float:
+        if self.motion == "rest":
+            return 0.0
+        state = self.state if t >= self.time else self.now(t)  # it slows down
+        speed = math.hypot(state[3], state[4])
+        return math.hypot(self.drag * speed + self.decel, self.curl * speed)
 
 
 @dataclass(frozen=True)

@@ -229,7 +229,7 @@ def camera_json(nominal: PinholeCamera, drawn: dict[str, Any]) -> dict[str, Any]
         "size": list(nominal.size),
         **{key: getattr(nominal, key) for key in ("fps", "exposure", "scale")},
         "ball_diameter": drawn["ball"]["diameter"],
-        "striker": drawn["launch"]["striker"],
+        **({} if drawn.get("launches") else {"striker": drawn["launch"]["striker"]}),
         "lamp": {"position": list(drawn["lamp"]["position"]), "radius": drawn["lamp"]["radius"]},
         "psf": {"sigma_px": nominal.psf_sigma_px},
         "sensor": {k: v for k, v in drawn["sensor"].items() if k not in (*HIDDEN_KEYS, "hot_pixels", "hot_dark")},

@@ -16,9 +16,12 @@ from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.sensor import Sensor
 from synthcam.camera.surface import Surface
 from synthcam.dynamics.launch import SPIN_COLUMNS, Launch
+from synthcam.dynamics.solve import PLATE
+from synthcam.dynamics.table import Table
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, camera_json, find_video_problem
+from synthcam.scene.bodies import build_table
 from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.materials import build_finish, build_varnish
 from synthcam.scene.motion import Motion
@@ -60,6 +63,8 @@ class Clip:
         Of everything drawn.
     finish : SurfaceFinish, optional
         Of matte balls, or of a plate with texture, under room light. None: mirror balls on a black plate.
+    table : Table
+        Walls, and what carries each body.
 
     Examples
     --------
@@ -83,13 +88,16 @@ class Clip:
     frames: int
     seed: int = 0
     finish: SurfaceFinish | None = None
+    table: Table = PLATE
 
     def __repr__(self) -> str:
         launch, (width, height) = self.drawn["launch"], self.camera.size
         balls = len(self.launch.bodies.radius)
-        thrown = f"v0 {launch['v0']:.3g} m/s" + (f", b {launch['b']:.3g}" if balls > 1 else "")
+        thrown = f", v0 {launch['v0']:.3g} m/s" + (f", b {launch['b']:.3g}" if balls > 1 else "")
+        if self.drawn.get("launches"):
+            thrown = f", {len(self.table.walls)} walls"
         film = f"{self.frames} frames of {width} x {height} px at {self.camera.fps:g} a second"
-        return f"Clip {self.number} of {self.drawn['name']}: {balls} ball{'s' * (balls > 1)}, {thrown}; {film}"
+        return f"Clip {self.number} of {self.drawn['name']}: {balls} ball{'s' * (balls > 1)}{thrown}; {film}"
 
     @property
     def room(self) -> float:
@@ -99,7 +107,7 @@ class Clip:
     @cached_property
     def view(self) -> FilmedMotion:
         """The motion over all frames in film time, with the effects of clock and shutter."""
-        return FilmedMotion.solve(self.model, self.launch, self.camera, self.frames)
+        return FilmedMotion.solve(self.model, self.launch, self.camera, self.frames, self.table)
 
     def solve(self) -> Motion:
         """Solve the motion exactly, for the duration of the film.
@@ -114,7 +122,7 @@ class Clip:
         ValueError
             If the model has no motion for this launch.
         """
-        return Motion(self.view.motion, self.camera.fps)
+        return Motion(self.view.motion, self.camera.fps, tuple(self.launch.bodies.radius.tolist()), self.table.walls)
 
     def pictures(self) -> Iterator[Counts]:
         """Render and expose the frames one after the other, for clips too long for memory.
@@ -191,7 +199,7 @@ class Clip:
         - frame; t_s: time, s; particle: 0 is ball 1 (the target)
         - x_px, y_px: centre; glint_x_px, glint_y_px: primary glint; x_mean_px, y_mean_px: mean over the exposure
         - x, y, z: m; vx, vy, vz: m/s; wx, wy, wz: rad/s
-        - state: rest, roll, slide or fly; visible: the whole outline is in the picture
+        - state: rest, roll, slide, fly or glide; visible: the whole outline is in the picture
         - qx, qy, qz, qw, of balls with a pattern: the rotation from the ball's axes to the world's
         """
         return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames, self.orientation)
@@ -216,8 +224,14 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         lamp = build_lamp(drawn["lamp"])
     except ValueError as e:
         raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
+    if drawn.get("launches"):
+        started, table = build_table(model, drawn, where)
+    else:
+        started, table = _build_launch(model, launch, timing["contact_frame"] / timing["fps"]), PLATE
     nominal = build_camera(drawn, model.ball.radius)
-    finish = build_finish(drawn, _ball_labels(launch), where)
+    many = drawn.get("launches")
+    labels = ["a" if of_a else "b" for of_a in started.bodies.of_a]
+    finish = build_finish(drawn, tuple(labels) if many else _ball_labels(launch), where)
     sensor = {k: v for k, v in drawn["sensor"].items() if k != "white"}
     if finish:
         sensor["glint_peak"] = drawn["sensor"].get("white", 200.0)
@@ -226,7 +240,8 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         seed=seed,
         drawn=drawn,
         model=model,
-        launch=_build_launch(model, launch, timing["contact_frame"] / timing["fps"]),
+        launch=started,
+        table=table,
         nominal=nominal,
         camera=replace(
             model.laws("camera", nominal, {}),

@@ -45,6 +45,8 @@ def replace_by_extremes(value: Any, which: str, key: str, where: str) -> Any:
         return args[0] if which == "low" else args[-1]
     if isinstance(value, dict):
         return {k: replace_by_extremes(v, which, f"{key}.{k}" if key else str(k), where) for k, v in value.items()}
+    if isinstance(value, list):
+        return [replace_by_extremes(v, which, f"{key}.{k}", where) for k, v in enumerate(value)]
     return value
 
 
@@ -56,6 +58,9 @@ def find_choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
         else:
             for k, v in value.items():
                 yield from find_choices(v, (*key, k))
+    elif isinstance(value, list):
+        for number, v in enumerate(value):
+            yield from find_choices(v, (*key, str(number)))
 
 
 def pick_representatives(options: list[Any], key: str, where: str, most: int = 1000) -> list[Any]:
@@ -76,7 +81,12 @@ def pick_representatives(options: list[Any], key: str, where: str, most: int = 1
 
 def replace_at(plain: Any, key: tuple[str, ...], value: Any) -> Any:
     """A copy of nested settings with the value at `key` changed."""
-    return value if not key else plain | {key[0]: replace_at(plain[key[0]], key[1:], value)}
+    if not key:
+        return value
+    if isinstance(plain, list):
+        k = int(key[0])
+        return [*plain[:k], replace_at(plain[k], key[1:], value), *plain[k + 1 :]]
+    return plain | {key[0]: replace_at(plain[key[0]], key[1:], value)}
 
 
 def draw(value: Any, number: int, seed: int, key: str = "") -> Any:
@@ -93,4 +103,6 @@ def draw(value: Any, number: int, seed: int, key: str = "") -> Any:
         return args[int(rng.integers(len(args)))]
     if isinstance(value, dict):
         return {k: draw(v, number, seed, f"{key}.{k}" if key else str(k)) for k, v in value.items()}
+    if isinstance(value, list):
+        return [draw(v, number, seed, f"{key}.{k}") for k, v in enumerate(value)]
     return value

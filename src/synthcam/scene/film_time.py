@@ -10,7 +10,8 @@ import numpy as np
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.solve import solve
+from synthcam.dynamics.solve import PLATE, solve
+from synthcam.dynamics.table import Table
 from synthcam.dynamics.trajectory import Trajectory, average_over_spans
 from synthcam.model import Model
 
@@ -28,12 +29,15 @@ class FilmedMotion:
     motion: Trajectory  # in true time
 
     @classmethod
-    def solve(cls, model: Model, launch: Launch, camera: PinholeCamera, frames: int) -> FilmedMotion:
+    def solve(
+        cls, model: Model, launch: Launch, camera: PinholeCamera, frames: int, table: Table = PLATE
+    ) -> FilmedMotion:
         """Solve the motion for the duration of `frames` frames."""
         corners = np.array([[0.0], [frames / camera.fps]])
         rows = np.array([0.0, camera.size[1] - 1.0])
         times = np.asarray(model.laws("clock", corners + camera.line_time * rows, {"fps": camera.fps, "row": rows}))
-        return cls(model, camera, solve(model, launch, min(float(times.min()), 0.0), float(times.max())))
+        start, end = min(float(times.min()), 0.0), float(times.max())
+        return cls(model, camera, solve(model, launch, start, end, table=table))
 
     def spans(self, frames: int) -> Array:
         """Film time at which each exposure opens and closes: (frames, 2), s."""

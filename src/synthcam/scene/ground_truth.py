@@ -26,11 +26,11 @@ COLLISION_COLUMNS = (
 
 
 def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float]:
-    """Compute the scalars of `truth/clips.parquet`, SI units; NaN if there is no collision."""
+    """Compute the scalars of `truth/clips.parquet`, SI units; NaN without a collision, or with many bodies."""
     row = dict.fromkeys(COLLISION_COLUMNS, np.nan)
     row |= {"mu_k": model.sliding_friction, "drag": model.rolling_drag, "decel": model.rolling_decel}
     hit = motion.first("contact")
-    if hit is None or hit.before is None or hit.after is None:
+    if hit is None or hit.before is None or hit.after is None or len(motion.legs) > 2:
         speeds = np.hypot(launch.states[:, 3], launch.states[:, 4])
         return row | {"v0": float(speeds.max())}
     side = np.array(hit.n)  # shorter than 1 for unequal balls, which touch off their equators

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +13,9 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from synthcam.dynamics.trajectory import Trajectory
+from synthcam.dynamics.walls import Wall
 from synthcam.scene import ground_truth
+from synthcam.scene.table_drawing import draw_paths, write_animation
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,6 +32,10 @@ class Motion:
         Its legs and events; ``trajectory.at(t)`` returns arrays (balls, times, 9).
     fps : float
         Frame rate of the clip's camera, 1/s, for events counted in frames.
+    radius : tuple of float
+        Of the bodies, m.
+    walls : tuple of Wall
+        Between which they move.
 
     Examples
     --------
@@ -46,10 +54,15 @@ class Motion:
 
     trajectory: Trajectory
     fps: float
+    radius: tuple[float, ...] = ()
+    walls: tuple[Wall, ...] = ()
 
     def __repr__(self) -> str:
         balls, events = len(self.trajectory.legs), self.trajectory.events
         happened = ", ".join(f"{e.kind} {e.t:.3g}" for e in events)
+        if len(events) > 12:
+            counts = Counter(e.kind for e in events)
+            happened = ", ".join(f"{n} x {kind}" for kind, n in counts.items()) + f", the last at {events[-1].t:.3g}"
         summary = f": {happened} s" if events else ", without events"
         start, end = self.trajectory.t0, self.trajectory.t1
         return f"Motion of {balls} ball{'s' * (balls > 1)} from {start:g} to {end:g} s{summary}"
@@ -75,7 +88,7 @@ class Motion:
             - x, y, z: centre, m
             - vx, vy, vz: velocity, m/s
             - wx, wy, wz: spin, rad/s
-            - state: rest, roll, slide or fly
+            - state: rest, roll, slide, fly or glide
 
         Raises
         ------
@@ -97,9 +110,9 @@ class Motion:
         """All events in order of time, with the columns of ``truth/events.parquet``.
 
         - t_s: time, s; frame_float: the same time in frames
-        - kind: contact, slide_end, stop, start or land
-        - i, j: the particles; j is -1 for an event of one ball
-        - nx, ny: at a contact, the unit vector n from the centre of ball j to that of ball i
+        - kind: contact, wall, slide_end, stop, start or land
+        - i, j: the particles; j is the number of the wall, or -1 for another event of one ball
+        - nx, ny: at a contact, the unit vector n from the centre of ball j, or from the wall, to that of ball i
         - impulse_n, impulse_t: impulse on ball i along n, and along z x n, N s
         """
         return ground_truth.events(self.trajectory, self.fps)
@@ -121,19 +134,24 @@ class Motion:
             import matplotlib.pyplot as plt
 
             ax = plt.subplots(layout="constrained")[1]
-        path = self.at(np.linspace(self.trajectory.t0, self.trajectory.t1, 400))
-        colours = ("#2166ac", "#b2182b")  # of particle 0 and 1
-        marks = {"contact": "k*", "slide_end": "o", "stop": "s", "start": "^", "land": "v"}
-        for ball, rows in path.groupby("particle"):
-            colour = colours[int(str(ball)) % 2]
-            ax.plot(1e3 * rows["x"], 1e3 * rows["y"], color=colour, label=f"ball {int(str(ball)) + 1}", zorder=1)
-        for event in self.trajectory.events:
-            for ball in {event.i, event.j} - {-1}:
-                x, y = 1e3 * self.trajectory.at(event.t)[ball, 0, :2]
-                label = event.kind.replace("_", " ")
-                known = ax.get_legend_handles_labels()[1]
-                style: dict[str, Any] = {} if event.kind == "contact" else {"color": colours[ball % 2], "mfc": "white"}
-                ax.plot(x, y, marks[event.kind], label=None if label in known else label, ms=6, zorder=2, **style)
-        ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-        ax.legend(fontsize="small")
+        draw_paths(ax, self.trajectory, self.walls)
         return ax
+
+    def animate(self, path: str | Path, fps: float = 25.0, slower: float = 1.0) -> None:
+        """Write an animation of the bodies from above, with a title that shows the time.
+
+        Parameters
+        ----------
+        path : str or Path
+            A file that ends in .gif or .mp4.
+        fps : float
+            Frames of the animation per second.
+        slower : float
+            How many times slower than the motion it plays.
+
+        Raises
+        ------
+        InputError
+            If the file's name ends otherwise, or the animation would have one frame or none.
+        """
+        write_animation(Path(path), self.trajectory, np.array(self.radius), self.walls, fps, slower)

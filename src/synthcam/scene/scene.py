@@ -26,6 +26,7 @@ from synthcam.model import (
     table_settings,
 )
 from synthcam.scene.apparatus import CameraSettings, SceneLampSettings, SensorSettings, SurfaceSettings, VideoSettings
+from synthcam.scene.bodies import TableSettings
 from synthcam.scene.clip import Clip, build_clip
 from synthcam.scene.distribution import draw, find_choices, pick_representatives, replace_at, replace_by_extremes
 from synthcam.settings import InputError, read_yaml
@@ -89,6 +90,7 @@ def scene_file() -> type[Settings]:
         "sensor": SensorSettings,
     }
     fields: dict[str, Any] = {k: (v, v()) for k, v in sections.items()}
+    fields |= {k: (f.annotation, f) for k, f in TableSettings.model_fields.items()}
     fields["free_laws"] = (table_settings() | None, None)
     return create_model(
         "Scene",

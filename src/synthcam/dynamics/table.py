@@ -1,0 +1,69 @@
+"""What bodies move on and between: the support of each body, and the walls."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from synthcam.dynamics.kinematics import State
+from synthcam.dynamics.trajectory import Glide, Leg, Rest
+from synthcam.dynamics.walls import Wall
+
+STOPPED_M_S = 1e-12
+
+
+class Support(ABC):
+    """What carries a body, where it is not the plate or cloth that the model's own laws describe."""
+
+    @abstractmethod
+    def leg(self, state: State, radius: float, t: float) -> Leg:
+        """Return the leg of a body in this state at the time t, s, up to its own end."""
+
+
+@dataclass(frozen=True)
+class Air(Support):
+    """A cushion of air under a disc: v' = -(decel + drag v) v/|v| + curl z x v, and a spin that decays.
+
+    Attributes
+    ----------
+    decel : float
+        d, m/s^2.
+    drag : float
+        gamma, 1/s.
+    curl : float
+        c, rad/s: the rate at which the path turns to the left.
+    spin_drag : float
+        Rate at which the spin decays, 1/s.
+    """
+
+    decel: float = 0.0
+    drag: float = 0.0
+    curl: float = 0.0
+    spin_drag: float = 0.0
+
+    def leg(self, state: State, radius: float, t: float) -> Leg:
+        if math.hypot(state[3], state[4]) <= STOPPED_M_S:
+            still: State = (*state[:2], radius, 0.0, 0.0, 0.0, 0.0, 0.0, state[8])
+            if self.spin_drag == 0 or state[8] == 0:
+                return Rest(t, math.inf, still)
+            return Glide(t, math.inf, t, still, 0.0, 0.0, 0.0, self.spin_drag, motion="rest")
+        return Glide.of(t, state, self.decel, self.drag, self.curl, self.spin_drag)
+
+
+@dataclass(frozen=True)
+class Table:
+    """What bodies move on and between.
+
+    Attributes
+    ----------
+    walls : tuple of Wall
+    supports : tuple of Support or None
+        Of each body; None is the plate, with the model's own laws. Empty: the plate for all.
+    contact_duration : float
+        Bounds sequences of impacts without end, s; see `dynamics.solve.solve`.
+    """
+
+    walls: tuple[Wall, ...] = ()
+    supports: tuple[Support | None, ...] = ()
+    contact_duration: float = 0.0

@@ -1,0 +1,115 @@
+"""Draws a table from above: walls, paths and events, and an animation of the bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.dynamics.trajectory import Trajectory
+from synthcam.dynamics.walls import Rim, Segment, Wall
+from synthcam_shared.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+TWO_BALLS = ("#2166ac", "#b2182b")
+MARKS = {"contact": "k*", "wall": "kx", "slide_end": "o", "stop": "s", "start": "^", "land": "v"}
+MAX_MARKED_EVENTS = 60  # more would hide the paths
+MAX_LEGEND_BODIES = 6
+
+
+def choose_colours(count: int) -> list[Any]:
+    """Return a colour for each body."""
+    if count <= len(TWO_BALLS):
+        return list(TWO_BALLS[:count])
+    from matplotlib import colormaps
+
+    return list(colormaps["tab20"](np.arange(count) % 20))
+
+
+def draw_walls(ax: Axes, walls: Sequence[Wall]) -> None:
+    """Draw walls in mm."""
+    angle = np.linspace(0, 2 * np.pi, 181)
+    for wall in walls:
+        if isinstance(wall, Segment):
+            x, y = np.array([wall.start, wall.end]).T
+        elif isinstance(wall, Rim):
+            x, y = (wall.centre[k] + wall.radius * f(angle) for k, f in enumerate((np.cos, np.sin)))
+        else:
+            continue
+        ax.plot(1e3 * x, 1e3 * y, color="0.35", lw=1.5, zorder=0)
+
+
+def draw_paths(ax: Axes, motion: Trajectory, walls: Sequence[Wall]) -> None:
+    """Draw the paths of all bodies, the walls, and the events unless they are too many, in mm."""
+    breaks = [e.t for e in motion.events]
+    times = np.unique(np.concatenate([np.linspace(motion.t0, motion.t1, 400), np.clip(breaks, motion.t0, motion.t1)]))
+    places, colours = 1e3 * motion.at(times)[..., :2], choose_colours(len(motion.legs))
+    draw_walls(ax, walls)
+    few = len(places) <= MAX_LEGEND_BODIES
+    for ball, (path, colour) in enumerate(zip(places, colours, strict=True)):
+        ax.plot(*path.T, color=colour, label=f"ball {ball + 1}" if few else None, zorder=1)
+        if not few:
+            ax.plot(*path[-1], "o", color=colour, ms=4, zorder=2)
+    for event in motion.events if len(motion.events) <= MAX_MARKED_EVENTS else ():
+        label, at = event.kind.replace("_", " "), np.searchsorted(times, event.t)
+        for ball in {event.i, event.j if event.kind == "contact" else event.i} - {-1}:
+            known = ax.get_legend_handles_labels()[1]
+            alone = event.kind not in ("contact", "wall")
+            style: dict[str, Any] = {"color": colours[ball], "mfc": "white"} if alone else {}
+            mark = MARKS[event.kind]
+            ax.plot(*places[ball, at], mark, label=None if label in known else label, ms=6, zorder=2, **style)
+    ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+    if ax.get_legend_handles_labels()[1]:
+        ax.legend(fontsize="small")
+
+
+def write_animation(
+    path: Path, motion: Trajectory, radius: NDArray[np.float64], walls: Sequence[Wall], fps: float, slower: float
+) -> None:
+    """Write an animation as .gif or .mp4. Raises InputError for another ending, or one frame or none."""
+    import imageio.v3 as iio
+
+    if path.suffix.lower() not in (".gif", ".mp4"):
+        raise InputError(f"{path}: expected a name that ends in .gif or .mp4")
+    if not (fps > 0 and slower > 0):
+        raise InputError(f"fps {fps:g} and slower {slower:g}: expected numbers over 0")
+    count = int((motion.t1 - motion.t0) * slower * fps) + 1
+    if count < 2:
+        raise InputError(
+            f"{path}: {count} frame; expected a larger fps or slower for a motion of {motion.t1 - motion.t0:g} s"
+        )
+    frames = list(_draw_frames(motion, radius, walls, np.linspace(motion.t0, motion.t1, count)))
+    if path.suffix.lower() == ".gif":
+        iio.imwrite(path, frames, duration=1000 / fps, loop=0)
+    else:
+        iio.imwrite(path, frames, plugin="pyav", codec="mpeg4", fps=fps)
+
+
+def _draw_frames(
+    motion: Trajectory, radius: NDArray[np.float64], walls: Sequence[Wall], times: NDArray[np.float64]
+) -> Iterator[NDArray[np.uint8]]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.collections import PatchCollection
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+    figure = Figure(figsize=(6.4, 4.8), dpi=100, layout="constrained")
+    canvas, ax = FigureCanvasAgg(figure), figure.subplots()
+    draw_walls(ax, walls)
+    places, size = 1e3 * motion.at(times)[..., :2], 1e3 * np.asarray(radius)
+    ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+    if not walls:
+        low, high = (places + sign * size.max() * 1.5 for sign in (-1, 1))
+        ax.set(xlim=(low[..., 0].min(), high[..., 0].max()), ylim=(low[..., 1].min(), high[..., 1].max()))
+    circles = PatchCollection([Circle((0, 0), r) for r in size], facecolors=choose_colours(len(size)), edgecolors="k")
+    ax.add_collection(circles, autolim=False)
+    for k, t in enumerate(times):
+        circles.set_paths([Circle(tuple(xy), r) for xy, r in zip(places[:, k], size, strict=True)])
+        ax.set_title(f"{t:.3f} s", fontsize="medium")
+        canvas.draw()
+        yield np.array(canvas.buffer_rgba())[..., :3]
