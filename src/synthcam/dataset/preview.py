@@ -43,7 +43,8 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     counts = next(itertools.islice(clip.pictures(), k, None))
     picture = _eight_bits(counts, clip)
     if magnify:
-        middle = clip.camera.project(view.at(np.array([k / clip.camera.fps]))[:, 0, :3]).mean(axis=0)
+        places = clip.camera.project(view.at(np.array([k / clip.camera.fps]))[:, 0, :3])
+        middle = places.mean(axis=0) if len(places) <= 2 else places[0]
         picture = _with_inset(picture, middle, magnify, clip)
     ok, data = cv2.imencode(".png", picture[..., ::-1] if picture.ndim == 3 else picture)
     if not ok:

@@ -50,6 +50,16 @@ def replace_by_extremes(value: Any, which: str, key: str, where: str) -> Any:
     return value
 
 
+def find_distributions(value: Any, key: str = "") -> Iterator[tuple[str, str, list[Any]]]:
+    """Find every distribution in checked settings: its dotted key, its kind and its numbers."""
+    found = parse_distribution(value, key, "")
+    if found:
+        yield key, *found
+    elif isinstance(value, dict | list):
+        for k, v in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from find_distributions(v, f"{key}.{k}" if key else str(k))
+
+
 def find_choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], list[Any]]]:
     """Find every choice in the settings: its key and its options."""
     if isinstance(value, dict):

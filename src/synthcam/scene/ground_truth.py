@@ -77,7 +77,7 @@ def _spin_transfer(bodies: Bodies, hit: Event) -> float:
     approach = before[1, 3:6] - before[0, 3:6]
     u_t = approach - (approach @ n) * n + np.cross((radius[:, None] * before[:, 6:9]).sum(axis=0), n)
     inertia = bodies.inertia[[hit.i, hit.j]]
-    impulse = inertia[1] * mass[1] * radius[1] * np.linalg.norm(after[1, 6:9] - before[1, 6:9])
+    impulse = mass[1] * radius[1] / (1 / inertia[1]) * np.linalg.norm(after[1, 6:9] - before[1, 6:9])
     joint = join_inertia(inertia[0], mass[0], inertia[1], mass[1])
     return float(impulse / (2 * joint * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
 

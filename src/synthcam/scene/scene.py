@@ -28,7 +28,14 @@ from synthcam.model import (
 from synthcam.scene.apparatus import CameraSettings, SceneLampSettings, SensorSettings, SurfaceSettings, VideoSettings
 from synthcam.scene.bodies import TableSettings
 from synthcam.scene.clip import Clip, build_clip
-from synthcam.scene.distribution import draw, find_choices, pick_representatives, replace_at, replace_by_extremes
+from synthcam.scene.distribution import (
+    draw,
+    find_choices,
+    find_distributions,
+    pick_representatives,
+    replace_at,
+    replace_by_extremes,
+)
 from synthcam.settings import InputError, read_yaml
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.settings import NotNegative, Positive, Settings, parse_yaml, to_input_error
@@ -192,10 +199,7 @@ class Scene:
         return check_scene({"name": name} | _plain(sections), name)
 
     def __repr__(self) -> str:
-        sections = ((s, values) for s, values in self.settings.items() if isinstance(values, dict))
-        found = {f"{s}.{k}": v for s, values in sections for k, v in values.items()}
-        spread = {k: v for k, v in found.items() if isinstance(v, dict) and set(v) <= {"uniform", "normal", "choice"}}
-        listed = [f"{k} {kind} {value}" for k, v in spread.items() for kind, value in v.items()]
+        listed = [f"{key} {kind} {value}" for key, kind, value in find_distributions(self.settings)]
         listed[4:] = [f"{len(listed) - 4} more"] if len(listed) > 4 else []
         return f"Scene {self.name}: {', '.join(listed) or 'all clips are the same except for noise'}"
 
@@ -254,6 +258,8 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
     where: name of the file, for messages. overrides: as "launch.v0=0.2".
     """
     settings = resolve_symbols(copy.deepcopy(loaded), where)
+    if "launches" in settings and "launch" in settings:
+        raise InputError(f"{where}: launch: of one pair, beside launches of many bodies; expected one of the two")
     for text in overrides:
         _apply_override(settings, text)
     refuse_search_only_laws(settings.get("free_laws"), where)
@@ -269,9 +275,14 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
 
 def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:
     try:
-        return scene_file().model_validate(plain).model_dump(exclude_none=True)
+        settings = scene_file().model_validate(plain).model_dump(exclude_none=True)
     except ValidationError as e:
         raise to_input_error(e, where, scene_file()) from None
+    if "launches" in settings:
+        return settings
+    for key in (k for k in TableSettings.model_fields if k in plain):
+        raise InputError(f"{where}: {key}: of a scene of many bodies; expected `launches` with it")
+    return {k: v for k, v in settings.items() if k not in TableSettings.model_fields}
 
 
 MAX_DEPTH = 8  # of a key under others; scenes have 2

@@ -55,6 +55,8 @@ def test_the_shipped_scenes_draw(path):
     scene = read_scene(path)
     for number in range(5):
         clip = scene.draw(number, 1)
+        if "launches" in clip.drawn:  # see test_bodies.py
+            continue
         hit = solve(clip.model, clip.launch, 0.0, clip.frames / clip.camera.fps).first("contact")
         assert (hit is None) == (clip.drawn["launch"]["kind"] == "single")
         if hit:

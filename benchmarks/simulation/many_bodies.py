@@ -1,0 +1,206 @@
+"""Many bodies: events a second beside pooltool, the cost of an event by the number of bodies, and a tray that cools.
+
+python -m benchmarks.simulation.many_bodies [-o out/many_bodies] [--pooltool PYTHON]
+
+- A nine-ball break between cushions, by this program and by pooltool in turn, in CPU seconds of one core; pooltool
+  warm, its compilation not counted. PYTHON is an interpreter that has it: see pooltool_shots.py of the tests.
+- Trays of 10 to 10,000 steel balls at 30 % of the area: CPU time per event.
+- A tray of 100 balls: granular temperature, and what takes the energy, with the plate's friction and without. Without
+  it and with a constant restitution the temperature falls as (1 + t/t0)^-2 (Haff, J. Fluid Mech. 134 (1983) 401).
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from benchmarks.harness import ROOT, save
+from synthcam.dynamics.kinematics import rolling_state
+from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.solve import solve
+from synthcam.dynamics.table import Table
+from synthcam.dynamics.trajectory import Trajectory
+from synthcam.dynamics.walls import Segment, Wall
+from synthcam.effects.ball_friction import BallFriction
+from synthcam.model import Bodies, Model
+
+REFERENCE = ROOT / "tests" / "synthcam" / "dynamics"
+GRAVITY, TURNS = 9.81, 5
+PEER = """
+import json, sys, time
+sys.path.insert(0, sys.argv[1])
+from pooltool_break import engine, pt, system
+own = engine()
+pt.simulate(system(), engine=own)
+times = []
+for _ in range(int(sys.argv[2])):
+    table = system()
+    began = time.process_time()
+    done = pt.simulate(table, engine=own, inplace=True)
+    times.append(time.process_time() - began)
+print(json.dumps({"events": len(done.events), "seconds": min(times)}))
+"""
+
+
+def box(
+    width: float, height: float, restitution: float, friction: float, nose: float | None = None
+) -> tuple[Wall, ...]:
+    """Four walls about a rectangle from the origin, m."""
+    corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
+    sides = itertools.pairwise([*corners, corners[0]])
+    return tuple(Segment(restitution, friction, 0.0, nose, start=a, end=b) for a, b in sides)
+
+
+def like(count: int, radius: float, mass: float) -> Bodies:
+    full = np.ones(count)
+    return Bodies(radius * full, mass * full, 0 * full, 0.4 * full)
+
+
+def break_balls() -> tuple[int, float]:
+    """Events and CPU seconds of the break of pooltool_break.json, until all balls rest."""
+    given = json.loads((REFERENCE / "pooltool_break.json").read_text(encoding="utf-8"))
+    states = np.array(given["start"])
+    states[:, 2] = given["radius"]
+    model = Model(
+        restitution=given["e_b"],
+        sliding_friction=given["u_s"],
+        spin_transfer=0.0,
+        rolling_drag=0.0,
+        rolling_decel=given["u_r"] * GRAVITY,
+    )
+    table = Table(box(*given["size"], given["e_c"], given["f_c"], given["height"]))
+    launch = Launch(0.0, states, like(len(states), given["radius"], given["mass"]))
+    seconds, events = math.inf, 0
+    for _ in range(TURNS):
+        began = time.process_time()
+        events = len(solve(model, launch, 0.0, 30.0, table=table).events)
+        seconds = min(seconds, time.process_time() - began)
+    return events, seconds
+
+
+def fill_tray(model: Model, count: int, speed: float, share: float = 0.3) -> tuple[Launch, float]:
+    """Balls that roll about at a share of the area; also the side of the tray, m."""
+    radius, rng = model.ball.radius, np.random.default_rng(1)
+    side, columns = math.sqrt(count * math.pi * radius**2 / share), math.ceil(math.sqrt(count))
+    free = side / columns / 2 - radius
+    cells = np.stack(np.divmod(np.arange(count), columns), axis=1)
+    places = (cells + 0.5) * side / columns + rng.uniform(-0.98, 0.98, (count, 2)) * free
+    states = rolling_state(places, rng.normal(0, speed / math.sqrt(2), (count, 2)), 0.0, radius)
+    return Launch(0.0, states, model.bodies("b" * count)), side
+
+
+def time_trays() -> list[dict[str, float]]:
+    """CPU time per event of trays with ever more balls, some 10 contacts a ball or 20,000 events."""
+    rows = []
+    for count, lasts in ((10, 2.0), (30, 1.0), (100, 0.5), (300, 0.2), (1000, 0.06), (3000, 0.03), (10_000, 0.02)):
+        launch, side = fill_tray(Model(), count, 0.3)
+        table, began = Table(box(side, side, 0.8, 0.1), (), 1e-5), time.process_time()
+        motion = solve(Model(), launch, 0.0, lasts, False, table)
+        spent = time.process_time() - began
+        rows.append({"balls": count, "events": len(motion.events), "us_per_event": 1e6 * spent / len(motion.events)})
+        print("{balls:6d} balls  {events:6d} events  {us_per_event:6.0f} us each".format(**rows[-1]), flush=True)
+    return rows
+
+
+def cool(model: Model, lasts: float) -> dict[str, Any]:
+    """A tray of 100 balls: mean square speed over time, and the energy that contacts, walls and the plate took."""
+    launch, side = fill_tray(model, 100, 0.3)
+    motion = solve(model, launch, 0.0, lasts, False, Table(box(side, side, 1.0, 0.0), (), 1e-5))
+    times = np.linspace(0, lasts, 41)
+    found = {"t": times, "temperature": temperature(motion.at(times)), **share_losses(motion, launch.bodies)}
+    return found | {"haff": deviation_from_haff(times, np.array(found["temperature"])), "t": times.tolist()}
+
+
+def deviation_from_haff(times: NDArray[np.float64], temperature: NDArray[np.float64]) -> float:
+    """Root mean square of ln T about the best T0 (1 + t/t0)^-2."""
+
+    def deviate(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.log(temperature) - numbers[0] + 2 * np.log1p(times * np.exp(numbers[1])))
+
+    times, temperature = times[temperature > 0], temperature[temperature > 0]
+    best = least_squares(deviate, [math.log(temperature[0]), 0.0])
+    return float(np.sqrt(np.mean(best.fun**2)))
+
+
+def temperature(states: NDArray[np.float64]) -> list[float]:
+    """Mean square velocity of states (balls, times, 9), m^2/s^2."""
+    return list(np.mean((states[..., 3:5] ** 2).sum(axis=-1), axis=0))
+
+
+def share_losses(motion: Trajectory, bodies: Bodies) -> dict[str, Any]:
+    """Shares of the lost energy, translation and spin, that went in contacts of balls, in walls, and to the plate."""
+
+    def energy(states: NDArray[np.float64], own: Bodies) -> float:
+        spin = own.inertia * own.radius**2 * (states[..., 6:9] ** 2).sum(axis=-1)
+        return float((own.mass / 2 * ((states[..., 3:6] ** 2).sum(axis=-1) + spin)).sum())
+
+    lost = dict.fromkeys(("contact", "wall"), 0.0)
+    for event in motion.events:
+        if event.kind in lost:
+            own = bodies[[event.i, event.j] if event.kind == "contact" else [event.i]]
+            lost[event.kind] += energy(np.asarray(event.before), own) - energy(np.asarray(event.after), own)
+    first, last = (energy(motion.at(t)[:, 0], bodies) for t in (motion.t0, motion.t1))
+    return {"lost": first - last, "shares": {k: v / (first - last) for k, v in lost.items()}}
+
+
+def draw(found: dict[str, Any], path: Path) -> None:
+    """Plot the cost of an event by the number of balls, and the temperatures."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    rows = found["trays"]
+    left.loglog([r["balls"] for r in rows], [r["us_per_event"] for r in rows], "ko-", label="one core")
+    left.set(xlabel="balls", ylabel="processor time per event (µs)", ylim=(10, 3000))
+    for (name, one), style in zip(found["cooling"].items(), ("k-", "k--"), strict=True):
+        right.loglog(one["t"][1:], one["temperature"][1:], style, label=name)
+    right.set(xlabel="time (s)", ylabel="mean square velocity (m²/s²)")
+    for ax in (left, right):
+        ax.legend(fontsize="small")
+    figure.savefig(path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "many_bodies")
+    parser.add_argument("--pooltool", type=Path, help="a Python interpreter that has pooltool")
+    args = parser.parse_args()
+    events, seconds = break_balls()
+    found: dict[str, Any] = {"break": {"events": events, "seconds": seconds}}
+    print(f"break: {events} events, {1e3 * seconds:.1f} ms, {events / seconds:.0f} events a second")
+    if args.pooltool:
+        command = [args.pooltool, "-c", PEER, REFERENCE, str(TURNS)]
+        peer = json.loads(
+            subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True).stdout.splitlines()[-1]
+        )
+        found["pooltool"] = peer
+        ratio = events / seconds / (peer["events"] / peer["seconds"])
+        print(
+            f"pooltool: {peer['events']} events, {1e3 * peer['seconds']:.1f} ms; ratio of events a second {ratio:.1f}"
+        )
+    found["trays"] = time_trays()
+    smooth = Model(rolling_drag=0.0, rolling_decel=0.0, sliding_friction=1e-9, spin_transfer=0.0)
+    found["cooling"] = {
+        "plate of the paper": cool(Model(effects=(BallFriction(mu=0.15),)), 0.5),
+        "plate without friction": cool(smooth, 2.0),
+    }
+    for name, one in found["cooling"].items():
+        shares = ", ".join(f"{k} {v:.1%}" for k, v in one["shares"].items())
+        print(f"{name}: {shares} of the loss, the plate the rest; rms of ln T about Haff's law {one['haff']:.3f}")
+    save(args.output / "figures.json", found)
+    draw(found, args.output / "many_bodies.png")
+    print(args.output / "many_bodies.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,300 @@
+"""Many bodies between walls: against pooltool, closed forms, conservation laws and another integrator."""
+
+import itertools
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from synthcam.dynamics import calendar
+from synthcam.dynamics.impact import hit_wall
+from synthcam.dynamics.kinematics import contact_velocity, plate_state, rolling_state
+from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.solve import solve
+from synthcam.dynamics.table import Air, Table
+from synthcam.dynamics.walls import Rim, Segment
+from synthcam.effects.ball_friction import BallFriction
+from synthcam.effects.hop import Hop
+from synthcam.effects.plate_tilt import PlateTilt
+from synthcam.model import Bodies, Model
+
+THEIRS = json.loads(Path(__file__).with_name("pooltool_break.json").read_text(encoding="utf-8"))
+KINDS = {"ball_ball": "contact", "ball_linear_cushion": "wall", "sliding_rolling": "slide_end"}
+SPACER_M = 1e-6  # by which pooltool parts balls that touch
+R, M, G = 1.19e-3, 5.5e-5, 9.81
+FREE = Model(restitution=1.0, spin_transfer=0.0)
+
+
+def bodies(count, inertia=0.4, mass=M):
+    full = np.ones(count)
+    return Bodies(R * full, mass * full, 0 * full, inertia * full)
+
+
+def box(width, height, **law):
+    corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
+    return tuple(Segment(start=a, end=b, **law) for a, b in itertools.pairwise([*corners, corners[0]]))
+
+
+def tray(count, seed=0, speed=0.3, share=0.3):
+    """Balls that roll about, at a share of the area: states and the side of the tray."""
+    rng, side = np.random.default_rng(seed), math.sqrt(count * math.pi * R * R / share)
+    columns = math.ceil(math.sqrt(count))
+    cells = np.stack(np.divmod(np.arange(count), columns), axis=1)
+    places = (cells + 0.5) * side / columns + rng.uniform(-1, 1, (count, 2)) * (side / columns / 2 - R) * 0.98
+    return rolling_state(places, rng.normal(0, speed / math.sqrt(2), (count, 2)), 0.0, R), side
+
+
+def test_a_break_is_pooltools_until_rounding_grows():
+    """Its spacer of 1 um moves each contact; every hit makes the difference some five times larger."""
+    radius, rise = THEIRS["radius"], THEIRS["height"] / THEIRS["radius"] - 1
+    early = radius * (1 - math.sqrt(1 - rise * rise))  # its balls turn back with the centre a radius from the cushion
+    (width, height), law = THEIRS["size"], {"restitution": THEIRS["e_c"], "friction": THEIRS["f_c"]}
+    corners = [(a, b) for a, b in ((early, early), (width - early, early))]
+    corners += [(width - early, height - early), (early, height - early)]
+    ring = itertools.pairwise([*corners, corners[0]])
+    walls = tuple(Segment(start=a, end=b, height=THEIRS["height"], **law) for a, b in ring)
+    states = np.array(THEIRS["start"])
+    states[:, 2] = radius
+    full = np.ones(len(states))
+    balls = Bodies(radius * full, THEIRS["mass"] * full, 0 * full, 0.4 * full)
+    model = Model(
+        restitution=THEIRS["e_b"],
+        sliding_friction=THEIRS["u_s"],
+        spin_transfer=0.0,
+        rolling_drag=0.0,
+        rolling_decel=THEIRS["u_r"] * G,
+    )
+    motion = solve(model, Launch(0.0, states, balls), 0.0, 2.0, table=Table(walls))
+    hits = np.zeros(len(states))
+    for event, (t, kind, ids) in zip(motion.events, THEIRS["events"], strict=False):
+        assert event.kind == KINDS[kind]
+        own = {int(k) for k in ids if kind == "ball_ball" or k == ids[0]}
+        assert event.i in own
+        assert kind != "ball_ball" or event.j in own
+        if kind == "ball_ball":
+            hits[list(own)] = hits[list(own)].max() + 1
+        assert event.t == pytest.approx(t, abs=SPACER_M * 5.0 ** hits[list(own)].max() / 0.5)
+
+
+@pytest.mark.parametrize("hit", THEIRS["cushion"])
+def test_a_cushion_is_hans_as_pooltool_has_it(hit):
+    radius = THEIRS["radius"]
+    wall = Segment(0.85, hit["friction"], 0.0, THEIRS["height"], start=(0.1, -1.0), end=(0.1, 1.0))
+    before = np.array(hit["before"])
+    ours = hit_wall(Model(), wall, tuple(before.tolist()), (radius, THEIRS["mass"], 0.4))
+    np.testing.assert_allclose(ours.after, hit["after"], rtol=1e-12, atol=1e-10)
+
+
+@given(
+    st.floats(0, 1), st.floats(0, 1), st.floats(-1, 1), st.sampled_from([0.4, 2 / 3, 0.5]), st.integers(0, 2**32 - 1)
+)
+def test_a_wall_takes_what_its_law_says(restitution, friction, beta, inertia, seed):
+    rng = np.random.default_rng(seed)
+    state = np.array([0, R, R, *rng.uniform(-1, 1, 2), 0, *rng.uniform(-300, 300, 3)])
+    state[4] = -abs(state[4]) - 0.01
+    wall = Segment(restitution, friction, beta, start=(-1.0, 0.0), end=(1.0, 0.0))
+    loose = Model(effects=(Hop(share=1.0),))  # the plate holds nothing back
+    hit = hit_wall(loose, wall, tuple(state.tolist()), (R, M, inertia))
+    after, n = np.array(hit.after), np.array([0.0, 1.0, 0.0])
+    assert after[4] == pytest.approx(-restitution * state[4], rel=1e-12)
+
+    def surface(s):
+        velocity = s[3:6] + np.cross(s[6:9], -R * n)
+        return velocity - (velocity @ n) * n
+
+    impulse, (was, now) = (after - state)[3:6] - (after - state)[4] * n, (surface(s) for s in (state, after))
+    largest = friction * (after - state)[4]
+    sticks = (1 + beta) * np.linalg.norm(was) / (1 + 1 / inertia) < largest
+    assert np.linalg.norm(impulse) <= largest * (1 + 1e-9)
+    if sticks:
+        np.testing.assert_allclose(now, -beta * was, rtol=0, atol=1e-12)
+    # angular momentum about the point of contact
+    for spin in (state, after):
+        spin[2] = 0
+    about = [inertia * R * R * s[6:9] + np.cross(R * n, s[3:6]) for s in (state, after)]
+    np.testing.assert_allclose(about[0], about[1], rtol=0, atol=1e-12)
+    energies = [(s[3:6] ** 2).sum() + inertia * R * R * (s[6:9] ** 2).sum() for s in (state, after)]
+    assert energies[1] <= energies[0] * (1 + 1e-12)
+
+
+def test_a_billiard_in_a_circle():
+    """Chords of equal length at equal angles, for a ball that loses nothing."""
+    model, rim = Model(rolling_drag=0.0, rolling_decel=0.0, sliding_friction=1e-12), Rim(radius=0.05 + R)
+    start = plate_state(np.array([0.01, -0.02]), np.array([0.3, 0.05]), np.zeros(2), 0.0, R)[None]
+    motion = solve(model, Launch(0.0, start, bodies(1)), 0.0, 5.0, False, Table((rim,)))
+    hits = [e for e in motion.events if e.kind == "wall"]
+    places, times = np.array([e.before[0, :2] for e in hits]), np.array([e.t for e in hits])
+    assert len(hits) > 10
+    np.testing.assert_allclose(np.hypot(*places.T), 0.05, rtol=1e-12)
+    speed, offset = math.hypot(0.3, 0.05), (0.01 * 0.05 + 0.02 * 0.3) / math.hypot(0.3, 0.05)
+    np.testing.assert_allclose(np.diff(times), 2 * math.sqrt(0.05**2 - offset**2) / speed, rtol=1e-9)
+
+
+def test_the_end_of_a_wall_is_a_point():
+    wall = Segment(start=(0.0, 0.0), end=(0.0, 1.0))
+    states = rolling_state(np.array([[-0.05, -R / 2]]), np.array([[0.3, 0.0]]), 0.0, R)
+    model = Model(rolling_drag=0.0, rolling_decel=0.0)
+    hit = solve(model, Launch(0.0, states, bodies(1)), 0.0, 0.3, table=Table((wall,))).first("wall")
+    assert hit.t == pytest.approx((0.05 - R * math.sqrt(0.75)) / 0.3, rel=1e-12)
+    np.testing.assert_allclose(hit.n, [-math.sqrt(0.75), -0.5], rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_newtons_cradle(count):
+    """Equal balls in touch pass on the velocity; the rest stay at rest."""
+    places = np.stack([2 * R * np.arange(count), np.zeros(count)], axis=1)
+    states = rolling_state(places, np.zeros((count, 2)), 0.0, R)
+    states[0] = rolling_state(np.array([-0.02, 0.0]), np.array([0.3, 0.0]), 0.0, R)
+    states[1:, :2] -= [2 * R, 0.0]
+    motion = solve(FREE, Launch(0.0, states, bodies(count)), 0.0, 0.07, table=Table(contact_duration=1e-6))
+    hits = [e for e in motion.events if e.kind == "contact"][: count - 1]
+    assert [e.t for e in hits] == pytest.approx([hits[0].t] * (count - 1), abs=1e-14)
+    speeds = {ball: e.after[row, 3] for e in hits for row, ball in enumerate((e.i, e.j))}
+    came = hits[0].before[:, 3].max()
+    assert speeds == pytest.approx({k: came * (k == count - 1) for k in range(count)}, abs=1e-12)
+
+
+def momentum(states, mass):
+    return (states[:, 3:5] * mass[:, None]).sum(axis=0)
+
+
+def test_each_contact_conserves_momentum_and_its_angular_momentum():
+    """Balls, shells and discs of different masses and sizes, with friction between them and a hop."""
+    states, side = tray(40, seed=2)
+    rng = np.random.default_rng(3)
+    mixed = Bodies(
+        R * rng.uniform(0.7, 1, 40), M * rng.uniform(0.5, 2, 40), np.zeros(40), rng.choice([0.4, 2 / 3, 0.5], 40)
+    )
+    states[:, 2] = mixed.radius
+    states[:, 6:8] = np.stack([-states[:, 4], states[:, 3]], axis=1) / mixed.radius[:, None]
+    model = Model(restitution=0.9, effects=(BallFriction(mu=0.1), Hop(share=1.0)))
+    motion = solve(model, Launch(0.0, states, mixed), 0.0, 0.2, False, Table(box(side, side), (), 1e-5))
+    hits = [e for e in motion.events if e.kind == "contact"]
+    assert len(hits) > 100
+    for e in hits:
+        own = mixed[[e.i, e.j]]
+        before, after = e.before, e.after
+        size = own.mass.sum() * 0.3
+        np.testing.assert_allclose(momentum(before, own.mass), momentum(after, own.mass), rtol=0, atol=1e-12 * size)
+        spin = [
+            (own.mass * (s[:, 0] * s[:, 4] - s[:, 1] * s[:, 3])).sum()
+            + (own.inertia * own.mass * own.radius**2 * s[:, 8]).sum()
+            for s in (before, after)
+        ]
+        assert spin[0] == pytest.approx(spin[1], abs=1e-12 * size * side)
+
+
+def test_the_calendar_misses_no_contact(monkeypatch):
+    """With few neighbours a ball looks ahead by little; every event is that of a search over all pairs."""
+    states, side = tray(30, seed=4)
+    launch, table = Launch(0.0, states, bodies(30)), Table(box(side, side), (), 1e-5)
+    found = []
+    for most in (3, 100):
+        monkeypatch.setattr(calendar, "MAX_NEIGHBOURS", most)
+        found.append(solve(Model(), launch, 0.0, 0.15, False, table).events)
+    assert len(found[0]) == len(found[1]) > 200
+    for one, two in zip(*found, strict=True):
+        assert (one.kind, one.i, one.j) == (two.kind, two.i, two.j)
+        assert one.t == pytest.approx(two.t, abs=1e-9)
+
+
+def test_no_ball_enters_another_or_a_wall():
+    states, side = tray(30, seed=5)
+    motion = solve(Model(), Launch(0.0, states, bodies(30)), 0.0, 0.3, False, Table(box(side, side), (), 1e-5))
+    places = motion.at(np.linspace(0, 0.3, 500))[..., :2]
+    gaps = np.linalg.norm(places[:, None] - places[None], axis=-1) + 1e3 * np.eye(30)[..., None]
+    assert gaps.min() > 2 * R * (1 - 1e-9)
+    assert places.min() > R * (1 - 1e-9)
+    assert places.max() < side - R * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("inertia", [2 / 5, 2 / 3, 1 / 2])
+def test_a_ball_slides_by_its_inertia(inertia):
+    """It starts without spin, slides for v/((1 + 1/k) mu g) and rolls on at v/(1 + k)."""
+    states = np.array([[0, 0, R, 0.3, 0, 0, 0, 0, 0.0]])
+    end = solve(Model(), Launch(0.0, states, bodies(1, inertia)), 0.0, 0.2).first("slide_end")
+    assert end.t == pytest.approx(0.3 / ((1 + 1 / inertia) * 0.232 * G), rel=1e-12)
+    assert end.after[0, 3] == pytest.approx(0.3 / (1 + inertia), rel=1e-12)
+
+
+@pytest.mark.parametrize("inertia", [2 / 3, 1 / 2])
+def test_a_shell_on_a_leaning_plate_is_integrated_as_its_equations_say(inertia):
+    push, model = (
+        np.array([G * math.sin(0.01), 0.0]),
+        Model(rolling_drag=0.0, rolling_decel=0.0, effects=(PlateTilt(x=0.01, y=0.0),)),
+    )
+    states = plate_state(np.zeros((1, 2)), np.array([[0.2, 0.1]]), np.array([[0.1, -0.2]]), 0.0, R, np.full(1, inertia))
+    motion = solve(model, Launch(0.0, states, bodies(1, inertia)), 0.0, 0.3)
+    end = motion.first("slide_end").t
+
+    def slide(t, y):
+        u = np.array([y[2] - R * y[5], y[3] + R * y[4]])
+        a = -0.232 * G * u / np.hypot(*u)
+        return [*y[2:4], *(a + push), *(np.array([a[1], -a[0]]) / inertia / R)]
+
+    first = states[0, [0, 1, 3, 4, 6, 7]]
+    exact = solve_ivp(slide, (0, 0.9 * end), first, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    ours = motion.at(0.9 * end)[0, 0, [0, 1, 3, 4, 6, 7]]
+    np.testing.assert_allclose(ours, exact, rtol=1e-8, atol=1e-10)
+    one, two = motion.at([end + 0.01, 0.3])[0, :, 3:5]
+    np.testing.assert_allclose((two - one) / (0.29 - end), push / (1 + inertia), rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize("air", [Air(0.2, 0.1, 0.5, 2.0), Air(0.2, 1e-5, -3.0), Air(0.0, 0.3, 1.0), Air(0.3, 0.2)])
+def test_a_puck_on_air(air):
+    states = np.array([[0.1, 0.2, R, 0.4, -0.3, 0, 0, 0, 7.0]])
+    motion = solve(Model(), Launch(0.0, states, bodies(1, 0.5)), 0.0, 1.2, table=Table((), (air,)))
+
+    def law(t, y):
+        v = y[2:4]
+        loss = -(air.decel / np.hypot(*v) + air.drag) * v
+        return [*v, *(loss + air.curl * np.array([-v[1], v[0]])), -air.spin_drag * y[4]]
+
+    exact = solve_ivp(law, (0, 1.2), states[0, [0, 1, 3, 4, 8]], method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    np.testing.assert_allclose(motion.at(1.2)[0, 0, [0, 1, 3, 4, 8]], exact, rtol=1e-9, atol=1e-11)
+    assert motion.motion(0.5).tolist() == [["glide"]]
+
+
+def test_a_puck_stops_and_its_spin_dies_out():
+    states = np.array([[0, 0, R, 0.1, 0, 0, 0, 0, 5.0]])
+    motion = solve(Model(), Launch(0.0, states, bodies(1, 0.5)), 0.0, 2.0, table=Table((), (Air(0.2, spin_drag=0.5),)))
+    stop = motion.first("stop")
+    assert (stop.t, stop.after[0, 0]) == pytest.approx((0.5, 0.1**2 / 0.4), rel=1e-12)
+    assert motion.at(2.0)[0, 0, 8] == pytest.approx(5 * math.exp(-1), rel=1e-12)
+
+
+def test_discs_on_air_swap_spin_by_friction():
+    """Two equal discs without rotation, an oblique hit that sticks: each gets what the impulse at the rim gives."""
+    model = Model(restitution=0.8, effects=(BallFriction(mu=1.0, beta=0.0),))
+    air, b = Air(), 0.5  # without rotation they stick, as J/P is 0.11
+    states = np.zeros((2, 9))
+    states[:, 2], states[1, 3] = R, 0.3
+    states[1, :2] = [-0.02, 2 * R * b]
+    hit = solve(model, Launch(0.0, states, bodies(2, 0.5)), 0.0, 0.2, table=Table((), (air, air))).first("contact")
+    across = 0.3 * b
+    for row in (0, 1):
+        # J/m = u/(2 (1 + 1/k)) = u/6, and R dw = J/(k m) = u/3
+        assert abs(R * hit.after[row, 8]) == pytest.approx(across / 3, rel=1e-9)
+    assert np.all(hit.after[:, 6:8] == 0)
+    np.testing.assert_allclose(contact_velocity(hit.after, R), hit.after[:, 3:5])
+
+
+@settings(max_examples=5)
+@given(st.floats(0.05, 0.25))
+def test_an_endless_sequence_ends_with_a_contact_duration(restitution):
+    """Three balls in a row that lose much collide ever faster (McNamara & Young, Phys. Fluids A 4 (1992) 496)."""
+    places = np.array([[0.0, 0], [2 * R + 1e-4, 0], [4 * R + 2e-4, 0]])
+    states = rolling_state(places, np.array([[0.3, 0], [0, 0], [-0.3, 0]]), 0.0, R)
+    launch = Launch(0.0, states, bodies(3))
+    model = Model(restitution=restitution, spin_transfer=0.0)
+    motion = solve(model, launch, 0.0, 0.2, table=Table(contact_duration=1e-5))
+    hits = [e for e in motion.events if e.kind == "contact"]
+    assert 2 < len(hits) < 10_000
+    for e in hits:
+        np.testing.assert_allclose(e.before[:, 3].sum(), e.after[:, 3].sum(), rtol=0, atol=1e-12)
+    assert not np.any(np.isnan(motion.at(0.2)))

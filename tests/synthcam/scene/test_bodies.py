@@ -1,0 +1,127 @@
+"""Scenes of many bodies: what they become, and one line for each that cannot be."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from synthcam.dynamics.table import Air
+from synthcam.scene.bodies import MAX_BODIES
+from synthcam.scene.scene import Scene, check_scene
+from synthcam_shared.errors import InputError
+
+TRAY = {
+    "launches": [{"position": [-0.01, 0.0], "velocity": [0.3, 0.0]}, {"position": [0.01, 0.0]}],
+    "walls": [
+        {"start": [-0.03, -0.02], "end": [0.03, -0.02]},
+        {"start": [0.03, -0.02], "end": [0.03, 0.02]},
+        {"start": [0.03, 0.02], "end": [-0.03, 0.02]},
+        {"start": [-0.03, 0.02], "end": [-0.03, -0.02]},
+    ],
+    "timing": {"frames": 20},
+}
+
+
+def changed(change):
+    scene = copy.deepcopy(TRAY)
+    change(scene)
+    return scene
+
+
+def test_the_scene_that_comes_with_it():
+    clip = Scene.read("tray").draw(seed=1)
+    motion = clip.solve()
+    assert len(clip.launch.bodies.radius) == 12
+    assert set(motion.events["kind"]) >= {"contact", "wall", "slide_end"}
+    assert len(clip.tracks) == 12 * clip.frames
+    assert clip.tracks["visible"].all()
+    assert "striker" not in clip.camera_json
+    assert np.isnan(clip.truth["r"])
+    assert "10 x contact" in repr(motion)
+
+
+def test_a_number_in_a_list_is_drawn_for_each_clip():
+    scene = Scene.read("tray")
+    assert "launches.0.velocity.0 uniform [-0.3, 0.3]" in repr(scene)
+    one, two = (scene.draw(k, seed=1).launch.states[:, 3:5] for k in (0, 1))
+    assert len(np.unique([one, two])) == 48
+    assert np.abs([one, two]).max() < 0.3
+
+
+def test_two_balls_of_a_pair_and_of_a_table_move_alike():
+    """The pair of `launch` and the same balls of `launches`, which start earlier."""
+    timing = {"frames": 60, "contact_frame": 20}
+    launch = {"v0": 0.3, "b": 0.3, "heading": 0.2, "contact": [0.0, 0.0]}
+    pair = check_scene({"launch": launch, "timing": timing}, "scene").draw()
+    states = pair.view.motion.at(0.0)[:, 0]
+    launches = [{"position": s[:2].tolist(), "velocity": s[3:5].tolist()} for s in states]
+    table = check_scene({"launches": launches, "timing": timing}, "scene").draw()
+    columns = ["x", "y", "vx", "vy", "wx", "wy", "wz"]
+    np.testing.assert_allclose(table.tracks[columns], pair.tracks[columns], rtol=0, atol=1e-8)
+    assert table.solve().events["kind"].tolist() == pair.solve().events["kind"].tolist()
+
+
+def test_bodies_have_what_their_entries_say():
+    bodies = [
+        {"diameter": 4e-3, "density": 2500},
+        {"shape": "disc", "mass": 1e-3, "support": {"kind": "air", "decel": 0.1}, "label": "a"},
+    ]
+    effects = {"mass_mismatch": {"excess": 0.5}}
+    clip = check_scene(TRAY | {"bodies": bodies, "effects": effects}, "scene").draw()
+    own = clip.launch.bodies
+    np.testing.assert_allclose(own.radius, [2e-3, 1.19e-3])
+    np.testing.assert_allclose(own.mass, [2500 * np.pi / 6 * 4e-3**3, 1.5e-3])
+    np.testing.assert_allclose(own.inertia, [0.4, 0.5])
+    assert clip.table.supports == (None, Air(decel=0.1))
+
+
+def test_a_ball_starts_in_the_air_or_without_rolling():
+    launches = [{"position": [0.0, 0.0], "velocity": [0.2, 0.1], "slip": [0.05, 0.0], "height": 1e-3, "rise": 0.1}]
+    state = check_scene(TRAY | {"launches": launches}, "scene").draw().launch.states[0]
+    np.testing.assert_allclose(state[:6], [0, 0, 2.19e-3, 0.2, 0.1, 0.1])
+    np.testing.assert_allclose([state[3] - 1.19e-3 * state[7], state[4] + 1.19e-3 * state[6]], [0.05, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda s: s["launches"][1].update(position=[-0.009, 0.0]), "bodies 0 and 1 overlap by 0.00138 m"),
+        (lambda s: s["walls"][0].update(end=[-0.03, -0.02]), "walls.0: a wall from .* has no length"),
+        (lambda s: s["walls"][0].pop("end"), "walls.0: expected start and end, or centre and radius"),
+        (lambda s: s["walls"][0].update(radius=1.0), "walls.0: expected start and end, or centre and radius"),
+        (lambda s: s["walls"][0].update(height=3e-3), "walls.0.height: expected a height within body 0"),
+        (lambda s: s["launches"][1].update(position=[0.0295, 0.0]), "launches.1: the body is in wall 1"),
+        (lambda s: s["launches"][1].update(position=[0.05, 0.0]), "launches.1: the body is outside the walls"),
+        (lambda s: s.update(walls=[{"centre": [0, 0], "radius": 5e-3}]), "launches.0: the body is beyond wall 0"),
+        (lambda s: s.update(bodies=[{}, {}, {}]), "bodies: 3 of them and 2 launches"),
+        (lambda s: s.update(bodies={"shape": "cube"}), "bodies.*shape"),
+        (
+            lambda s: s.update(support={"kind": "air"}) or s["launches"][0].update(slip=[0.1, 0]),
+            "launches.0: slip, height",
+        ),
+        (lambda s: s.update(launch={"v0": 0.3}), "launch: of one pair, beside launches of many bodies"),
+        (lambda s: s.pop("launches"), "walls: of a scene of many bodies; expected `launches`"),
+        (lambda s: s.update(launches=[]), "launches: expected 1 or more values"),
+        (lambda s: s.update(launches=[{"position": [0, 0]}] * (MAX_BODIES + 1)), f"launches: expected {MAX_BODIES} values or fewer"),
+        (lambda s: s["launches"][0].update(velocity=[{"uniform": [0.3, 0.1]}, 0]), "launches.0.velocity.0.uniform"),
+        (lambda s: s["launches"][0].update(position=["left", 0]), "launches.0.position.0"),
+    ],
+)
+def test_what_cannot_be_is_one_line(change, line):
+    with pytest.raises(InputError, match=line) as refused:
+        check_scene(changed(change), "scene.yaml")
+    assert "\n" not in str(refused.value)
+    assert str(refused.value).startswith("scene.yaml")
+
+
+def test_an_animation(tmp_path):
+    motion = check_scene(TRAY, "scene").draw().solve()
+    motion.animate(tmp_path / "table.gif", slower=3)
+    motion.animate(tmp_path / "table.mp4", slower=3)
+    assert (tmp_path / "table.gif").stat().st_size > 1000
+    assert (tmp_path / "table.mp4").stat().st_size > 1000
+    with pytest.raises(InputError, match=r"expected a name that ends in \.gif or \.mp4"):
+        motion.animate(tmp_path / "table.avi")
+    with pytest.raises(InputError, match="expected a larger fps or slower"):
+        motion.animate(tmp_path / "table.gif", fps=1)
+    assert not (tmp_path / "table.avi").exists()
