@@ -70,7 +70,7 @@ def break_balls() -> tuple[int, float]:
     """Events and CPU seconds of the break of pooltool_break.json, until all balls rest."""
     given = json.loads((REFERENCE / "pooltool_break.json").read_text(encoding="utf-8"))
     states = np.array(given["start"])
-    states[:, 2] = given["radius"]
+    states[:, 2], (width, height) = given["radius"], given["size"]
     model = Model(
         restitution=given["e_b"],
         sliding_friction=given["u_s"],
@@ -78,7 +78,7 @@ def break_balls() -> tuple[int, float]:
         rolling_drag=0.0,
         rolling_decel=given["u_r"] * GRAVITY,
     )
-    table = Table(box(*given["size"], given["e_c"], given["f_c"], given["height"]))
+    table = Table(box(width, height, given["e_c"], given["f_c"], given["height"]))
     launch = Launch(0.0, states, like(len(states), given["radius"], given["mass"]))
     seconds, events = math.inf, 0
     for _ in range(TURNS):
@@ -108,7 +108,7 @@ def time_trays() -> list[dict[str, float]]:
         motion = solve(Model(), launch, 0.0, lasts, False, table)
         spent = time.process_time() - began
         rows.append({"balls": count, "events": len(motion.events), "us_per_event": 1e6 * spent / len(motion.events)})
-        print("{balls:6d} balls  {events:6d} events  {us_per_event:6.0f} us each".format(**rows[-1]), flush=True)
+        print(f"{count:6d} balls  {len(motion.events):6d} events  {rows[-1]['us_per_event']:6.0f} us each", flush=True)
     return rows
 
 

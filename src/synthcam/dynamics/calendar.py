@@ -142,15 +142,15 @@ class Calendar:
         for axis in (0, 1):
             self.low[axis, k] = min(one[axis], two[axis]) - margin
             self.high[axis, k] = max(one[axis], two[axis]) + margin
-        return max(abs(one[0] - two[0]), abs(one[1] - two[1])) + margin - self.radius[k]
+        return float(max(abs(one[0] - two[0]), abs(one[1] - two[1])) + margin - self.radius[k])
 
-    def _neighbours(self, k: int) -> Iterable[int]:
+    def _neighbours(self, k: int) -> Sequence[int]:
         """Return the balls whose boxes overlap with that of ball k, itself among them."""
         if self.sparse:
             return range(len(self.radius))
         (lx, ly), (hx, hy) = self.low, self.high
         near = (lx <= hx[k]) & (hx >= lx[k]) & (ly <= hy[k]) & (hy >= ly[k])
-        return np.flatnonzero(near).tolist()
+        return [int(j) for j in np.flatnonzero(near)]
 
     def _guess_looks(self, legs: Sequence[Leg], t: float) -> None:
         """Guess how far balls look ahead at first: twice their mean distance."""

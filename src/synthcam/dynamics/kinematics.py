@@ -80,13 +80,11 @@ def after_gliding(state: State, drag: float, decel: float, curl: float, spin_dra
     decay, slack = coast(drag, t)
     left = 1 - (drag + slowing) * decay
     exp, cos, sin = (np.exp, np.cos, np.sin) if isinstance(t, np.ndarray) else (math.exp, math.cos, math.sin)
-    if curl == 0:
-        along, across, c, s = decay - slowing * slack, 0.0, 1.0, 0.0
-    else:
+    along, across, c, s = decay - slowing * slack, 0 * t, 1.0 + 0 * t, 0 * t
+    if curl:
         path = _turning_path(drag, slowing, curl, np.asarray(t, dtype=float))
-        along, across, c, s = path.real, path.imag, cos(curl * t), sin(curl * t)
-        if not isinstance(t, np.ndarray):
-            along, across = float(along), float(across)
+        c, s = cos(curl * t), sin(curl * t)
+        along, across = (path.real, path.imag) if isinstance(t, np.ndarray) else (float(path.real), float(path.imag))
     spin = wz * exp(-spin_drag * t) if spin_drag else wz + 0 * t
     place = x + along * vx - across * vy, y + along * vy + across * vx, z + 0 * t
     return (*place, left * (c * vx - s * vy), left * (c * vy + s * vx), vz + 0 * t, wx + 0 * t, wy + 0 * t, spin)

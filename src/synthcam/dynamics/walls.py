@@ -82,9 +82,9 @@ class Rim(Wall):
         """See `Wall.time_to_close`: inside, a straight path comes ever faster to the rim, so the gap is not convex."""
         if not self.inside:
             return time_to_close(gap, rate, steepest)
-        speed2 = ball[3] ** 2 + ball[4] ** 2
+        speed2 = float(ball[3] ** 2 + ball[4] ** 2)
         x, y = ball[0] - self.centre[0], ball[1] - self.centre[1]
-        outward, far2 = x * ball[3] + y * ball[4], x * x + y * y
+        outward, far2 = float(x * ball[3] + y * ball[4]), float(x * x + y * y)
         top2 = (math.sqrt(far2) + gap) ** 2  # of the circle on which the centre is when they touch
         if speed2 == 0:
             return math.sqrt(2 * gap / steepest) if steepest > 0 else math.inf

@@ -157,7 +157,7 @@ def _build_support(settings: dict[str, Any]) -> Support | None:
 
 
 def _build_wall(settings: dict[str, Any]) -> Wall:
-    law = {k: settings.get(k) for k in ("restitution", "friction", "tangential_restitution", "height")}
+    law: dict[str, Any] = {k: settings.get(k) for k in ("restitution", "friction", "tangential_restitution", "height")}
     if settings.get("start"):
         return Segment(**law, start=tuple(settings["start"]), end=tuple(settings["end"]))
     return Rim(**law, centre=tuple(settings["centre"]), radius=settings["radius"], inside=settings["inside"])

@@ -111,5 +111,5 @@ def _draw_frames(
     for k, t in enumerate(times):
         circles.set_paths([Circle(tuple(xy), r) for xy, r in zip(places[:, k], size, strict=True)])
         ax.set_title(f"{t:.3f} s", fontsize="medium")
-        canvas.draw()
-        yield np.array(canvas.buffer_rgba())[..., :3]
+        canvas.draw()  # type: ignore[no-untyped-call]
+        yield np.array(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]

@@ -102,7 +102,10 @@ def test_a_ball_starts_in_the_air_or_without_rolling():
         (lambda s: s.update(launch={"v0": 0.3}), "launch: of one pair, beside launches of many bodies"),
         (lambda s: s.pop("launches"), "walls: of a scene of many bodies; expected `launches`"),
         (lambda s: s.update(launches=[]), "launches: expected 1 or more values"),
-        (lambda s: s.update(launches=[{"position": [0, 0]}] * (MAX_BODIES + 1)), f"launches: expected {MAX_BODIES} values or fewer"),
+        (
+            lambda s: s.update(launches=[{"position": [0, 0]}] * (MAX_BODIES + 1)),
+            f"launches: expected {MAX_BODIES} values or fewer",
+        ),
         (lambda s: s["launches"][0].update(velocity=[{"uniform": [0.3, 0.1]}, 0]), "launches.0.velocity.0.uniform"),
         (lambda s: s["launches"][0].update(position=["left", 0]), "launches.0.position.0"),
     ],
