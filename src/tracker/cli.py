@@ -73,6 +73,14 @@ def track(
     fields: Annotated[
         str, typer.Option(help="Of interlaced video: separate, weave (leave as is), or auto: the film decides.")
     ] = "auto",
+    ball: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X,Y[,R]@FRAME", help="A ball that you point at, centre and radius in px; repeatable."),
+    ] = None,
+    colour: Annotated[str, typer.Option(help="Colour of the balls, as orange or #ff8000; in place of --channel.")] = "",
+    region: Annotated[str, typer.Option(metavar="X0,Y0,X1,Y1", help="Where balls are looked for, px.")] = "",
+    mask: Annotated[Path | None, typer.Option(help="A picture that is white where balls are looked for.")] = None,
+    frames: Annotated[str, typer.Option(metavar="A:B", help="Which frames are read, without B.")] = "",
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
     scheduler: Scheduler = "",
     pages: WithPages = None,
@@ -85,11 +93,13 @@ def track(
     """
     from tracker.camera.film_options import FilmOptions
     from tracker.camera.recordings import open_source
+    from tracker.detection.choose import name_channel
     from tracker.pipeline import run as track_all
 
     started = time.monotonic()
     with progress_bar("clips") as progress:
-        films = open_source(source, camera, FilmOptions(times, select, fields))
+        options = FilmOptions(times, select, fields, frames, region, str(mask or ""), tuple(ball or ()))
+        films, channel = open_source(source, camera, options), name_channel(channel, colour)
         outcome = track_all(films, output, detector, workers or 0, progress, channel, scheduler, settings)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}

@@ -21,7 +21,7 @@ from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource, open_source
-from tracker.detection.choose import choose_detector, select_channel
+from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import detector_name, load_detector, load_linker
 from tracker.detection.own_detector import digest, is_outside
 from tracker.notes import Note, NoteKind, note_all
@@ -76,7 +76,7 @@ def run(
     if films.camera is None and films.path.is_file():
         said += note_all(NoteKind.ASSUMED, [f"camera: {file}; --camera takes another" for file in films.camera_files()])
     if detector is None:
-        detector, why = choose_detector(first.frames, first.camera)
+        detector, why = select_detector(first)
         said += note_all(NoteKind.DETECTOR, [why])
     clips, frames, notes = len(films), 0, Counter[Note]()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ from tracker.camera.camera_notes import describe_camera_gaps, describe_exposure
 from tracker.camera.film_in_memory import FILM, wrap_frames
 from tracker.camera.film_options import FilmOptions
 from tracker.camera.recordings import Recording, make_recording, open_frames, open_source
-from tracker.detection.choose import DISCS, GLINTS, choose_detector, select_channel
+from tracker.detection.choose import DISCS, GLINTS, name_channel, select_channel, select_detector
 from tracker.detection.detect import (
     DEFAULT,
     DetectorChoice,
@@ -178,6 +178,11 @@ def track(
     times: str = "auto",
     select: str = "",
     fields: str = "auto",
+    ball: Sequence[str] = (),
+    colour: str = "",
+    region: str = "",
+    mask: str | Path = "",
+    frames: str = "",
 ) -> Result:
     """Find, follow and measure the balls of one recording. An InputError says why a film or a camera cannot be used.
 
@@ -206,6 +211,16 @@ def track(
         Of a stack with channels or focal planes: which, as "C=1" or "C=1,Z=0"; default: the first.
     fields : {"auto", "separate", "weave"}
         Of interlaced video: whether its fields become frames of their own; "auto": the film decides.
+    ball : sequence of str
+        Examples of balls that you point at, each "X,Y@FRAME" or "X,Y,R@FRAME" in px.
+    colour : str
+        Of the balls, as "orange" or "#ff8000"; in place of `channel`.
+    region : str
+        Where balls are looked for, "X0,Y0,X1,Y1" in px.
+    mask : str or Path
+        A picture as large as the film that is white where balls are looked for.
+    frames : str
+        Which frames are read, "A:B" without B; they keep their numbers.
 
     Returns
     -------
@@ -225,7 +240,8 @@ def track(
     chosen = TrackerSettings.of(settings)
     if detector is not None:
         load_detector(detector)  # an unknown one is reported before a film is read
-    clip, why = select_channel(_open(film, camera, FilmOptions(times, select, fields)), channel)
+    options = FilmOptions(times, select, fields, frames, region, str(mask), tuple(ball))
+    clip, why = select_channel(_open(film, camera, options), name_channel(channel, colour))
     result = track_and_measure(clip if number is None else replace(clip, number=number), detector, chosen)
     return replace(result, notes=(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
 
@@ -366,7 +382,7 @@ def track_and_measure(
 ) -> Result:
     """Track and measure one recording, by the detector `name` or the one that its film asks for."""
     settings = settings or TrackerSettings()
-    chosen, why = choose_detector(clip.frames, clip.camera) if name is None else (name, "")
+    chosen, why = select_detector(clip) if name is None else (name, "")
     tracks, camera, reason, said = track_clip(clip, chosen, settings)
     if reason and name is None:
         other = GLINTS if chosen == DISCS else DISCS
@@ -415,6 +431,11 @@ def track_clip(
     stored = view.takes.spans if view.takes is not None else [(0, len(clip.frames) - 1)]
     spans = [(int(numbers[first]), int(numbers[last])) for first, last in stored]
     glints = replace(found.glints, frame=numbers[found.glints.frame])
+    if clip.area is not None:
+        column, row = (
+            np.clip(np.rint(at), 0, n - 1).astype(int) for at, n in zip(glints.xy.T, view.camera.size, strict=True)
+        )
+        glints = glints.take(np.flatnonzero(clip.area[row, column]))
     takes = spans if view.takes is not None else ()
     linker = load_linker(name, view.camera, settings.link)
     tracks = link(glints, view.camera, detected_point(name, clip.camera), takes, linker, settings.link)

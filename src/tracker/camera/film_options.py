@@ -1,14 +1,96 @@
-"""How a film is read: which times, which channel of its file, and what is done with fields."""
+"""How a film is read: its times, the channel of its file, what is done with fields, and hints on where balls are."""
 
 from __future__ import annotations
 
+import hashlib
+import re
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 
 TIMES = ("auto", "file", "even")
 FIELDS = ("auto", "separate", "weave")
 AXES = "CZSPAHEVRQI"  # letters of tifffile and OME: channel, focal plane, sample, position, ...
+SPAN = re.compile(r"(\d*):(\d*)")
+NUMBER = r"\d+(?:\.\d+)?"
+BALL = re.compile(rf"({NUMBER}),({NUMBER})(?:,({NUMBER}))?@(\d+)")
+
+
+@dataclass(frozen=True)
+class BallExample:
+    """A ball that the user points at: its centre and, if given, its radius, px, in one frame."""
+
+    x: float
+    y: float
+    radius: float | None
+    frame: int
+
+
+def parse_frames(text: str) -> tuple[int, int | None]:
+    """The first frame and the one after the last, None for the end, of "A:B". Raises InputError."""
+    match = SPAN.fullmatch(text.replace(" ", ""))
+    if match is None or (match[1] and match[2] and int(match[1]) >= int(match[2])):
+        raise InputError(f"--frames {text!r}: expected A:B, the first frame and the one after the last, such as 20:80")
+    return int(match[1] or 0), int(match[2]) if match[2] else None
+
+
+def parse_region(text: str) -> tuple[float, float, float, float]:
+    """Left, top, right and bottom, px, of "X0,Y0,X1,Y1". Raises InputError."""
+    try:
+        left, top, right, bottom = map(float, text.split(","))
+    except ValueError:
+        left = top = right = bottom = 0.0
+    if not (right > left and bottom > top):
+        raise InputError(f"--region {text!r}: expected X0,Y0,X1,Y1 in px, left and upper before right and lower")
+    return left, top, right, bottom
+
+
+def parse_ball(text: str) -> BallExample:
+    """A ball of "X,Y@FRAME" or "X,Y,R@FRAME". Raises InputError."""
+    match = BALL.fullmatch(text.replace(" ", ""))
+    if match is None:
+        raise InputError(f"--ball {text!r}: expected X,Y@FRAME or X,Y,R@FRAME in px, such as 120,58,13@5")
+    return BallExample(float(match[1]), float(match[2]), float(match[3]) if match[3] else None, int(match[4]))
+
+
+def parse_colour(text: str) -> str:
+    """The name "#rrggbb" of a colour, given so or by its name in CSS. Raises InputError."""
+    from matplotlib.colors import to_hex
+
+    try:
+        return str(to_hex(text))
+    except ValueError:
+        raise InputError(f"--colour: unknown {text!r}, expected #rrggbb or a name such as orange") from None
+
+
+def read_area(region: str, mask: str, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+    """Where (h, w) balls are looked for; None for everywhere. Raises InputError."""
+    if not region and not mask:
+        return None
+    area = np.ones(shape, bool)
+    if mask:
+        path = Path(mask)
+        data = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
+        picture: Any = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+        if picture is None:
+            raise InputError(f"--mask {path}: no picture that can be read, expected one that is white where balls are")
+        if picture.shape != shape:
+            has, wants = (f"{s[1]}x{s[0]}" for s in (picture.shape, shape))
+            raise InputError(f"--mask {path}: {has} pixels, expected {wants} as the film")
+        area &= picture > 127
+    if region:
+        left, top, right, bottom = parse_region(region)
+        y, x = np.ogrid[: shape[0], : shape[1]]
+        area &= (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+    if not area.any():
+        raise InputError(f"{'--region ' + region if region else '--mask ' + mask}: no pixel of the film is left")
+    return area
 
 
 @dataclass(frozen=True)
@@ -24,17 +106,36 @@ class FilmOptions:
         Entries of axes that are not time, as in "C=1,Z=0"; others take their first.
     fields : {"auto", "separate", "weave"}
         Of interlaced video: "separate" makes two frames of each, "weave" leaves them; "auto" looks at the film.
+    frames, region : str
+        Which frames are read, "A:B" without B, and where balls are looked for, "X0,Y0,X1,Y1" in px; "": all.
+    mask : str
+        Path of a picture that is white where balls are looked for.
+    ball : tuple of str
+        Examples of balls, "X,Y@FRAME" or "X,Y,R@FRAME" in px.
     """
 
     times: str = "auto"
     select: str = ""
     fields: str = "auto"
+    frames: str = ""
+    region: str = ""
+    mask: str = ""
+    ball: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for option, value, known in (("--times", self.times, TIMES), ("--fields", self.fields, FIELDS)):
             if value not in known:
                 raise InputError(f"{option}: expected one of {', '.join(known)}, not {value!r}")
         self.indices()
+        if self.frames:
+            parse_frames(self.frames)
+        if self.region:
+            parse_region(self.region)
+        self.balls()
+
+    def balls(self) -> tuple[BallExample, ...]:
+        """The examples of balls. Raises InputError."""
+        return tuple(parse_ball(text) for text in self.ball)
 
     def indices(self) -> dict[str, int]:
         """The entry of each axis that is selected. Raises InputError."""
@@ -46,10 +147,13 @@ class FilmOptions:
             found[axis.upper()] = int(index)
         return found
 
-    def changed(self) -> dict[str, str]:
-        """The options that differ from the defaults."""
+    def changed(self) -> dict[str, Any]:
+        """The options that differ from the defaults; the SHA-256 of the file of a mask."""
         plain = FilmOptions.__dataclass_fields__
-        return {name: value for name, value in vars(self).items() if value != plain[name].default}
+        found = {name: value for name, value in vars(self).items() if value != plain[name].default}
+        if self.mask:
+            found["mask"] = hashlib.sha256(Path(self.mask).read_bytes()).hexdigest()
+        return found | ({"ball": list(self.ball)} if self.ball else {})
 
 
 DEFAULT_OPTIONS = FilmOptions()

@@ -57,6 +57,27 @@ class Frames(Sequence[Any]):
         """As many frames of the same size, fetched in another way."""
         return self._share(Frames(len(self), self.shape[1:], dtype or self.dtype, fetch))
 
+    def cut(self, first: int, end: int | None) -> Frames:
+        """The frames of these numbers alone, `end` without, which keep their numbers and times."""
+        rows = np.flatnonzero((self.numbers >= first) & (self.numbers < (np.inf if end is None else end)))
+        if len(rows) < 2:
+            raise InputError(f"--frames: {len(rows)} frames from {first} on, expected two at least of {len(self)}")
+        out = self.take(rows)
+        out.numbers, out.seconds = self.numbers[rows], None if self.seconds is None else self.seconds[rows]
+        return out
+
+    def crop(self, area: NDArray[np.bool_]) -> Frames:
+        """The smallest part of each frame that holds an area (h, w)."""
+        rows, columns = np.flatnonzero(area.any(axis=1)), np.flatnonzero(area.any(axis=0))
+        at = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        shape = (int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1)
+        fetch: Callable[[int], Any] = lambda k: np.ascontiguousarray(self._fetch(k)[at])  # noqa: E731
+        out = self._share(Frames(len(self), shape, self.dtype, fetch))
+        colours = self.colours
+        if colours is not None:
+            out.colours = lambda k: np.ascontiguousarray(colours(k)[at])
+        return out
+
     def take(self, rows: NDArray[np.int64]) -> Frames:
         """Those frames alone, with their numbers and times."""
         out = self._share(Frames(len(rows), self.shape[1:], self.dtype, lambda k: self._fetch(int(rows[k]))))

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from tracker.camera.array_file import ARRAYS, read_array_file
 from tracker.camera.camera import Camera
 from tracker.camera.camera_notes import describe_frame_rate
-from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
+from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_area
 from tracker.camera.frame_times import agree, find_stride
 from tracker.camera.frames import GREY, Frames, linearise
 from tracker.camera.picture_folder import PICTURES, TIFF, is_hidden, list_pictures, read_picture_folder
@@ -38,6 +39,8 @@ class Recording:
     frames: Frames
     notes: tuple[Note, ...] = ()
     channel: str = GREY
+    area: NDArray[np.bool_] | None = None  # (h, w): where balls are looked for; None: everywhere
+    balls: tuple[BallExample, ...] = ()  # that the user points at
 
     def select_channel(self, name: str) -> Recording:
         """The same recording in one colour of a film; "grey" is what it is."""
@@ -97,6 +100,25 @@ def make_recording(
     options: FilmOptions = DEFAULT_OPTIONS,
 ) -> Recording:
     """Frames and their camera as one clip. names: of film and camera, for the InputError where their sizes differ."""
+    clip = _make_whole_recording(number, frames, camera, names, options)
+    frames, (height, width) = clip.frames, clip.frames.shape[1:]
+    if options.frames:
+        frames = frames.cut(*parse_frames(options.frames))
+    for text, ball in zip(options.ball, options.balls(), strict=True):
+        if ball.frame not in frames.numbers or not (ball.x < width and ball.y < height):
+            raise InputError(
+                f"--ball {text}: expected a place in {width}x{height} px and a frame from {frames.numbers[0]} to "
+                f"{frames.numbers[-1]}"
+            )
+    return replace(
+        clip, frames=frames, area=read_area(options.region, options.mask, (height, width)), balls=options.balls()
+    )
+
+
+def _make_whole_recording(
+    number: int, frames: Frames, camera: Camera | None, names: tuple[str, str], options: FilmOptions
+) -> Recording:
+    """The same, without the user's hints."""
     bits = 8 * frames.dtype.itemsize
     frames, camera, said = _make_pixels_square(frames, camera)
     size = (frames.shape[2], frames.shape[1])

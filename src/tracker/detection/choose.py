@@ -11,9 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import CHANNELS, PLANES
 from tracker.camera.colour_planes import read_plane
+from tracker.camera.film_options import BallExample, parse_colour
 from tracker.camera.frames import GREY, Frames
 from tracker.camera.lens import Array
 from tracker.camera.recordings import Recording
@@ -33,7 +35,15 @@ MIN_RADIUS_PX = 4.0  # where no radius is expected: a clipped glint looks like a
 LONGEST_SIDE_OF_CHOICE_PX = 960  # of the pictures in which the channel is chosen
 MAX_THRESHOLD_OF_CHOICE = 120  # counts; balls of more contrast show at a lower one too
 MIN_SCORE = 3.0  # bodies in 15 frames that only another channel than grey shows
+CORE_PX = 2.5  # radius of what surely belongs to a ball that the user points at
 SIZE_LIMITS = 0.8, 1.25  # of the radius over the expected one; a glint out of focus is smaller than its ball
+
+
+def select_detector(clip: Recording) -> tuple[str, str]:
+    """Choose the detector of a recording, and a note that gives the reason: `choose_detector`, and the user's hints."""
+    if clip.balls:
+        return DISCS, ""
+    return choose_detector(look_at(clip), clip.camera)
 
 
 def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
@@ -177,8 +187,84 @@ def select_channel(clip: Recording, name: str | None) -> tuple[Recording, str]:
     """
     if name is not None:
         return clip.select_channel(name), ""
-    best, why = choose_channel(clip.frames, clip.camera)
+    if clip.balls:
+        best, why = choose_channel_by_examples(clip)
+        return clip.select_channel(best), why
+    best, why = choose_channel(look_at(clip), clip.camera)
     return clip.select_channel(best), why
+
+
+def find_radius(clip: Recording) -> float | None:
+    """Radius, px, of the balls that the user points at, the median of those given or seen; None without one."""
+    radii = [ball.radius or measure_radius(clip.frames[_row(clip, ball)], ball) for ball in clip.balls]
+    known = [radius for radius in radii if radius is not None]
+    return float(np.median(known)) if known else None
+
+
+def measure_radius(picture: NDArray[Any], ball: BallExample) -> float | None:
+    """Where the light around a ball's middle has changed by half; None where it never does."""
+    profile = _profile(picture, ball)
+    change = np.abs(profile - profile[0])
+    if change.max() <= 0:
+        return None
+    return float(np.argmax(change > change.max() / 2)) + CORE_PX
+
+
+def choose_channel_by_examples(clip: Recording) -> tuple[str, str]:
+    """Choose the plane in which the balls that the user points at differ most from their surroundings.
+
+    The difference is relative to the 99th percentile of what else changes in the plane, such as a shadow. The second
+    result is a note; '' for grey.
+    """
+    frames = clip.frames
+    if frames.colours is None:
+        return GREY, ""
+    sample = [np.asarray(frames.colours(k)) for k in spread_frames(frames)]
+    own = [np.asarray(frames.colours(_row(clip, ball))) for ball in clip.balls]
+    white, contrast = frames.white(sample), dict[str, float]()
+    grey = np.array((0.299, 0.587, 0.114))
+    for name in (*CHANNELS, *PLANES):
+        read = (lambda p: p[..., :3] @ grey) if name == GREY else read_plane(name, lambda: sample, white)
+        planes = np.array([read(picture) for picture in sample], np.float32)
+        clutter = float(np.percentile(np.abs(planes - np.median(planes, axis=0)), 99)) + 1.0
+        profiles = [_profile(read(picture), ball) for picture, ball in zip(own, clip.balls, strict=True)]
+        contrast[name] = min(float(np.abs(p - p[0]).max()) for p in profiles) / clutter
+    best = max(contrast, key=lambda name: contrast[name])
+    if contrast[best] < 1.2 * contrast[GREY]:
+        return GREY, ""
+    return best, (
+        f"channel: {best}, because the balls of --ball differ there by {contrast[best]:.1f} times what else changes, "
+        f"and in grey by {contrast[GREY]:.1f} times; --channel overrides this"
+    )
+
+
+def _row(clip: Recording, ball: BallExample) -> int:
+    return int(np.searchsorted(clip.frames.numbers, ball.frame))
+
+
+def _profile(picture: NDArray[Any], ball: BallExample) -> Array:
+    """Median of a plane by distance from a ball's middle, in steps of a pixel, the first out to `CORE_PX`."""
+    height, width = picture.shape
+    reach = int(2 * ball.radius if ball.radius else min(height, width) / 4)
+    rows, columns = np.mgrid[:height, :width]
+    away = np.hypot(columns - ball.x, rows - ball.y)
+    steps = [picture[away <= CORE_PX]]
+    steps += [picture[(away > r) & (away <= r + 1)] for r in CORE_PX + np.arange(max(reach, 3))]
+    return np.array([np.median(step) if len(step) else np.nan for step in steps if len(step)], float)
+
+
+def name_channel(channel: str | None, colour: str) -> str | None:
+    """The channel that a user asks for, by its name or by the colour of the balls. Raises InputError."""
+    if not colour:
+        return channel
+    if channel is not None:
+        raise InputError("--colour, --channel: expected one of the two")
+    return parse_colour(colour)
+
+
+def look_at(clip: Recording) -> Frames:
+    """The frames of a recording, cut to the area in which balls are looked for."""
+    return clip.frames if clip.area is None else clip.frames.crop(clip.area)
 
 
 class SmoothedFrames(Sequence[Any]):

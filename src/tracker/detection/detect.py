@@ -23,6 +23,7 @@ from tracker.detection import detectors as detector_files
 from tracker.detection import linkers as linker_files
 from tracker.detection.autocalibrate import estimate_unknown_settings
 from tracker.detection.candidates import EmptyPlate, estimate_empty_plate
+from tracker.detection.choose import find_radius
 from tracker.detection.detector import AnyDetector, ClipDetector, Detections, DetectorClass, Point, View
 from tracker.detection.glints import Glints
 from tracker.detection.own_detector import as_detector, describe_fault, is_outside, load_outside, short_name
@@ -125,12 +126,12 @@ def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracker
     if detected_point(name, clip.camera) == "centre":
         takes = find_takes(clip.frames)
         plate = EmptyPlate(np.asarray(clip.frames[0]), takes.noise)
-        return View(clip.camera, plate, clip.frames, takes, settings, clip.channel)
+        return View(clip.camera, plate, clip.frames, takes, settings, clip.area, find_radius(clip), clip.channel)
     plate = estimate_empty_plate(clip.frames)
     if plate.level.shape != clip.frames.shape[1:]:
         raise InputError(f"clip {clip.number}: frames of unequal sizes, expected all as the first")
     camera = estimate_unknown_settings(clip.camera, plate, clip.frames)
-    return View(camera, plate, clip.frames, settings=settings, channel=clip.channel)
+    return View(camera, plate, clip.frames, settings=settings, area=clip.area, channel=clip.channel)
 
 
 def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detections:

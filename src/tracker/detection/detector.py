@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
+import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera
@@ -45,6 +46,10 @@ class View:
     """For a detector of centres: the takes of the film, repeated frames, and the noise of a pixel."""
     settings: TrackerSettings = field(default_factory=TrackerSettings)
     """The user's settings; detectors use ``settings.detection``."""
+    area: NDArray[np.bool_] | None = None
+    """Where (h, w) balls are looked for; None: everywhere. Positions outside are dropped, whatever the detector."""
+    radius: float | None = None
+    """Radius of the balls that the user points at, px."""
     channel: str = GREY
     """Which plane of a film in colour the frames are: "grey", "red", "red-blue", ..."""
 

@@ -48,9 +48,10 @@ class Discs:
         self.scene_of = self.takes.scene_of_frames()
         self.noise = self.takes.noise
         self.is_noisy = self.noise > 4.0  # counts
-        given = view.camera.diameter_px / 2
+        given = view.radius or view.camera.diameter_px / 2
+        knows_radius = view.radius is not None or view.camera.knows_diameter
         # Means of 5 x 5 pixels suppress noise better than those of 3 x 3, but only large balls stay as they are.
-        large = not view.camera.knows_diameter or given > 7.5
+        large = not knows_radius or given > 7.5
         self.box = (5, 5) if self.is_noisy and large else (3, 3)
         self.low = max(self.settings.disc_contrast_sigma * self.noise / self.box[0], self.settings.disc_contrast_counts)
         self.shadows = 0
@@ -67,7 +68,7 @@ class Discs:
         self.fitted: list[float] = []  # radii of whole discs, px
         self.relative_radius_std = 0.0
         self.true_to_fitted_radius = 1.0
-        self.radii, self.contrast = self._usual_radius(given if view.camera.knows_diameter else None)
+        self.radii, self.contrast = self._usual_radius(given if knows_radius else None)
         self.low = max(self.low, 0.2 * self.contrast)  # fainter objects are not balls
         self.scenes = {scene: self._clean_background(scene) for scene in self.scenes}
         if self.is_shaded and len(self.fitted) > 3:
@@ -214,7 +215,10 @@ class Discs:
             inner = mean[at[0].start - top : at[0].stop - top, at[1].start - left : at[1].stop - left]
             return np.asarray(np.abs(inner) > self.low)
 
-        regions = find_regions(away > math.floor(self.low - rounding), least, examine)
+        rough = away > math.floor(self.low - rounding)
+        if self.view.area is not None:
+            rough &= self.view.area
+        regions = find_regions(rough, least, examine)
         return [
             (region, np.subtract(light[region.at], ground.level[region.at], dtype=np.float32))
             for region in regions[: self.settings.max_objects_per_frame]

@@ -1,0 +1,48 @@
+"""Films of coloured discs on cloth, with a shadow that walks, a hand and a cue."""
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from tracker_discs import SIZE, disc
+
+GREEN, ORANGE, SKIN, WOOD = (28.0, 125.0, 98.0), (235.0, 150.0, 30.0), (205.0, 155.0, 130.0), (215.0, 190.0, 140.0)
+Y, X = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+FRAMES = 24
+
+
+def over(picture, cover, colour):
+    return picture * (1 - cover[..., None]) + np.array(colour) * cover[..., None]
+
+
+def shade(k):
+    """A soft shadow (h, w) as of a person, that walks through the picture."""
+    return 1 - 0.5 * gaussian_filter((np.hypot(X - 20 - 7 * k, (Y - 70) / 1.6) < 45).astype(float), 6)
+
+
+def hand(k):
+    """A palm and three fingers (h, w) that come in from the left and go."""
+    tip = 80 - 7 * abs(k - 11)
+    parts = [(np.hypot((X - tip + 40) / 1.3, Y - 22) < 17)]
+    parts += [(np.abs(Y - 10 - 11 * n) < 4) & (tip - 6 * abs(n - 1) > X) & (tip - 45 < X) for n in range(3)]
+    return gaussian_filter(np.any(parts, axis=0).astype(float), 0.7)
+
+
+def cue(k):
+    """A bar (h, w) that comes in from the left and goes."""
+    along, across = X + 0.2 * (Y - 140), Y - 140 - 0.2 * X
+    return gaussian_filter(((np.abs(across) < 3) & (along < 115 - 9 * abs(k - 14))).astype(float), 0.7)
+
+
+def draw(ways, balls, ground=GREEN, shadow=True, people=(), seed=0):
+    """uint8 frames (n, h, w, 3) of balls, functions (distance in x) -> colour, or colours."""
+    rng, out = np.random.default_rng(seed), []
+    for k in range(ways.shape[1]):
+        picture = np.broadcast_to(ground, (*SIZE, 3)).copy()
+        for way, ball in zip(ways[:, k], balls, strict=True):
+            two = ball if isinstance(ball[0], tuple) else (ball, ball)
+            cover, right = disc(way), way[0] < X
+            picture = over(over(picture, cover * ~right, two[0]), cover * right, two[1])
+        for shape, colour in people:
+            picture = over(picture, shape(k), colour)
+        picture *= shade(k)[..., None] if shadow else 1
+        out.append(np.clip(np.rint(picture + rng.normal(0, 2.0, picture.shape)), 0, 255))
+    return np.array(out).astype(np.uint8)
