@@ -97,6 +97,8 @@ def test_every_parameter_moves_a_track_or_a_picture(kind, name):
         near, far = present(kind), present(kind, **{name: 1.5 * rule.typical or 0.3})
         if (kind.name(), name) == ("ball_friction", "beta"):  # means something where the contact sticks
             near, far = present(kind, mu=0.9), present(kind, mu=0.9, beta=0.3)
+        if (kind.name(), name) == ("ball_friction", "fall"):  # of the rise, which is none by itself
+            near, far = (present(kind, mu=0.01, rise=0.1, fall=v) for v in (rule.typical, 1.5 * rule.typical))
         assert np.abs(picture(far) - picture(near)).max() > 1e-4
     else:
         far = present(kind, **others)

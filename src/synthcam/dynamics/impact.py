@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,27 @@ class Impact:
 
 
 @dataclass(frozen=True)
+class ContactChange:
+    """What changes one impact: chance, and a contact duration."""
+
+    restitution: float = 0.0  # added to r
+    friction: float = 1.0  # factor on the tangential impulse
+    turn: float = 0.0  # of the normal about the vertical, rad
+    elastic: bool = False
+    slowest: float = 0.0  # the bodies part at least at this speed, m/s
+
+    def change_restitution(self, r: float, v_n: float) -> float:
+        changed = r + self.restitution if self.restitution else r
+        return max(1.0 if self.elastic else min(max(changed, 0.0), 1.0), self.slowest / v_n)
+
+    def turn_normal(self, nx: float, ny: float, ax: float, ay: float) -> tuple[float, float]:
+        """Turn a normal, unless the balls, with the relative velocity (ax, ay), would then not approach along it."""
+        c, s = math.cos(self.turn), math.sin(self.turn)
+        new = c * nx - s * ny, s * nx + c * ny
+        return new if ax * new[0] + ay * new[1] > 0 else (nx, ny)
+
+
+@dataclass(frozen=True)
 class WallImpact:
     """The outcome of an impact on a wall."""
 
@@ -60,7 +81,7 @@ def strike(
     striker: State,
     one: tuple[Real, Real, Real],
     two: tuple[Real, Real, Real],
-    soften: Callable[[Real, Real], Real] | None = None,
+    change: ContactChange | None = None,
 ) -> tuple[State, State, tuple[Real, Real, Real], Real, Real]:
     """Let two balls that touch collide, by the laws `restitution`, `spin_transfer` and `loft` of the model.
 
@@ -78,14 +99,16 @@ def strike(
 
     The law of r and C is that of Painter & Behringer, Phys. Rev. E 62 (2000) 2380.
 
-    one, two: radius, m, mass, kg, and k of target and striker. soften: makes another restitution of the model's and
-    v_n. Returns the states just after, the unit vector from
-    striker to target, and the impulses on the target along n and along z x n, N s.
+    one, two: radius, m, mass, kg, and k of target and striker. change: of this impact, for floats alone. Returns the
+    states just after, the unit vector from striker to target, and the impulses on the target along n and along z x n,
+    N s.
     """
     (r1, m1, k1), (r2, m2, k2) = one, two
     nx, ny, nz = target[0] - striker[0], target[1] - striker[1], target[2] - striker[2]
     apart = (nx * nx + ny * ny + nz * nz) ** 0.5
     nx, ny, nz = nx / apart, ny / apart, nz / apart
+    if change and change.turn:
+        nx, ny = change.turn_normal(nx, ny, striker[3] - target[3], striker[4] - target[4])
     ax, ay, az = striker[3] - target[3], striker[4] - target[4], striker[5] - target[5]
     v_n = ax * nx + ay * ny + az * nz
     sx, sy, sz = (r1 * target[k] + r2 * striker[k] for k in (6, 7, 8))
@@ -94,7 +117,8 @@ def strike(
     uz = az - v_n * nz + sx * ny - sy * nx
     inertia = join_inertia(k1, m1, k2, m2)
     r, c = _contact_coefficients(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny), inertia)
-    r = r if soften is None else soften(r, v_n)
+    if change:
+        r, c = change.change_restitution(r, v_n), c * change.friction
     reduced = m1 * m2 / (m1 + m2)
     normal, pull = (1 + r) * v_n * reduced, 2 * inertia * c * reduced
     tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
@@ -115,7 +139,7 @@ def hit_wall(
     wall: Wall,
     ball: State,
     body: tuple[float, float, float],
-    soften: Callable[[float, float], float] | None = None,
+    change: ContactChange | None = None,
 ) -> WallImpact:
     """Let a ball hit a wall that it touches.
 
@@ -127,7 +151,7 @@ def hit_wall(
 
     For a cushion this is the law of I. Han, J. Mech. Sci. Technol. 19 (2005) 976, with beta = 0.
 
-    body: radius, m, mass, kg, and k of the ball. soften: as in `strike`.
+    body: radius, m, mass, kg, and k of the ball. change: as in `strike`.
     """
     (radius, mass, inertia), (x, y, z, vx, vy, vz, wx, wy, wz) = body, ball
     _, ax, ay = wall.distance(x, y)
@@ -138,7 +162,7 @@ def hit_wall(
     ux = vx + v_n * nx - radius * (wy * nz - wz * ny)
     uy = vy + v_n * ny - radius * (wz * nx - wx * nz)
     uz = vz + v_n * nz - radius * (wx * ny - wy * nx)
-    r = wall.restitution if soften is None else soften(wall.restitution, v_n)
+    r = change.change_restitution(wall.restitution, v_n) if change else wall.restitution
     slip, normal = (ux * ux + uy * uy + uz * uz) ** 0.5, (1 + r) * v_n  # impulses over the mass
     stick = (1 + wall.tangential_restitution) / slip_rate(inertia)
     pull = -(min(stick, wall.friction * normal / slip) if slip > 0 else 0.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from synthcam.dynamics.forces import (
     classify_modes,
     find_ending_slip,
 )
-from synthcam.dynamics.impact import MIN_BOUNCE_SPEED_M_S, hit_wall, land, strike
+from synthcam.dynamics.impact import MIN_BOUNCE_SPEED_M_S, ContactChange, hit_wall, land, strike
 from synthcam.dynamics.interacting_pair import HELD, LEAD_TIME_S, InteractingPair, make_leg, make_start_event
 from synthcam.dynamics.kinematics import (
     TOUCH_TOLERANCE,
@@ -103,6 +102,8 @@ class _EventLoop:
         self.inertia, self.walls = launch.bodies.inertia.tolist(), table.walls
         self.supports = table.supports or (None,) * len(self.radius)
         self.start, self.t = start, launch.time
+        self.table = table
+        self.chance = np.random.default_rng(table.scatter.seed) if table.scatter.active else None
         self.contact_duration, self.last_hit = table.contact_duration, [-math.inf] * len(self.radius)
         self.events: list[Event] = []
         self.rolled: set[int] = set()  # balls whose slide ended at a bounce: slip in a flight is not a slide
@@ -308,32 +309,36 @@ class _EventLoop:
         if math.hypot(*states[i][3:5]) > math.hypot(*states[j][3:5]):
             i, j = j, i  # the slower ball is the target
         one, two = ((self.radius[k], self.mass[k], self.inertia[k]) for k in (i, j))
-        soften = self._soften(i, j) if self.contact_duration else None
-        target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], one, two, soften)
-        if (
-            not soften
-            and along_n < (MIN_IMPACT_SPEED_OF_PAIR_M_S if self.pairing else MIN_IMPACT_SPEED_M_S) * self.mass[i]
-        ):
+        change = self._change(i, j)
+        target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], one, two, change)
+        slowest = MIN_IMPACT_SPEED_OF_PAIR_M_S if self.pairing else MIN_IMPACT_SPEED_M_S
+        if not self.contact_duration and along_n < slowest * self.mass[i]:
             raise ValueError(f"balls {i} and {j} " + STAYING.format(t))
         new = {i: _without_bounce(target), j: _without_bounce(striker)}
         before: Array = np.array((states[i], states[j]))
         after: Array = np.array((new[i], new[j]))
-        self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t))
+        drawn = None
+        if self.chance and change:
+            x, y = (states[i][axis] - states[j][axis] for axis in (0, 1))
+            drawn = change.restitution, change.friction, math.atan2(x * n[1] - y * n[0], x * n[0] + y * n[1])
+        self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t, drawn))
         self._part(new)
 
-    def _soften(self, *balls: int) -> Callable[[float, float], float]:
-        """Return the restitution of an impact of these balls, which may follow another at once."""
-        recent = any(self.t - self.last_hit[k] < self.contact_duration for k in balls)
-        slowest = self.model.gravity * self.contact_duration / 2
-        for k in balls:
-            self.last_hit[k] = self.t
-        return lambda r, v_n: max(1.0 if recent else r, slowest / v_n)
+    def _change(self, *balls: int) -> ContactChange | None:
+        """Return what changes an impact of these balls: chance, where there are two, and whether it follows another."""
+        drawn = self.table.scatter.draw(self.chance) if self.chance and len(balls) == 2 else ContactChange()
+        if self.contact_duration:
+            recent = any(self.t - self.last_hit[k] < self.contact_duration for k in balls)
+            slowest = self.model.gravity * self.contact_duration / 2
+            for k in balls:
+                self.last_hit[k] = self.t
+            return dataclasses.replace(drawn, elastic=recent, slowest=slowest)
+        return drawn if self.chance else None
 
     def _bounce(self, k: int, wall: int) -> None:
         before = self.legs[k].now(self.t)
-        soften = self._soften(k) if self.contact_duration else None
         body = self.radius[k], self.mass[k], self.inertia[k]
-        hit = hit_wall(self.model, self.walls[wall], before, body, soften)
+        hit = hit_wall(self.model, self.walls[wall], before, body, self._change(k))
         after = _without_bounce(hit.after)
         rows = np.array([before]), np.array([after])
         self.events.append(Event(self.t, "wall", k, wall, *rows, hit.n, hit.impulse_n, hit.impulse_t))

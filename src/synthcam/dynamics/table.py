@@ -6,6 +6,9 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+import numpy as np
+
+from synthcam.dynamics.impact import ContactChange
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.trajectory import Glide, Leg, Rest
 from synthcam.dynamics.walls import Wall
@@ -52,6 +55,37 @@ class Air(Support):
 
 
 @dataclass(frozen=True)
+class Scatter:
+    """How contacts of bodies differ by chance, each drawn from a normal distribution.
+
+    Attributes
+    ----------
+    restitution : float
+        Standard deviation of r.
+    friction : float
+        Standard deviation of the factor on the tangential impulse.
+    normal : float
+        Standard deviation of the angle by which the normal is turned about the vertical, rad.
+    seed : tuple of int
+        Of the draws, which follow the order of the contacts.
+    """
+
+    restitution: float = 0.0
+    friction: float = 0.0
+    normal: float = 0.0
+    seed: tuple[int, ...] = (0,)
+
+    @property
+    def active(self) -> bool:
+        return bool(self.restitution or self.friction or self.normal)
+
+    def draw(self, rng: np.random.Generator) -> ContactChange:
+        """Draw what changes the next contact."""
+        one, two, three = rng.standard_normal(3).tolist()
+        return ContactChange(self.restitution * one, max(1 + self.friction * two, 0.0), self.normal * three)
+
+
+@dataclass(frozen=True)
 class Table:
     """What bodies move on and between.
 
@@ -62,8 +96,11 @@ class Table:
         Of each body; None is the plate, with the model's own laws. Empty: the plate for all.
     contact_duration : float
         Bounds sequences of impacts without end, s; see `dynamics.solve.solve`.
+    scatter : Scatter
+        How contacts of bodies differ by chance.
     """
 
     walls: tuple[Wall, ...] = ()
     supports: tuple[Support | None, ...] = ()
     contact_duration: float = 0.0
+    scatter: Scatter = Scatter()

@@ -198,6 +198,8 @@ class Event:
     n: tuple[float, float] = (np.nan, np.nan)
     impulse_n: float = np.nan  # at a contact: on ball i along n, N s
     impulse_t: float = np.nan  # at a contact: on ball i along t = z x n, N s
+    # at a contact with scatter: what was added to r, the factor on the tangential impulse, and the turn of n, rad
+    drawn: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

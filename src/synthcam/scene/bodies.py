@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from synthcam.dynamics.kinematics import plate_state, push_share
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.table import Air, Support, Table
+from synthcam.dynamics.table import Air, Scatter, Support, Table
 from synthcam.dynamics.walls import Rim, Segment, Wall
 from synthcam.model import Ball, Bodies, Model
 from synthcam_shared.errors import InputError
@@ -103,6 +103,19 @@ class WallSettings(Settings):
         return self
 
 
+class ScatterSettings(Settings):
+    """`scatter:` how contacts of bodies differ by chance: standard deviations of normal distributions.
+
+    - restitution: of r
+    - friction: of the factor on the tangential impulse
+    - normal: of the angle by which the normal is turned about the vertical, rad
+    """
+
+    restitution: Annotated[float, Field(ge=0, le=1)] = 0.0
+    friction: Annotated[float, Field(ge=0, le=1)] = 0.0
+    normal: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+
+
 class TableSettings(Settings):
     """The sections of a scene of many bodies; without `launches` the scene has one pair, or one ball."""
 
@@ -110,11 +123,12 @@ class TableSettings(Settings):
     launches: Annotated[list[BodyLaunchSettings], Field(min_length=1, max_length=MAX_BODIES)] | None = None
     walls: Annotated[list[WallSettings], Field(max_length=1000)] = Field([])
     support: SupportSettings = SupportSettings()
+    scatter: ScatterSettings = ScatterSettings()
     contact_duration: NotNegative = 1e-5  # s; bounds sequences of impacts without end
 
 
-def build_table(model: Model, drawn: dict[str, Any], where: str) -> tuple[Launch, Table]:
-    """Build the launch of a scene's bodies and the table that they move on.
+def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], where: str) -> tuple[Launch, Table]:
+    """Build the launch of a scene's bodies and the table that they move on; seed: of the scatter of contacts.
 
     Raises InputError where bodies overlap or lie in a wall or beyond it, and where their numbers differ.
     """
@@ -135,7 +149,9 @@ def build_table(model: Model, drawn: dict[str, Any], where: str) -> tuple[Launch
         if flat:
             states[k, 6:8] = 0.0
     _check_places(states, bodies, walls, where)
-    return Launch(0.0, states, bodies), Table(walls, supports, drawn["contact_duration"])
+    return Launch(0.0, states, bodies), Table(
+        walls, supports, drawn["contact_duration"], Scatter(**drawn["scatter"], seed=seed)
+    )
 
 
 def _build_bodies(model: Model, kinds: list[dict[str, Any]]) -> Bodies:

@@ -225,7 +225,7 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
     except ValueError as e:
         raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
     if drawn.get("launches"):
-        started, table = build_table(model, drawn, where)
+        started, table = build_table(model, drawn, (seed, number), where)
     else:
         started, table = _build_launch(model, launch, timing["contact_frame"] / timing["fps"]), PLATE
     nominal = build_camera(drawn, model.ball.radius)

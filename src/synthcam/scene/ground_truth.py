@@ -125,6 +125,10 @@ def events(motion: Trajectory, fps: float) -> pd.DataFrame:
     kinds = {"kind": "str", "i": "int64", "j": "int64"}
     rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, e.impulse_n, e.impulse_t) for e in motion.events]
     columns = zip(*rows, strict=True) if rows else [()] * len(names)  # an empty table has its types too
-    return pd.DataFrame(
+    table = pd.DataFrame(
         {name: pd.Series(list(c), dtype=kinds.get(name, "float64")) for name, c in zip(names, columns, strict=True)}
     )
+    if any(e.drawn for e in motion.events):
+        drawn = np.array([e.drawn or (np.nan,) * 3 for e in motion.events])
+        table[["restitution_shift", "friction_factor", "normal_turn"]] = drawn
+    return table

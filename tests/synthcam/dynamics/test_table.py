@@ -16,7 +16,7 @@ from synthcam.dynamics.impact import hit_wall
 from synthcam.dynamics.kinematics import contact_velocity, plate_state, rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.dynamics.table import Air, Table
+from synthcam.dynamics.table import Air, Scatter, Table
 from synthcam.dynamics.walls import Rim, Segment
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
@@ -282,6 +282,37 @@ def test_discs_on_air_swap_spin_by_friction():
         assert abs(R * hit.after[row, 8]) == pytest.approx(across / 3, rel=1e-9)
     assert np.all(hit.after[:, 6:8] == 0)
     np.testing.assert_allclose(contact_velocity(hit.after, R), hit.after[:, 3:5])
+
+
+def test_contacts_differ_by_chance_as_told():
+    """The draws are in the events, have the widths asked for, and are what each impact shows."""
+    states, side = tray(60, seed=6)
+    scatter = Scatter(restitution=0.02, friction=0.2, normal=0.05, seed=(3, 1))
+    launch, table = Launch(0.0, states, bodies(60)), Table(box(side, side), (), 1e-9, scatter)
+    motion = solve(Model(), launch, 0.0, 0.4, False, table)
+    hits = [e for e in motion.events if e.kind == "contact"]
+    drawn = np.array([e.drawn for e in hits])
+    assert len(hits) > 300
+    allowed = 4 / math.sqrt(2 * len(hits))
+    np.testing.assert_allclose(drawn.std(axis=0) / [0.02, 0.2, 0.05], 1, atol=allowed)
+    np.testing.assert_allclose(drawn.mean(axis=0), [0, 1, 0], atol=0.2 * 4 / math.sqrt(len(hits)))
+    for e in hits:
+        (x, y, *_), shift, _, turn = e.before[0] - e.before[1], *e.drawn
+        centres = np.array([x, y]) / math.hypot(x, y)
+        n = np.array(e.n)
+        assert math.atan2(centres[0] * n[1] - centres[1] * n[0], centres @ n) == pytest.approx(turn, abs=1e-9)
+        before, after = (np.diff(s[:, 3:5], axis=0)[0] for s in (e.before, e.after))
+        assert -(after @ n) / (before @ n) == pytest.approx(min(0.903 + shift, 1), rel=1e-9)
+    again = solve(Model(), launch, 0.0, 0.4, False, table)
+    assert [e.t for e in again.events] == [e.t for e in motion.events]
+
+
+def test_friction_between_balls_falls_with_speed():
+    slow, fast = (
+        BallFriction(mu=0.01, rise=0.108, fall=0.92).spin_transfer(0.0, w, 1e-3 * w, 0.4) * 0.4 * 1e3
+        for w in (0.1, 3.0)
+    )
+    assert (slow, fast) == pytest.approx((0.01 + 0.108 * math.exp(-0.1 / 0.92), 0.01 + 0.108 * math.exp(-3 / 0.92)))
 
 
 @settings(max_examples=5)
