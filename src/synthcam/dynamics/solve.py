@@ -35,7 +35,7 @@ from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.propagate import MAX_SPEED_M_S, propagate, propagate_back
 from synthcam.dynamics.start_from_rest import MIN_IMPACT_SPEED_OF_PAIR_M_S, excess_push
 from synthcam.dynamics.table import Table
-from synthcam.dynamics.trajectory import Event, Fly, Leg, Rest, Roll, Slide, Trajectory
+from synthcam.dynamics.trajectory import Event, Fly, Leg, Numeric, Rest, Roll, Slide, Trajectory
 from synthcam.model import Bodies, Model
 
 MAX_TIME_S = 1e4  # beyond it the last bit of the time is too coarse for an event
@@ -181,7 +181,10 @@ class _EventLoop:
         if self.start >= time:
             return []
         if (support := self.supports[k]) is not None:
-            return [support.leg(state, self.radius[k], time).spanning(self.start, time)]
+            leg = support.leg(state, self.radius[k], time)
+            if isinstance(leg, Numeric):
+                raise ValueError("a disc that slides at its launch has no past: start the run at the launch")
+            return [leg.spanning(self.start, time)]
         if state[5] != 0:
             raise ValueError("a ball that flies at its launch has no past: start the run at the launch")
         slides = math.hypot(*slip_velocity(state, self.radius[k])) > ZERO_SPEED_M_S

@@ -10,6 +10,7 @@ import numpy as np
 
 from synthcam.dynamics.impact import ContactChange
 from synthcam.dynamics.kinematics import State
+from synthcam.dynamics.sliding_disc import make_leg
 from synthcam.dynamics.trajectory import Glide, Leg, Rest
 from synthcam.dynamics.walls import Wall
 
@@ -52,6 +53,24 @@ class Air(Support):
                 return Rest(t, math.inf, still)
             return Glide(t, math.inf, t, still, 0.0, 0.0, 0.0, self.spin_drag, motion="rest")
         return Glide.of(t, state, self.decel, self.drag, self.curl, self.spin_drag)
+
+
+@dataclass(frozen=True)
+class DryPlate(Support):
+    """A plate on which a disc slides and turns, under an even pressure; see `sliding_disc`.
+
+    Attributes
+    ----------
+    slowing : float
+        Friction times gravity, m/s^2.
+    """
+
+    slowing: float
+
+    def leg(self, state: State, radius: float, t: float) -> Leg:
+        if max(math.hypot(state[3], state[4]), radius * abs(state[8])) <= STOPPED_M_S:
+            return Rest(t, math.inf, (*state[:2], radius, *(0.0,) * 6))
+        return make_leg(state, radius, self.slowing, t)
 
 
 @dataclass(frozen=True)

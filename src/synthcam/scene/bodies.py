@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from synthcam.dynamics.kinematics import plate_state, push_share
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.table import Air, Scatter, Support, Table
+from synthcam.dynamics.table import Air, DryPlate, Scatter, Support, Table
 from synthcam.dynamics.walls import Rim, Segment, Wall
 from synthcam.model import Ball, Bodies, Model
 from synthcam_shared.errors import InputError
@@ -28,9 +28,10 @@ class SupportSettings(Settings):
 
     - plate: they slide and roll by the laws of `model`
     - air: discs glide, v' = -(decel + drag v) v/|v| + curl z x v; spin_drag: rate at which the spin decays, 1/s
+    - dry: discs slide and turn with the sliding friction of `model`, under an even pressure
     """
 
-    kind: Literal["plate", "air"] = "plate"
+    kind: Literal["plate", "air", "dry"] = "plate"
     decel: NotNegative = 0.0
     drag: NotNegative = 0.0
     curl: Annotated[float, Field(ge=-1e3, le=1e3)] = 0.0
@@ -139,11 +140,15 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
             f"{where}: bodies: {len(kinds)} of them and {len(launches)} launches; expected as many, or one"
         )
     bodies = _build_bodies(model, kinds)
-    supports = tuple(_build_support(kind.get("support") or drawn["support"]) for kind in kinds)
+    supports = tuple(_build_support(model, kind.get("support") or drawn["support"]) for kind in kinds)
     walls = tuple(_build_wall(wall) for wall in drawn["walls"])
     states = np.array([_state(one, *body) for one, *body in zip(launches, bodies.radius, bodies.inertia, strict=True)])
     for k, (launch, kind, support) in enumerate(zip(launches, kinds, supports, strict=True)):
         flat = support is not None or kind["shape"] == "disc"
+        if flat and isinstance(support, DryPlate) and bodies.inertia[k] != INERTIA["disc"]:
+            raise InputError(f"{where}: bodies: body {k} is on a dry support; expected a disc of even density")
+        if support is None and kind["shape"] == "disc":
+            raise InputError(f"{where}: bodies: disc {k} is on a plate of balls; expected support: air or dry")
         if flat and (any(launch["slip"]) or launch["height"] or launch["rise"]):
             raise InputError(f"{where}: launches.{k}: slip, height and rise are of balls on the plate; expected 0")
         if flat:
@@ -166,9 +171,11 @@ def _build_bodies(model: Model, kinds: list[dict[str, Any]]) -> Bodies:
     return Bodies(radius, mass, bodies.of_a, inertia)
 
 
-def _build_support(settings: dict[str, Any]) -> Support | None:
+def _build_support(model: Model, settings: dict[str, Any]) -> Support | None:
     if settings["kind"] == "plate":
         return None
+    if settings["kind"] == "dry":
+        return DryPlate(model.sliding_friction * model.gravity)
     return Air(**{name: value for name, value in settings.items() if name != "kind"})
 
 

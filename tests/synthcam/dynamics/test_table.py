@@ -16,7 +16,7 @@ from synthcam.dynamics.impact import hit_wall
 from synthcam.dynamics.kinematics import contact_velocity, plate_state, rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.dynamics.table import Air, Scatter, Table
+from synthcam.dynamics.table import Air, DryPlate, Scatter, Table
 from synthcam.dynamics.walls import Rim, Segment
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
@@ -266,6 +266,39 @@ def test_a_puck_stops_and_its_spin_dies_out():
     stop = motion.first("stop")
     assert (stop.t, stop.after[0, 0]) == pytest.approx((0.5, 0.1**2 / 0.4), rel=1e-12)
     assert motion.at(2.0)[0, 0, 8] == pytest.approx(5 * math.exp(-1), rel=1e-12)
+
+
+def friction_by_quadrature(speed, turn):
+    """Force and torque of a disc of radius 1 with the velocities under it averaged, over those of pure sliding."""
+    nodes, weights = np.polynomial.legendre.leggauss(300)
+    r, angle = (nodes + 1) / 2, 2 * np.pi * (np.arange(600) + 0.5) / 600
+    r, angle = r[:, None], angle[None]
+    ux, uy = speed - turn * r * np.sin(angle), turn * r * np.cos(angle)
+    size, area = np.hypot(ux, uy), (weights[:, None] / 2 * r) / 300
+    return (ux / size * area).sum(), ((r * np.cos(angle) * uy - r * np.sin(angle) * ux) / size * area).sum()
+
+
+@pytest.mark.parametrize(("speed", "spin"), [(1.0, 10.0), (0.3, 600.0), (0.5, 0.0), (0.0, 100.0), (1.0, -0.5)])
+def test_a_disc_on_a_dry_plate(speed, spin):
+    """Against the equations in time with friction by quadrature; they end together, at the published ratio."""
+    states = np.array([[0, 0, R, 0.6 * speed, 0.8 * speed, 0, 0, 0, spin]])
+    table = Table((), (DryPlate(2.0),))
+    motion = solve(Model(), Launch(0.0, states, bodies(1, 0.5)), 0.0, 1.0, table=table)
+    stop = motion.first("stop").t
+
+    def law(t, y):
+        force, torque = friction_by_quadrature(y[1], y[2])
+        return [y[1], -2.0 * force, -4.0 * torque]
+
+    first = [0.0, speed, R * abs(spin)]
+    exact = solve_ivp(law, (0, 0.9 * stop), first, method="DOP853", rtol=1e-8, atol=1e-11).y[:, -1]
+    ours = motion.at(0.9 * stop)[0, 0]
+    np.testing.assert_allclose([math.hypot(*ours[:2]), math.hypot(*ours[3:5])], exact[:2], rtol=2e-5, atol=1e-9)
+    assert R * ours[8] == pytest.approx(math.copysign(exact[2], spin), rel=2e-5, abs=1e-9)
+    if speed and spin:
+        late = motion.at(stop * (1 - 1e-9))[0, 0]
+        assert math.hypot(*late[3:5]) / (R * abs(late[8])) == pytest.approx(0.653, abs=0.02)
+    assert motion.motion(0.99).tolist() == [["rest"]]
 
 
 def test_discs_on_air_swap_spin_by_friction():

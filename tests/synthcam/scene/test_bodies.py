@@ -99,6 +99,8 @@ def test_a_ball_starts_in_the_air_or_without_rolling():
             lambda s: s.update(support={"kind": "air"}) or s["launches"][0].update(slip=[0.1, 0]),
             "launches.0: slip, height",
         ),
+        (lambda s: s.update(bodies={"shape": "disc"}), "bodies: disc 0 is on a plate of balls; expected support"),
+        (lambda s: s.update(support={"kind": "dry"}), "bodies: body 0 is on a dry support; expected a disc"),
         (lambda s: s.update(launch={"v0": 0.3}), "launch: of one pair, beside launches of many bodies"),
         (lambda s: s.pop("launches"), "walls: of a scene of many bodies; expected `launches`"),
         (lambda s: s.update(launches=[]), "launches: expected 1 or more values"),
