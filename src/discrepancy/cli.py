@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -35,16 +36,17 @@ EffectsDir = Annotated[
     list[Path] | None,
     typer.Option("--effects", metavar="DIR", help="Folder with your own effects, NAME.py; may be repeated."),
 ]
+LIMITED_STAGES = ("free laws", "search")  # of a search, which --minutes limits; the others take seconds
 ADDED = "# written by discrepancy add"  # the first line of its model files
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
 
 @contextmanager
-def show_stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
+def show_stages(names: Sequence[str], limit_s: float = math.inf) -> Iterator[Callable[[str], None]]:
     """Show the stages that are done and the time: a bar on a terminal, elsewhere a line now and then.
 
-    Yields a function that takes the name of the current stage. The time that a stage takes is unknown, so there is no
-    estimate. If a search begins again, the bar returns to the fit.
+    Yields a function that takes the name of the current stage. The time that a stage takes depends on what the tracks
+    show, so the time left is a bound: what remains of the limit. If a search begins again, the bar returns to the fit.
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -60,11 +62,13 @@ def show_stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
                 passed, turn = at, turn + 1
             passed = max(passed, at)
             text = stage + (f", round {turn}" if turn > 1 else "")
-            bar.update(task, completed=passed, description=text)
             now = time.monotonic()
+            limited = stage in LIMITED_STAGES and limit_s < math.inf
+            left = f", at most {max(limit_s - (now - began), 0) / 60:.1f} min left" if limited else ""
+            bar.update(task, completed=passed, description=text + left)
             if bar.disable and now - printed >= PROGRESS_INTERVAL_S:
                 printed = now
-                print(f"{text} after {now - began:.0f} s", file=sys.stderr, flush=True)
+                print(f"{text} after {now - began:.0f} s{left}", file=sys.stderr, flush=True)
 
         yield progress
 
@@ -109,7 +113,7 @@ def find(
         for note in notes:
             if note.kind is SearchNoteKind.NO_STRIKER:  # at once: a search without it may look for the wrong ball
                 print(f"discrepancy: {note}", file=sys.stderr)
-        with show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report")) as progress:
+        with show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report"), 60 * minutes) as progress:
             found = search(clips, given, progress, 60 * minutes, notes)
             progress("report")
             search_page.write(found, folder)

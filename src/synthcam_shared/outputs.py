@@ -118,8 +118,9 @@ def lock_folder(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def claim_folder(folder: Path, maker: str, expected: str) -> None:
-    """Make a folder, or take one that `maker` has begun; its name is in the file `MADE_BY` of the folder.
+@contextmanager
+def open_resumable(folder: Path, maker: str, expected: str) -> Iterator[None]:
+    """Work in a locked folder that is new, empty, or begun by an earlier run of `maker`, whose name `MADE_BY` holds.
 
     Raises InputError if it holds something else; `expected` ends the message.
     """
@@ -129,19 +130,8 @@ def claim_folder(folder: Path, maker: str, expected: str) -> None:
         if not own:
             raise InputError(f"{folder}: exists and holds something else, expected {expected}")
     check_writable(folder)
-    with as_input_error(folder):
-        write_atomically(mark, f"{maker}\n")
-
-
-@contextmanager
-def open_resumable(folder: Path, maker: str, expected: str) -> Iterator[None]:
-    """Work in a locked folder that is new, empty, or begun by an earlier run of `maker`.
-
-    Raises InputError if it holds something else; `expected` ends the message.
-    """
-    check_utf8(folder)
-    claim_folder(folder, maker, expected)
     with lock_folder(folder), as_input_error(folder, RESUMES):
+        write_atomically(mark, f"{maker}\n")
         yield
 
 

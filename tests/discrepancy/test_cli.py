@@ -207,6 +207,16 @@ def test_the_bar_goes_through_the_stages_and_back(monkeypatch):
         assert re.search(shown, re.sub(r"\x1b\[[0-9;?]*\w", "", screen.getvalue()))
 
 
+def test_the_time_left_is_bounded_by_the_limit(monkeypatch, capsys):
+    """80 s of 10 min are over; the fit before the search has no limit."""
+    times = iter([0.0, 40.0, 80.0])
+    monkeypatch.setattr(cli.time, "monotonic", lambda: next(times))
+    with cli.show_stages(("fit", "search"), 600.0) as progress:
+        progress("fit")
+        progress("search")
+    assert capsys.readouterr().err.splitlines() == ["fit after 40 s", "search after 80 s, at most 8.7 min left"]
+
+
 def test_an_earlier_report_is_replaced_and_nothing_else(recorded, report, tmp_path):
     old = shutil.copytree(report, tmp_path / "report")
     (old / "notes.txt").write_text("mine")

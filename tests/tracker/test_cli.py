@@ -171,13 +171,11 @@ def test_measure_takes_any_programs_table(tracked, tmp_path):
     ("text", "word"),
     [
         ("frame,particle,x\n0,0,1\n", "no column y"),
-        ("frame,particle,x,y\n", "no rows"),
         ("frame,particle,x,y\n0,0,left,2\n", "x: expected numbers"),
         ("frame,particle,x,y\n0.5,0,1,2\n", "frame: expected whole numbers"),
         ("frame,particle,x,y\n0,,1,2\n", "no row has a particle"),
         ("frame,particle,x,y\n0,0,1,2\n0,0,1,3\n", "twice in frame 0"),
         ("frame,particle,x,y,striker\n0,0,1,2,c\n", "striker"),
-        ("", "an empty file"),
     ],
 )
 def test_bad_tables(tmp_path, text, word):
@@ -186,6 +184,18 @@ def test_bad_tables(tmp_path, text, word):
     with pytest.raises(InputError, match=word) as error:
         read_tracks(path, CAMERA)
     assert str(error.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("text", ["", "\n", "frame,particle,x,y\n", '<Tracks spaceUnits="pixel"/>'])
+@pytest.mark.parametrize("unit", ["", "mm"])
+def test_an_empty_table_is_a_result_without_a_detection(tmp_path, text, unit):
+    (tmp_path / "tracks.csv").write_text(text)
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
+    outcome = pipeline.measure_tables(tmp_path / "tracks.csv", tmp_path / "out", tmp_path / "camera.json", unit=unit)
+    assert outcome.estimates["status"].tolist() == ["too few detections"]
+    assert len(pd.read_parquet(tmp_path / "out/clips/000000/tracks.parquet")) == 0
+    if not text.strip():
+        assert any("an empty file, a result without a detection" in str(note) for note in outcome.notes)
 
 
 def test_lost_rows_of_a_table_are_left_out(tmp_path):

@@ -75,8 +75,7 @@ def run(
 
     Example: tracker benchmark run --trackers synthcam,my_detector --size small -o out/mine
     """
-    from synthcam_shared.outputs import claim_folder
-    from tracker.benchmark.contest import MAKER, SUITE, run_contest
+    from tracker.benchmark.contest import SUITE, open_report, run_contest
     from tracker.benchmark.suite.definition import read_definition
     from tracker.benchmark.suite.folder import open_suite, with_truth
     from tracker.benchmark.suite.make import make as make_suite
@@ -86,7 +85,8 @@ def run(
     with progress_bar("steps") as progress:
         if suite is None:
             chosen = read_definition(None, size)
-            claim_folder(output, MAKER, "a new folder for the report")
+            with open_report(output):  # or its own suite would make the folder a foreign one
+                pass
             made = make_suite(output / SUITE, chosen, progress=progress, scheduler=scheduler)
         else:
             made = with_truth(open_suite(suite, truth))

@@ -87,8 +87,7 @@ def score_table(found: Path, truth: Path, gate: float | None = None, name: str =
     overlap where both files have boxes. `name` of the table; default: that of its file. Raises InputError.
     """
     one, other = (
-        recognise_format(Content.of(path), empty_allowed=True).leave_out_unassigned(path.name, str(path))
-        for path in (truth, found)
+        recognise_format(Content.of(path)).leave_out_unassigned(path.name, str(path)) for path in (truth, found)
     )
     one = _leave_out_ignored(one, truth.name)
     units = [

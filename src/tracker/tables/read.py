@@ -73,16 +73,15 @@ def read_tracks(path: Path, camera: CameraSource, columns: str = "", unit: str =
     return to_pixels(table, path.name, camera, unit, str(path))
 
 
-def recognise_format(content: Content, empty_allowed: bool = False) -> TrackTable:
-    """A table as its file gives it, known by its content. Raises InputError for what is none.
+def recognise_format(content: Content) -> TrackTable:
+    """A table as its file gives it, known by its content; an empty file is one without rows.
 
-    empty_allowed: an empty file is a table without rows.
+    Raises InputError for what is none.
     """
     every = formats().values()
     if not content.is_binary and not content.text.strip():
-        if empty_allowed:
-            return TrackTable(pd.DataFrame(columns=list(REQUIRED_COLUMNS), dtype=float))
-        raise content.wrong("an empty file, expected a row for each ball and frame")
+        note = f"{Path(content.where).name}: an empty file, a result without a detection"
+        return TrackTable(pd.DataFrame(columns=list(REQUIRED_COLUMNS), dtype=float), notes=(note,))
     for one in every:
         table: TrackTable | None = one.read(content) if hasattr(one, "read") else None
         if table is not None:
@@ -275,7 +274,7 @@ def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camer
     keys = read_source(given)
     keys = dict(keys) if isinstance(keys, Mapping) else keys
     named = f"{given}" if isinstance(given, str | Path) else "camera"
-    if metres is not None and isinstance(keys, dict):
+    if metres is not None and len(metres.rows) and isinstance(keys, dict):
         check_columns(metres.rows, where)
         positions = [to_numbers(metres.rows[axis], axis, where) for axis in ("x", "y")]
         reach = float(np.nanmax(np.abs(positions), initial=0.0))

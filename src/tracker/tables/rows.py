@@ -60,8 +60,8 @@ def split_tracks(table: pd.DataFrame, where: str, metres: bool = False) -> dict[
     not to be pixels.
     """
     check_columns(table, where)
-    if len(table) == 0:
-        raise InputError(f"{where}: no rows, expected a row for each ball and frame")
+    if len(table) == 0:  # a result without a detection
+        return {0: (to_tracks(table, where), None)}
     clips = table["clip"] if "clip" in table else pd.Series(0, index=table.index)
     out: dict[int, tuple[Tracks, str | None]] = {}
     numbers = to_whole_numbers(clips, "clip", where)

@@ -260,13 +260,12 @@ def test_trackpy_store(tmp_path):
         (lines().replace("5,1,312.625", "5,1,1e9"), "line 13, x: expected positions in px, not 1e+09; --unit"),
         (lines(head="a,b,c,d"), "--columns x=NAME"),
         ("".join(f"{f} {b} {1 - b} {x} {y}\n" for f, b, x, y in ROWS), "--columns frame=1,track=2,x=3,y=4"),
-        ("", "an empty file"),
         (lines().replace(",0,", ",-1,").replace(",1,", ",-1,"), "these are detections, expected tracks"),
         (trackmate_xml("parsec"), "'parsec': expected a unit of length, one of px, m, cm, mm, um, nm, in; --unit says"),
         (mot(1).replace("2 1 296.625", "2 1 x"), "line 3, left: expected numbers, not 'x'"),
         (mot(1).replace("10 10 0", "10 0 0", 1), "line 1: MOTChallenge's boxes: width, height"),
     ],
-    ids=range(14),
+    ids=range(13),
 )  # fmt: skip
 def test_a_refusal_names_line_column_value_and_remedy(text, said, tmp_path):
     with pytest.raises(InputError) as error:

@@ -2,6 +2,7 @@
 
 import pandas as pd
 
+from tracker.camera.camera_keys import format_value
 from tracker.tables.content import Content
 from tracker.tables.table import TrackTable
 
@@ -20,6 +21,8 @@ def read(content: Content) -> TrackTable | None:
     first = int(number.argmax()) if number.any() else len(rows)
     below = rows.iloc[:first]
     unit = next((text for text in map(str, below["POSITION_X"]) if text.startswith("(")), "")
+    if len(rows) and not number.any() and not unit:
+        raise content.wrong(f"{NAME}: FRAME: expected numbers, not {format_value(rows['FRAME'].iloc[-1])}")
     rows = rows.iloc[first:][list(NAMES)].rename(columns=NAMES)
     in_track = rows["particle"].notna() & (rows["particle"].map(str) != "None")
     return TrackTable(rows[in_track], NAME, unit)
