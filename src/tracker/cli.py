@@ -97,9 +97,9 @@ def track(
     from tracker.pipeline import run as track_all
 
     started = time.monotonic()
-    with progress_bar("clips") as progress:
-        options = FilmOptions(times, select, fields, frames, region, str(mask or ""), tuple(ball or ()))
-        films, channel = open_source(source, camera, options), name_channel(channel, colour)
+    options = FilmOptions(times, select, fields, frames, region, str(mask or ""), tuple(ball or ()))
+    films, channel = open_source(source, camera, options), name_channel(channel, colour)
+    with progress_bar("frames" if len(films) == 1 else "clips") as progress:
         outcome = track_all(films, output, detector, workers or 0, progress, channel, scheduler, settings)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}

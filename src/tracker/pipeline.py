@@ -20,7 +20,7 @@ from synthcam_shared.outputs import check_utf8, check_writable, resume_folder
 from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY
-from tracker.camera.recordings import RecordingSource, open_source
+from tracker.camera.recordings import Recording, RecordingSource, open_source
 from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import detector_name, load_detector, load_linker
 from tracker.detection.own_detector import digest, is_outside
@@ -54,10 +54,10 @@ def run(
 ) -> ClipOutcome:
     """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
 
-    source: a dataset, clip, stack, video or folder of pictures; output: RESULTS; detector: None is what the first clip
-    asks for; workers: processes, or 0 for one a core, where so many are quicker; progress: takes clips done and clips
-    in all; channel: of films in colour, None is what the first clip asks for; scheduler: address of a Dask scheduler,
-    whose workers see the same folders. Raises InputError.
+    source: a dataset, clip, stack, video or folder of pictures; output: RESULTS; detector: None is what the first
+    clip asks for; workers: processes, or 0 for one a core, where so many are quicker; progress: takes clips done
+    and clips in all, of one clip frames; channel: of films in colour, None is what the first clip asks for;
+    scheduler: address of a Dask scheduler, whose workers see the same folders. Raises InputError.
     """
     check_utf8(output)
     chosen = TrackerSettings.of(settings)
@@ -79,17 +79,21 @@ def run(
         detector, why = select_detector(first)
         said += note_all(NoteKind.DETECTOR, [why])
     clips, frames, notes = len(films), 0, Counter[Note]()
+    # A film that is open is not decoded again; of one clip, progress counts the frames.
+    opened = replace(first, progress=progress) if clips == 1 and not scheduler else None
 
     def track(partial: Path, todo: list[int]) -> None:
         nonlocal frames
         notes.update(dict.fromkeys(said, clips))
-        progress(clips - len(todo), clips)
+        if opened is None:
+            progress(clips - len(todo), clips)
         sent = _resolve_paths(films) if scheduler else films
-        work = functools.partial(_track_clip, sent, partial=partial, name=detector, settings=chosen)
+        work = functools.partial(_track_clip, sent, partial=partial, name=detector, settings=chosen, opened=opened)
         for done, (more, new) in enumerate(run_all_jobs(work, todo, workers, films.path, scheduler), 1):
             frames += more
             notes.update(new)
-            progress(clips - len(todo) + done, clips)
+            if opened is None:
+                progress(clips - len(todo) + done, clips)
 
     plan = _plan(films, detector)
     table, fresh = _fill_results(output, plan, chosen, [number for number, _ in films.clips], track)
@@ -194,14 +198,19 @@ def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
 
 
 def _track_clip(
-    source: RecordingSource, index: int, partial: Path, name: str, settings: TrackerSettings
+    source: RecordingSource,
+    index: int,
+    partial: Path,
+    name: str,
+    settings: TrackerSettings,
+    opened: Recording | None = None,
 ) -> tuple[int, tuple[Note, ...]]:
     """Track one clip in a worker: its number of frames, and notes. A clip that a lost worker had finished is done."""
     number, path = source.clips[index]
     if results.is_done(partial, number):
         return 0, ()
     use_one_thread()
-    clip = source.open_clip(index)
+    clip = opened or source.open_clip(index)
     try:
         result = track_and_measure(clip, name, settings)
     except (MemoryError, cv2.error) as error:

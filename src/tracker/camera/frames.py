@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, overload
 
@@ -35,6 +36,7 @@ class Frames(Sequence[Any]):
         self.numbers: NDArray[np.int64] = np.arange(count)  # frame times after the first frame: jumps where some miss
         self.dtype = np.dtype(dtype)
         self._fetch = fetch
+        self._kept: dict[int, Frame] = {}
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -48,7 +50,17 @@ class Frames(Sequence[Any]):
             return [self._fetch(k) for k in range(*index.indices(len(self)))]
         if not -len(self) <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)}")
-        return self._fetch(index % len(self))
+        k = index % len(self)
+        return self._kept[k] if k in self._kept else self._fetch(k)
+
+    def remember(self, numbers: Iterable[int], most_bytes: int = 600 << 20) -> None:
+        """Read these frames in one pass and keep them, because they are asked for again and again, in other orders.
+
+        A video is decoded once for them. Nothing is kept where it would take more than `most_bytes` of memory.
+        """
+        wanted = sorted(set(numbers))
+        if len(wanted) * math.prod(self.shape[1:]) * self.dtype.itemsize <= most_bytes:
+            self._kept = {k: self[k] for k in wanted}
 
     def __iter__(self) -> Iterator[Frame]:
         return (self._fetch(k) for k in range(len(self)))

@@ -6,6 +6,7 @@ opens only two files of a dataset's clip: the film (``frames.tif``, or an encode
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.jobs import Progress
 from tracker.camera.array_file import ARRAYS, read_array_file
 from tracker.camera.camera import Camera
 from tracker.camera.camera_notes import describe_frame_rate
 from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_area
 from tracker.camera.frame_times import agree, find_stride
-from tracker.camera.frames import GREY, Frames, linearise
+from tracker.camera.frames import GREY, Frame, Frames, linearise
 from tracker.camera.picture_folder import PICTURES, TIFF, is_hidden, list_pictures, read_picture_folder
 from tracker.camera.tiff_stack import read_tiff_stack
 from tracker.notes import COLOUR_TO_GREY, MADE_LINEAR, NO_CAMERA_FILE, Note, NoteKind, note_all
@@ -41,6 +43,14 @@ class Recording:
     channel: str = GREY
     area: NDArray[np.bool_] | None = None  # (h, w): where balls are looked for; None: everywhere
     balls: tuple[BallExample, ...] = ()  # that the user points at
+    progress: Progress | None = None  # takes the frames searched for balls, and the frames in all
+
+    def watch_frames(self) -> Iterator[Frame]:
+        """The frames; `progress` hears of each once it is done."""
+        for done, frame in enumerate(self.frames, 1):
+            yield frame
+            if self.progress is not None:
+                self.progress(done, len(self.frames))
 
     def select_channel(self, name: str) -> Recording:
         """The same recording in one colour of a film; "grey" is what it is."""

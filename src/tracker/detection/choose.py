@@ -53,6 +53,8 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     else "maximum_likelihood". Where the camera knows the diameter of its balls, only bodies of about that size count.
     The second result is a note that gives the reason; '' for glints, which need none.
     """
+    if isinstance(frames, Frames):
+        frames.remember(k for count in (9, 25, 31) for k in spread_frames(frames, count))
     sample = [np.array(frames[k]) for k in spread_frames(frames)]
     noise = estimate_noise(sample)
     if noise > 4.0:  # counts; means of 3 x 3 pixels keep half of an encoder's noise

@@ -141,9 +141,9 @@ def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detec
     """
     detector, numbers = load_detector(name)(view), clip.frames.numbers
     if view.takes is not None or numbers[-1] == len(numbers) - 1:
-        return run_detector(detector, enumerate(clip.frames), detector_name(name))
+        return run_detector(detector, enumerate(clip.watch_frames()), detector_name(name))
     # A detector of glints predicts their motion blur from their motion: it has to know of missing frames.
-    found = run_detector(detector, zip(numbers.tolist(), clip.frames, strict=True), detector_name(name))
+    found = run_detector(detector, zip(numbers.tolist(), clip.watch_frames(), strict=True), detector_name(name))
     return replace(found, glints=replace(found.glints, frame=np.searchsorted(numbers, found.glints.frame)))
 
 

@@ -43,14 +43,16 @@ class Overlay:
     def __iter__(self) -> Iterator[Picture]:
         """Yield (h, w, 3) RGB pictures of one even size."""
         low, high = self._grey_range()
+        counts = np.arange(np.iinfo(self.frames.dtype).max + 1, dtype=np.float32)
+        # the power makes dark parts brighter
+        greys = (np.clip((counts - low) / (high - low), 0, 1) ** 0.75 * 255).astype(np.uint8)
         times = self._magnification()
         for k in range(self.first, self.last + 1):
-            share = np.clip((self.frames[k].astype(np.float32) - low) / (high - low), 0, 1)
-            grey = share**0.75 * 255  # the power makes dark parts brighter
+            frame = np.asarray(self.frames[k])
             if times >= 1:
-                large = np.repeat(np.repeat(grey.astype(np.uint8), int(times), 0), int(times), 1)
+                large = np.repeat(np.repeat(greys[frame], int(times), 0), int(times), 1)
             else:
-                large = cv2.resize(grey.astype(np.uint8), None, fx=times, fy=times, interpolation=cv2.INTER_AREA)
+                large = greys[cv2.resize(frame, None, fx=times, fy=times, interpolation=cv2.INTER_AREA)]
             picture: Any = cv2.cvtColor(large, cv2.COLOR_GRAY2RGB)
             self._draw(picture, int(self.frames.numbers[k]), times)
             height, width = (n - n % 2 for n in picture.shape[:2])  # H.264 needs even sizes
@@ -59,8 +61,13 @@ class Overlay:
     def _grey_range(self) -> tuple[float, float]:
         """Counts that are shown as black and as white, from at most 25 frames."""
         chosen = np.linspace(self.first, self.last, min(25, self.last - self.first + 1)).astype(int)
-        sample = np.stack([self.frames[int(k)] for k in np.unique(chosen)]).astype(np.float64)
-        low, high = float(np.percentile(sample, 1)), float(sample.max())
+        pixels = np.zeros(np.iinfo(self.frames.dtype).max + 1, np.int64)  # of each count
+        for k in np.unique(chosen).tolist():
+            pixels += np.bincount(np.ravel(self.frames[k]), minlength=len(pixels))
+        up_to = np.cumsum(pixels)
+        rank, part = divmod(0.01 * (up_to[-1] - 1), 1)
+        below, above = (float(np.searchsorted(up_to, rank + more, side="right")) for more in (0, 1))
+        low, high = below + part * (above - below), float(np.flatnonzero(pixels)[-1])
         return low, max(high, low + 1.0)
 
     def _magnification(self) -> float:

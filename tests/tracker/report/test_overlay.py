@@ -70,3 +70,11 @@ def test_of_a_long_film_the_contact_is_shown():
     assert choose_frames(5000, [3000], 400) == (2900, 3299)
     assert choose_frames(5000, [4999], 400) == (4600, 4999)
     assert choose_frames(5000, [], 400) == (0, 399)
+
+
+@pytest.mark.parametrize(("dtype", "shape"), [(np.uint8, (40, 50)), (np.uint16, (7, 9))])
+def test_black_is_the_lowest_percent_of_the_counts_and_white_the_greatest(dtype, shape):
+    rng = np.random.default_rng(4)
+    pictures = rng.integers(3, 200, (6, *shape)).astype(dtype)
+    overlay = Overlay(wrap_frames(pictures), None, None, 0, 5)
+    assert overlay._grey_range() == pytest.approx((np.percentile(pictures, 1), pictures.max()))
