@@ -48,7 +48,7 @@ class Overlay:
         greys = (np.clip((counts - low) / (high - low), 0, 1) ** 0.75 * 255).astype(np.uint8)
         times = self._magnification()
         for k in range(self.first, self.last + 1):
-            frame = np.asarray(self.frames[k])
+            frame: NDArray[np.integer[Any]] = np.asarray(self.frames[k])
             if times >= 1:
                 large = np.repeat(np.repeat(greys[frame], int(times), 0), int(times), 1)
             else:
