@@ -63,3 +63,23 @@ def test_collisions_of_a_table_in_memory(kind, made, tmp_path):
 def test_a_table_without_a_camera_is_refused(made):
     with pytest.raises(InputError, match="camera: expected a camera, its keys or a path, beside a table of tracks"):
         read_collisions(made[0])
+
+
+def test_names_of_balls_say_who_strikes_as_a_column_does():
+    """Ball a strikes in even clips; numbers alone leave it open, with a note."""
+    parts = []
+    for k in range(4):
+        clip = synthcam.Scene.read("painter_behringer", launch={"striker": "ab"[k % 2]}).draw(k, seed=2)
+        body = (1 + clip.tracks["particle"] + k) % 2  # ball a is body 0; particle 1 of the truth is the striker
+        rows = pd.DataFrame({"clip": k, "frame": clip.tracks["frame"], "particle": body, "striker": "ab"[k % 2]})
+        parts.append(rows.assign(x=clip.tracks["x_mean_px"], y=clip.tracks["y_mean_px"])[clip.tracks["visible"]])
+    table = pd.concat(parts, ignore_index=True)
+    camera = {key: value for key, value in clip.camera_json.items() if key != "striker"}
+    named = table.drop(columns="striker").assign(particle=table["particle"].map({0: "a", 1: "b"}))
+    for given in (table, named):
+        found, notes = read_collisions(given, camera)
+        assert [c.striker for c in found] == ["a", "b", "a", "b"]
+        assert notes == []
+    found, (note,) = read_collisions(table.drop(columns="striker"), camera)
+    assert [c.striker for c in found] == ["b"] * 4
+    assert "particle 0 strikes in 2 clips and particle 1 in 2" in str(note)
