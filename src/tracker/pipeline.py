@@ -26,6 +26,7 @@ from tracker.detection.detect import detector_name, load_detector, load_linker
 from tracker.detection.own_detector import digest, is_outside
 from tracker.notes import Note, NoteKind, note_all
 from tracker.recording import measure_tracks, track_and_measure
+from tracker.report.refusals import REFUSALS, draw_refusals, is_failure
 from tracker.settings import SettingsSource, TrackerSettings
 from tracker.tables.read import read_tracks
 
@@ -218,8 +219,12 @@ def _track_clip(
             raise
         asked = " x ".join(map(str, clip.frames.shape))
         raise InputError(f"{path}: not enough memory for its {asked} pixels") from None
-    results.write_clip(partial, result.number, result.found, result.motion, result.rows, result.camera)
-    return result.frames, result.notes
+    pictures, notes = dict[str, bytes](), result.notes
+    if is_failure(result.found, result.rows):
+        refusals = draw_refusals(clip, result.found)
+        pictures, notes = {REFUSALS: refusals.png}, (*notes, refusals.note)
+    results.write_clip(partial, number, result.found, result.motion, result.rows, result.camera, pictures)
+    return result.frames, notes
 
 
 def _resolve_paths(source: RecordingSource) -> RecordingSource:

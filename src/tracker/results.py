@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,15 @@ def is_done(results: Path, number: int) -> bool:
 
 
 def write_clip(
-    results: Path, number: int, tracks: Tracks, motion: pd.DataFrame, rows: Sequence[Mapping[str, Any]], camera: Camera
+    results: Path,
+    number: int,
+    tracks: Tracks,
+    motion: pd.DataFrame,
+    rows: Sequence[Mapping[str, Any]],
+    camera: Camera,
+    pictures: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
-    """Writes one clip's folder aside and moves it into place."""
+    """Writes one clip's folder aside and moves it into place. pictures: further files by name."""
     final = clip_folder(results, number)
     aside = final.with_suffix(".tmp")
     shutil.rmtree(aside, ignore_errors=True)
@@ -59,6 +66,8 @@ def write_clip(
         _write_parquet(aside / "motion.parquet", pa.table(columns))
         write_json(aside / "estimates.json", list(rows))
         write_json(aside / "camera.json", camera.to_dict())
+        for name, data in pictures.items():
+            write_atomically(aside / name, data)
         os.replace(aside, final)
     except BaseException:
         shutil.rmtree(aside, ignore_errors=True)

@@ -55,6 +55,7 @@ from tracker.report.estimates_text import (
 )
 from tracker.report.overlay import Overlay, choose_frames, encode_mp4
 from tracker.report.quantities import QUANTITIES
+from tracker.report.refusals import REFUSALS
 
 PAGE = "index.html"
 CAPTIONS = {
@@ -88,6 +89,7 @@ class RecordingPage:
     motion: pd.DataFrame
     frames: Frames | None = None
     notes: Sequence[Note] = ()
+    refusals: bytes = b""  # a picture as PNG, of a film that failed
 
     @property
     def collisions(self) -> list[Mapping[str, Any]]:
@@ -101,6 +103,7 @@ class RecordingPage:
         titles = [f"Collision {row['collision']}" for row in self.rows]
         sections = [
             Section("", results_tables),
+            *([self._refusals(folder)] if self.refusals else []),
             Section("How to read the table", [self._how_to_read()] if results_tables else []),
             Section("Film with measured positions", [self._film(folder, views)]),
             *(Section(title, self._figures(view)) for title, view in zip(titles, views, strict=True)),
@@ -123,6 +126,12 @@ class RecordingPage:
         number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""
         parts = [describe_status(row), describe_contact(row), describe_fit(row)]
         return number + " ".join(f"{part}." for part in parts if part)
+
+    def _refusals(self, folder: Path) -> Section:
+        write_atomically(folder / REFUSALS, self.refusals)
+        caption = "Green circles: balls that were found. Red boxes: what differs from the other frames and was refused."
+        picture = PageFigure("Found and refused", make_data_uri(self.refusals, "image/png"), caption)
+        return Section("Why this film could not be measured", [picture])
 
     def _results(self, row: Mapping[str, Any]) -> list[Block]:
         rows = [
@@ -265,7 +274,8 @@ class ResultPages:
         frames = None if self.source is None else self.source.open_clip(index).frames
         name = self.name if self.is_single else f"{self.name}, clip {number}"
         with as_input_error(self.output):
-            page = RecordingPage(name, camera, tracks, rows, motion, frames, self.notes)
+            refusals = (folder / REFUSALS).read_bytes() if (folder / REFUSALS).is_file() else b""
+            page = RecordingPage(name, camera, tracks, rows, motion, frames, self.notes, refusals)
             page.write(self._folder(index), self.command)
 
     def write_overview(self, estimates: pd.DataFrame) -> None:
