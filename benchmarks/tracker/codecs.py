@@ -45,6 +45,8 @@ CODECS: dict[str, tuple[str, str, str, dict[str, str], float]] = {  # ending, co
     "h264_23": ("mp4", "libx264", "yuv420p", {"crf": "23"}, 1.0),
     "h264_28": ("mp4", "libx264", "yuv420p", {"crf": "28"}, 1.0),
     "gamma_h264_23": ("mp4", "libx264", "yuv420p", {"crf": "23"}, 2.2),
+    "hevc_28": ("mp4", "libx265", "yuv420p", {"crf": "28", "x265-params": "log-level=none"}, 1.0),
+    "mp4v_5": ("mp4", "mpeg4", "yuv420p", {"qmin": "5", "qmax": "5"}, 1.0),
     "mjpeg_3": ("avi", "mjpeg", "yuvj420p", {"qmin": "3", "qmax": "3"}, 1.0),
     "mjpeg_10": ("avi", "mjpeg", "yuvj420p", {"qmin": "10", "qmax": "10"}, 1.0),
 }

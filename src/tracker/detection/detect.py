@@ -124,9 +124,11 @@ def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracker
     """Make the view of a clip; for a detector of glints it estimates what the camera file leaves open."""
     settings = settings or TrackerSettings()
     if detected_point(name, clip.camera) == "centre":
-        takes = find_takes(clip.frames)
+        takes, camera = find_takes(clip.frames), clip.camera
+        if getattr(clip.frames, "lossy", False) and not camera.sensor.codec_noise:  # marks the tracks as encoded
+            camera = replace(camera, sensor=replace(camera.sensor, codec_noise=max(float(takes.noise), 0.5)))
         plate = EmptyPlate(np.asarray(clip.frames[0]), takes.noise)
-        return View(clip.camera, plate, clip.frames, takes, settings, clip.area, find_radius(clip), clip.channel)
+        return View(camera, plate, clip.frames, takes, settings, clip.area, find_radius(clip), clip.channel)
     plate = estimate_empty_plate(clip.frames)
     if plate.level.shape != clip.frames.shape[1:]:
         raise InputError(f"clip {clip.number}: frames of unequal sizes, expected all as the first")

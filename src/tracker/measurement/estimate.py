@@ -56,6 +56,7 @@ from tracker.measurement.collision.contacts import (
 )
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_frames_within
+from tracker.measurement.collision.noise_correlation import variance_of_residuals
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, Stay, find_stays
 from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.joint_fit import fit_all
@@ -78,6 +79,7 @@ _LARGEST_ERRORS |= {"energy_fraction": 0.05, "momentum_fraction": 0.05, "drag": 
 NOTHING_KNOWN = "the positions show no quantity well enough; check their unit, the scale and fps"
 DOUBTFUL_SIGMA = 3.0  # instead of MIN_SIGNIFICANCE, where the tracks reject an instantaneous contact
 MIN_FRAMES_WITHIN = 3  # in which balls are clearly within a diameter, from which on a contact that lasts is tried first
+_SEEN_THROUGH_A_CODEC = ("v0", "b", "t_c", "r")  # what a free fit of a lossy film claims although it is rejected
 _SPINS_FROM_LAWS = ("w1n", "w1t", "w2n", "w2t")  # the free fit infers spins by laws that a misfit puts in doubt
 
 
@@ -370,7 +372,12 @@ def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
     free = _within_limits(read.free_values, True, unseen, settings)
     if read.is_misfit:
         tied, free = tied.without_errors(QUANTITY_NAMES), free.without_errors(("C", *_SPINS_FROM_LAWS))
-    return tied, free if read.is_free_accepted else free.without_errors(QUANTITY_NAMES)
+    if read.is_free_accepted:
+        return tied, free
+    if read.contact.pair.striker.encoded:  # the residuals show what the codec does to the paths near the contact
+        wider = replace(free, cov=free.cov * variance_of_residuals(read.free))
+        return tied, wider.without_errors([name for name in QUANTITY_NAMES if name not in _SEEN_THROUGH_A_CODEC])
+    return tied, free.without_errors(QUANTITY_NAMES)
 
 
 def largest_error(name: str, value: Floats, is_free: bool, max_relative_error: float = 0.2) -> Floats:

@@ -38,8 +38,8 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     Flag.TOUCH_AGAIN: "the balls come back and touch again, as rolling ones do whose r is under .4; the fits leave out "
     "all frames from then on",
     Flag.TOGETHER: "the balls do not part in {frames}; r is 0 within its error",
-    Flag.ENCODED: "the codec of the video moves what it shows, the likely cause of this misfit; film again without "
-    "compression, or with less of it",
+    Flag.ENCODED: "the codec of the video moves what it shows, the likely cause of this misfit; v0, b and r of the "
+    "free fit have errors as large as its residuals. Film again without compression, or with less of it",
     Flag.STRAIGHT: "the balls move straight after the hit: r is that of straight lines, and nothing shows friction",
 }
 

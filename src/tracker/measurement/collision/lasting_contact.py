@@ -52,7 +52,8 @@ STRAIGHT = (*FREE[:8], "v1x", "v1y", "v2x", "v2y", *FREE[-2:])  # free motions w
 MIN_DURATION_FRAMES = 0.25  # below which a contact is as good as instantaneous
 BEND_SIGNIFICANCE = 3.5  # standard errors by which the paths bend in a contact that lasts
 _TAU = [FREE.index("log_tau1"), FREE.index("log_tau2")]
-DELAY_ERROR = 0.6  # share of `delay_of_slides`, over the laws of the force
+DELAY_ERROR = 1.5  # share of `delay_of_slides`, over the laws of the force
+FRICTION_SHIFT = (0.2, 0.12)  # of mu_k over (T/tau)^2, and its spread over the laws of the force
 _SHORT_SLIDE = np.log(1e-4)  # log s
 
 
@@ -152,12 +153,12 @@ def delay_of_slides(
     """Seconds after the first touch by which slides begin late, in effect: balls roll until the push exceeds 7/2 mu g.
 
     closing, m/s; before: s from the touch to t_c. Until then friction is 2/7 of the push, so that half of this time
-    counts. A push that rises straight to its mean over the contact, J/T, passes the limit at 7/2 mu g T^2/(4 J); one of
-    Hertz rises later. The time is that of the half sine times 1.5, and uncertain by `DELAY_ERROR` of itself.
+    counts. That is 7/2 mu g T^2/(pi^2 J) for a half sine. A push that rises straight from the start reaches the limit
+    earlier, one of Hertz later. Three quarters of it are taken, uncertain by `DELAY_ERROR` of themselves.
     """
     lasts = before * (1 + r) / np.where(r.real > 0.1, r, 0.1)
     impulse = (1 + r) / 2 * closing
-    delay = 1.5 * SLIP_RATE * np.exp(log_mu) * GRAVITY * lasts**2 / (np.pi**2 * impulse)
+    delay = 0.75 * SLIP_RATE * np.exp(log_mu) * GRAVITY * lasts**2 / (np.pi**2 * impulse)
     return np.asarray(np.where(delay.real < 0.5 * before.real, delay, 0.5 * before))
 
 
@@ -321,23 +322,33 @@ class LastingFit:
         value[r], _, error = self.restitution(self.x)
         cov[r, r] = float(by @ self.cov @ by) + error**2
         if self.problem.kind == "tied":
-            effect = self._effect_of_delay()
+            shift, effect = self._effect_of_slides()
+            value += shift
             cov += np.outer(effect, effect)
         return replace(found, value=value, cov=cov)
 
-    def _effect_of_delay(self) -> Floats:
-        """Change of the quantities (20,) of a tied fit by the uncertainty of when its slides begin."""
+    def _effect_of_slides(self) -> tuple[Floats, Floats]:
+        """Shift of the quantities (20,) of a tied fit by slides that begin in the contact, and its error.
+
+        The fit gives too much friction, by a share of (T/tau)^2, T the duration and tau the slide time of a head-on
+        hit. `FRICTION_SHIFT` is that share and its spread over five laws of the force, by integration.
+        """
         whole = np.zeros(self.problem.size)
         whole[self.problem.index] = self.x[:-2]
-        before, _, _ = self.times(self.x)
-        late = DELAY_ERROR * delay_of_slides(whole[5] * np.cos(whole[4]), whole[8], whole[9], before)
-        effect, mu = np.zeros(len(QUANTITY_NAMES)), QUANTITY_NAMES.index("mu_k")
-        pull = np.exp(whole[9]) * GRAVITY
-        effect[QUANTITY_NAMES.index("r")] = 2 * pull * late / (whole[5] * np.cos(whole[4]))
-        slide = (1 + whole[8]) / 2 * whole[5] / (SLIP_RATE * pull)  # of a head-on hit
-        effect[mu] = np.exp(whole[9]) * late / slide
-        effect[[QUANTITY_NAMES.index(name) for name in ("tau1", "tau2")]] = -late
-        return effect
+        before, after, _ = self.times(self.x)
+        closing, mu = whole[5] * np.cos(whole[4]), np.exp(whole[9])
+        late = DELAY_ERROR * delay_of_slides(closing, whole[8], whole[9], before)
+        slide = (1 + whole[8]) / 2 * whole[5] / (SLIP_RATE * mu * GRAVITY)
+        square = min((before + after) / slide, 1.0) ** 2
+        shift, effect = np.zeros(len(QUANTITY_NAMES)), np.zeros(len(QUANTITY_NAMES))
+        at = QUANTITY_NAMES.index
+        shift[at("mu_k")], effect[at("mu_k")] = (
+            share * square * mu for share in (-FRICTION_SHIFT[0], -FRICTION_SHIFT[1])
+        )
+        effect[at("r")] = 2 * mu * GRAVITY * late / closing
+        for ball, name in enumerate(("tau1", "tau2")):
+            effect[at(name)] = FRICTION_SHIFT[0] * square * np.exp(self.free[_TAU[ball]])
+        return shift, effect
 
     def predict_left_out(self, rows: BallTrack, ball: int) -> tuple[Floats, Floats]:
         """Positions (n, 2) that were left out, less those of an instantaneous contact, and derivatives (n, 2, p)."""

@@ -31,7 +31,7 @@ def with_correlated_noise(pair: BallPair, free: CollisionFit) -> BallPair | None
     """
     if pair.striker.encoded:
         return _with_codec_errors(pair, free)
-    if _neighbour_correlation(free) < MIN_CORRELATION_SIGMA:
+    if _neighbour_correlation(free)[1] < MIN_CORRELATION_SIGMA:
         return None
     parts = [_whiten_with_cubics(stretch) for stretch in _rolling_stretches(pair, free)]
     if not parts:
@@ -68,13 +68,24 @@ def _with_codec_errors(pair: BallPair, free: CollisionFit) -> BallPair | None:
     return replace(pair, struck=struck, striker=striker)
 
 
-def _neighbour_correlation(free: CollisionFit) -> float:
-    """Correlation of neighbouring residuals of a free fit, in standard errors."""
+def variance_of_residuals(free: CollisionFit) -> float:
+    """Factor on the variances of a rejected free fit by which its errors are as large and as lasting as its residuals.
+
+    Residuals that are correlated by rho from frame to frame count as (1 - rho)/(1 + rho) of their number.
+    """
+    rho, _ = _neighbour_correlation(free)
+    rho = min(max(rho, 0.0), 0.98)
+    return max(free.chi2 / max(free.dof, 1), 1.0) * (1 + rho) / (1 - rho)
+
+
+def _neighbour_correlation(free: CollisionFit) -> tuple[float, float]:
+    """Correlation of neighbouring residuals of a free fit, and the same in standard errors."""
     problem = WhitenedResiduals(free.pair, False)
     left = problem.residual(free.parameters[problem.index])[: 2 * len(free.pair)].reshape(-1, 2)
     cut = len(free.pair.struck)
     products = np.concatenate([part[1:] * part[:-1] for part in (left[:cut], left[cut:])])
-    return float(products.mean() * np.sqrt(products.size) / max(float((left**2).mean()), 1e-300))
+    rho = float(products.mean() / max(float((left**2).mean()), 1e-300))
+    return rho, rho * float(np.sqrt(products.size))
 
 
 def _rolling_stretches(pair: BallPair, free: CollisionFit) -> Iterator[BallTrack]:
