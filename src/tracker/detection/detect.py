@@ -126,7 +126,8 @@ def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracker
     if detected_point(name, clip.camera) == "centre":
         takes, camera = find_takes(clip.frames), clip.camera
         if getattr(clip.frames, "lossy", False) and not camera.sensor.codec_noise:  # marks the tracks as encoded
-            camera = replace(camera, sensor=replace(camera.sensor, codec_noise=max(float(takes.noise), 0.5)))
+            sensor = replace(camera.sensor, codec_noise=max(float(takes.noise), 0.5))
+            camera = replace(camera, sensor=sensor, matte=True)
         plate = EmptyPlate(np.asarray(clip.frames[0]), takes.noise)
         return View(camera, plate, clip.frames, takes, settings, clip.area, find_radius(clip), clip.channel)
     plate = estimate_empty_plate(clip.frames)

@@ -42,6 +42,7 @@ class BallTrack:
     error_scale: float = 1.0  # that size over the claimed one
     rho: float = 0.0  # correlation of the errors from one frame to the next, beyond `fixed`
     encoded: bool = False  # whether the film was encoded with loss
+    outlined: bool = False  # whether these are centres of outlines of matte balls
     from_glint: bool = False  # whether these are centres that were found from glints
 
     def __post_init__(self) -> None:
@@ -121,6 +122,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
                 has_errors=weighed,
                 noise_dof=np.inf if weighed else 0.0,
                 encoded=encoded,
+                outlined=camera.matte,
                 from_glint=bool((apart[rows] > 0).any()),
             )
         )
