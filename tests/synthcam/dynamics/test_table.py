@@ -213,6 +213,20 @@ def test_no_ball_enters_another_or_a_wall():
     assert places.max() < side - R * (1 - 1e-9)
 
 
+def test_unlike_bodies_that_stick_end_with_surfaces_at_rest():
+    """A solid ball hits a heavier shell; nothing holds them down."""
+    own = Bodies(np.array([R, R]), np.array([M, 2.5 * M]), np.zeros(2), np.array([2 / 3, 2 / 5]))
+    states = np.array([[0, 0, R, 0, 0, 0, 0, 0, 0.0], [-0.01, R, R, 0.3, 0.0, 0, 20.0, 300.0, -50.0]])
+    model = Model(restitution=0.9, effects=(BallFriction(mu=1.0, beta=0.0), Hop(share=1.0)))
+    hit = solve(model, Launch(0.0, states, own), 0.0, 0.05).first("contact")
+    n = (hit.before[0] - hit.before[1])[:3] / (2 * R)
+    pressed = hit.after[:, 5] < 0
+    assert not pressed.all()
+    after = hit.after[1, 3:6] - hit.after[0, 3:6]
+    surfaces = after - (after @ n) * n + np.cross(R * hit.after[:, 6:9].sum(axis=0), n)
+    np.testing.assert_allclose(surfaces, 0, rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("inertia", [2 / 5, 2 / 3, 1 / 2])
 def test_a_ball_slides_by_its_inertia(inertia):
     """It starts without spin, slides for v/((1 + 1/k) mu g) and rolls on at v/(1 + k)."""
@@ -359,6 +373,12 @@ def test_an_endless_sequence_ends_with_a_contact_duration(restitution):
     motion = solve(model, launch, 0.0, 0.2, table=Table(contact_duration=1e-5))
     hits = [e for e in motion.events if e.kind == "contact"]
     assert 2 < len(hits) < 10_000
+    last, elastic = dict.fromkeys(range(3), -1.0), 0
     for e in hits:
         np.testing.assert_allclose(e.before[:, 3].sum(), e.after[:, 3].sum(), rtol=0, atol=1e-12)
+        if any(e.t - last[k] < 1e-5 for k in (e.i, e.j)):
+            elastic += 1
+            assert np.diff(e.after[:, 3]) / np.diff(e.before[:, 3]) <= -1 + 1e-9
+        last[e.i] = last[e.j] = e.t
+    assert elastic
     assert not np.any(np.isnan(motion.at(0.2)))
