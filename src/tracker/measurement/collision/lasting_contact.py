@@ -331,7 +331,7 @@ class LastingFit:
         """Shift of the quantities (20,) of a tied fit by slides that begin in the contact, and its error.
 
         The fit gives too much friction, by a share of (T/tau)^2, T the duration and tau the slide time of a head-on
-        hit. `FRICTION_SHIFT` is that share and its spread over five laws of the force, by integration.
+        hit. `FRICTION_SHIFT` is that share and its spread, read from seven simulated clips of five laws of the force.
         """
         whole = np.zeros(self.problem.size)
         whole[self.problem.index] = self.x[:-2]
