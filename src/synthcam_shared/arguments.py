@@ -27,7 +27,7 @@ _OPTION = re.compile(r"(?<![\w-])--([a-z]+)")
 
 
 def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
-    """Raise InputError, in place of any other error, for arguments of another type than the function's signature says.
+    """Raise InputError, and no other error, for arguments of another type than the function's signature says.
 
     Annotations of plain types and classes are checked; others are the function's own business. The InputErrors of the
     function name `--option` as "argument option".

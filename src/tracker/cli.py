@@ -77,9 +77,13 @@ def track(
         list[str] | None,
         typer.Option(metavar="X,Y[,R]@FRAME", help="A ball that you point at, centre and radius in px; repeatable."),
     ] = None,
-    colour: Annotated[str, typer.Option(help="Colour of the balls, as orange or #ff8000; in place of --channel.")] = "",
-    region: Annotated[str, typer.Option(metavar="X0,Y0,X1,Y1", help="Where balls are looked for, px.")] = "",
-    mask: Annotated[Path | None, typer.Option(help="A picture that is white where balls are looked for.")] = None,
+    colour: Annotated[
+        str, typer.Option(help="Colour of the balls, as orange or #ff8000; use it without --channel.")
+    ] = "",
+    region: Annotated[
+        str, typer.Option(metavar="X0,Y0,X1,Y1", help="Search for balls within this rectangle, px.")
+    ] = "",
+    mask: Annotated[Path | None, typer.Option(help="A picture, white in the area to search for balls.")] = None,
     frames: Annotated[str, typer.Option(metavar="A:B", help="Which frames are read, without B.")] = "",
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
     scheduler: Scheduler = "",

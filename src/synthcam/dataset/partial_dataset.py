@@ -186,7 +186,7 @@ def _list_replaced(final: Path) -> list[Path]:
 
 
 def _link(source: str, target: str) -> None:
-    """Link a file, which no command changes once its clip is complete; copy it where there are no links."""
+    """Link a file, which no command changes once its clip is complete; copy it on a file system without links."""
     try:
         os.link(source, target)
     except OSError:

@@ -65,7 +65,7 @@ class RecordedClip:
 
     @cached_property
     def camera_json(self) -> dict[str, Any]:
-        """What an experimenter knows of the camera: the keys of ``camera.json``; `tracker.track` takes them."""
+        """The experimenter's knowledge of the camera: the keys of ``camera.json``; `tracker.track` takes them."""
         found: dict[str, Any] = self._read(self.folder / "camera.json", _read_json)
         return found
 

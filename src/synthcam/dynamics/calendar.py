@@ -2,7 +2,7 @@
 
 Every ball has a leg, and a time up to which its coming contacts are known. For this it looks ahead along its leg, as
 far as it comes near few other balls. When that time comes it looks ahead again. An event changes the legs of one or two
-balls, and only their contacts are searched anew. So the cost of an event hardly grows with the number of balls.
+balls, and only their contacts are searched again. So the cost of an event hardly grows with the number of balls.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class Impact:
 
 @dataclass(frozen=True)
 class ContactChange:
-    """What changes one impact: chance, and a contact duration."""
+    """Changes of one impact, by chance and by a contact duration."""
 
     restitution: float = 0.0  # added to r
     friction: float = 1.0  # factor on the tangential impulse

@@ -1,12 +1,12 @@
-"""What bodies move on and between: the support of each body, and the walls.
+"""A table: the support of each body, the walls, and the scatter of contacts.
 
 A disc that slides and turns on a dry plate: friction force and torque depend on each other.
 
-The pressure is even. With the speed v, y = R |w|, their ratio e = v/y and k = I/(m R^2) = 1/2
+The pressure is even. With the speed v, y = R |w|, their ratio e = v/y and k = I/(m R^2) = 1/2:
 
     v' = -mu g F(e),   y' = -(mu g/k) T(e)
 
-where F and T are integrals over the disc (Voyenli & Eriksen, Am. J. Phys. 53 (1985) 1149; Farkas, Bartels, Unger &
+F and T are integrals over the disc (Voyenli & Eriksen, Am. J. Phys. 53 (1985) 1149; Farkas, Bartels, Unger &
 Wolf, Phys. Rev. Lett. 90 (2003) 248302). The path is straight. Sliding and turning end at the same moment, with e near
 0.653.
 
@@ -38,7 +38,7 @@ DISC = 0.5  # k
 
 
 class Support(ABC):
-    """What carries a body, where it is not the plate or cloth that the model's own laws describe."""
+    """Carries a body in place of the plate that the model's own laws describe."""
 
     @abstractmethod
     def leg(self, state: State, radius: float, t: float) -> Leg:

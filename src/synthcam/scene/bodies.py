@@ -24,7 +24,7 @@ Point = Annotated[list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_leng
 
 
 class SupportSettings(Settings):
-    """`support:` what carries the bodies.
+    """`support:` carries the bodies.
 
     - plate: they slide and roll by the laws of `model`
     - air: discs glide, v' = -(decel + drag v) v/|v| + curl z x v; spin_drag: rate at which the spin decays, 1/s
@@ -39,13 +39,13 @@ class SupportSettings(Settings):
 
 
 class BodySettings(Settings):
-    """One of `bodies:`, or what all are.
+    """One of `bodies:`, or the kind of all.
 
-    - diameter, m, and density, kg/m^3: those of `ball` if left out; mass, kg, in place of a density
+    - diameter, m, and density, kg/m^3: those of `ball` if left out; or mass, kg
     - shape: solid or shell, balls; disc, of the given height, m
-    - inertia: I/(m R^2), in place of the shape's
+    - inertia: I/(m R^2); default: the shape's
     - label: a or b, the ball that effects such as mass_mismatch act on, or not
-    - support: in place of the scene's
+    - support: default: the scene's
     """
 
     diameter: Positive | None = None
@@ -61,7 +61,7 @@ class BodyLaunchSettings(Settings):
     """One of `launches:`, the state of a body at time 0.
 
     - position: of the centre, m; velocity, m/s
-    - slip: velocity of the lowest point, m/s; 0 rolls. Of a ball on the plate only
+    - slip: velocity of the lowest point, m/s; 0 rolls; for balls on the plate
     - spin: about the vertical, rad/s
     - height: of the lowest point above the plate, m; rise: vertical velocity, m/s
     """

@@ -1,4 +1,4 @@
-"""Whether a film shows its balls: too few frames show one that is too fast, or that the camera does not see."""
+"""Check that a film shows its balls: few frames show a ball that is too fast, or outside the view."""
 
 from __future__ import annotations
 

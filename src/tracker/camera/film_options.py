@@ -70,7 +70,7 @@ def parse_colour(text: str) -> str:
 
 
 def read_area(region: str, mask: str, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
-    """Where (h, w) balls are looked for; None for everywhere. Raises InputError."""
+    """Return the pixels (h, w) among which balls are searched; None for all. Raises InputError."""
     if not region and not mask:
         return None
     area = np.ones(shape, bool)

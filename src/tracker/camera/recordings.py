@@ -41,7 +41,7 @@ class Recording:
     frames: Frames
     notes: tuple[Note, ...] = ()
     channel: str = GREY
-    area: NDArray[np.bool_] | None = None  # (h, w): where balls are looked for; None: everywhere
+    area: NDArray[np.bool_] | None = None  # (h, w): the pixels among which balls are searched; None: all
     balls: tuple[BallExample, ...] = ()  # that the user points at
     progress: Progress | None = None  # takes the frames searched for balls, and the frames in all
 

@@ -88,7 +88,7 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     A red ball on green cloth may be as grey as the cloth, and a moving shadow may hide a ball in grey. Each plane has a
     score: the number of round bodies of one size, times the share of the changed pixels that they cover. Shadows, hands
     and cues cover the rest. Grey is kept unless another plane has 1.5 times its score, or 1.2 times where bodies cover
-    less than half of what changes in grey. Where the camera knows the diameter of its balls, only bodies of about that
+    less than half of what changes in grey. If the camera knows the diameter of its balls, only bodies of about that
     size count. The second result is a note that gives the reason; '' for grey.
     """
     if frames.colours is None:
@@ -204,7 +204,7 @@ def find_radius(clip: Recording) -> float | None:
 
 
 def measure_radius(picture: NDArray[Any], ball: BallExample) -> float | None:
-    """Where the light around a ball's middle has changed by half; None where it never does."""
+    """Return the radius, px, at which the light around a ball's middle has changed by half; None if it never does."""
     profile = _profile(picture, ball)
     change = np.abs(profile - profile[0])
     if change.max() <= 0:
@@ -265,7 +265,7 @@ def name_channel(channel: str | None, colour: str) -> str | None:
 
 
 def look_at(clip: Recording) -> Frames:
-    """The frames of a recording, cut to the area in which balls are looked for."""
+    """The frames of a recording, cut to the area of the search."""
     return clip.frames if clip.area is None else clip.frames.crop(clip.area)
 
 

@@ -41,10 +41,10 @@ class ContrastRegion:
         return float((np.sqrt(long**2 + np.pi * self.area) - long) / np.pi)
 
     def why_no_disc(self, radius: float, tolerance: float, elongated: bool = False) -> str:
-        """Why it has not the shape of one disc that moved a little; '' if it has.
+        """Say why it is not the shape of one disc that moved a little; '' if it is.
 
-        radius, tolerance: of the disc, px, and relative to it. elongated: balls look elongated at rest,
-        so that their blur and the radius without it mean little.
+        radius, tolerance: of the disc, px, and relative to it. elongated: balls look elongated at rest. Their blur and
+        the radius without it then mean little.
         """
         smaller = 0.35 if elongated else tolerance
         if radius - self.minor >= tolerance * radius or radius - self.radius >= smaller * radius:

@@ -47,7 +47,7 @@ class View:
     settings: TrackerSettings = field(default_factory=TrackerSettings)
     """The user's settings; detectors use ``settings.detection``."""
     area: NDArray[np.bool_] | None = None
-    """Where (h, w) balls are looked for; None: everywhere. Positions outside are dropped, whatever the detector."""
+    """The pixels (h, w) among which balls are searched; None: all. Positions outside are dropped, by any detector."""
     radius: float | None = None
     """Radius of the balls that the user points at, px."""
     channel: str = GREY

@@ -190,7 +190,7 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
 def add_contact_errors(
     fit: CollisionFit, values: DerivedValues, tied: bool, camera: Camera, distance: tuple[float, float]
 ) -> DerivedValues:
-    """Add to the errors of a fit of an impact what a contact changes that takes time but is too short to be seen.
+    """Add the changes by a contact that is too short to be seen to the errors of a fit of an impact.
 
     distance: of the centres at the contact, as `measure_contact_distance` gives it. The longest contact that it leaves
     open lets the paths cross within one diameter, and plate friction presses the balls together while it lasts. A

@@ -58,7 +58,7 @@ def find_columns(names: Iterable[str], wanted: Iterable[str]) -> tuple[dict[str,
 
 
 def read_named_columns(rows: pd.DataFrame, where: str) -> TrackTable | None:
-    """A table whose columns have known names, with t (s) in place of frame if need be; None where some are missing."""
+    """A table whose columns have known names, or t (s) if frame is missing; None where some are missing."""
     columns, unit = find_columns(rows.columns, REQUIRED_COLUMNS)
     fps = math.nan
     if set(REQUIRED_COLUMNS) - set(columns) == {"frame"}:

@@ -31,8 +31,8 @@ NO_STRIKER = (
     " striker (a or b, the same in all rows of a clip): without it no effect of one ball alone can be found"
 )
 ROLES_CHANGE = (
-    "particle {} strikes in {} clips and particle {} in {}; where a number is the same ball in all clips, write a and b"
-    " in the column particle, which then says who strikes"
+    "particle {} strikes in {} clips and particle {} in {}. If a number is the same ball in all clips, write a and b"
+    " in the column particle: it then says who strikes"
 )
 OPTIONAL_COLUMNS = "t clip striker x_std y_std cov_xy ep".split()
 
@@ -183,7 +183,7 @@ def _infer_strikers(
 ) -> tuple[dict[int, tuple[Tracks, str | None]], Note]:
     """The clips with their strikers where two names of balls and their motion say them; and a note.
 
-    Numbers say nothing, since programs number balls anew in each clip.
+    Numbers say nothing, since programs number balls again in each clip.
     """
     movers = {number: find_first_mover(tracks) for number, (tracks, _) in clips.items()}
     particles = sorted({int(p) for tracks, _ in clips.values() for p in np.unique(tracks.particle)})
@@ -208,14 +208,14 @@ def find_first_mover(tracks: Tracks) -> int | None:
     particles, one, two = pair
     nearest = int(np.argmin(np.hypot(*(one - two).T)))
     moved = [float(np.hypot(*np.ptp(xy[:nearest], axis=0))) for xy in (one, two)] if nearest > 1 else [0.0, 0.0]
-    # a ball at rest scatters by its errors alone; two balls that both move are no certain case
+    # a ball at rest scatters by its errors alone; two balls that both move leave it open
     least_ratio, least_px = 5.0, 2.0
     certain = max(moved) > least_ratio * min(moved) and max(moved) > least_px
     return int(particles[int(np.argmax(moved))]) if certain else None
 
 
 def _names_striker(camera: CameraSource) -> bool:
-    """Whether the camera file says which ball strikes in all clips."""
+    """Tell whether the camera file says which ball strikes in all clips."""
     if isinstance(camera, Camera):
         return False
     keys = read_source(camera)

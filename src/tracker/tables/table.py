@@ -94,7 +94,7 @@ class TrackTable:
 
 
 def _holds_names(values: pd.Series) -> bool:
-    """Whether a column holds no numbers, or few."""
+    """Tell whether a column holds no numbers, or few."""
     known = values.dropna()
     return len(known) > 0 and bool(pd.to_numeric(known, errors="coerce").notna().sum() <= len(known) / 2)
 

@@ -260,7 +260,7 @@ class Discs:
         """Discs in frames spread over the film; decides whether balls are lit from one side or are dark."""
         areas_of_frames = list(self._survey())
         either = [p for areas in areas_of_frames for p in self._split(areas) if self._is_disc(p, given or p.minor)]
-        if self.in_colour:  # neither light nor shadow shows enough
+        if self.in_colour:  # light and shadow show too little
             return either
         self.signs = (1, -1)
         bright, shadowed, alone = list[ContrastRegion](), 0, 0
@@ -392,7 +392,7 @@ def _match_brightness(frame: NDArray[Any], level: NDArray[np.float32]) -> NDArra
 
 
 def _find_rays(centres: list[tuple[float, float]], radius: float, shape: tuple[int, ...]) -> Index:
-    """Index of the part of the picture in which the outlines of discs are looked for, as far as 1.6 radii away."""
+    """Index of the part of the picture that is searched for outlines of discs, up to 1.6 radii away."""
     reach = int(1.6 * radius) + 4
     (left, top), (right, bottom) = (np.round(edge(centres, axis=0)).astype(int) for edge in (np.min, np.max))
     rows = slice(max(top - reach, 0), min(bottom + reach + 1, shape[0]))

@@ -165,8 +165,8 @@ def delay_of_slides(
 def kept_share(r: Floats) -> tuple[Floats, Floats]:
     """Share of the speed lost to a small constant push after t_c that a contact does not give back, and its error.
 
-    A spring without loss gives all of it back. To first order in the push it is 2 (1 + r)^2 L/(pi^2 + L^2), L = -log r,
-    for a linear spring with a dashpot, and the largest for bodies that keep a dent: (1 - r)(1.07 + .2 r) by
+    A spring without loss gives all of it back. To first order in the push, a linear spring with a dashpot keeps
+    2 (1 + r)^2 L/(pi^2 + L^2), with L = -log r. Bodies that keep a dent keep most: (1 - r)(1.07 + .2 r), by
     integration. Hertz contacts with dashpots lie between. The error is that of laws spread evenly between the two.
     """
     loss = -np.log(r)
@@ -261,7 +261,7 @@ class LastingFit:
         return np.stack([before, after, x[..., -1] / self.diameter], -1)
 
     def _passage(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Of x (..., p): seconds (...) from the first touch to t_c and on to the end, radial speeds (...) at both."""
+        """Return times from the first touch to t_c and on to the end, s, and radial speeds at both; x: (..., p)."""
         free = np.asarray(self.problem.to_free(x), dtype=np.float64)
         d, n, t = (np.asarray(a, dtype=np.float64) for a in directions(free[..., 3], free[..., 4]))
         v0, distance = free[..., 5], x[..., -1]
