@@ -224,7 +224,11 @@ def score(
             if new:
                 shutil.rmtree(output, ignore_errors=True)
             raise
-    print(json.dumps(verdict.to_dict()) if as_json else "\n".join([*summarise(verdict), f"{path}"]))
+    print(
+        json.dumps(verdict.to_dict())
+        if as_json
+        else "\n".join([*summarise(verdict), *filter(None, [verdict.note]), f"{path}"])
+    )
 
 
 @app.command()

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+MIN_POSITIONS = 20  # from which on the kind of a position is judged
 MIN_MOTION_PX = 0.05  # per frame; a ball at rest always has the same sub-pixel phase
 
 
@@ -43,6 +44,13 @@ class MatchedDetections:
     def off(self) -> Floats:
         """Found minus true position, (n, 2) px."""
         return _xy(self.found)[self.pairs[:, 1]] - _true(self.truth)[self.pairs[:, 0]]
+
+    def sum_glint_squares(self) -> float:
+        """Sum the squared distances of the found positions from the true glints, px^2; NaN without glints."""
+        if "glint_x_px" not in self.truth:
+            return float("nan")
+        glints = self.truth[["glint_x_px", "glint_y_px"]].to_numpy(np.float64)[self.pairs[:, 0]]
+        return float(((_xy(self.found)[self.pairs[:, 1]] - glints) ** 2).sum())
 
     @property
     def moving(self) -> NDArray[np.bool_]:
@@ -100,7 +108,8 @@ def position_bounds(matched: MatchedDetections, camera: Camera) -> Floats:
 class PositionSums:
     """Sums over the positions of clips, which can be added.
 
-    squares, bound: of the errors of both axes, and of the traces of the bounds' covariances, px^2. Of each axis, over
+    squares, bound: of the errors of both axes, and of the traces of the bounds' covariances, px^2. glint_squares: of
+    the distances from the true glints, px^2; NaN where the truth has none. Of each axis, over
     moving balls: waves (2, 3, 3), products of cos, sin and 1 of the sub-pixel phase; errors (2, 3), the errors times
     these, px; moving_squares (2,), the squared errors, px^2.
     """
@@ -109,6 +118,7 @@ class PositionSums:
     missed: int
     false: int
     squares: float
+    glint_squares: float
     bound: float
     waves: Floats
     errors: Floats
@@ -117,7 +127,7 @@ class PositionSums:
     @classmethod
     def none(cls) -> PositionSums:
         """Make the sums of no clip."""
-        return cls(0, 0, 0, 0.0, 0.0, np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2))
+        return cls(0, 0, 0, 0.0, 0.0, 0.0, np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2))
 
     @classmethod
     def of(cls, matched: MatchedDetections, cov: Floats) -> PositionSums:
@@ -129,7 +139,8 @@ class PositionSums:
             terms = np.stack([np.cos(2 * np.pi * phase), np.sin(2 * np.pi * phase), np.ones_like(phase)])
             waves[axis], errors[axis], squares[axis] = terms @ terms.T, terms @ error, error @ error
         trace = float(np.trace(cov, axis1=1, axis2=2).sum())
-        return cls(len(off), matched.missed, matched.false, float((off**2).sum()), trace, waves, errors, squares)
+        sums = float((off**2).sum()), matched.sum_glint_squares(), trace
+        return cls(len(off), matched.missed, matched.false, *sums, waves, errors, squares)
 
     def __add__(self, other: PositionSums) -> PositionSums:
         return PositionSums(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
@@ -150,6 +161,11 @@ class PositionSums:
             "ratio": rmse / bound if bound else np.nan,
             "phase_bias_px": self._phase_bias(),
         }
+
+    @property
+    def are_glints(self) -> bool:
+        """Whether the positions are those of the glints, and not of the centres."""
+        return self.n >= MIN_POSITIONS and self.glint_squares < self.squares / 4
 
     def _phase_bias(self) -> float:
         worst = np.nan

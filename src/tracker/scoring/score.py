@@ -24,9 +24,18 @@ NO_TRACKS = pd.DataFrame({"frame": [], "particle": [], "x": [], "y": []}).astype
 ClipSums = tuple[PositionSums, TrackingCounts, dict[str, float]]  # of one clip; the last: bounds of its quantities
 
 
+GLINTS_NOT_CENTRES = (
+    "the positions are those of the glints, not of the balls' centres;"
+    " measure and score such a table with --point glint"
+)
+
+
 @dataclass(frozen=True)
 class DetectorScore:
-    """Scores of one set of results; table: a row per clip with each quantity Q, its truth Q_true and bound Q_bound."""
+    """Scores of one set of results.
+
+    table: a row per clip with each quantity Q, its truth Q_true and bound Q_bound. note: a likely mistake, or ''.
+    """
 
     suite: str
     detector: str
@@ -36,6 +45,7 @@ class DetectorScore:
     statuses: dict[str, int]
     ms_per_frame: float | None
     table: pd.DataFrame = field(repr=False)
+    note: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of score.json: plain numbers, None for unknown values."""
@@ -91,6 +101,7 @@ def score(
         statuses={"n": len(scalars)} | {str(k): int(v) for k, v in table["status"].value_counts().items()},
         ms_per_frame=ms_per_frame,
         table=table,
+        note=GLINTS_NOT_CENTRES if positions.are_glints else "",
     )
 
 

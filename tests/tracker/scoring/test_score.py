@@ -233,6 +233,20 @@ def test_a_shifted_detector_and_a_lost_clip_are_seen(data, tmp_path, found):
     assert some.quantities["r"]["n"] == whole.quantities["r"]["n"] - 1
 
 
+@pytest.mark.parametrize(
+    ("columns", "says"), [(["glint_x_px", "glint_y_px"], True), (["x_mean_px", "y_mean_px"], False)]
+)
+def test_glints_given_as_centres_are_seen(data, tmp_path, found, columns, says):
+    spoiled = tmp_path / "results"
+    shutil.copytree(found, spoiled)
+    for clip in range(CLIPS):
+        path = spoiled / "clips" / f"{clip:06d}" / "tracks.parquet"
+        truth, _ = truth_of(data, clip)
+        tracks = truth[["frame", "particle"]].assign(x=truth[columns[0]] + 0.02, y=truth[columns[1]])
+        tracks.to_parquet(path)
+    assert ("--point glint" in score(spoiled, data).note) == says
+
+
 def test_localisation_bound_is_used(data):
     truth, camera = truth_of(data, 0)
     tracks = noisy(truth, np.random.default_rng(0))
