@@ -362,6 +362,25 @@ def test_friction_between_balls_falls_with_speed():
     assert (slow, fast) == pytest.approx((0.01 + 0.108 * math.exp(-0.1 / 0.92), 0.01 + 0.108 * math.exp(-3 / 0.92)))
 
 
+@pytest.mark.parametrize("restitution", [0.05, 0.065, 0.08, 0.12])
+def test_three_balls_in_a_row_collapse_below_the_known_restitution(restitution):
+    """They collide without end if r < 7 - 4 sqrt(3) = 0.0718 (McNamara & Young, Phys. Fluids A 4 (1992) 496).
+
+    Without friction of the plate, from starts in which the middle ball is hit nearly from both sides at once. An
+    endless sequence reaches intervals under the contact duration within 20 impacts, a finite one does not.
+    """
+    smooth = {"sliding_friction": 1e-13, "spin_transfer": 0.0, "rolling_drag": 0.0, "rolling_decel": 0.0}
+    model = Model(restitution=restitution, **smooth)
+    endless = []
+    for more in (1.005, 1.01, 1.02):
+        places = np.array([[0.0, 0], [2 * R + 1e-3, 0], [4 * R + 1e-3 * (1 + more), 0]])
+        states = rolling_state(places, np.array([[1.0, 0], [0, 0], [-1.0, 0]]), 0.0, R)
+        motion = solve(model, Launch(0.0, states, bodies(3)), 0.0, 0.01, False, Table(contact_duration=1e-9))
+        times = np.array([e.t for e in motion.events if e.kind == "contact"])
+        endless.append(bool(np.any(np.diff(times) < 1e-9)))
+    assert any(endless) == (restitution < 7 - 4 * math.sqrt(3))
+
+
 @settings(max_examples=5)
 @given(st.floats(0.05, 0.25))
 def test_an_endless_sequence_ends_with_a_contact_duration(restitution):
