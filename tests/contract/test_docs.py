@@ -27,7 +27,13 @@ from synthcam_shared.settings import parse_yaml
 TOOL = runpy.run_path(str(ROOT / "tools/doc_blocks.py"))
 PAGES = TOOL["pages"]()
 BLOCKS = [block for page in PAGES for block in TOOL["blocks"](page)]
-CHEAP = ("background/physics.md", "background/statistics.md", "howto/effect.md", "howto/detector.md")
+CHEAP = (
+    "background/physics.md",
+    "background/statistics.md",
+    "howto/effect.md",
+    "howto/detector.md",
+    "howto/many_bodies.md",
+)
 NAMES = ("synthcam", "tracker", "discrepancy")
 PROGRAMS = {name: typer.main.get_command(import_module(f"{name}.cli").app) for name in NAMES}
 OTHERS = ("git", "cd", "pip", ".")  # commands of a shell, not looked into

@@ -53,7 +53,7 @@ def draw_paths(ax: Axes, motion: Trajectory, walls: Sequence[Wall]) -> None:
     few = len(places) <= MAX_LEGEND_BODIES
     for ball, (path, colour) in enumerate(zip(places, colours, strict=True)):
         ax.plot(*path.T, color=colour, label=f"ball {ball + 1}" if few else None, zorder=1)
-        if not few:
+        if len(places) > len(TWO_BALLS):
             ax.plot(*path[-1], "o", color=colour, ms=4, zorder=2)
     for event in motion.events if len(motion.events) <= MAX_MARKED_EVENTS else ():
         label, at = event.kind.replace("_", " "), np.searchsorted(times, event.t)
@@ -65,7 +65,8 @@ def draw_paths(ax: Axes, motion: Trajectory, walls: Sequence[Wall]) -> None:
             ax.plot(*places[ball, at], mark, label=None if label in known else label, ms=6, zorder=2, **style)
     ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     if ax.get_legend_handles_labels()[1]:
-        ax.legend(fontsize="small")
+        beside = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0)} if walls else {}
+        ax.legend(fontsize="small", **beside)
 
 
 def write_animation(
