@@ -65,7 +65,7 @@ def draw_paths(ax: Axes, motion: Trajectory, walls: Sequence[Wall]) -> None:
             ax.plot(*places[ball, at], mark, label=None if label in known else label, ms=6, zorder=2, **style)
     ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     if ax.get_legend_handles_labels()[1]:
-        beside = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0)} if walls else {}
+        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0)} if walls else {}
         ax.legend(fontsize="small", **beside)
 
 
