@@ -7,8 +7,11 @@ import runpy
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from discrepancy_clips import only
+from discrepancy_outsiders import FEW
 from repository import ROOT
 
+from synthcam.library import library
 from tracker.camera.camera import Camera
 
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
@@ -49,7 +52,9 @@ CHECKS = dict(zip(NOTEBOOKS, (of_simulation, of_tracking, of_search), strict=Tru
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_it_runs_and_says_what_is_true(path):
+def test_it_runs_and_says_what_is_true(path, monkeypatch):
+    """The search knows six effects and two free laws only."""
+    only(monkeypatch, ("force_place", "friction_heading"), **{name: library()[name] for name in (*FEW, "plate_tilt")})
     stored = json.loads(path.read_text())
     notebook = json.loads(path.read_text())
     plt.figure()  # left open by others, it is no output

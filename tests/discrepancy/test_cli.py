@@ -32,7 +32,9 @@ def recorded(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def report(recorded):
-    assert command("find", recorded / "results", "--model", MODEL, "-o", recorded / "report") == 0
+    with pytest.MonkeyPatch.context() as patch:
+        only(patch)
+        assert command("find", recorded / "results", "--model", MODEL, "-o", recorded / "report") == 0
     return recorded / "report"
 
 

@@ -6,7 +6,9 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from discrepancy_clips import only
 from discrepancy_files import NOISE, SCENE
+from discrepancy_outsiders import FEW
 from repository import ROOT
 
 from discrepancy.data.first_guess import guess_hit_from_outgoing, guess_spin
@@ -14,6 +16,7 @@ from discrepancy.data.reading import read_collisions
 from discrepancy.policy import current_policy
 from discrepancy.search import search
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
+from synthcam.library import library
 from synthcam.model import Model
 from synthcam.scene.scene import read_scene
 from tracker.tables.read import read_tracks
@@ -63,7 +66,9 @@ def test_what_the_balls_do_after_the_hit_tells_the_launch(filmed, late, speed):
     assert np.abs(np.median(off[:, 3:], axis=0)).max() < 2 / filmed[3]
 
 
-def test_a_search_names_what_tracks_from_the_hit_on_hide(filmed):
+def test_a_search_names_what_tracks_from_the_hit_on_hide(filmed, monkeypatch):
+    few = {name: library()[name] for name in (*FEW, "plate_tilt", "camera_tilt")}
+    only(monkeypatch, ("force_place", "friction_heading"), **few)
     clips, left_out = read_collisions(*cut(filmed, 0.0))
     assert (len(clips), left_out) == (CLIPS, [])
     assert all((clip.phases() != 0).all() for clip in clips)

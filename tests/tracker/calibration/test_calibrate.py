@@ -88,7 +88,7 @@ def test_every_hit_of_a_long_film_counts():
 def test_an_encoded_film_is_calibrated_by_its_contacts(tmp_path, capfd, monkeypatch):
     """H.264 smooths the plate and breaks up outlines: the scale comes from three hits, in a few passes."""
     rng = np.random.default_rng(6)
-    rolls = [collision(60, contact=25.3, speed=2.5, angle=angle, centre=(95, 80)) for angle in (0.4, 2.0, 3.9)]
+    rolls = [collision(30, contact=13.3, speed=2.5, angle=angle, centre=(95, 80)) for angle in (0.4, 2.0, 3.9)]
     frames = np.concatenate([film(rng, paths) for paths in rolls])
     codes = np.rint(16 + frames * (219 / 255)).astype(np.uint8)
     path = encode(tmp_path / "film.mp4", codes, rate=250, options={"crf": "23"})
@@ -109,7 +109,7 @@ def test_clips_count_alike_in_whatever_order_they_are_looked_at(tmp_path, monkey
     for k, angle in enumerate((0.4, 2.0, 3.9)):
         home = tmp_path / "films" / "clips" / f"{k:06d}"
         home.mkdir(parents=True)
-        paths = collision(24, contact=10.3, speed=2.5, angle=angle, centre=(95, 80))
+        paths = collision(16, contact=7.3, speed=2.5, angle=angle, centre=(95, 80))
         tifffile.imwrite(
             home / "frames.tif", film(np.random.default_rng(k), paths, sigma=1.2, profile=0.0), imagej=True
         )

@@ -16,16 +16,16 @@ def tracked(pictures):
 
 def test_takes_are_found_and_followed_apart():
     rng = np.random.default_rng(0)
-    first = film(rng, collision(30, 12))
-    second = film(rng, collision(30, 12), ground=plate(rng, 110.0))
+    first = film(rng, collision(20, 9))
+    second = film(rng, collision(20, 9), ground=plate(rng, 110.0))
     black = rng.integers(0, 2, (5, *first.shape[1:])).astype(np.uint8)
     joined = np.concatenate([first, black, second])
-    assert find_takes(wrap_frames(joined)).spans == ((0, 29), (35, 64))
+    assert find_takes(wrap_frames(joined)).spans == ((0, 19), (25, 44))
     result = tracked(joined)
     assert result.tracks.groupby("particle").frame.agg(["min", "max", "size"]).to_numpy().tolist() == [
-        [0, 29, 30], [0, 29, 30], [35, 64, 30], [35, 64, 30],
+        [0, 19, 20], [0, 19, 20], [25, 44, 20], [25, 44, 20],
     ]  # fmt: skip
-    assert "the film has 2 takes, each tracked on its own: frames 0 to 29, 35 to 64" in map(str, result.notes)
+    assert "the film has 2 takes, each tracked on its own: frames 0 to 19, 25 to 44" in map(str, result.notes)
     assert [row["collision"] for row in result.rows] == [0, 1]
 
 

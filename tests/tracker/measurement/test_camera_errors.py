@@ -15,7 +15,7 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure
 from tracker.results import to_centres
 
-CLIPS, FEW = 20, 12
+CLIPS = 12
 SHARE = 0.004
 KEYS = ("scale", "fps", "ball_diameter")
 
@@ -32,9 +32,9 @@ def wrong(camera, key, off, share=SHARE):
     return Camera.from_dict(given | ({f"{key}_std": share * given[key]} if share else {}))
 
 
-def drawn(data, key, clips=CLIPS):
+def drawn(data, key):
     rng, rows, truths = np.random.default_rng(5), [], scalars_of(data)
-    for clip in range(clips):
+    for clip in range(CLIPS):
         truth, camera = truth_of(data, clip)
         (row,) = measure(noisy(truth, rng), wrong(camera, key, rng.normal()))
         rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in QUANTITY_NAMES})
@@ -64,16 +64,16 @@ def test_a_camera_wrong_by_its_error_leaves_all_errors_true(own, key, touched, m
     assert dishonest(table, "_free") == []
     monkeypatch.setattr(estimate, "add_camera_errors", lambda fit, values, tied, camera: (fit, values))
     monkeypatch.setattr(estimate, "effects_to_json", lambda camera, blocks: {})
-    assert set(touched.split()) <= set(dishonest(drawn(own, key, FEW), ""))
+    assert set(touched.split()) <= set(dishonest(drawn(own, key), ""))
 
 
 LOW, OFF = 0.08, 0.012  # m: the lamp's height, and the error of each of its coordinates
 
 
-def lit(data, rng, clips):
+def lit(data, rng):
     """Rows of clips whose glints are of one lamp, taken to centres by another, which a person has measured."""
     rows, truths = [], scalars_of(data)
-    for clip in range(clips):
+    for clip in range(CLIPS):
         truth, camera = truth_of(data, clip)
         given = camera.to_dict() | {"lamp": {"position": [0.01, -0.01, LOW], "position_std": [OFF] * 3}}
         told = Camera.from_dict(given)
@@ -88,13 +88,13 @@ def lit(data, rng, clips):
 
 
 def test_a_lamp_that_stands_elsewhere_by_its_error_leaves_all_errors_true(own, monkeypatch):
-    table = lit(own, np.random.default_rng(11), CLIPS)
+    table = lit(own, np.random.default_rng(11))
     assert (table["status"] == "ok").all()
     assert dishonest(table, "") == ["w1n"]
     assert dishonest(table, "_free") == []
     assert set(json.loads(table["cov"][0])["shared"]) == {f"lamp.position[{axis}]" for axis in range(3)}
     monkeypatch.setattr(camera_errors.LampError, "move_track", lambda error, course, by, fps: course)
-    assert {"v0", "b"} <= set(dishonest(lit(own, np.random.default_rng(11), FEW), ""))
+    assert {"v0", "b"} <= set(dishonest(lit(own, np.random.default_rng(11)), ""))
 
 
 def test_the_lamps_error_is_not_that_of_outlines(own):

@@ -31,18 +31,20 @@ def z(row, name, true):
 DRAW = {"ux": 0.13 * np.cos(0.7), "uy": 0.13 * np.sin(0.7), "side": 0.0, "beta": 0.4, "C": 0.1}
 
 
-@pytest.mark.parametrize(
-    "spin", [DRAW, DRAW | {"side": 0.08}, {"ux": -0.1, "uy": 0.05, "side": 0.05, "beta": -0.5, "C": 0.2}]
-)
-def test_a_striker_that_slides_is_fitted_as_sliding(spin):
-    rows = [measure(tracks(seed, **spin), CAMERA).rows[0] for seed in range(4)]
-    for row in rows:
+SPINS = [DRAW, DRAW | {"side": 0.08}, {"ux": -0.1, "uy": 0.05, "side": 0.05, "beta": -0.5, "C": 0.2}]
+
+
+def test_a_striker_that_slides_is_fitted_as_sliding():
+    """Two films of each spin; the z of all together are as large as N(0, 1) makes them, within 4 sampling errors."""
+    every = []
+    for seed, spin in enumerate([*SPINS, *SPINS]):
+        row = measure(tracks(seed, **spin), CAMERA).rows[0]
         assert row["status"] == "ok"
         assert "striker slides" in row["flags"].split("|")
-    true = {"r": 0.903, "mu_k": 0.232, "v0": 0.3, "u2ix": spin["ux"], "u2iy": spin["uy"], "side2i": spin["side"]}
-    worst = [z(row, name, value) for row in rows for name, value in true.items()]
-    assert np.abs(worst).max() < 4
-    assert 0.5 < np.sqrt(np.mean(np.square(worst))) < 1.6
+        true = {"r": 0.903, "mu_k": 0.232, "v0": 0.3, "u2ix": spin["ux"], "u2iy": spin["uy"], "side2i": spin["side"]}
+        every += [z(row, name, value) for name, value in true.items()]
+    assert np.abs(every).max() < 4
+    assert abs(np.sqrt(np.mean(np.square(every))) - 1) < 4 / np.sqrt(2 * len(every))
 
 
 def test_side_spin_alone_is_found():
@@ -83,17 +85,17 @@ def pushed(seed, frames):
     rolls = whole[(whole["particle"] == 2) & (whole["frame"] < 22)]
     x, y = (np.polyfit(rolls["frame"], rolls[name], 2) for name in ("x", "y"))
     first = 22 - frames
-    back = np.maximum(np.arange(-60, first) - first, -12)  # frames before the push ends, 12 at most
+    back = np.maximum(np.arange(-30, first) - first, -12)  # frames before the push ends, 12 at most
     way = back + back**2 / 24  # of the speed with which it rolls off: evenly speeded up
-    start = pd.DataFrame({"frame": np.arange(-60, first), "particle": 2, "x_std": NOISE, "y_std": NOISE})
+    start = pd.DataFrame({"frame": np.arange(-30, first), "particle": 2, "x_std": NOISE, "y_std": NOISE})
     for name, fit in (("x", x), ("y", y)):
         speed = np.polyval(np.polyder(fit), first)
         start[name] = np.polyval(fit, first) + speed * way + rng.normal(0, NOISE, len(way))
     target = whole[whole["particle"] == 1]
-    rest = target.iloc[[0] * 60].assign(frame=np.arange(-60, 0))
-    rest[["x", "y"]] = target[["x", "y"]].iloc[:20].mean().to_numpy() + rng.normal(0, NOISE, (60, 2))
+    rest = target.iloc[[0] * 30].assign(frame=np.arange(-30, 0))
+    rest[["x", "y"]] = target[["x", "y"]].iloc[:20].mean().to_numpy() + rng.normal(0, NOISE, (30, 2))
     table = pd.concat([rest, start, whole[(whole["particle"] == 1) | (whole["frame"] >= first)]])
-    return table.assign(frame=table["frame"] + 60)
+    return table.assign(frame=table["frame"] + 30)
 
 
 @pytest.mark.parametrize("frames", [20, 12])
