@@ -120,9 +120,9 @@ def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
 def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):
     """The film is of discs; told that it is of glints, the tracker tries both and says so."""
     monkeypatch.setattr("tracker.recording.select_detector", lambda *_: ("maximum_likelihood", ""))
-    pictures = film(np.random.default_rng(8), collision(24, 10), 25.0, 0.3, np.full(SIZE, 150.0))
+    pictures = film(np.random.default_rng(8), collision(), 25.0, 0.3, np.full(SIZE, 150.0))
     result = tracker.track(pictures, CAMERA)
-    assert result.tracks.groupby("particle").size().tolist() == [24, 24]
+    assert result.tracks.groupby("particle").size().tolist() == [60, 60]
     assert any(
         note.startswith("detector: discs, because maximum_likelihood finds nothing (")
         for note in map(str, result.notes)
