@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from contextlib import suppress
 
@@ -123,11 +122,15 @@ def _difference_launches(
 
 
 def _difference_one_sided(model: Model, launch: Array, clip: MeasuredCollision) -> tuple[list[Array], list[Array]]:
+    """The same for one clip: all columns at once, or if that fails each to the side that has a motion."""
+    with suppress(ValueError):
+        return _difference_launches(model, launch[None], [clip])
     (here,) = predict_tracks(model, launch[None], [clip])
     slopes = np.zeros((*here.shape, len(launch)))
-    own = np.flatnonzero(find_free_columns(launch[None])[0]).tolist()
-    for j, step in itertools.product(own, (-LAUNCH_STEP, LAUNCH_STEP)):  # the later counts
-        with suppress(ValueError):
-            (there,) = predict_tracks(model, (launch + step * np.eye(len(launch))[j])[None], [clip])
-            slopes[..., j] = (there - here) / step
+    for j in np.flatnonzero(find_free_columns(launch[None])[0]).tolist():
+        for step in (LAUNCH_STEP, -LAUNCH_STEP):
+            with suppress(ValueError):
+                (there,) = predict_tracks(model, (launch + step * np.eye(len(launch))[j])[None], [clip])
+                slopes[..., j] = (there - here) / step
+                break
     return [here], [slopes]
