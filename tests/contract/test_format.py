@@ -41,7 +41,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "scenes").symlink_to(ROOT / "scenes")
     for command in [*readme, *scored]:
         fewer = command.replace("--clips 20", f"--clips 6 {small}")  # a search needs 6
-        fewer = fewer.replace("tracker track", "tracker track --no-pages")
         run(*shlex.split(fewer, comments=True), cwd=folder)
     return folder / "out"
 
@@ -118,7 +117,7 @@ def test_results_without_any_truth_are_the_same_bytes(made: Path, tmp_path: Path
     bare = tmp_path / "benchmark"
     shutil.copytree(made / "benchmark", bare, ignore=shutil.ignore_patterns("truth"))
     assert not list(bare.rglob("truth"))
-    run("tracker", "track", "--no-pages", "benchmark", "-o", "results", cwd=tmp_path)
+    run("tracker", "track", "benchmark", "-o", "results", cwd=tmp_path)
     whole = made / "benchmark_results"
     files = [p.relative_to(whole) for p in sorted(whole.rglob("*")) if p.is_file()]
     assert len(files) > 10
