@@ -118,7 +118,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
                 exposure=camera.exposure,
                 fixed=shared[rows],
                 width=width,
-                drift=shadow_drift if shaded[rows].any() else (0.0, 0.0),
+                drift=_limit_drift(shadow_drift, cov[rows]) if shaded[rows].any() else (0.0, 0.0),
                 has_errors=weighed,
                 noise_dof=np.inf if weighed else 0.0,
                 encoded=encoded,
@@ -130,6 +130,12 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
         return _with_codec_noise(found, camera) if encoded else found
     size = measure_scatter(found)
     return found if size is None else [track.scale_errors(size) for track in found]
+
+
+def _limit_drift(drift: tuple[float, float], cov: Floats, own_share: float = 1e-3) -> tuple[float, float]:
+    """A drift that leaves each position at least `own_share` of its variance: the ball may look smaller than it is."""
+    least = float(np.linalg.eigvalsh(cov)[:, 0].min())
+    return min(drift[0], float(np.sqrt((1 - own_share) * least))), drift[1]
 
 
 def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]:

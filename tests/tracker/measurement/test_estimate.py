@@ -312,3 +312,15 @@ def test_courses_carry_the_pixels_errors_into_metres(plain):
     np.testing.assert_allclose(np.sqrt(balls[0].cov[:, 0, 0]), NOISE * camera.scale, rtol=1e-3)
     true = truth[truth["particle"] == 0][["x", "y"]].to_numpy()
     assert np.abs(balls[0].position - true).max() < 6 * NOISE * camera.scale
+
+
+def test_a_shaded_ball_that_looks_smaller_than_its_diameter_is_measured(plain):
+    """The detector claims 1 % of the radius that it sees as a shift; camera.json may give a larger radius."""
+    truth, camera = truth_of(plain, 0)
+    tracks = noisy(truth, np.random.default_rng(0))
+    seen_px = 0.9 * camera.ball_diameter / 2 / camera.scale
+    shift = np.tile((0.01 * seen_px) ** 2 * np.eye(2), (len(tracks), 1, 1))
+    own = np.tile(1e-8 * np.eye(2), (len(tracks), 1, 1))
+    tracks = replace(tracks, cov=shift + own, fixed=shift, flags=np.full(len(tracks), "shaded"))
+    for ball in to_ball_tracks(tracks, camera):
+        assert np.isfinite(ball.whiten(ball.position)).all()
