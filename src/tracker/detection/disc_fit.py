@@ -135,7 +135,7 @@ def _fit_from(
     contrast = abs(float(np.median((now[-len(terms) :] @ terms)[inner])) - float(np.median(level)))
     if (
         away > max(_max_shift(look), 0.25 * long)
-        or np.hypot(0.25 * contrast, 1.2 * look.noise) < spread  # residuals of a quarter of the contrast: no disc
+        or np.hypot(0.25 * contrast, 1.2 * look.noise) <= spread  # residuals of a quarter of the contrast: no disc
     ):
         return None
     inverse = np.linalg.inv(normal)

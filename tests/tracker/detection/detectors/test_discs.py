@@ -9,6 +9,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.detect import detect, make_view
 from tracker.detection.detectors.discs import Discs
+from tracker.detection.disc_fit import DiscAppearance, fit_disc
 from tracker.detection.glints import PositionFlag
 from tracker.detection.still_background import estimate_still_background
 
@@ -58,6 +59,14 @@ def test_the_background_that_balls_leave_free_has_true_errors():
     z = (found.level - ground)[found.known] / found.error[found.known]
     assert found.known.mean() > 0.99
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_ground_alone_is_no_disc():
+    """Clipped black, without noise: nothing differs from the ground, so the residuals are zero."""
+    black = np.zeros((40, 40), np.uint8)
+    ground = estimate_still_background([black] * 5, 0.0)
+    look = DiscAppearance(radius=9.0, noise=0.0)
+    assert fit_disc(black, ground, np.array([20.0, 20.0]), look, np.zeros(2), []) is None
 
 
 def test_the_diameter_is_found_from_the_film():
