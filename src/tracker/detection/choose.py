@@ -106,9 +106,10 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     best = next(name for name, rating in found.items() if rating.score >= 0.9 * most)  # the plainest of equals
     if most < MIN_SCORE or most < (1.5 if found[GREY].share > 0.5 else 1.2) * found[GREY].score:
         return GREY, ""
+    fewer = found[best].bodies < found[GREY].bodies
     return best, (
         f"channel: {best}, because it shows {found[best].describe()}, and grey {found[GREY].describe()}; "
-        "--channel overrides this"
+        f"--channel overrides this{', and --ball X,Y@FRAME points at a ball that only grey shows' if fewer else ''}"
     )
 
 

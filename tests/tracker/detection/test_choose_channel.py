@@ -8,6 +8,7 @@ import tracker
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
+from tracker.detection import choose
 from tracker.detection.choose import choose_channel
 from tracker.notes import COLOUR_TO_GREY
 
@@ -48,6 +49,13 @@ def test_grey_is_kept_where_it_shows_as_much():
         "",
     )
     assert choose_channel(wrap_frames(film(np.random.default_rng(0), apart(9))), Camera.from_dict(CAMERA))[1] == ""
+
+
+def test_a_plane_that_shows_fewer_balls_than_grey_says_how_to_point_at_the_others(monkeypatch):
+    ratings = iter([choose._Rating(30, 0.2), *[choose._Rating(15, 1.0)] * 20])
+    monkeypatch.setattr(choose, "_rate_plane", lambda *_: next(ratings))
+    note = choose_channel(wrap_frames(cloth(apart(9), (WHITE, WHITE))), Camera.from_dict(CAMERA))[1]
+    assert note.endswith("--channel overrides this, and --ball X,Y@FRAME points at a ball that only grey shows")
 
 
 @pytest.mark.parametrize(("pictures", "name", "said"), [
