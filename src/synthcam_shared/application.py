@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from synthcam_shared.errors import CALLED_BY_COMMAND
 from synthcam_shared.interruption import raise_if_interrupted, was_interrupted, watch_ctrl_c
 
 UsageError: Any = typer.BadParameter.__mro__[1]  # of click, or of the copy of click in typer
@@ -50,7 +51,7 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
     interrupted.
     """
     sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # names of files that are not UTF-8
-    with watch_ctrl_c():
+    with watch_ctrl_c(), _as_command():
         try:
             status = app(prog_name=name, standalone_mode=False)
             if status == 130:  # typer makes this of Ctrl-C
@@ -67,6 +68,15 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
             print(line, file=sys.stderr)
             raise SystemExit(2) from None
         raise SystemExit(status or 0)
+
+
+@contextmanager
+def _as_command() -> Iterator[None]:
+    before = CALLED_BY_COMMAND.set(True)
+    try:
+        yield
+    finally:
+        CALLED_BY_COMMAND.reset(before)
 
 
 def _describe_error(error: BaseException, name: str, wrong: tuple[type[Exception], ...]) -> str | None:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from numbers import Integral, Real
 from typing import Any, ParamSpec, TypeVar
 
-from synthcam_shared.errors import InputError
+from synthcam_shared.errors import CALLED_BY_COMMAND, InputError
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
@@ -30,7 +30,7 @@ def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Retu
     """Raise InputError, and no other error, for arguments of another type than the function's signature says.
 
     Annotations of plain types and classes are checked; others are the function's own business. The InputErrors of the
-    function name `--option` as "argument option".
+    function name `--option` as "argument option", unless a command called it.
     """
     signature = inspect.signature(function)
 
@@ -44,7 +44,7 @@ def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Retu
         try:
             return function(*args, **kwargs)
         except InputError as error:
-            text = _name_arguments(str(error))
+            text = str(error) if CALLED_BY_COMMAND.get() else _name_arguments(str(error))
             if text == str(error):
                 raise
             raise type(error)(text) from None

@@ -1,5 +1,10 @@
 """The errors that a user may meet: bad input, a faulty plugin, and no OpenGL."""
 
+from contextvars import ContextVar
+
+# Whether a command calls the library: errors then name its options, and else the arguments of the function.
+CALLED_BY_COMMAND: ContextVar[bool] = ContextVar("called_by_command", default=False)
+
 
 class InputError(ValueError):
     """Bad input: one line that names the file, the key or frame, and what was expected."""

@@ -120,13 +120,13 @@ class _EventLoop:
             self.past = [self._past_legs(k, states[k], launch.time) for k in states]
         self.calendar = Calendar(self.radius, self.walls, max(end, self.t))
         self.legs: list[Leg] = []
+        self.unsettled: set[int] = set()  # balls that slide or fly
         self._start_legs(states)
 
     def motion(self, max_events: int) -> Trajectory:
         """Run to the end. Raises ValueError after `max_events`: the motion does not settle."""
         for _ in range(max_events):
-            busy = self.finish_slides and any(leg.motion in ("slide", "fly") for leg in self.legs)
-            due = self.calendar.pop(math.inf if busy else max(self.end, self.t))
+            due = self.calendar.pop(math.inf if self.finish_slides and self.unsettled else max(self.end, self.t))
             if due is None:
                 break
             self.t = due.t
@@ -162,6 +162,8 @@ class _EventLoop:
                 self.legs[k] = leg
         else:
             self.legs = legs
+        self.unsettled.difference_update(states)
+        self.unsettled.update(k for k in states if self.legs[k].motion in ("slide", "fly"))
         self.calendar.renew(self.legs, states, self.t, until)
 
     def _archive_leg(self, k: int) -> None:

@@ -115,12 +115,12 @@ def test_a_changed_file_is_another_run(folder, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("given", "line"),
     [
-        ("none.py", "--detector none.py: no such file; expected FILE.py, FILE.py:NAME or MODULE:NAME"),
+        ("none.py", "argument detector none.py: no such file; expected FILE.py, FILE.py:NAME or MODULE:NAME"),
         ("two.py", "expected one class or function in it, found one, other; say two.py:NAME"),
-        ("my.py:darkest", "--detector my.py:darkest: no darkest in it; there are brightest"),
+        ("my.py:darkest", "argument detector my.py:darkest: no darkest in it; there are brightest"),
         ("broken.py", "broken.py: line 2: ZeroDivisionError: division by zero"),
         ("leaves.py", "leaves.py: line 2: SystemExit: 0"),
-        ("no_such_module:Class", "--detector no_such_module:Class: ModuleNotFoundError"),
+        ("no_such_module:Class", "argument detector no_such_module:Class: ModuleNotFoundError"),
         (3, "detector: of type int, expected a name, a function or a class"),
         (dict, "detector dict: expected a method __call__(frame) or detect(frames)"),
         (lambda frame: "here", "returned str, expected positions (n, 2): x and y in px"),
