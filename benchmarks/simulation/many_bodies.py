@@ -30,7 +30,7 @@ from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.dynamics.table import Table
 from synthcam.dynamics.trajectory import Trajectory
-from synthcam.dynamics.walls import Segment, Wall
+from synthcam.dynamics.walls import StraightWall, Wall
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.model import Bodies, Model
 
@@ -58,7 +58,7 @@ def box(
     """Four walls about a rectangle from the origin, m."""
     corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
     sides = itertools.pairwise([*corners, corners[0]])
-    return tuple(Segment(restitution, friction, 0.0, nose, start=a, end=b) for a, b in sides)
+    return tuple(StraightWall(restitution, friction, 0.0, nose, start=a, end=b) for a, b in sides)
 
 
 def like(count: int, radius: float, mass: float) -> Bodies:

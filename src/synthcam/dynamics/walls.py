@@ -52,7 +52,7 @@ class Wall(ABC):
 
 
 @dataclass(frozen=True)
-class Segment(Wall):
+class StraightWall(Wall):
     """A straight wall between two points, m. A ball may touch either side, or an end."""
 
     start: tuple[float, float] = (0.0, 0.0)

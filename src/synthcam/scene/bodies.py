@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from synthcam.dynamics.kinematics import plate_state, push_share
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.table import Air, DryPlate, Scatter, Support, Table
-from synthcam.dynamics.walls import Rim, Segment, Wall
+from synthcam.dynamics.walls import Rim, StraightWall, Wall
 from synthcam.model import Ball, Bodies, Model
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings
@@ -117,7 +117,7 @@ class ScatterSettings(Settings):
     normal: Annotated[float, Field(ge=0, le=0.5)] = 0.0
 
 
-class TableSettings(Settings):
+class ManyBodiesSettings(Settings):
     """The sections of a scene of many bodies; without `launches` the scene has one pair, or one ball."""
 
     bodies: BodySettings | Annotated[list[BodySettings], Field(min_length=1)] = BodySettings()
@@ -182,7 +182,7 @@ def _build_support(model: Model, settings: dict[str, Any]) -> Support | None:
 def _build_wall(settings: dict[str, Any]) -> Wall:
     law: dict[str, Any] = {k: settings.get(k) for k in ("restitution", "friction", "tangential_restitution", "height")}
     if settings.get("start"):
-        return Segment(**law, start=tuple(settings["start"]), end=tuple(settings["end"]))
+        return StraightWall(**law, start=tuple(settings["start"]), end=tuple(settings["end"]))
     return Rim(**law, centre=tuple(settings["centre"]), radius=settings["radius"], inside=settings["inside"])
 
 
@@ -225,10 +225,10 @@ def _check_places(states: NDArray[np.float64], bodies: Bodies, walls: tuple[Wall
 
 def _closed_loop(walls: tuple[Wall, ...]) -> NDArray[np.float64] | None:
     """Return the corners (n, 2) of the walls where all are straight and each begins where the one before ends."""
-    if len(walls) < 3 or not all(isinstance(w, Segment) for w in walls):
+    if len(walls) < 3 or not all(isinstance(w, StraightWall) for w in walls):
         return None
-    starts = np.array([w.start for w in walls if isinstance(w, Segment)])
-    ends = np.array([w.end for w in walls if isinstance(w, Segment)])
+    starts = np.array([w.start for w in walls if isinstance(w, StraightWall)])
+    ends = np.array([w.end for w in walls if isinstance(w, StraightWall)])
     return starts if np.allclose(np.roll(starts, -1, axis=0), ends) else None
 
 

@@ -26,7 +26,7 @@ from synthcam.model import (
     table_settings,
 )
 from synthcam.scene.apparatus import CameraSettings, SceneLampSettings, SensorSettings, SurfaceSettings, VideoSettings
-from synthcam.scene.bodies import TableSettings
+from synthcam.scene.bodies import ManyBodiesSettings
 from synthcam.scene.clip import Clip, build_clip
 from synthcam.scene.distribution import (
     draw,
@@ -97,7 +97,7 @@ def scene_file() -> type[Settings]:
         "sensor": SensorSettings,
     }
     fields: dict[str, Any] = {k: (v, v()) for k, v in sections.items()}
-    fields |= {k: (f.annotation, f) for k, f in TableSettings.model_fields.items()}
+    fields |= {k: (f.annotation, f) for k, f in ManyBodiesSettings.model_fields.items()}
     fields["free_laws"] = (table_settings() | None, None)
     return create_model(
         "Scene",
@@ -280,9 +280,9 @@ def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:
         raise to_input_error(e, where, scene_file()) from None
     if "launches" in settings:
         return settings
-    for key in (k for k in TableSettings.model_fields if k in plain):
+    for key in (k for k in ManyBodiesSettings.model_fields if k in plain):
         raise InputError(f"{where}: {key}: of a scene of many bodies; expected `launches` with it")
-    return {k: v for k, v in settings.items() if k not in TableSettings.model_fields}
+    return {k: v for k, v in settings.items() if k not in ManyBodiesSettings.model_fields}
 
 
 MAX_DEPTH = 8  # of a key under others; scenes have 2

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.dynamics.trajectory import Trajectory
-from synthcam.dynamics.walls import Rim, Segment, Wall
+from synthcam.dynamics.walls import Rim, StraightWall, Wall
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def draw_walls(ax: Axes, walls: Sequence[Wall]) -> None:
     """Draw walls in mm."""
     angle = np.linspace(0, 2 * np.pi, 181)
     for wall in walls:
-        if isinstance(wall, Segment):
+        if isinstance(wall, StraightWall):
             x, y = np.array([wall.start, wall.end]).T
         elif isinstance(wall, Rim):
             x, y = (wall.centre[k] + wall.radius * f(angle) for k, f in enumerate((np.cos, np.sin)))

@@ -17,7 +17,7 @@ from synthcam.dynamics.kinematics import contact_velocity, plate_state, rolling_
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.dynamics.table import Air, DryPlate, Scatter, Table
-from synthcam.dynamics.walls import Rim, Segment
+from synthcam.dynamics.walls import Rim, StraightWall
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
 from synthcam.effects.plate_tilt import PlateTilt
@@ -37,7 +37,7 @@ def bodies(count, inertia=0.4, mass=M):
 
 def box(width, height, **law):
     corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
-    return tuple(Segment(start=a, end=b, **law) for a, b in itertools.pairwise([*corners, corners[0]]))
+    return tuple(StraightWall(start=a, end=b, **law) for a, b in itertools.pairwise([*corners, corners[0]]))
 
 
 def tray(count, seed=0, speed=0.3, share=0.3):
@@ -57,7 +57,7 @@ def test_a_break_is_pooltools_until_rounding_grows():
     corners = [(a, b) for a, b in ((early, early), (width - early, early))]
     corners += [(width - early, height - early), (early, height - early)]
     ring = itertools.pairwise([*corners, corners[0]])
-    walls = tuple(Segment(start=a, end=b, height=THEIRS["height"], **law) for a, b in ring)
+    walls = tuple(StraightWall(start=a, end=b, height=THEIRS["height"], **law) for a, b in ring)
     states = np.array(THEIRS["start"])
     states[:, 2] = radius
     full = np.ones(len(states))
@@ -84,7 +84,7 @@ def test_a_break_is_pooltools_until_rounding_grows():
 @pytest.mark.parametrize("hit", THEIRS["cushion"])
 def test_a_cushion_is_hans_as_pooltool_has_it(hit):
     radius = THEIRS["radius"]
-    wall = Segment(0.85, hit["friction"], 0.0, THEIRS["height"], start=(0.1, -1.0), end=(0.1, 1.0))
+    wall = StraightWall(0.85, hit["friction"], 0.0, THEIRS["height"], start=(0.1, -1.0), end=(0.1, 1.0))
     before = np.array(hit["before"])
     ours = hit_wall(Model(), wall, tuple(before.tolist()), (radius, THEIRS["mass"], 0.4))
     np.testing.assert_allclose(ours.after, hit["after"], rtol=1e-12, atol=1e-10)
@@ -97,7 +97,7 @@ def test_a_wall_takes_what_its_law_says(restitution, friction, beta, inertia, se
     rng = np.random.default_rng(seed)
     state = np.array([0, R, R, *rng.uniform(-1, 1, 2), 0, *rng.uniform(-300, 300, 3)])
     state[4] = -abs(state[4]) - 0.01
-    wall = Segment(restitution, friction, beta, start=(-1.0, 0.0), end=(1.0, 0.0))
+    wall = StraightWall(restitution, friction, beta, start=(-1.0, 0.0), end=(1.0, 0.0))
     loose = Model(effects=(Hop(share=1.0),))  # the plate holds nothing back
     hit = hit_wall(loose, wall, tuple(state.tolist()), (R, M, inertia))
     after, n = np.array(hit.after), np.array([0.0, 1.0, 0.0])
@@ -136,7 +136,7 @@ def test_a_billiard_in_a_circle():
 
 
 def test_the_end_of_a_wall_is_a_point():
-    wall = Segment(start=(0.0, 0.0), end=(0.0, 1.0))
+    wall = StraightWall(start=(0.0, 0.0), end=(0.0, 1.0))
     states = rolling_state(np.array([[-0.05, -R / 2]]), np.array([[0.3, 0.0]]), 0.0, R)
     model = Model(rolling_drag=0.0, rolling_decel=0.0)
     hit = solve(model, Launch(0.0, states, bodies(1)), 0.0, 0.3, table=Table((wall,))).first("wall")
