@@ -110,7 +110,7 @@ def test_a_wall_takes_what_its_law_says(restitution, friction, beta, inertia, se
     impulse, (was, now) = (after - state)[3:6] - (after - state)[4] * n, (surface(s) for s in (state, after))
     largest = friction * (after - state)[4]
     sticks = (1 + beta) * np.linalg.norm(was) / (1 + 1 / inertia) < largest
-    assert np.linalg.norm(impulse) <= largest * (1 + 1e-9)
+    assert np.linalg.norm(impulse) <= largest * (1 + 1e-9) + 1e-15  # velocities of 1 m/s are rounded
     if sticks:
         np.testing.assert_allclose(now, -beta * was, rtol=0, atol=1e-12)
     # angular momentum about the point of contact
