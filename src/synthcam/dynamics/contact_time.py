@@ -48,12 +48,10 @@ def find_contact(a: Leg, b: Leg, t: float, horizon: float, reach: float, first: 
             touched += 1
             if touched > MAX_TOUCHING_STEPS:
                 raise ValueError("two balls " + STAYING.format(begun))
-        step = time_to_close(gap, rate, steepest)
-        if t + step > horizon:
-            return None
-        if t + step == t and rate < 0:  # closer than the last bit of the time resolves
-            return t
-        t = max(t + step, math.nextafter(t, math.inf))
+        then = _step_on(t, time_to_close(gap, rate, steepest), rate, horizon)
+        if then is None or then == t:
+            return then
+        t = then
 
 
 def find_wall_contact(ball: Leg, wall: Wall, t: float, horizon: float, radius: float) -> float | None:
@@ -71,13 +69,19 @@ def find_wall_contact(ball: Leg, wall: Wall, t: float, horizon: float, radius: f
                 return t
             if gap < -OVERLAP_TOLERANCE * radius:
                 raise ValueError(f"a ball is {-gap:.3g} m deep in a wall at {t:.6g} s")
-            gap, rate = (touching, 0.0) if rate <= 0 else (max(gap, 0.0), rate)
-            touched += 1
+            gap, touched = max(gap, touching if rate == 0 else 0.0), touched + 1
             if touched > MAX_TOUCHING_STEPS:
                 raise ValueError(f"a ball and a wall {STAYING.format(begun)}")
-        step = wall.time_to_close(state, gap, rate, steepest)
-        if t + step > horizon:
-            return None
-        if t + step == t and rate < 0:
-            return t
-        t = max(t + step, math.nextafter(t, math.inf))
+        then = _step_on(t, wall.time_to_close(state, gap, rate, steepest), rate, horizon)
+        if then is None or then == t:
+            return then
+        t = then
+
+
+def _step_on(t: float, step: float, rate: float, horizon: float) -> float | None:
+    """Return the time after a step, t itself at a contact closer than its last bit, or None beyond the horizon."""
+    if t + step > horizon:
+        return None
+    if t + step == t and rate < 0:
+        return t
+    return max(t + step, math.nextafter(t, math.inf))
