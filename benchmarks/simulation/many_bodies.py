@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from benchmarks.harness import ROOT, save
+from synthcam.dynamics.contacts.walls import StraightWall, Wall
 from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.dynamics.table import Table
 from synthcam.dynamics.trajectory import Trajectory
-from synthcam.dynamics.walls import StraightWall, Wall
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.model import Bodies, Model
 

@@ -67,14 +67,15 @@ LAYERS = {
     ],
     "synthcam.dynamics": [
         "kinematics collocation",
-        "trajectory impact forces",
-        "integrated_motion contact_time orientation",
-        "propagate launch",
-        "start_from_rest segments",
+        "trajectory forces",
+        "integrated_motion orientation supports",
+        "propagate launch contacts",
+        "start_from_rest segments table",
         "interacting_pair",
         "solve",
         "batch",
     ],
+    "synthcam.dynamics.contacts": ["walls", "impact contact_time", "calendar"],
     "synthcam.camera": [
         "lamp psf",
         "reflections surface",
@@ -222,7 +223,7 @@ def tops(path):
 
 def test_there_is_something_to_read():
     assert {"synthcam.dynamics.solve", "tracker.measurement.collision.collision_model", "discrepancy"} <= KNOWN
-    assert "synthcam.dynamics.kinematics" in ARROWS["synthcam.dynamics.impact"]
+    assert "synthcam.dynamics.kinematics" in ARROWS["synthcam.dynamics.contacts.impact"]
     for finder in (
         "synthcam.library",
         "synthcam.dataset.export",

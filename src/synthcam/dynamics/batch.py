@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.dynamics import kinematics
-from synthcam.dynamics.contact_time import STAYING
+from synthcam.dynamics.contacts.contact_time import STAYING
+from synthcam.dynamics.contacts.impact import collide, land
 from synthcam.dynamics.forces import (
     FLY,
     LAWS,
@@ -27,7 +28,6 @@ from synthcam.dynamics.forces import (
     classify_modes,
     find_ending_slip,
 )
-from synthcam.dynamics.impact import collide, land
 from synthcam.dynamics.integrated_motion import snap_to_goal
 from synthcam.dynamics.kinematics import Array, contact_velocity, interpolate_hermite, rolling_state, rolling_velocity
 from synthcam.dynamics.launch import NO_SPIN, Launch, touching

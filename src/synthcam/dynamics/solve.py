@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
-from synthcam.dynamics.calendar import Calendar
-from synthcam.dynamics.contact_time import MIN_IMPACT_SPEED_M_S, STAYING
+from synthcam.dynamics.contacts.calendar import Calendar
+from synthcam.dynamics.contacts.contact_time import MIN_IMPACT_SPEED_M_S, STAYING
+from synthcam.dynamics.contacts.impact import MIN_BOUNCE_SPEED_M_S, ContactChange, hit_wall, land, strike
 from synthcam.dynamics.forces import (
     LAWS,
     NOWHERE,
@@ -19,7 +20,6 @@ from synthcam.dynamics.forces import (
     classify_modes,
     find_ending_slip,
 )
-from synthcam.dynamics.impact import MIN_BOUNCE_SPEED_M_S, ContactChange, hit_wall, land, strike
 from synthcam.dynamics.interacting_pair import HELD, LEAD_TIME_S, InteractingPair, make_leg, make_start_event
 from synthcam.dynamics.kinematics import (
     TOUCH_TOLERANCE,

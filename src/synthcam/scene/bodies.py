@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from synthcam.dynamics.contacts.walls import Rim, StraightWall, Wall
 from synthcam.dynamics.kinematics import plate_state, push_share
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.table import Air, DryPlate, Scatter, Support, Table
-from synthcam.dynamics.walls import Rim, StraightWall, Wall
+from synthcam.dynamics.supports import Air, DryPlate, Support
+from synthcam.dynamics.table import Scatter, Table
 from synthcam.model import Ball, Bodies, Model
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
-from synthcam.dynamics.impact import join_inertia
+from synthcam.dynamics.contacts.impact import join_inertia
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.trajectory import Event, Trajectory

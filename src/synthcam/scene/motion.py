@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.trajectory import Trajectory
-from synthcam.dynamics.walls import Wall
 from synthcam.scene import ground_truth
 from synthcam.scene.table_drawing import draw_paths, write_animation
 from synthcam_shared.errors import InputError

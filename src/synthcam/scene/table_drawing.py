@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam.dynamics.contacts.walls import Rim, StraightWall, Wall
 from synthcam.dynamics.trajectory import Trajectory
-from synthcam.dynamics.walls import Rim, StraightWall, Wall
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:

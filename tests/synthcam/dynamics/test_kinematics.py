@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synthcam.dynamics.impact import collide, strike
+from synthcam.dynamics.contacts.impact import collide, strike
 from synthcam.dynamics.kinematics import (
     after_flight,
     after_rolling,

@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from synthcam.dynamics import calendar
-from synthcam.dynamics.impact import hit_wall
+from synthcam.dynamics.contacts import calendar
+from synthcam.dynamics.contacts.impact import hit_wall
+from synthcam.dynamics.contacts.walls import Rim, StraightWall
 from synthcam.dynamics.kinematics import contact_velocity, plate_state, rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.dynamics.table import Air, DryPlate, Scatter, Table
-from synthcam.dynamics.walls import Rim, StraightWall
+from synthcam.dynamics.supports import Air, DryPlate
+from synthcam.dynamics.table import Scatter, Table
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
 from synthcam.effects.plate_tilt import PlateTilt

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from synthcam.dynamics.batch import solve_collisions
-from synthcam.dynamics.impact import collide
+from synthcam.dynamics.contacts.impact import collide
 from synthcam.dynamics.launch import Launch, touching
 from synthcam.dynamics.solve import solve
 from synthcam.effects.ball_friction import BallFriction

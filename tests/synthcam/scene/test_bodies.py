@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 
-from synthcam.dynamics.table import Air
+from synthcam.dynamics.supports import Air
 from synthcam.scene.bodies import MAX_BODIES
 from synthcam.scene.scene import Scene, check_scene
 from synthcam_shared.errors import InputError

@@ -14,9 +14,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from synthcam.dynamics.contact_time import OVERLAP_TOLERANCE, find_contact, find_wall_contact
+from synthcam.dynamics.contacts.contact_time import OVERLAP_TOLERANCE, find_contact, find_wall_contact
+from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.trajectory import Leg, Rest, Roll
-from synthcam.dynamics.walls import Wall
 
 MAX_NEIGHBOURS = 12  # that a ball may come near while it looks ahead
 MAX_LOOK_S = 10.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synthcam.dynamics.calendar import Calendar
+from synthcam.dynamics.contacts.calendar import Calendar
 from synthcam.dynamics.trajectory import Rest, Roll, Slide
 
 R = 1.19e-3

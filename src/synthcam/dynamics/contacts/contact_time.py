@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
+from synthcam.dynamics.contacts.walls import Wall, time_to_close
 from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, State
 from synthcam.dynamics.trajectory import Leg
-from synthcam.dynamics.walls import Wall, time_to_close
 
 MIN_IMPACT_SPEED_M_S = 1e-9  # softer impacts belong to an endless sequence, which a restitution under 0.4 may bring
 STAYING = "stay in contact from {:.6g} s on: only separate impacts are modelled"

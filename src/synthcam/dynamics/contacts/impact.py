@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.kinematics import (
     Array,
     Real,
@@ -17,7 +18,6 @@ from synthcam.dynamics.kinematics import (
     push_share,
     slip_rate,
 )
-from synthcam.dynamics.walls import Wall
 from synthcam.model import Bodies, Model
 
 MIN_BOUNCE_SPEED_M_S = 1e-7  # a lower bounce, some 10 ns, and all that follow it are taken together

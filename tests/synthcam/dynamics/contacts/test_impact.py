@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from synthcam.dynamics.impact import MIN_BOUNCE_SPEED_M_S, collide, land
+from synthcam.dynamics.contacts.impact import MIN_BOUNCE_SPEED_M_S, collide, land
 from synthcam.dynamics.kinematics import contact_velocity, rolling_velocity
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
