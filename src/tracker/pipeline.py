@@ -171,8 +171,18 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
     if not folder.is_dir() or not note.is_file():
         raise InputError(f"{folder}: exists and holds something else, expected a new folder for the results")
     known = results.load_json(note)
-    if not isinstance(known, dict) or {k: v for k, v in known.items() if k != results.SEEN} != plan:
-        raise InputError(f"{folder}: holds the results of another run, expected a new folder for the results")
+    known = {k: v for k, v in known.items() if k != results.SEEN} if isinstance(known, dict) else {}
+    if known == plan:
+        return
+    names = [name for name in sorted({*known, *plan}) if known.get(name) != plan.get(name)]
+    differs = ", ".join(
+        f"{name} {known.get(name)} instead of {plan.get(name)}" if name in ("detector", "clips", "made_by") else name
+        for name in names
+    )
+    if folder.suffix == ".partial":
+        advice = "remove it, or repeat the command that was interrupted, which then goes on"
+        raise InputError(f"{folder}: left by an interrupted run of other options or files ({differs}); {advice}")
+    raise InputError(f"{folder}: holds the results of another run ({differs}), expected a new folder for the results")
 
 
 def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:

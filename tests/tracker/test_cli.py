@@ -120,6 +120,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(dataset, tracked, tmp_path
         pipeline.run(dataset, output, "maximum_likelihood", 1)
     assert not output.exists()
     (tmp_path / "results.partial/clips/000001.tmp").mkdir()
+    with pytest.raises(InputError, match=r"left by an interrupted run .*\(detector maximum_likelihood instead of cent"):
+        pipeline.run(dataset, output, "centroid", 1)
     monkeypatch.setattr(recording, "track_clip", real)
     outcome = pipeline.run(dataset, output, "maximum_likelihood", 1)
     assert (outcome.clips, outcome.fresh) == (2, 1)

@@ -23,7 +23,7 @@ class Takes:
     scenes: tuple[int, ...]
     """A number for each take: takes of one number show the same scene."""
     repeated: frozenset[int]
-    """Frames that show the previous one again."""
+    """Frames that nearly show the previous one again, beside the copies that the reader of the film leaves out."""
     noise: float
     """Standard deviation of one pixel in one frame, counts."""
 
@@ -35,7 +35,8 @@ class Takes:
             notes.append(f"the film has {len(self.spans)} takes, each tracked on its own: frames {cut}")
         if self.repeated:
             first = min(self.repeated)
-            notes.append(f"{len(self.repeated)} frames repeat the previous one and are left out, frame {first} first")
+            much = "nearly repeat the previous one, with less than a fifth of the usual change,"
+            notes.append(f"{len(self.repeated)} frames {much} and are left out, frame {first} first")
         return notes
 
     def scene_of_frames(self) -> dict[int, int]:

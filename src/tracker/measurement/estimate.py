@@ -31,6 +31,8 @@ from tracker.measurement.collision.adequacy import (
     HIDDEN_SLIDE,
     MEASURED,
     MISFIT,
+    NO_SCALE,
+    ONE_BALL,
     TOGETHER,
     TOO_FEW,
     Flag,
@@ -100,7 +102,7 @@ def measure(tracks: Tracks, camera: Camera, settings: FitSettings | None = None)
     """
     settings = settings or FitSettings()
     if not camera.metric:
-        return [empty_row(camera, "no scale: lengths need a camera file, which tracker calibrate makes")]
+        return [empty_row(camera, ONE_BALL if len(np.unique(tracks.particle)) == 1 else NO_SCALE)]
     balls = to_ball_tracks(tracks, camera)
     if not any(len(track) >= 2 for track in balls):
         return [empty_row(camera, "too few detections")]

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+MAX_PARTICLES_IN_LEGEND = 12
 STYLE = {1: ("#c1440e", "o", "ball 1 (struck)"), 2: ("#14508c", "s", "ball 2 (striker)")}
 
 
@@ -212,18 +213,19 @@ def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
     for k, contact in enumerate(contacts):
         axes.axvline(contact * 1e3, color="0.3", lw=0.8, ls=":", label="contact" if k == 0 else None)
     axes.set(xlabel="time / ms", ylabel="speed / (cm/s)")
-    axes.legend(fontsize=8)
+    if 0 < motion["particle"].nunique() <= MAX_PARTICLES_IN_LEGEND:  # a longer one is higher than the figure
+        axes.legend(fontsize=8)
     return figure
 
 
 def all_tracks_figure(tracks: Tracks, camera: Camera) -> Figure:
-    """Draw all tracks in the picture, px; more than 12 particles have no legend."""
+    """Draw all tracks in the picture, px."""
     figure, axes = make_axes(figsize=(8.2, 4.2))
     for particle in np.unique(tracks.particle):
         rows = tracks.particle == particle
         axes.plot(*tracks.xy[rows].T, ".-", ms=3, lw=0.7, label=f"particle {particle}")
     width, height = camera.size
     axes.set(xlabel="x / px", ylabel="y / px", xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
-    if 0 < len(np.unique(tracks.particle)) <= 12:
+    if 0 < len(np.unique(tracks.particle)) <= MAX_PARTICLES_IN_LEGEND:
         axes.legend(fontsize=8)
     return figure

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from synthcam_shared.report.numbers import NOT_KNOWN, format_with_error
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT, TOGETHER, Flag
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT, ONE_BALL, TOGETHER, Flag
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.quantities import QUANTITIES, Quantity
 
@@ -53,6 +53,8 @@ def describe_status(row: Mapping[str, Any]) -> str:
         return f"Two balls collide and stay together {frames}"
     if row["status"] == "no_collision":
         return "No two balls touch"
+    if row["status"] == ONE_BALL:
+        return f"One ball is followed, and its track is written. There is {ONE_BALL.removeprefix('one ball: ')}"
     if row["status"] not in MEASURED:
         return f"Not measured: {row['status']}"
     if is_straight(row):
@@ -166,7 +168,8 @@ def format_for_terminal(estimates: pd.DataFrame, max_collisions: int = 6) -> Ite
 
 
 def _format_row(row: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
-    yield f"clip {row['clip']}, collision {row['collision']}{describe_frames(row)}: {describe_status(row)}."
+    collision = "" if row["status"] in ("no_collision", ONE_BALL) else f", collision {row['collision']}"
+    yield f"clip {row['clip']}{collision}{describe_frames(row)}: {describe_status(row)}."
     is_measured = row["status"] in MEASURED
     unmeasured = ("v0", "b", "r") if row["status"] == TOGETHER else ("v0", "drag", "decel")
     lines = list_quantities(row, names if is_measured else unmeasured)

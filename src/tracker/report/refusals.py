@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tracker.detection.candidates import estimate_noise, median_of_nine, spread_frames
 from tracker.detection.windows import Region, find_regions
-from tracker.measurement.collision.adequacy import MEASURED
+from tracker.measurement.collision.adequacy import MEASURED, NO_SCALE, ONE_BALL
 from tracker.notes import Note, NoteKind
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class Refusals:
 def is_failure(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
     """True if a clip has no track, or no collision that could be measured for a reason other than a missing scale."""
     states = [str(row["status"]) for row in rows]
-    return len(tracks) == 0 or not any(state in MEASURED or state.startswith("no scale") for state in states)
+    return len(tracks) == 0 or not any(state in (*MEASURED, NO_SCALE, ONE_BALL) for state in states)
 
 
 def draw_refusals(clip: Recording, tracks: Tracks) -> Refusals:

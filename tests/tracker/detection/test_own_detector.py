@@ -109,7 +109,7 @@ def test_a_changed_file_is_another_run(folder, monkeypatch, capsys):
         with pytest.raises(SystemExit) as ended:
             cli.main()
         assert ended.value.code == status
-    assert "holds the results of another run" in capsys.readouterr().err
+    assert "holds the results of another run (detector_file)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -43,8 +43,17 @@ def test_frames_given_twice_are_left_out(copies):
     result = tracked(stored)
     assert np.unique(result.tracks.frame).tolist() == list(range(0, copies * 20, copies))
     assert any(
-        note.startswith(f"{20 * (copies - 1)} frames repeat the previous one") for note in map(str, result.notes)
+        note.startswith(f"{20 * (copies - 1)} frames nearly repeat the previous one") for note in map(str, result.notes)
     )
+
+
+def test_exact_and_near_copies_have_notes_of_their_own_words():
+    """Both counts are of one film: the reader drops exact copies, the detector near ones."""
+    rng = np.random.default_rng(2)
+    stored = np.repeat(film(rng, apart(20), noise=2.0), 2, axis=0)
+    stored[21:31:2, 0, 0] += 1
+    notes = [note for note in map(str, tracked(stored).notes) if "repeat the previous one" in note]
+    assert [note.split(" the previous")[0] for note in notes] == ["15 frames repeat", "5 frames nearly repeat"]
 
 
 def test_noise_and_rest_are_no_copies():

@@ -219,8 +219,10 @@ def test_a_clip_that_shows_too_little_says_so(plain, spoil, reason):
 
 def test_a_camera_without_scale_measures_nothing(plain):
     truth, camera = truth_of(plain, 0)
-    (row,) = measure(noisy(truth, np.random.default_rng(0)), replace(camera, metric=False))
-    assert row["status"].startswith("no scale")
+    both, camera = noisy(truth, np.random.default_rng(0)), replace(camera, metric=False)
+    assert measure(both, camera)[0]["status"].startswith("no scale")
+    (row,) = measure(without(both, both.particle == 0), camera)
+    assert row["status"].startswith("one ball: no collision to measure")
 
 
 def test_wrong_physics_shows_as_a_bad_fit(plain):

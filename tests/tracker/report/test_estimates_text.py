@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from synthcam_shared.report.numbers import format_with_error
+from tracker.measurement.collision.adequacy import ONE_BALL
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.estimates_text import (
     METHODS,
@@ -68,6 +69,8 @@ def test_what_was_not_measured_is_said():
     assert describe_status(row("no balls")) == "Not measured: no balls"
     said = "\n".join(format_for_terminal(pd.DataFrame([row("misfit", r_std=np.nan)])))
     assert "Their tracks reject" in said
+    alone = "\n".join(format_for_terminal(pd.DataFrame([row(ONE_BALL, frame_last=-1)])))
+    assert alone.startswith("clip 0: One ball is followed, and its track is written. There is no collision to measure")
     rolling = "\n".join(format_for_terminal(pd.DataFrame([row("no_collision")])))
     assert "No two balls touch" in rolling
     assert "rolling loss" in rolling

@@ -8,11 +8,14 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 from tracker_film import CAMERA, film
 
 import tracker
+from synthcam_shared.report.page import PageFigure
 from tracker.camera.film_in_memory import wrap_frames
+from tracker.report.collision_figures import speed_figure
 from tracker.report.pages import PAGE, RecordingPage
 
 
@@ -103,3 +106,11 @@ def test_an_empty_recording_has_a_page(recorded, tmp_path):
     assert "Not measured: nothing moves" in text
     pixels = replace(empty, camera=tracker.track(blank).camera)
     assert "frame" in pixels.write(tmp_path / "pixels", "tracker track").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("count", [1, 12, 40])
+def test_the_speeds_of_many_particles_fit_into_their_figure(count):
+    """A legend higher than the figure leaves no room for the axes, of which matplotlib warns."""
+    rows = [(0.004 * k, particle, 0.1, 0.1) for particle in range(count) for k in range(3)]
+    motion = pd.DataFrame(rows, columns=["t_s", "particle", "vx", "vy"])
+    assert "svg" in PageFigure.of(speed_figure(motion, [0.004]), "speed").address

@@ -9,6 +9,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import Recording
 from tracker.detection.link import Tracks
+from tracker.measurement.collision.adequacy import NO_SCALE, ONE_BALL
 from tracker.report.refusals import REFUSALS, draw_refusals, is_failure
 
 NO_TRACKS = Tracks(*(np.empty(0, int),) * 2, *(np.empty(0),) * 2, np.empty((0, 2, 2)), np.empty(0), np.empty(0, str),
@@ -53,7 +54,8 @@ def test_a_film_in_which_nothing_differs_says_so():
 
 
 @pytest.mark.parametrize(("states", "failed"), [
-    (["ok"], False), (["misfit", "no_collision"], False), (["no_collision"], True), (["nothing moves"], True),
+    (["ok"], False), (["misfit", "no_collision"], False), ([ONE_BALL], False), ([NO_SCALE], False),
+    (["no_collision"], True), (["nothing moves"], True),
 ])  # fmt: skip
 def test_a_clip_without_a_measured_collision_fails(states, failed):
     zero, one = np.zeros(1, int), np.ones(1)

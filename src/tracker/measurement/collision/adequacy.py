@@ -18,6 +18,8 @@ TOGETHER = "stay_together"
 HIDDEN_SLIDE = "the contact lasts as long as the balls may slide: it hides how they part"
 SHORT_SLIDE = "the balls move straight after the hit: they slide without friction, or roll at once"
 TOO_FEW = "too few frames outside the contact"
+NO_SCALE = "no scale: lengths need a camera file, which tracker calibrate makes"
+ONE_BALL = "one ball: no collision to measure; its speed needs a camera file, which tracker calibrate makes"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
 
 
