@@ -52,7 +52,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 
 @app.command()
 def track(
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Dataset, clip, stack, video, pictures or .npy.")],
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Dataset, clip, stack, video, pictures or array.")],
     output: Results,
     camera: Annotated[Path | None, typer.Option(help="camera.json that replaces the source's own.")] = None,
     detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}. Without it the film decides.")] = None,

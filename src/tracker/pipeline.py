@@ -20,6 +20,7 @@ from synthcam_shared.outputs import check_utf8, check_writable, resume_folder
 from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY
+from tracker.camera.labelled_array import is_zarr
 from tracker.camera.recordings import Recording, RecordingSource, open_source
 from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import detector_name, load_detector, load_linker
@@ -74,7 +75,7 @@ def run(
     if detector is not None:
         load_linker(detector, first.camera)
     films, said = replace(films, channel=first.channel), note_all(NoteKind.CHANNEL, [why])
-    if films.camera is None and films.path.is_file():
+    if films.camera is None and (films.path.is_file() or is_zarr(films.path)):
         said += note_all(NoteKind.ASSUMED, [f"camera: {file}; --camera takes another" for file in films.camera_files()])
     if detector is None:
         detector, why = select_detector(first)
@@ -190,7 +191,8 @@ def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
     mark = hashlib.sha256()
     for number, location in source.clips:
         mark.update(f"{number}".encode())
-        files = [location] if location.is_file() else sorted(p for p in location.iterdir() if p.is_file())
+        inside = location.rglob("*") if is_zarr(location) else location.iterdir() if location.is_dir() else (location,)
+        files = sorted(path for path in inside if path.is_file())
         for file in files:
             size = file.stat().st_size
             mark.update(f"|{size}".encode())

@@ -1,4 +1,4 @@
-"""Opens recordings: a dataset, a clip, a TIFF stack, a folder of pictures, a video.
+"""Opens recordings: a dataset, a clip, a TIFF stack, a folder of pictures, a video, an array.
 
 Frames are read one at a time when they are needed, so that memory does not grow with the length of a clip. The tracker
 opens only two files of a dataset's clip: the film (``frames.tif``, or an encoded ``frames.mp4``) and ``camera.json``.
@@ -22,6 +22,7 @@ from tracker.camera.camera_notes import describe_frame_rate
 from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_area
 from tracker.camera.frame_times import agree, find_stride
 from tracker.camera.frames import GREY, Frame, Frames, linearise
+from tracker.camera.labelled_array import HDF5, is_zarr, read_labelled_array
 from tracker.camera.picture_folder import PICTURES, TIFF, is_hidden, list_pictures, read_picture_folder
 from tracker.camera.tiff_stack import read_tiff_stack
 from tracker.notes import COLOUR_TO_GREY, MADE_LINEAR, NO_CAMERA_FILE, Note, NoteKind, note_all
@@ -99,7 +100,7 @@ class RecordingSource:
 
 
 def _camera_beside(location: Path) -> Path:
-    return (location.parent if location.is_file() else location) / "camera.json"
+    return (location.parent if location.is_file() or is_zarr(location) else location) / "camera.json"
 
 
 def make_recording(
@@ -227,19 +228,19 @@ def _find_clips(path: Path | str, camera: Path | str | None) -> RecordingSource:
     if not location.exists():
         raise InputError(f"{location}: no such file or folder, expected a dataset, clip, stack, video or pictures")
     if location.is_file():
-        if location.suffix.lower() not in TIFF + VIDEOS + ARRAYS:
+        if location.suffix.lower() not in TIFF + VIDEOS + ARRAYS + HDF5:
             raise InputError(
-                f"{location}: expected a TIFF stack, a video or an array of numpy.save (.npy), not a "
+                f"{location}: expected a TIFF stack, a video, or an array of numpy.save (.npy), HDF5 or NetCDF, not a "
                 f"{location.suffix or 'nameless'} file"
             )
+        return RecordingSource(location, ((0, location),), given)
+    if is_zarr(location):
         return RecordingSource(location, ((0, location),), given)
     if (location / "clips").is_dir():
         return _dataset(location, given)
     if (film := _film(location)) is not None:
         number = int(location.name) if location.name.isdecimal() else 0
         return RecordingSource(location, ((number, film),), given)
-    if any((location / name).is_file() for name in ("zarr.json", ".zarray", ".zgroup")):
-        raise InputError(f"{location}: a Zarr store, expected a stack or a video; numpy.save makes a .npy of it")
     if not list_pictures(location):
         raise InputError(
             f"{location}: nothing to track in it, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})"
@@ -265,13 +266,15 @@ def _dataset(location: Path, camera: Path | None) -> RecordingSource:
 
 def _film(folder: Path) -> Path | None:
     """A clip's frames: a stack, or the film encoded."""
-    films = (folder / f"frames{ending}" for ending in (".tif", *VIDEOS, *ARRAYS))
+    films = (folder / f"frames{ending}" for ending in (".tif", *VIDEOS, *ARRAYS, *HDF5))
     return next((film for film in films if film.is_file()), None)
 
 
 def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
-    """Frames of a stack, a video or a folder of pictures."""
-    if location.is_dir():
+    """Frames of a stack, a video, a folder of pictures, or an array."""
+    if is_zarr(location) or location.suffix.lower() in HDF5:
+        frames = read_labelled_array(location, options)
+    elif location.is_dir():
         frames = read_picture_folder(location, options)
     elif location.suffix.lower() in TIFF:
         frames = read_tiff_stack(location, options)

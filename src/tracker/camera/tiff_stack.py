@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
+from tracker.camera.film_axes import choose_entries, choose_entry
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import FilmClock, drop_repeated, find_changes, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its warnings name lines of source code
 UNREADABLE = RuntimeError, ValueError, TypeError, AttributeError  # that tifffile raises at damaged tags
-AXIS_NAMES = {"C": "channel", "Z": "focal plane", "S": "sample of a pixel", "P": "position", "R": "position"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,18 +146,12 @@ def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _L
         )
     samples, sample, notes = plane[axes.index("S")] if "S" in axes else 1, None, list[str]()
     if samples > 4 or "S" in wanted:
-        sample = _select(path, "S", samples, wanted, notes)
+        sample = choose_entry(path, "S", samples, wanted, notes)
     lengths = dict(zip(letters, outer, strict=True))
-    time = _find_time(lengths)
-    chosen = {a: _select(path, a, n, wanted, notes) for a, n in lengths.items() if a != time}
-    if absent := sorted(set(wanted) - set(chosen) - {"S"} - {a for a, n in lengths.items() if n == 1}):
-        there = ", ".join(f"{a} ({n})" for a, n in lengths.items()) or "none"
-        raise InputError(f"{path}: --select {absent[0]}: no such axis beside time, expected one of {there}")
+    time, chosen = choose_entries(path, lengths, wanted, notes)
     count = lengths.get(time, 1)
     index = tuple(np.arange(count) if axis == time else np.full(count, chosen[axis]) for axis in letters)
     pages = np.ravel_multi_index(index, outer) if outer else np.zeros(1)
-    if time not in ("", "T") and len([n for n in outer if n > 1]) > 1:
-        notes.append(f"axis {time} ({AXIS_NAMES.get(time, 'frames')}) is taken as time, because the file names no time")
     return _Layout(
         plane=plane,
         axes=axes,
@@ -168,26 +162,6 @@ def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _L
         notes=tuple(notes),
         sample=sample,
     )
-
-
-def _find_time(lengths: dict[str, int]) -> str:
-    """The axis that is time: T, else the longest that is no channel, else the longest; "" of a single picture."""
-    if lengths.get("T", 0) > 1:
-        return "T"
-    others = {axis: n for axis, n in lengths.items() if n > 1}
-    frames = {axis: n for axis, n in others.items() if axis != "C"} or others
-    return max(frames, key=lambda axis: frames[axis]) if frames else "T" if "T" in lengths else ""
-
-
-def _select(path: Path, axis: str, count: int, wanted: dict[str, int], notes: list[str]) -> int:
-    """The entry of an axis that is not time; a note says which."""
-    chosen = wanted.get(axis, 0)
-    if chosen >= count:
-        raise InputError(f"{path}: --select {axis}={chosen}: expected 0 to {count - 1}")
-    if count > 1:
-        name = AXIS_NAMES.get(axis, "axis")
-        notes.append(f"{name} {chosen} of {count} (0 to {count - 1}) is taken; --select {axis}=N takes another")
-    return chosen
 
 
 def _read_by_offset(path: Path, layout: _Layout, dtype: np.dtype[Any]) -> Callable[[int], Any]:

@@ -1,0 +1,48 @@
+"""Chooses which axis of a stack is time, and an entry of each other axis, such as channels and focal planes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from synthcam_shared.errors import InputError
+
+AXIS_NAMES = {"C": "channel", "Z": "focal plane", "S": "sample of a pixel", "P": "position", "R": "position"}
+
+
+def choose_entries(
+    path: Path, lengths: Mapping[str, int], wanted: Mapping[str, int], notes: list[str]
+) -> tuple[str, dict[str, int]]:
+    """The axis that is time, "" of a single picture, and the entry of each other axis; adds to the notes.
+
+    lengths: of the axes by letter, without those of a picture; wanted: entries that the user selects. Raises InputError
+    where one of these is not there.
+    """
+    time = _find_time(lengths)
+    chosen = {axis: choose_entry(path, axis, n, wanted, notes) for axis, n in lengths.items() if axis != time}
+    if absent := sorted(set(wanted) - set(chosen) - {"S"} - {axis for axis, n in lengths.items() if n == 1}):
+        there = ", ".join(f"{axis} ({n})" for axis, n in lengths.items()) or "none"
+        raise InputError(f"{path}: --select {absent[0]}: no such axis beside time, expected one of {there}")
+    if time not in ("", "T") and sum(n > 1 for n in lengths.values()) > 1:
+        notes.append(f"axis {time} ({AXIS_NAMES.get(time, 'frames')}) is taken as time, because the file names no time")
+    return time, chosen
+
+
+def choose_entry(path: Path, axis: str, count: int, wanted: Mapping[str, int], notes: list[str]) -> int:
+    """The entry of an axis that is not time; a note says which. Raises InputError for one that is not there."""
+    chosen = wanted.get(axis, 0)
+    if chosen >= count:
+        raise InputError(f"{path}: --select {axis}={chosen}: expected 0 to {count - 1}")
+    if count > 1:
+        name = AXIS_NAMES.get(axis, "axis")
+        notes.append(f"{name} {chosen} of {count} (0 to {count - 1}) is taken; --select {axis}=N takes another")
+    return chosen
+
+
+def _find_time(lengths: Mapping[str, int]) -> str:
+    """The axis that is time: T, else the longest that is no channel, else the longest; "" of a single picture."""
+    if lengths.get("T", 0) > 1:
+        return "T"
+    others = {axis: n for axis, n in lengths.items() if n > 1}
+    frames = {axis: n for axis, n in others.items() if axis != "C"} or others
+    return max(frames, key=lambda axis: frames[axis]) if frames else "T" if "T" in lengths else ""
