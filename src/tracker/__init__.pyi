@@ -9,6 +9,8 @@ from .recording import Result as Result
 from .recording import measure as measure
 from .recording import measure_all as measure_all
 from .recording import track as track
+from .sets.combined_set import CombinedSet as CombinedSet
+from .sets.combined_set import combine as combine
 from .settings import DetectionSettings as DetectionSettings
 from .settings import FitSettings as FitSettings
 from .settings import LinkSettings as LinkSettings
@@ -17,6 +19,7 @@ from .settings import TrackerSettings as TrackerSettings
 __version__: str
 __all__ = [
     "Camera",
+    "CombinedSet",
     "DetectionSettings",
     "FitSettings",
     "InputError",
@@ -26,6 +29,7 @@ __all__ = [
     "Result",
     "TrackerSettings",
     "__version__",
+    "combine",
     "measure",
     "measure_all",
     "track",

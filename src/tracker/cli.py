@@ -1,4 +1,4 @@
-"""tracker: track, measure, export, score, compare, benchmark, calibrate."""
+"""tracker: track, measure, combine, export, score, compare, benchmark, calibrate."""
 
 from __future__ import annotations
 
@@ -153,6 +153,35 @@ def measure(
     if _wants_pages(pages, outcome, output):
         extra["page"] = _pages(outcome, output, tracks, 0)
     _report(outcome, output, extra, as_json)
+
+
+@app.command()
+def combine(
+    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="RESULTS of tracker track or measure.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="SET", help="Folder to make.")],
+    quantities: Annotated[
+        str, typer.Option(help="Columns of estimates.parquet, as r,mu_k. Default: all that collisions share.")
+    ] = "",
+    as_json: Json = False,
+) -> None:
+    """Combine collisions: random-effects means of r, mu_k, C and others, their scatter, and their slopes in the speed.
+
+    Example: tracker combine out/monday out/tuesday -o out/set
+    """
+    from synthcam_shared.overwriting import check_not_read
+    from tracker.sets.combined_set import combine as combine_results
+    from tracker.sets.set_page import summarise
+
+    check_not_read(output, *(folder / "estimates.parquet" for folder in results), *results)
+    names = [name.strip() for name in quantities.split(",")] if quantities else None
+    found = combine_results(results, quantities=names)
+    page = found.report(output, _typed())
+    if as_json:
+        print(json.dumps({"set": str(output), "page": str(page), **found.document()}))
+        return
+    for note in found.notes:
+        print(f"tracker: {note}", file=sys.stderr)
+    print("\n".join([*summarise(found.document(), found.quantities), f"{page}"]))
 
 
 @app.command()

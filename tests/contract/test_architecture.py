@@ -41,7 +41,7 @@ LAYERS = {
         "results",
         "report export",
         "recording calibration",
-        "pipeline",
+        "pipeline sets",
         "scoring",
         "benchmark",
         "cli",
@@ -104,7 +104,7 @@ LAYERS = {
     ],
     "tracker.measurement": [
         "noise",
-        "positions track_repair",
+        "positions track_repair random_effects",
         "collision",
         "camera_errors energy_momentum messages",
         "joint_fit painter_behringer lone_ball",
@@ -132,6 +132,11 @@ LAYERS = {
         "column_names",
         "formats",
         "read",
+    ],
+    "tracker.sets": [
+        "combined_quantity",
+        "set_page",
+        "combined_set",
     ],
     "tracker.report": [
         "quantities collision_figures overlay",

@@ -40,6 +40,7 @@ def format_with_error(value: float | None, std: float | None) -> str:
         return NOT_KNOWN
     if std is None or not math.isfinite(std) or std <= 0:
         return f"{value:.4g}"
+    std = float(f"{std:.2g}")
     digits = 1 - math.floor(math.log10(std))
     if digits < 0:
         return f"{value:.0f}({std:.0f})"

@@ -296,16 +296,19 @@ def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floa
     """Collect the effects of camera errors that several rows of estimates.parquet share: (rows, names, errors).
 
     They are per standard error, and 0 in rows that do not have that error. Rows share an error where the file's value
-    is the same to the last digit. The first of `fits` that is in a row's `cov` gives its effects.
+    is the same to the last digit. The fit that a column `fit` names, else the first of `fits` that is in a row's `cov`,
+    gives its effects.
     """
     found: dict[tuple[str, float], dict[int, Floats]] = {}
-    for i, text in enumerate(rows.get("cov", ())):
+    preferred = rows.get("fit", [""] * len(rows))
+    for i, (text, fit) in enumerate(zip(rows.get("cov", ()), preferred, strict=False)):
         if not isinstance(text, str) or '"shared"' not in text:
             continue
         table = json.loads(text)
-        pick = [table["names"].index(name) for name in names]
+        known = {name: index for index, name in enumerate(table["names"])}
         for key, block in table["shared"].items():
-            effect = np.array(next(block[fit] for fit in fits if fit in block), dtype=np.float64)[pick]
+            by_name = next(block[one] for one in (fit, *fits) if one in block)
+            effect = np.array([by_name[known[name]] if name in known else 0.0 for name in names], dtype=np.float64)
             found.setdefault((key, block["of"]), {})[i] = np.nan_to_num(effect)
     several = [effects for effects in found.values() if len(effects) > 1]
     out = np.zeros((len(rows), len(names), len(several)))
@@ -320,3 +323,9 @@ def covariance_of_shared(effects: Floats) -> Floats:
     part = effects @ np.swapaxes(effects, -1, -2)
     # an effect is known to 3 %: clips must not determine the error of the camera from less
     return np.asarray(part * (1 - 0.03**2 * np.eye(part.shape[-1])))
+
+
+def remove_shared(std: Floats, effects: Floats) -> Floats:
+    """The standard errors (n,) of one quantity without the part that several rows share, effects (n, 1, errors)."""
+    least = float(np.finfo(float).tiny)
+    return np.asarray(np.sqrt(np.maximum(std**2 - covariance_of_shared(effects)[:, 0, 0], least)))

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.optimize import brentq, least_squares
+from scipy.optimize import least_squares
 
-from tracker.measurement.camera_errors import covariance_of_shared, shared_effects
+from tracker.measurement.camera_errors import covariance_of_shared, remove_shared, shared_effects
 from tracker.measurement.collision.collision_model import GRAVITY, SLIP_RATE
 from tracker.measurement.collision.least_squares import covariance
+from tracker.measurement.random_effects import fit_random_effects
 
 Floats = NDArray[np.float64]
 SHARED = ("r", "mu_k", "C")
@@ -164,33 +165,14 @@ def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def _mean_and_scatter(rows: pd.DataFrame, name: str) -> dict[str, Any]:
-    """Weighted mean over clips, its error, and the scatter between clips beyond their errors.
-
-    The scatter makes the weighted sum of squares its own expectation, n - 1 (Paule & Mandel 1982).
-    """
+    """The random-effects mean over clips, its error, and the scatter between clips beyond their errors."""
     columns = [name, f"{name}_std"]
     kept = rows.dropna(subset=columns) if set(columns) <= set(rows.columns) else rows.iloc[:0]
     if not len(kept):
         return {"mean": None, "std": None, "scatter": None, "n": 0}
     effects = shared_effects(kept, (name,), "tied", "rolling")
-    common = effects[:, 0]
-    x, std = (kept[column].to_numpy(float) for column in columns)
-    tiny, wide = float(np.finfo(float).tiny), float(np.var(x) * len(x))
-    s2 = np.maximum(std**2 - covariance_of_shared(effects)[:, 0, 0], tiny)
-
-    def weighed(spread: float) -> tuple[float, float, float, float]:
-        """Weighted mean, the weights' sum without and with the shared errors, chi^2."""
-        w = 1 / (s2 + spread)
-        inner = np.linalg.inv(np.eye(common.shape[1]) + (common.T * w) @ common)
-        whole = w - (common.T * w).T @ inner @ (common.T @ w)
-        mean = whole @ x / whole.sum()
-        pull = common.T @ (w * (x - mean))
-        return float(mean), float(w.sum()), float(whole.sum()), float(w @ (x - mean) ** 2 - pull @ inner @ pull)
-
-    def excess(spread: float) -> float:
-        return weighed(spread)[3] - (len(x) - 1)
-
-    spread = float(brentq(excess, 0.0, wide)) if len(x) > 1 and wide > tiny and excess(0.0) > 0 else 0.0
-    mean, own, whole, _ = weighed(spread)
-    part = {"shared_std": _root(1 / whole - 1 / own)} if common.size else {}
-    return {"mean": mean, "std": whole**-0.5, "scatter": float(np.sqrt(spread)), "n": len(x)} | part
+    value, std = (kept[column].to_numpy(float) for column in columns)
+    fit = fit_random_effects(value, remove_shared(std, effects), effects[:, 0])
+    part = {"shared_std": float(fit.shared_std[0])} if effects.shape[2] else {}
+    scatter = fit.scatter if fit.dof else 0.0
+    return {"mean": float(fit.coefficients[0]), "std": float(fit.std[0]), "scatter": scatter, "n": len(value)} | part

@@ -1,0 +1,1 @@
+"""Results of several recordings taken together."""

@@ -1,0 +1,162 @@
+"""One quantity of many collisions: its random-effects mean, slope, and what each collision does to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import f
+
+from synthcam_shared.report.numbers import format_with_error
+from tracker.measurement.camera_errors import remove_shared
+from tracker.measurement.random_effects import GeneralisedQ, RandomEffects, fit_random_effects, leave_one_out
+
+Floats = NDArray[np.float64]
+WITHOUT_COLLISION = ("drag", "decel")  # that a ball alone shows too
+MIN_VALUES_OF_SLOPE = 4
+INFLUENTIAL = 1.0  # change of a mean, in its errors, by one collision that a note names
+SIGNIFICANT = 0.01  # p-value of a slope, or of a difference between results, that a note tells
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedQuantity:
+    """One quantity of all collisions that give it an error.
+
+    Attributes
+    ----------
+    name : str
+        Its column in estimates.parquet.
+    values : DataFrame
+        A row for each collision: result, clip, collision, fit, v_n (m/s), value, std, weight; mean_without,
+        scatter_without: mean and scatter of the others; influence: change of the mean by this collision in errors of
+        the mean; z: distance from the mean of the others in standard errors with the scatter. The last four are NaN
+        with fewer than three collisions.
+    mean : RandomEffects
+        The random-effects mean; coefficient 0.
+    slope : RandomEffects or None
+        The regression on v_n: coefficient 0 is the value at `speed`, coefficient 1 the slope, s/m.
+    speed : float
+        Weighted mean of v_n, m/s.
+    by_result : dict
+        The random-effects mean of each result that has a value.
+    difference_p : float
+        Probability of differences between results at least as large, if there are none; NaN with one result.
+    """
+
+    name: str
+    values: pd.DataFrame
+    mean: RandomEffects
+    slope: RandomEffects | None
+    speed: float
+    by_result: dict[str, RandomEffects]
+    difference_p: float
+
+    def document(self) -> dict[str, Any]:
+        """Give the entry of set.json.
+
+        Returns
+        -------
+        dict
+        """
+        slope: dict[str, Any] | None = None
+        if self.slope is not None:
+            whole = _describe(self.slope, 1)
+            slope = {"slope": whole.pop("mean"), **whole, "p": self.slope.p_value[1], "at": self.speed}
+            slope |= {"value": self.slope.coefficients[0], "value_std": self.slope.std[0]}
+            slope |= {"scatter": self.slope.scatter}
+        by_result = {name: {**_describe(one), "n": len(one.weights)} for name, one in self.by_result.items()}
+        return {
+            "n": len(self.values),
+            **_describe(self.mean),
+            "shared_std": self.mean.shared_std[0],
+            "scatter": self.mean.scatter,
+            "scatter_low": self.mean.scatter_low,
+            "scatter_high": self.mean.scatter_high,
+            "prediction": self.mean.prediction,
+            "q": self.mean.q,
+            "dof": self.mean.dof,
+            "p": self.mean.q_value,
+            "i2": self.mean.i2,
+            "birge": self.mean.birge,
+            "slope": slope,
+            "by_result": by_result,
+            "difference_p": self.difference_p,
+            "collisions": self.values.to_dict("records"),
+        }
+
+
+def combine_quantity(name: str, values: pd.DataFrame, effects: Floats) -> CombinedQuantity:
+    """Combine the values of a quantity.
+
+    values: result, clip, collision, fit, v_n, value, std of each collision; effects (n, 1, k) of the errors of the
+    camera file that several share, as `shared_effects` gives them.
+    """
+    value, std, speed = (values[column].to_numpy(float) for column in ("value", "std", "v_n"))
+    own, shared = remove_shared(std, effects), effects[:, 0]
+    mean = fit_random_effects(value, own, shared)
+    known = np.isfinite(speed)
+    middle = float(np.average(speed[known], weights=mean.weights[known])) if known.any() else np.nan
+    slope = None
+    if known.sum() >= MIN_VALUES_OF_SLOPE and np.ptp(speed[known]) > 0 and name not in WITHOUT_COLLISION:
+        design = np.column_stack([np.ones(known.sum()), speed[known] - middle])
+        slope = fit_random_effects(value[known], own[known], shared[known], design)
+    without = np.full((3, len(value)), np.nan)
+    if len(value) >= 3:
+        without = np.array(leave_one_out(value, own, shared))
+    of = values["result"].to_numpy()
+    groups = {str(one): of == one for one in dict.fromkeys(of)}
+    by_result = {one: fit_random_effects(value[rows], own[rows], shared[rows]) for one, rows in groups.items()}
+    influence = (mean.coefficients[0] - without[0]) / mean.std[0]
+    values = values.assign(
+        weight=mean.weights,
+        mean_without=without[0],
+        scatter_without=np.sqrt(without[2]),
+        influence=influence,
+        z=(value - without[0]) / np.sqrt(own**2 + without[1] + without[2]),
+    )
+    return CombinedQuantity(name, values, mean, slope, middle, by_result, _compare(value, own, shared, groups))
+
+
+def _compare(value: Floats, std: Floats, shared: Floats, groups: Mapping[str, NDArray[np.bool_]]) -> float:
+    """p-value of the differences between groups, by the F test of a regression on them."""
+    parts, n = np.column_stack(list(groups.values())).astype(np.float64), len(value)
+    k = parts.shape[1]
+    if k < 2 or n - k < 1:
+        return float("nan")
+    problem = GeneralisedQ(value, std**2, shared, parts)
+    means, cov, left = problem.fit(problem.find_variance(n - k))
+    apart = np.diff(means)
+    between = apart @ np.linalg.solve(np.diff(np.diff(cov, axis=0), axis=1), apart) / (k - 1)
+    return float(f.sf(between / max(left / (n - k), 1.0), k - 1, n - k))
+
+
+def _describe(fit: RandomEffects, index: int = 0) -> dict[str, Any]:
+    values = {"mean": fit.coefficients, "std": fit.std, "low": fit.low, "high": fit.high}
+    return {key: float(value[index]) for key, value in values.items()}
+
+
+def describe_scatter(one: CombinedQuantity, factor: float = 1.0) -> str:
+    """Say how much the true values differ, with the interval of 95 %; factor: number of shown units in one SI unit."""
+    if not one.mean.dof:
+        return "scatter unknown"
+    middle, low, high = (f"{factor * v:.2g}" for v in (one.mean.scatter, one.mean.scatter_low, one.mean.scatter_high))
+    return f"scatter {middle} ({low} to {high})" if one.mean.scatter_low > 0 else f"scatter {middle} (at most {high})"
+
+
+def list_warnings(one: CombinedQuantity) -> Iterable[str]:
+    """Sentences on what is unusual in the values of a quantity."""
+    mean, slope = one.mean, one.slope
+    for _, row in one.values[np.abs(one.values["influence"]) > INFLUENTIAL].iterrows():
+        which = f"{row['result']}, clip {row['clip']}, collision {row['collision']}"
+        whole = format_with_error(mean.coefficients[0], mean.std[0])
+        yield f"{one.name}: {which} decides the mean: {row['mean_without']:.4g} without it, {whole} with it"
+    if slope is not None and slope.p_value[1] < SIGNIFICANT:
+        by = f"by {format_with_error(slope.coefficients[1], slope.std[1])} per m/s (p {slope.p_value[1]:.2g})"
+        yield f"{one.name} changes with v_n {by}; the mean is that at {one.speed:.3g} m/s"
+    if one.difference_p < SIGNIFICANT:
+        why = f"by more than their errors and the scatter (p {one.difference_p:.2g})"
+        yield f"{one.name} differs between the results {why}"

@@ -1,0 +1,316 @@
+"""Collisions of several results taken together: random-effects means, their scatter, and slopes in the speed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pyarrow import ArrowException
+
+from synthcam_shared.arguments import check_arguments
+from synthcam_shared.errors import InputError
+from synthcam_shared.report.numbers import format_with_error
+from tracker.camera.camera_keys import did_you_mean, first_line
+from tracker.measurement.camera_errors import shared_effects
+from tracker.measurement.joint_fit import fit_all
+from tracker.recording import Result
+from tracker.results import RUN, clip_folder, finite, load_json
+from tracker.sets.combined_quantity import (
+    WITHOUT_COLLISION,
+    CombinedQuantity,
+    combine_quantity,
+    describe_scatter,
+    list_warnings,
+)
+from tracker.sets.set_page import write_set
+from tracker.tables.rows import to_csv, tracks_table
+
+Floats = NDArray[np.float64]
+SUFFIXES = {"tied": "", "free": "_free", "local": "_local"}  # of the columns, by the fit that is recommended
+SHARED_QUANTITIES = ("r", "s", "mu_k", "C", "beta", "mass_ratio", "drag", "decel")  # that collisions have in common
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CombinedSet:
+    """Collisions of several results taken together.
+
+    Attributes
+    ----------
+    table : DataFrame
+        All rows of estimates.parquet, with `result`, the name of each result, and `fit`, which of its fits enters:
+        tied, free, local, or "" where none does.
+    quantities : dict
+        A `CombinedQuantity` for each quantity that has a value.
+    chi2 : dict
+        The joint fit of the paper over all collisions that are ok, as in fit.json.
+    notes : tuple of str
+        What the reader should know: recordings given twice, collisions that decide a mean, slopes.
+
+    Examples
+    --------
+    >>> import pandas as pd, synthcam, tracker
+    >>> clips = [synthcam.Scene.read("painter_behringer").draw(k, seed=1) for k in range(3)]
+    >>> parts = [c.tracks[["frame", "particle"]].assign(x=c.tracks.x_mean_px, y=c.tracks.y_mean_px) for c in clips]
+    >>> table = pd.concat([part.assign(clip=c.number) for part, c in zip(parts, clips)])
+    >>> found = tracker.combine(tracker.measure_all(table, clips[0].camera_json), quantities=["r"])
+    >>> print(found.means.loc["r", "n"], repr(found).splitlines()[0])
+    3 3 of 3 collisions
+    """
+
+    table: pd.DataFrame
+    quantities: dict[str, CombinedQuantity]
+    chi2: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def means(self) -> pd.DataFrame:
+        """A row for each quantity: n, mean, std, scatter and its interval, i2, birge, slope (s/m) and its error."""
+        rows = {name: one.document() for name, one in self.quantities.items()}
+        slopes = {name: row["slope"] or {} for name, row in rows.items()}
+        keys = "n mean std low high shared_std scatter scatter_low scatter_high i2 birge".split()
+        return pd.DataFrame(
+            {
+                name: {key: row[key] for key in keys}
+                | {"slope": slopes[name].get("slope", np.nan), "slope_std": slopes[name].get("std", np.nan)}
+                for name, row in rows.items()
+            }
+        ).T.astype({"n": int})
+
+    @property
+    def used(self) -> int:
+        """How many collisions give at least one value."""
+        return len(self._rows_used())
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """Count the collisions that give no value, by their status."""
+        counts = self.table["status"].drop(self._rows_used()).value_counts().sort_index()
+        return {str(status): int(count) for status, count in counts.items()}
+
+    def _rows_used(self) -> list[Any]:
+        return sorted({row for one in self.quantities.values() for row in one.values.index})
+
+    def document(self) -> dict[str, Any]:
+        """Give the content of set.json, with None for what is not finite.
+
+        Returns
+        -------
+        dict
+        """
+        counts = self.table["result"].value_counts(sort=False)
+        document: dict[str, Any] = finite(
+            {
+                "results": {str(name): int(count) for name, count in counts.items()},
+                "collisions": len(self.table),
+                "used": self.used,
+                "left_out": self.left_out,
+                "notes": list(self.notes),
+                "quantities": {name: one.document() for name, one in self.quantities.items()},
+                "chi2": self.chi2,
+            }
+        )
+        return document
+
+    def report(self, folder: str | Path, command: str = "tracker.combine") -> Path:
+        """Write set.json and index.html into a new folder, or in place of an earlier set.
+
+        Parameters
+        ----------
+        folder : str or Path
+        command : str
+            What made the page, for its foot.
+
+        Returns
+        -------
+        Path
+            Of the page.
+        """
+        return write_set(self.document(), self.quantities, Path(folder), command)
+
+    def __repr__(self) -> str:
+        lines = [f"{self.used} of {len(self.table)} collisions"]
+        for name, one in self.quantities.items():
+            mean = format_with_error(one.mean.coefficients[0], one.mean.std[0])
+            lines.append(f"  {name} = {mean}, {describe_scatter(one)}, n = {len(one.values)}")
+        return "\n".join(lines)
+
+
+@check_arguments
+def combine(
+    results: Sequence[str | Path | Result] | str | Path, *, quantities: Sequence[str] | None = None
+) -> CombinedSet:
+    """Combine the collisions of several results.
+
+    The column `recommended` says which fit of a collision enters; without this column it is the tied fit of those that
+    are ok. A recording that is given twice counts once.
+
+    Parameters
+    ----------
+    results : sequence of str, Path or Result
+        Folders that `tracker track` or `tracker measure` made, or results in memory.
+    quantities : sequence of str, optional
+        Columns of estimates.parquet; default: r, s, mu_k, C, beta, mass_ratio, drag and decel, as far as they are
+        there.
+
+    Returns
+    -------
+    CombinedSet
+
+    Examples
+    --------
+    >>> import pandas as pd, synthcam, tracker
+    >>> clips = [synthcam.Scene.read("painter_behringer").draw(k, seed=1) for k in range(3)]
+    >>> parts = [c.tracks[["frame", "particle"]].assign(x=c.tracks.x_mean_px, y=c.tracks.y_mean_px) for c in clips]
+    >>> table = pd.concat([part.assign(clip=c.number) for part, c in zip(parts, clips)])
+    >>> found = tracker.combine(tracker.measure_all(table, clips[0].camera_json))
+    >>> bool(abs(found.quantities["r"].mean.coefficients[0] - clips[0].truth["r"]) < 1e-3)
+    True
+    """
+    given = [results] if isinstance(results, str | Path) else list(results)
+    if not given:
+        raise InputError("results: none, expected at least one folder of results")
+    folders = [Path(one) for one in given if not isinstance(one, Result)]
+    names = iter(_name_folders(folders))
+    parts, seen, notes = [], dict[str, str](), list[str]()
+    for one in given:
+        if isinstance(one, Result):
+            part, marks = _read_memory(one)
+            name = "memory"
+        else:
+            name = next(names)
+            part, marks = _read_folder(Path(one))
+        part, twice = _leave_out_repeated(part, marks, seen, name)
+        parts.append(part.assign(result=name))
+        notes += twice
+    table = pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
+    table["fit"] = _choose_fits(table)
+    wanted = _choose_quantities(table, quantities)
+    rows = {name: _take_values(table, name) for name in wanted}
+    found = {}
+    for name, values in rows.items():
+        effects = shared_effects(table.loc[values.index], (name,), "tied", "rolling", "free")
+        if len(values):
+            found[name] = combine_quantity(name, values, effects)
+    if not found:
+        states = ", ".join(f"{count} {status}" for status, count in table["status"].value_counts().items())
+        raise InputError(f"{', '.join(map(str, folders)) or 'results'}: no value of {', '.join(wanted)} ({states})")
+    notes += [note for one in found.values() for note in list_warnings(one)]
+    return CombinedSet(table, found, fit_all(table), tuple(notes))
+
+
+def _name_folders(folders: Sequence[Path]) -> list[str]:
+    """A short name for each folder: its path below the one that holds all."""
+    whole = [folder.resolve() for folder in folders]
+    if len(set(whole)) < 2:
+        return [folder.name for folder in whole]
+    common = os.path.commonpath([folder.parent for folder in whole])
+    return [folder.relative_to(common).as_posix() for folder in whole]
+
+
+def _read_folder(folder: Path) -> tuple[pd.DataFrame, dict[int, list[str]]]:
+    """The estimates of one RESULTS, and by clip what its recording is known by: its tracks, and the run's input."""
+    path = folder / "estimates.parquet"
+    if not path.is_file():
+        raise InputError(f"{folder}: no estimates.parquet in it, expected RESULTS, as tracker track or measure make it")
+    try:
+        table = pd.read_parquet(path)
+    except (ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{path}: damaged, expected a table of estimates ({first_line(error)})") from None
+    if missing := {"clip", "collision", "status"} - set(table.columns):
+        raise InputError(f"{path}: no column {', '.join(sorted(missing))}, expected a table of estimates")
+    run = load_json(folder / RUN) if (folder / RUN).is_file() else {}
+    digest = run.get("input") if isinstance(run, dict) else None
+    marks: dict[int, list[str]] = {}
+    for number in map(int, table["clip"].unique()):
+        tracks = clip_folder(folder, number) / "tracks.csv"
+        marks[number] = [hashlib.sha256(tracks.read_bytes()).hexdigest()] if tracks.is_file() else []
+        marks[number] += [f"{digest} {number}"] if digest else []
+    return table, marks
+
+
+def _read_memory(result: Result) -> tuple[pd.DataFrame, dict[int, list[str]]]:
+    return result.estimates, {result.number: [hashlib.sha256(to_csv(tracks_table(result.found))).hexdigest()]}
+
+
+def _leave_out_repeated(
+    table: pd.DataFrame, marks: Mapping[int, Sequence[str]], seen: dict[str, str], name: str
+) -> tuple[pd.DataFrame, list[str]]:
+    """The table without clips whose recording was `seen` before, with a note for these."""
+    twice: dict[int, str] = {}
+    measured = table["clip"][table["status"].isin(["no_collision"]) | (table.get("particle2", -1) != -1)]
+    for number in map(int, measured.unique()):
+        first = next((seen[mark] for mark in marks[number] if mark in seen), None)
+        if first is not None:
+            twice[number] = first
+        for mark in marks[number]:
+            seen.setdefault(mark, f"{name}, clip {number}")
+    if not twice:
+        return table, []
+    number, first = next(iter(twice.items()))
+    more = f", and {len(twice) - 1} more" if len(twice) > 1 else ""
+    return table[~table["clip"].isin(list(twice))], [
+        f"recordings given twice count once: {name}, clip {number} is {first}{more}"
+    ]
+
+
+def _choose_fits(table: pd.DataFrame) -> pd.Series:
+    """Which fit of each row enters: tied, free, local, or "" where none does."""
+    ok = np.where(table["status"].isin(["ok", "no_collision"]), "tied", "")
+    if "recommended" not in table:
+        return pd.Series(ok, index=table.index)
+    said = table["recommended"]
+    known = said.where(said.isin(list(SUFFIXES)), "")
+    own = said.notna() & (table["status"] != "no_collision")
+    return known.where(own, pd.Series(ok, index=table.index)).astype(str)
+
+
+def _choose_quantities(table: pd.DataFrame, asked: Sequence[str] | None) -> list[str]:
+    """The quantities to combine. Raises InputError for one that no column has."""
+    if asked is None:
+        return [
+            name for name in SHARED_QUANTITIES if any(f"{name}{suffix}_std" in table for suffix in SUFFIXES.values())
+        ]
+    measured = {c.removesuffix("_std") for c in table.columns if c.endswith("_std") and c.removesuffix("_std") in table}
+    names = sorted(n for n in measured if not n.endswith(("_free", "_paper", "_local")))
+    for name in asked:
+        if name not in names:
+            hint = did_you_mean(name, {one: one for one in names})
+            raise InputError(f"--quantities: {name}: not measured, expected some of {', '.join(names)}{hint}")
+    return list(dict.fromkeys(asked))
+
+
+def _by_fit(table: pd.DataFrame, name: str, end: str = "") -> Floats:
+    """A quantity of each row by its recommended fit, or with the end "_std" its standard error; NaN without them."""
+    out = np.full(len(table), np.nan)
+    for fit, suffix in SUFFIXES.items():
+        rows, column = (table["fit"] == fit).to_numpy(), f"{name}{suffix}{end}"
+        if column in table:
+            out[rows] = table[column].to_numpy(float)[rows]
+    return out
+
+
+def _take_values(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    """The rows that give a quantity with an error. Raises InputError where an error is not above zero."""
+    value, std = _by_fit(table, name), _by_fit(table, name, "_std")
+    speed, offset = _by_fit(table, "v0"), _by_fit(table, "b")
+    rows = np.isfinite(value) & np.isfinite(std)
+    if name not in WITHOUT_COLLISION:
+        rows &= (table["status"] != "no_collision").to_numpy()
+    if len(wrong := np.flatnonzero(rows & ~(std > 0))):
+        row = table.iloc[wrong[0]]
+        raise InputError(
+            f"{row['result']}: clip {row['clip']}, collision {row['collision']}: {name} has the standard error "
+            f"{std[wrong[0]]:g}, expected one above 0"
+        )
+    with np.errstate(invalid="ignore"):
+        along = speed * np.sqrt(1 - np.clip(np.abs(offset), 0, 1) ** 2)
+    columns = {"v_n": along, "value": value, "std": std}
+    return table[["result", "clip", "collision", "fit"]].assign(**columns)[rows]
