@@ -86,7 +86,7 @@ class GeneralisedQ:
 
     def fit(self, tau2: float) -> tuple[Floats, Floats, float]:
         """Coefficients, their covariance, and Q."""
-        cov = np.linalg.inv(self.weigh(tau2, self.design, self.design))
+        cov = np.asarray(np.linalg.inv(self.weigh(tau2, self.design, self.design)), dtype=np.float64)
         coefficients = cov @ self.weigh(tau2, self.design, self.value)
         off = self.value - self.design @ coefficients
         return coefficients, cov, float(self.weigh(tau2, off, off))

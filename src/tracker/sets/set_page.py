@@ -144,10 +144,10 @@ def _blocks(one: CombinedQuantity, caption: str) -> list[Block]:
     known = one.values.dropna(subset=["influence"])
     if len(known):
         order = known["influence"].abs().sort_values(ascending=False, kind="stable").index[:MOST_INFLUENTIAL]
-        rows = [
+        lines = [
             (
                 f"{row['result']}, clip {row['clip']}, collision {row['collision']}",
-                row["fit"],
+                str(row["fit"]),
                 _format(row["value"], row["std"], quantity),
                 f"{row['z']:.2f}",
                 format_percent(row["weight"]),
@@ -161,7 +161,7 @@ def _blocks(one: CombinedQuantity, caption: str) -> list[Block]:
             "z: distance from the mean of the others in standard errors, with the scatter. Influence: change of the "
             "mean by this collision, in errors of the mean."
         )
-        blocks.append(PageTable(heads, rows, "Most influential collisions", note))
+        blocks.append(PageTable(heads, lines, "Most influential collisions", note))
     return blocks
 
 
@@ -192,37 +192,41 @@ def set_figure(one: CombinedQuantity) -> Figure:
 
 def _draw_forest(axes: Axes, one: CombinedQuantity, quantity: Quantity, label: str, named: bool) -> None:
     k, mean = quantity.factor, one.mean
+    middle, low, high = (float(ends[0]) * k for ends in (mean.coefficients, mean.low, mean.high))
     values = one.values.sort_values("v_n", kind="stable", ascending=False)
-    y, several = np.arange(len(values)), len(one.by_result) > 1
-    middle = mean.coefficients[0]
+    height = np.arange(len(values))
     if np.isfinite(mean.prediction):
-        axes.axvspan((middle - mean.prediction) * k, (middle + mean.prediction) * k, color="0.93", lw=0)
-    axes.axvspan(mean.low[0] * k, mean.high[0] * k, color="0.8", lw=0)
+        axes.axvspan(middle - mean.prediction * k, middle + mean.prediction * k, color="0.93", lw=0)
+    axes.axvspan(low, high, color="0.8", lw=0)
+    size = 6 + 60 * values["weight"].to_numpy(float).clip(0) / values["weight"].max()
     for fit, colour in COLOURS.items():
         rows = (values["fit"] == fit).to_numpy()
-        if not rows.any():
-            continue
-        at, std = values["value"].to_numpy(float)[rows] * k, values["std"].to_numpy(float)[rows] * k
-        axes.errorbar(at, y[rows], xerr=std, fmt="none", ecolor=colour, lw=0.8)
-        size = 6 + 60 * values["weight"].to_numpy(float)[rows].clip(0) / values["weight"].max()
-        axes.scatter(at, y[rows], s=size if named else 8, marker="s", color=colour, label=f"{fit} fit", zorder=3)
-    ticks = [f"{row['result']} {row['clip']}.{row['collision']}" for _, row in values.iterrows()] if named else []
-    places = list(y) if named else []
-    for name, fit in one.by_result.items() if several else ():
-        at = min([0.0, *places]) - 1.0
-        ticks, places = [*ticks, name], [*places, at]
-        half = [[(fit.coefficients[0] - fit.low[0]) * k], [(fit.high[0] - fit.coefficients[0]) * k]]
-        axes.errorbar([fit.coefficients[0] * k], [at], xerr=half, fmt="D", ms=5, color="0.35", lw=1.2)
-    at = min([0.0, *places]) - 1.5
-    diamond = [(mean.low[0] * k, at), (middle * k, at + 0.4), (mean.high[0] * k, at), (middle * k, at - 0.4)]
-    axes.fill(*np.array(diamond).T, color="0.1", zorder=4)
-    axes.set_yticks([*places, at], [*ticks, "mean"], fontsize=7)
-    span = np.concatenate([values["value"] - values["std"], values["value"] + values["std"]]) * k
-    low, high = np.percentile(span, [1, 99]) if len(values) > 20 else (span.min(), span.max())
-    low, high = min(low, mean.low[0] * k), max(high, mean.high[0] * k) if len(values) > 2 else high
-    axes.set_xlim(low - 0.08 * (high - low), high + 0.08 * (high - low))
-    axes.set(xlabel=label, ylim=(at - 1, len(values)))
-    axes.set_title(f"mean {_format(middle, mean.std[0], quantity)}, {describe_scatter(one, k)}", fontsize=8)
+        if rows.any():
+            at, std = (values[column].to_numpy(float)[rows] * k for column in ("value", "std"))
+            axes.errorbar(at, height[rows], xerr=std, fmt="none", ecolor=colour, lw=0.8)
+            marks = size[rows] if named else 8
+            axes.scatter(at, height[rows], s=marks, marker="s", color=colour, label=f"{fit} fit", zorder=3)
+    ticks: dict[float, str] = {}
+    if named:
+        ticks |= {float(at): f"{row.result} {row.clip}.{row.collision}" for at, row in enumerate(values.itertuples())}
+    below = -1.0
+    for name, group in one.by_result.items() if len(one.by_result) > 1 else ():
+        at_mean, ends = float(group.coefficients[0]), (float(group.low[0]), float(group.high[0]))
+        half = [[(at_mean - ends[0]) * k], [(ends[1] - at_mean) * k]]
+        axes.errorbar([at_mean * k], [below], xerr=half, fmt="D", ms=5, color="0.35", lw=1.2)
+        ticks[below], below = name, below - 1
+    below -= 0.5
+    ticks[below] = "mean"
+    axes.fill([low, middle, high, middle], [below, below + 0.4, below, below - 0.4], color="0.1", zorder=4)
+    axes.set_yticks(list(ticks), list(ticks.values()), fontsize=7)
+    ends_of_bars = np.concatenate([values["value"] - values["std"], values["value"] + values["std"]]) * k
+    first, last = (float(end) for end in np.percentile(ends_of_bars, [1, 99] if len(values) > 20 else [0, 100]))
+    if len(values) > 2:  # with two, Student's t makes the interval twelve times as wide as their errors
+        first, last = min(first, low), max(last, high)
+    axes.set_xlim(first - 0.08 * (last - first), last + 0.08 * (last - first))
+    axes.set(xlabel=label, ylim=(below - 1, len(values)))
+    value = _format(mean.coefficients[0], mean.std[0], quantity)
+    axes.set_title(f"mean {value}, {describe_scatter(one, k)}", fontsize=8)
     axes.legend(fontsize=7, loc="best")
 
 
@@ -247,12 +251,12 @@ def _draw_slope(axes: Axes, one: CombinedQuantity, quantity: Quantity, label: st
     for fit, colour in COLOURS.items():
         part = values[values["fit"] == fit]
         if part["v_n"].notna().any():
-            style = {"fmt": "o", "ms": 3, "lw": 0.7, "mfc": "white", "color": colour}
-            axes.errorbar(part["v_n"], part["value"] * k, part["std"] * k, **style)
+            speed, value, std = (part[column].to_numpy(float) for column in ("v_n", "value", "std"))
+            axes.errorbar(speed, value * k, std * k, fmt="o", ms=3, lw=0.7, mfc="white", color=colour)
     if one.slope is not None:
         grid = np.linspace(values["v_n"].min(), values["v_n"].max(), 100)
-        (value, slope), (value_std, slope_std) = one.slope.coefficients, one.slope.std
-        middle, error = value + slope * (grid - one.speed), np.hypot(value_std, slope_std * (grid - one.speed))
+        (start, slope), (start_std, slope_std) = one.slope.coefficients, one.slope.std
+        middle, error = start + slope * (grid - one.speed), np.hypot(start_std, slope_std * (grid - one.speed))
         axes.plot(grid, middle * k, "-", color="0.2", lw=1)
         axes.fill_between(grid, (middle - error) * k, (middle + error) * k, color="0.7", alpha=0.5, lw=0)
         axes.set_title(f"slope {_format(slope, slope_std, quantity)} per m/s", fontsize=8)
