@@ -242,6 +242,17 @@ class SearchPolicy(Settings):
     """-2 log likelihood within the phases of motion by which they exclude a noise estimated over whole clips.
     Derived: one chance in a thousand for five numbers, the most that such a noise has."""
 
+    frame_shift_sigma: Positive = 5.0
+    """Sigma beyond which a shift of every second frame is removed. A convention (5 sigma)."""
+
+    noise_trend_sigma: Positive = 5.0
+    """Sigma beyond which the size of the noise counts as dependent on speed, place, ball or frame parity.
+    A convention (5 sigma)."""
+
+    min_noise_trend: Positive = 1.2
+    """Factor by which the noise must change for that. Chosen; not derived: a smaller one changes sigma by less than the
+    level of a search is uncertain."""
+
     smoothed_partial_correlation: Annotated[float, Field(gt=-1, lt=0)] = -0.12
     """Partial correlation of noise two positions apart below which tracks count as smoothed: a filter's window ends,
     as no noise does. Moving means, Gaussians and Savitzky-Golay filters give -1 to -0.17 on drawn tracks, unfiltered

@@ -12,6 +12,7 @@ from discrepancy.data.prior_processing import covers_contact, remove_filtered_ro
 from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.base_fit import Progress, estimate_noise, fit_base_model, remove_outliers_beside_model
 from discrepancy.fitting.noise_refit import refit_noise
+from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
 from discrepancy.noise.model import Noise
 from discrepancy.policy import current_policy
 from synthcam.model import Model
@@ -28,6 +29,7 @@ class SearchData:
     noise: Noise
     left_out: tuple[SearchNote, ...]  # a note for each collision, or part of one, that is not used
     is_smoothed: bool = False  # true if the tracks were smoothed by a filter before the search
+    error_notes: tuple[SearchNote, ...] = ()  # what the errors of the positions depend on
 
     def without(self, outliers: Mapping[int, SearchNote]) -> SearchData:
         """Remove clips to fit, given by index, each with a note that says why."""
@@ -43,16 +45,20 @@ def prepare(clips: Sequence[MeasuredCollision], model: Model, progress: Progress
     removes the parts that the filter has moved instead.
     """
     progress("noise")
-    cleaned = remove_outliers(clips)
+    cleaned, error_notes = remove_frame_shift(remove_outliers(clips))
     fitted, held_out = split_held_out(cleaned)
     if estimate_noise(fitted).is_smoothed:
         return _prepare_smoothed(cleaned, note_removed_points(clips, cleaned))
     fitted, held_out = remove_outliers_beside_model(fitted, held_out, model, progress)
     noise = estimate_noise(fitted)
+    every, trends = rescale_errors([*fitted, *held_out], fitted, noise)
+    if trends:
+        fitted, held_out = every[: len(fitted)], every[len(fitted) :]
+        noise, error_notes = estimate_noise(fitted), [*error_notes, *trends]
     base = fit_base_model(fitted, model, noise, progress)
     noise = refit_noise(fitted, base, noise, explained=False) or noise
     left_out = note_removed_points(clips, [*fitted, *held_out])
-    return SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out))
+    return SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out), error_notes=tuple(error_notes))
 
 
 def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[SearchNote]) -> SearchData:

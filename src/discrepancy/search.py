@@ -251,7 +251,7 @@ def summarise(
         undetectable=find_undetectable(library, selection.state),
         experiment=_advise_experiment(selection, library, claims, data) if verdict is Verdict.AMBIGUOUS else "",
         uniform=tuple(find_uniform_conditions(clips)),
-        processed=(*smoothed, *detect_processing(clips)),
+        processed=(*smoothed, *detect_processing(clips), *data.error_notes),
         interrupted=selection.interrupted,
         policy=policy,
     )

@@ -55,7 +55,7 @@ def describe_search(found: SearchOutcome) -> str:
     base, law = found.base_fit.model, found.law_summary
     missing = [describe_claim(c, base) for c in found.claims if not c.is_in(base)]
     wrong = [describe_claim(c, base) for c in found.claims if c.is_in(base)]
-    parts = []
+    parts = [part for part in [describe_small_closure(found.gap)] if part]
     if found.free_law and law:
         parts.append(
             f"Missing law: {law.description}, which no effect of the library makes ({found.free_law.sigma:.0f} sigma)."
@@ -197,6 +197,14 @@ def describe_gap(gap: Gap) -> str:
     else:
         moved = f"{'falls' if gap.after < gap.before else 'does not fall but rises'} from {before} to {after}"
     return f"On held-out collisions chi^2 per point {moved}; noise alone leaves {gap.floor:.3g}."
+
+
+def describe_small_closure(gap: Gap, most: float = 0.5) -> str:
+    """Warn if claims close less than the share `most` of a significant gap; else empty."""
+    if not gap.closure < most:
+        return ""
+    closed = f"close only {100 * max(gap.closure, 0.0):.0f} %" if gap.closure > 0 else "do not close any"
+    return f"These claims {closed} of the gap on held-out collisions: most of it has another cause."
 
 
 def describe_slow_noise(noise: Noise) -> str:

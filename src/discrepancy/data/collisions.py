@@ -59,13 +59,18 @@ class MeasuredCollision:
         phases = [late & (opens >= end), late & (closes <= end), closes <= contact]
         return np.select(phases, [2, 1, 0], -1)
 
-    def smooth_stretches(self) -> Iterator[tuple[Array, Array, Ints]]:
-        """Stretches of one ball in one phase: positions (n, 2) and claimed std (n,), m, and frames (n,)."""
-        phase, claimed = self.phases(), self.claimed_std()
+    def stretch_rows(self) -> Iterator[Ints]:
+        """The rows of each stretch: one ball in one phase, without long gaps."""
+        phase = self.phases()
         for p, b in product(range(3), range(2)):
             rows = np.flatnonzero((phase == p) & (self.ball == b))
-            for kept in _split_at_gaps(rows, self.frame[rows]):
-                yield self.xy[kept], claimed[kept], self.frame[kept]
+            yield from _split_at_gaps(rows, self.frame[rows])
+
+    def smooth_stretches(self) -> Iterator[tuple[Array, Array, Ints]]:
+        """Stretches of one ball in one phase: positions (n, 2) and claimed std (n,), m, and frames (n,)."""
+        claimed = self.claimed_std()
+        for rows in self.stretch_rows():
+            yield self.xy[rows], claimed[rows], self.frame[rows]
 
     def paired_stretches(self) -> Iterator[tuple[Array, Array, Array, Array, Ints]]:
         """Stretches of both balls: positions (n, 2) of either, claimed std (n,) of either, m, and frames (n,)."""

@@ -42,6 +42,17 @@ class SearchNoteKind(Enum):
         "frames are at uneven times, up to {off:.2g} frames off an even rate: positions are moved along their paths to "
         "even times, and those at the contact are left out"
     )
+    # what the errors of the positions depend on
+    FRAME_SHIFT = (
+        "positions in odd frames are off those in even frames by {x_um:.2g} um in x and {y_um:.2g} um in y, and "
+        "{late_ms:.2g} ms late ({sigma:.0f} sigma), as half-frames of an interlaced film are: the search removes it"
+    )
+    NOISE_BY_SPEED = "the noise changes by a factor of {ratio:.2g} with the speed ({sigma:.0f} sigma): errors rescaled"
+    NOISE_BY_PLACE = "the noise changes by a factor of {ratio:.2g} with the place ({sigma:.0f} sigma): errors rescaled"
+    NOISE_BY_BALL = "the noise of the two balls differs by a factor of {ratio:.2g} ({sigma:.0f} sigma): errors rescaled"
+    NOISE_BY_PARITY = (
+        "the noise of odd and of even frames differs by a factor of {ratio:.2g} ({sigma:.0f} sigma): errors rescaled"
+    )
     # what many clips have in common
     CONTACTS_MAY_LAST = (
         "in {count} clips the paths cross within one diameter: contacts of about {duration_ms:.2g} ms and "

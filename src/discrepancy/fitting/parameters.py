@@ -136,6 +136,11 @@ def find_parameter(model: Model, name: str) -> Parameter:
     return scale_parameter(kind, own, model.ball.diameter)
 
 
+def is_known(name: str) -> bool:
+    """True for a base parameter, and for a parameter of an effect that the library has."""
+    return "." not in name or name.partition(".")[0] in library()
+
+
 def difference_step(model: Model, name: str) -> float:
     """The step of a parameter for central differences, in its unit."""
     if "." not in name:

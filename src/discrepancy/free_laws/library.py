@@ -10,6 +10,7 @@ from functools import cache
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.fitting.parameters import is_known
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.ranges import compute_ranges
@@ -42,11 +43,13 @@ def law_count() -> int:
 
 
 def free_laws_over(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> tuple[FreeLaw, ...]:
-    """Set the axes of every free law to the ranges that a fit's motion covers: sorted by name, without laws not
-    covered.
+    """Set the axes of every free law to the ranges that a fit's motion covers: sorted by name. Laws that the motion
+    does not cover are left out, and those of an effect that the library lacks.
     """
     covered, found = compute_ranges(model, launches, clips), []
     for law in library():
+        if not all(is_known(name) for name, _ in law.owners):
+            continue
         for ball in ("", "a", "b") if law.one_ball else ("",):
             if axes := law.over(covered[ball]):
                 found.append(replace(law, axes=axes, ball=ball))

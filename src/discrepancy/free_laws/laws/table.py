@@ -71,5 +71,7 @@ LAWS = (
                symbol="rolling loss at rest", unit="m/s^2", owners=(("rolling_decel", 0),)),
     ClipNumber("restitution_clip", "Restitution of each clip", **RESTITUTION),
     ClipNumber("spin_transfer_clip", "Spin transfer of each clip", **SPIN_TRANSFER),
+    ClipNumber("scale_clip", "Error of the scale of each clip", symbol="scale error", owners=(("scale_error.e", 0),)),
+    ClipNumber("clock_clip", "Error of the clock of each clip", symbol="clock error", owners=(("clock_error.e", 0),)),
 )
 # fmt: on

@@ -1,0 +1,282 @@
+"""Corrects claimed errors: a shift of every second frame, and noise that depends on speed, place, ball or frame parity.
+
+Both are read from smooth stretches of the tracks, without their cubics, so neither depends on a model of the impact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc, ndtri
+
+from discrepancy.arrays import Array, Ints
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import T_C
+from discrepancy.data.notes import SearchNote, SearchNoteKind
+from discrepancy.noise.model import CUBIC_COEFFICIENTS, Noise, cubic_basis
+from discrepancy.policy import current_policy
+
+Clips = list[MeasuredCollision]
+
+
+# --- A shift of every second frame ---
+
+
+def remove_frame_shift(clips: Sequence[MeasuredCollision]) -> tuple[Clips, list[SearchNote]]:
+    """Remove what moves every second frame: a displacement that all positions share, or a delay.
+
+    Half-frames of an interlaced film and a shutter with two curtains make such shifts. A least-squares fit gives x, y
+    and the delay; the scatter of the stretches about it gives their covariance (the sandwich estimate; Liang & Zeger,
+    Biometrika 73 (1986) 13), and Hotelling's T^2 their significance.
+
+    Returns the clips, and a note if there is such a shift.
+    """
+    parts = [part for clip in clips for part in _shift_equations(clip)]
+    kept: list[int] = [0, 1, 2]
+    while len(parts) > 3 * len(kept):
+        shift, covariance = _solve_shift(parts, kept)
+        sigma = _hotelling_sigma(shift, covariance, len(parts))
+        if not sigma > current_policy().frame_shift_sigma:
+            break
+        own = [_hotelling_sigma(shift[[k]], covariance[[k]][:, [k]], len(parts)) for k in range(len(kept))]
+        weakest = int(np.argmin(own))
+        if own[weakest] > current_policy().frame_shift_sigma or len(kept) == 1:
+            whole = np.zeros(3)
+            whole[kept] = shift
+            values = {"x_um": 1e6 * whole[0], "y_um": 1e6 * whole[1], "late_ms": 1e3 * whole[2], "sigma": sigma}
+            return [_move_back(clip, whole) for clip in clips], [SearchNote(SearchNoteKind.FRAME_SHIFT, values=values)]
+        del kept[weakest]
+    return list(clips), []
+
+
+def _parity(frame: Ints) -> Array:
+    """+1/2 in odd frames, -1/2 in even ones, so that a strength of 1 is the difference between them."""
+    return np.where(frame % 2 == 1, 0.5, -0.5)
+
+
+def _shift_columns(frame: Ints, velocity: Array) -> Array:
+    """Displacements (n, 2, 3) by 1 m in x, 1 m in y, and 1 s later."""
+    columns = np.concatenate([np.broadcast_to(np.eye(2), (len(frame), 2, 2)), velocity[:, :, None]], axis=2)
+    return np.asarray(_parity(frame)[:, None, None] * columns)
+
+
+def _shift_equations(clip: MeasuredCollision) -> Iterator[tuple[Array, Array]]:
+    """Normal equations (3, 3) and right sides (3,) of each stretch, weighted by the claimed errors."""
+    claimed, least = clip.claimed_std(), current_policy().min_short_stretch_positions
+    for rows in clip.stretch_rows():
+        if len(rows) < least:
+            continue
+        frame, weight = clip.frame[rows], 1 / claimed[rows]
+        q, _ = np.linalg.qr(cubic_basis(frame - frame[0]) * weight[:, None])
+        columns = _shift_columns(frame, _velocity(frame, clip.xy[rows], clip.fps))
+        both = np.concatenate([columns, clip.xy[rows][..., None]], axis=2) * weight[:, None, None]
+        left = both - np.einsum("nk,mk,mai->nai", q, q, both)
+        gram = np.einsum("nai,naj->ij", left, left)
+        yield gram[:-1, :-1], gram[:-1, -1]
+
+
+def _solve_shift(parts: Sequence[tuple[Array, Array]], kept: list[int]) -> tuple[Array, Array]:
+    """The shift (k,) and its covariance (k, k), from normal equations; k = len(kept)."""
+    grams = np.array([gram[np.ix_(kept, kept)] for gram, _ in parts])
+    sides = np.array([side[kept] for _, side in parts])
+    inverse = np.linalg.pinv(grams.sum(axis=0))
+    shift = inverse @ sides.sum(axis=0)
+    pulls = sides - grams @ shift
+    return shift, inverse @ (pulls.T @ pulls) @ inverse * len(parts) / (len(parts) - len(kept))
+
+
+def _hotelling_sigma(shift: Array, covariance: Array, count: int) -> float:
+    """Sigma of a shift of k numbers from `count` stretches."""
+    size = len(shift)
+    squared = float(shift @ np.linalg.pinv(covariance) @ shift)
+    return _to_sigma(float(fdtrc(size, count - size, squared * (count - size) / (size * (count - 1)))))
+
+
+def _to_sigma(p: float) -> float:
+    """The |z| of a normal variable with this p-value; 37 at most, where p-values end."""
+    return float(-ndtri(max(p, 1e-300) / 2))
+
+
+def _velocity(frame: Ints, xy: Array, fps: float) -> Array:
+    """Velocity (n, 2), m/s, from the cubic through the positions of one stretch."""
+    since = (frame - frame[0]) / fps
+    unit = max(float(since[-1]), 1 / fps) / 2
+    scaled = since / unit - 1
+    cubic = np.polynomial.polynomial.polyfit(scaled, xy, min(CUBIC_COEFFICIENTS, len(frame)) - 1)
+    slope = np.polynomial.polynomial.polyder(cubic)
+    return np.asarray(np.polynomial.polynomial.polyval(scaled, slope).T / unit)
+
+
+def _move_back(clip: MeasuredCollision, shift: Array) -> MeasuredCollision:
+    velocity = np.concatenate([v for _, v in _motion(clip)])
+    return replace(clip, xy=clip.xy - _shift_columns(clip.frame, velocity) @ shift)
+
+
+def _motion(clip: MeasuredCollision, window: int = 7) -> Iterator[tuple[Ints, Array]]:
+    """Rows of a ball and their velocities (n, 2), m/s: slopes over `window` positions, none across the contact."""
+    for ball in (0, 1):
+        rows = np.flatnonzero(clip.ball == ball)
+        late = clip.frame[rows] / clip.fps >= clip.launch[T_C]
+        velocity = np.zeros((len(rows), 2))
+        for side in (~late, late):
+            part = rows[side]
+            if len(part) < 2:
+                continue
+            width = min(window, len(part))
+            first = np.clip(np.arange(len(part)) - width // 2, 0, len(part) - width)
+            near = part[first[:, None] + np.arange(width)]
+            time = clip.frame[near] / clip.fps
+            time = time - time.mean(axis=1, keepdims=True)
+            velocity[side] = np.einsum("nk,nka->na", time, clip.xy[near]) / (time**2).sum(axis=1)[:, None]
+        yield rows, velocity
+
+
+# --- Noise that is not the same everywhere ---
+
+
+@dataclass(frozen=True)
+class _Trend:
+    """What the size of the noise may depend on."""
+
+    kind: SearchNoteKind
+    columns: Callable[[MeasuredCollision], Array]  # (n, k) for the rows of a clip
+
+
+def rescale_errors(
+    clips: Sequence[MeasuredCollision], usual: Sequence[MeasuredCollision], noise: Noise
+) -> tuple[Clips, list[SearchNote]]:
+    """Rescale the claimed errors where the size of the noise depends on speed, place, ball or frame parity.
+
+    The logarithm of the variance is linear in columns for each of the four. Their coefficients maximise the gamma
+    likelihood of the squared innovations, and their scatter gives the dispersion (McCullagh & Nelder, Generalized
+    Linear Models, 1989, chapter 8). A dependence stays if it exceeds `SearchPolicy.noise_trend_sigma` and changes the
+    noise by more than the factor `SearchPolicy.min_noise_trend`. The mean claimed variance stays.
+
+    usual: the clips to fit, whose noise is `noise`; clips: all that are rescaled. Returns those and a note for each
+    dependence.
+    """
+    squares, rows = _innovations(usual, noise)
+    if not len(squares):
+        return list(clips), []
+    trends = _list_trends(usual)
+    while trends:
+        blocks = [np.concatenate([t.columns(c)[r] for c, r in zip(usual, rows, strict=True)]) for t in trends]
+        sizes, sigmas = _fit_variance(squares, blocks)
+        policy = current_policy()
+        ratios = [_ratio_of_sizes(block @ size) for block, size in zip(blocks, sizes, strict=True)]
+        passes = [
+            s > policy.noise_trend_sigma and r > policy.min_noise_trend for s, r in zip(sigmas, ratios, strict=True)
+        ]
+        if all(passes):
+            logs = [sum(t.columns(c) @ s for t, s in zip(trends, sizes, strict=True)) for c in clips]
+            level = float(np.mean(np.concatenate([b @ s for b, s in zip(blocks, sizes, strict=True)])))
+            scaled = [
+                replace(c, covariance=c.covariance * np.exp(log - level)[:, None, None])
+                for c, log in zip(clips, logs, strict=True)
+            ]
+            return scaled, [
+                SearchNote(t.kind, values={"ratio": r, "sigma": s})
+                for t, r, s in zip(trends, ratios, sigmas, strict=True)
+            ]
+        failing = [k for k, good in enumerate(passes) if not good]
+        del trends[min(failing, key=lambda k: sigmas[k])]
+    return list(clips), []
+
+
+def _list_trends(clips: Sequence[MeasuredCollision]) -> list[_Trend]:
+    """What the noise may depend on, with columns that are zero where nothing changes."""
+    speeds = np.concatenate([_speeds(c) for c in clips])
+    knots = np.array([0.0, *np.quantile(speeds[speeds > 0.05 * speeds.max()], (1 / 3, 2 / 3, 0.98))])
+    middle = np.mean(np.concatenate([c.xy for c in clips]), axis=0)
+    spread = np.std(np.concatenate([c.xy for c in clips]), axis=0)
+
+    def by_speed(clip: MeasuredCollision) -> Array:
+        weights = [np.interp(_speeds(clip), knots, unit) for unit in np.eye(len(knots))[1:]]
+        return np.stack(weights, axis=1)
+
+    def by_place(clip: MeasuredCollision) -> Array:
+        x, y = ((clip.xy - middle) / spread).T
+        return np.stack([x, y, x * x, x * y, y * y], axis=1)
+
+    def by_ball(clip: MeasuredCollision) -> Array:
+        return np.asarray(np.where((clip.ball == 1) == (clip.striker == "b"), 0.5, -0.5)[:, None])
+
+    return [
+        _Trend(SearchNoteKind.NOISE_BY_SPEED, by_speed),
+        _Trend(SearchNoteKind.NOISE_BY_PLACE, by_place),
+        _Trend(SearchNoteKind.NOISE_BY_BALL, by_ball),
+        _Trend(SearchNoteKind.NOISE_BY_PARITY, lambda clip: _parity(clip.frame)[:, None]),
+    ]
+
+
+def _speeds(clip: MeasuredCollision) -> Array:
+    return np.concatenate([np.hypot(*velocity.T) for _, velocity in _motion(clip)])
+
+
+def _innovations(clips: Sequence[MeasuredCollision], noise: Noise) -> tuple[Array, list[Ints]]:
+    """Squared innovations (n,), the mean of both axes, with their rows in each clip.
+
+    A track less its cubic is whitened. What remains of each number is divided by its share that the cubic leaves.
+    """
+    squares, rows, least = list[Array](), list[Ints](), current_policy().min_short_stretch_positions
+    for clip in clips:
+        claimed, own = clip.claimed_std(), [np.zeros(0, dtype=np.int64)]
+        for part in _cut(clip.stretch_rows(), least, whole=not noise.whole_phase_scale):
+            frame = clip.frame[part] - clip.frame[part[0]]
+            lags = noise.own.autocovariances(int(frame[-1]) + 1)
+            factor = np.linalg.cholesky(lags[np.abs(frame[:, None] - frame)])
+            both = np.column_stack([cubic_basis(frame), clip.xy[part]]) / claimed[part, None]
+            white = np.linalg.solve(factor, both)
+            q, _ = np.linalg.qr(white[:, :CUBIC_COEFFICIENTS])
+            seen = white[:, CUBIC_COEFFICIENTS:]
+            left, share = seen - q @ (q.T @ seen), 1 - (q**2).sum(axis=1)
+            squares.append((left**2).mean(axis=1) / share)
+            own.append(part)
+        rows.append(np.concatenate(own))
+    return np.concatenate(squares) if squares else np.zeros(0), rows
+
+
+def _cut(stretches: Iterator[Ints], size: int, whole: bool) -> Iterator[Ints]:
+    """Stretches of at least `size` positions; cut into pieces of that size where no cubic follows a whole one."""
+    for rows in stretches:
+        if whole and len(rows) >= size:
+            yield rows
+        elif not whole:
+            yield from (rows[k : k + size] for k in range(0, len(rows) - size + 1, size))
+
+
+def _fit_variance(squares: Array, blocks: Sequence[Array], rounds: int = 30) -> tuple[list[Array], list[float]]:
+    """Fit log variances, linear in the columns of all blocks and a constant: coefficients and sigma of each block.
+
+    The scoring step of a gamma likelihood with a logarithmic link has equal weights, so each is a plain least-squares
+    fit.
+    """
+    design = np.column_stack([np.ones(len(squares)), *blocks])
+    inverse = np.linalg.pinv(design)
+    squares = np.maximum(squares, 1e-6 * squares.mean())
+    x = np.zeros(design.shape[1])
+    x[0] = np.log(squares.mean())
+    for _ in range(rounds):
+        ratio = squares * np.exp(-design @ x)
+        step = inverse @ (ratio - 1)
+        x = x + step * min(1.0, 1.0 / max(float(np.abs(design @ step).max()), 1e-12))
+        if np.abs(step).max() < 1e-6:
+            break
+    dispersion = float(np.sum((squares * np.exp(-design @ x) - 1) ** 2)) / max(len(squares) - len(x), 1)
+    covariance = dispersion * (inverse @ inverse.T)
+    sizes, sigmas, first = [], [], 1
+    for block in blocks:
+        own = slice(first, first + block.shape[1])
+        first += block.shape[1]
+        sizes.append(x[own])
+        chi2 = float(x[own] @ np.linalg.pinv(covariance[own, own]) @ x[own])
+        sigmas.append(_to_sigma(float(chdtrc(block.shape[1], chi2))))
+    return sizes, sigmas
+
+
+def _ratio_of_sizes(logs: Array) -> float:
+    """The ratio of the noise where it is large to that where it is small, from logarithms of the variance."""
+    low, high = np.quantile(logs, (0.05, 0.95))
+    return float(np.exp((high - low) / 2))
