@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +16,25 @@ NO_SPIN = (0.0, 0.0, 0.0)  # a striker that rolls
 
 
 @dataclass(frozen=True)
+class LaterLaunch:
+    """A launch of one body in the course of a run, wherever it is then.
+
+    body: its number. time: s. velocity: the last six numbers of its state just after. A hand may push it from then
+    until the time `until` with a constant acceleration (x, y), m/s^2, or until it hits something.
+    """
+
+    body: int
+    time: float
+    velocity: tuple[float, ...]
+    until: float = -math.inf
+    acceleration: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Launch:
     """States (balls, 9) of `bodies` at `time`, s. Before it each ball rolled, slid all the time, or was at rest.
+
+    later: launches of single bodies after that time.
 
     Where balls push each other, a target that another ball touches was at rest long before, until the push pulled it
     off. Its position here is that of the contact; its velocity at the contact follows from the solution.
@@ -25,6 +43,7 @@ class Launch:
     time: float
     states: Array
     bodies: Bodies
+    later: tuple[LaterLaunch, ...] = ()
 
     @property
     def touches(self) -> bool:

@@ -7,9 +7,11 @@ import math
 
 import numpy as np
 
-from synthcam.dynamics.contacts.calendar import Calendar
+from synthcam.dynamics.contacts.calendar import Calendar, ContactDistances
 from synthcam.dynamics.contacts.contact_time import MIN_IMPACT_SPEED_M_S, STAYING
 from synthcam.dynamics.contacts.impact import MIN_BOUNCE_SPEED_M_S, ContactChange, hit_wall, land, strike
+from synthcam.dynamics.contacts.lasting import STICKING_M_S, TouchingBodies
+from synthcam.dynamics.contacts.sticking import StickingBodies
 from synthcam.dynamics.forces import (
     LAWS,
     NOWHERE,
@@ -31,15 +33,17 @@ from synthcam.dynamics.kinematics import (
     to_rest,
     to_rolling,
 )
-from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.propagate import MAX_SPEED_M_S, propagate, propagate_back
 from synthcam.dynamics.start_from_rest import MIN_IMPACT_SPEED_OF_PAIR_M_S, excess_push
+from synthcam.dynamics.supports import Support
 from synthcam.dynamics.table import Table
-from synthcam.dynamics.trajectory import Event, Fly, Leg, Numeric, Rest, Roll, Slide, Trajectory
+from synthcam.dynamics.trajectory import Carried, Event, Fly, Leg, Numeric, Push, Rest, Roll, Slide, Trajectory
 from synthcam.model import Bodies, Model
 
 MAX_TIME_S = 1e4  # beyond it the last bit of the time is too coarse for an event
 PLATE = Table()
+LEAST_APPROACH_M_S = 1e-6
 MAX_PAIR_TIME_S = 60.0  # balls that push each other are integrated in small steps
 
 
@@ -100,7 +104,7 @@ class _EventLoop:
         self.model, self.bodies, self.end, self.finish_slides = model, launch.bodies, end, finish_slides
         self.radius, self.mass = launch.bodies.radius.tolist(), launch.bodies.mass.tolist()
         self.inertia, self.walls = launch.bodies.inertia.tolist(), table.walls
-        self.supports = table.supports or (None,) * len(self.radius)
+        self.supports: list[Support | None] = list(table.supports or (None,) * len(self.radius))
         self.start, self.t = start, launch.time
         self.table = table
         self.chance = np.random.default_rng(table.scatter.seed) if table.scatter.active else None
@@ -112,13 +116,26 @@ class _EventLoop:
         self.pushes, self.drills = laws.has_effect_on("push"), laws.has_effect_on("drilling")
         mutual = laws.needs("push", "other") and len(launch.states) == 2
         self.pairing = InteractingPair(model, launch.bodies, start, end) if mutual else None
+        self.joint: StickingBodies | TouchingBodies | None = None  # bodies that do not move alone
+        if any(table.sticks):
+            self.joint = StickingBodies(model, launch.bodies, table.sticks)
+        elif table.spring:
+            self.joint = TouchingBodies(model, launch.bodies, table.spring)
+        self.later, self.pushed = launch.later, dict[int, LaterLaunch]()
+        self.stretches = [0] * len(self.radius)
         states = {k: tuple(row) for k, row in enumerate(launch.states.tolist())}
+        for k, state in states.items():
+            self._start_stretch(k, state)
         self.past: list[list[Leg]] = [[] for _ in states]
         if self.pairing:
             states, self.past, self.events = self.pairing.solve_past(launch)
         else:
             self.past = [self._past_legs(k, states[k], launch.time) for k in states]
-        self.calendar = Calendar(self.radius, self.walls, max(end, self.t))
+        width, seed = table.scatter.distance, table.scatter.seed
+        distances = ContactDistances(width, seed) if width else None
+        self.calendar = Calendar(self.radius, self.walls, max(end, self.t), distances)
+        for number, one in enumerate(self.later):
+            self.calendar.schedule(one.time, number)
         self.legs: list[Leg] = []
         self.unsettled: set[int] = set()  # balls that slide or fly
         self._start_legs(states)
@@ -136,6 +153,8 @@ class _EventLoop:
                 self._bounce(due.i, due.j)
             elif due.kind == "renewal":
                 self._start_legs({})
+            elif due.kind == "launch":
+                self._launch(self.later[due.i])
             else:
                 self._end_leg(due.i)
         else:
@@ -150,13 +169,18 @@ class _EventLoop:
         restarted, until = tuple(states), math.inf
         if self.pairing and self.legs:
             states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
+        joint: dict[int, Leg] = {}
+        if self.joint and self.legs:
+            states = self._gather(*states) | states
+            joint = self.joint.legs(states, self.supports, self.t)
+            self.calendar.joined = self.joint.joined
         for k in states if self.legs else ():
             self._archive_leg(k)
         if self.pairing:
             legs, until, started = self.pairing.next_legs(states, self.t, restarted)
             self.events += started
         else:
-            legs = [self._next_leg(k, state, self.t) for k, state in states.items()]
+            legs = [joint.get(k) or self._next_leg(k, state, self.t) for k, state in states.items()]
         if self.legs:
             for k, leg in zip(states, legs, strict=True):
                 self.legs[k] = leg
@@ -220,6 +244,9 @@ class _EventLoop:
     def _next_leg(self, k: int, state: State, t: float) -> Leg:
         """Make the leg of a ball in this state at t, up to its own next event."""
         radius, support = self.radius[k], self.supports[k]
+        if (hand := self.pushed.get(k)) is not None:
+            rolling = radius if support is None else math.inf
+            return Push(t, hand.until, t, state, hand.acceleration, rolling)
         if support is not None:
             return support.leg(state, radius, t)
         if state[5] > 0 or _is_airborne(state, radius):
@@ -275,7 +302,11 @@ class _EventLoop:
         """The end of a leg: of a slide, a roll, a rest, a flight; no event where a numerical roll was solved to."""
         leg, radius = self.legs[k], self.radius[k]
         before = leg.now(leg.t1)
-        if leg.motion == "roll" and math.hypot(before[3], before[4]) > ZERO_SPEED_M_S:
+        if self.joint and (self.joint.find_fellows(k) - {k} or isinstance(leg, Carried)):
+            self._end_joint_legs(k)
+        elif leg.motion == "push":
+            self._part({k: before})
+        elif leg.motion == "roll" and math.hypot(before[3], before[4]) > ZERO_SPEED_M_S:
             self._start_legs({k: before})
         elif leg.motion == "fly":
             self._start_legs({k: self._land(k, before)})
@@ -314,33 +345,58 @@ class _EventLoop:
         if math.hypot(*states[i][3:5]) > math.hypot(*states[j][3:5]):
             i, j = j, i  # the slower ball is the target
         one, two = ((self.radius[k], self.mass[k], self.inertia[k]) for k in (i, j))
-        change = self._change(i, j)
+        change = self._change(i, j, apart=math.dist(states[i][:3], states[j][:3]))
+        self.calendar.forget_distance(i, j)
+        if isinstance(self.joint, StickingBodies) and self.joint.concerns(i, j):
+            events, new = self.joint.collide(t, i, j, self._gather(i, j), change)
+            self.events += events
+            self._part(new)
+            return
+        if isinstance(self.joint, TouchingBodies):
+            states[j] = _approach(states[i], states[j])
         target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], one, two, change)
         slowest = MIN_IMPACT_SPEED_OF_PAIR_M_S if self.pairing else MIN_IMPACT_SPEED_M_S
+        before: Array = np.array((states[i], states[j]))
+        drawn = dict(change.drawn) if change else {}
+        if drawn:  # a turn that would part the balls is not taken
+            x, y = (states[i][axis] - states[j][axis] for axis in (0, 1))
+            drawn["normal_turn"] = math.atan2(x * n[1] - y * n[0], x * n[0] + y * n[1])
+        if isinstance(self.joint, TouchingBodies):
+            impact = (states[i], states[j]), (target, striker), (along_n, along_t)
+            self.joint.begin(i, j, *impact, len(self.events))
+            self.events.append(Event(t, "contact", i, j, before, n=n[:2], drawn=drawn))
+            self._start_legs({k: self.legs[k].now(t) for k in (i, j)})
+            return
         if not self.contact_duration and along_n < slowest * self.mass[i]:
             raise ValueError(f"balls {i} and {j} " + STAYING.format(t))
         new = {i: _without_bounce(target), j: _without_bounce(striker)}
-        before: Array = np.array((states[i], states[j]))
         after: Array = np.array((new[i], new[j]))
-        drawn = None
-        if self.chance and change:
-            x, y = (states[i][axis] - states[j][axis] for axis in (0, 1))
-            drawn = change.restitution, change.friction, math.atan2(x * n[1] - y * n[0], x * n[0] + y * n[1])
         self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t, drawn))
         self._part(new)
 
-    def _change(self, *balls: int) -> ContactChange | None:
-        """Return what changes an impact of these balls: chance, where there are two, and whether it follows another."""
-        drawn = self.table.scatter.draw(self.chance) if self.chance and len(balls) == 2 else ContactChange()
+    def _change(self, *balls: int, apart: float = 0.0) -> ContactChange | None:
+        """Return what changes an impact of these balls: chance, where there are two, and whether it follows another.
+
+        apart: the distance of their centres, m.
+        """
+        drawn = ContactChange()
+        if self.chance and len(balls) == 2:
+            drawn = self.table.scatter.draw(self.chance, apart - sum(self.radius[k] for k in balls))
         if self.contact_duration:
-            recent = any(self.t - self.last_hit[k] < self.contact_duration for k in balls)
-            slowest = self.model.gravity * self.contact_duration / 2
-            for k in balls:
+            springs = isinstance(self.joint, TouchingBodies) and len(balls) == 2
+            recent = any(self.t - self.last_hit[k] < self.contact_duration for k in balls) and not springs
+            slowest = 0.0 if springs else self.model.gravity * self.contact_duration / 2
+            for k in balls if not springs else ():
                 self.last_hit[k] = self.t
             return dataclasses.replace(drawn, elastic=recent, slowest=slowest)
         return drawn if self.chance else None
 
     def _bounce(self, k: int, wall: int) -> None:
+        if isinstance(self.joint, StickingBodies) and self.joint.concerns(k):
+            events, new = self.joint.bounce(self.t, k, wall, self.walls[wall], self._gather(k), self._change(k))
+            self.events += events
+            self._part(new)
+            return
         before = self.legs[k].now(self.t)
         body = self.radius[k], self.mass[k], self.inertia[k]
         hit = hit_wall(self.model, self.walls[wall], before, body, self._change(k))
@@ -352,15 +408,86 @@ class _EventLoop:
     def _part(self, states: dict[int, State]) -> None:
         """Start the legs of balls after an impact; those that it presses on the plate land at once."""
         self.rolled -= set(states)
+        for k in set(states) & set(self.pushed):
+            del self.pushed[k]
+            self.events.append(Event(self.t, "release", k, before=np.array([states[k]]), after=np.array([states[k]])))
         for k, state in states.items():
+            self._start_stretch(k, state)
             if state[5] < 0 and not _is_airborne(state, self.radius[k]):
                 states[k] = self._land(k, state)
         self._start_legs(states)
+
+    # launches in the course of the run, stretches on air, and bodies that do not move alone
+
+    def _launch(self, launch: LaterLaunch) -> None:
+        k = launch.body
+        if self.pairing:
+            raise ValueError("balls that push each other are launched at one time")
+        before = self.legs[k].now(self.t)
+        after: State = (*before[:3], *launch.velocity)
+        if isinstance(self.joint, StickingBodies):
+            self.events += self.joint.part(self.t, [pair for pair in self.joint.bonds if k in pair])
+        self.events.append(Event(self.t, "launch", k, before=np.array([before]), after=np.array([after])))
+        self._part({k: after})
+        if launch.until > self.t:
+            self.pushed[k] = launch
+            self._start_legs({k: after})
+
+    def _start_stretch(self, k: int, state: State) -> None:
+        """Draw what carries a body until its next hit."""
+        support = self.supports[k]
+        if support is None or math.hypot(state[3], state[4]) == 0:
+            return
+        rng = np.random.default_rng((*self.table.scatter.seed, k, self.stretches[k]))
+        self.supports[k], drawn = support.draw_stretch(rng)
+        self.stretches[k] += 1
+        if drawn:
+            self.events.append(Event(self.t, "stretch", k, drawn=drawn))
+
+    def _gather(self, *balls: int) -> dict[int, State]:
+        """Return the present states of these bodies and of all that move with them."""
+        assert self.joint
+        return {k: self.legs[k].now(self.t) for k in sorted(self.joint.find_fellows(*balls))}
+
+    def _end_joint_legs(self, k: int) -> None:
+        """The end of a lasting contact, or of the motion of a group that sticks together."""
+        states = self._gather(k)
+        if isinstance(self.joint, TouchingBodies):
+            for contact in self.joint.finish(k):
+                pair = contact.i, contact.j
+                for ball in pair:
+                    states[ball] = self._settle_slip(ball, states[ball])
+                after = np.array([states[ball] for ball in pair])
+                began = self.events[contact.event]
+                along_n, along_t = (part * contact.given / contact.whole for part in contact.impulses)
+                filled = dataclasses.replace(began, after=after, impulse_n=along_n, impulse_t=along_t)
+                self.events[contact.event] = filled
+                self.events.append(Event(self.t, "contact_end", *pair, before=after, after=after))
+        elif isinstance(self.joint, StickingBodies):
+            before, states = states, self.joint.stop(states)
+            for ball in states if all(s[8] == 0 for s in states.values()) else ():
+                early, late = (np.array([s[ball]]) for s in (before, states))
+                self.events.append(Event(self.t, "stop", ball, before=early, after=late))
+        self._start_legs(states)
+
+    def _settle_slip(self, k: int, state: State) -> State:
+        """Let a ball roll that rolled through a lasting contact."""
+        rolls = self.supports[k] is None and math.hypot(*slip_velocity(state, self.radius[k])) < 2 * STICKING_M_S
+        return _end_slip(state, self.radius[k], self.inertia[k]) if rolls else state
 
 
 def _without_bounce(state: State) -> State:
     """Drop a vertical velocity that is too small for a bounce."""
     return state if abs(state[5]) >= MIN_BOUNCE_SPEED_M_S else (*state[:5], 0.0, *state[6:])
+
+
+def _approach(target: State, striker: State) -> State:
+    """Let balls approach at LEAST_APPROACH_M_S at least, which shows the law of a contact that begins slowly."""
+    x, y = target[0] - striker[0], target[1] - striker[1]
+    far = math.hypot(x, y)
+    rate = ((striker[3] - target[3]) * x + (striker[4] - target[4]) * y) / far
+    more = max(LEAST_APPROACH_M_S - rate, 0.0) / far
+    return (*striker[:3], striker[3] + more * x, striker[4] + more * y, *striker[5:])
 
 
 def _end_slip(state: State, radius: float, inertia: float) -> State:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -31,6 +31,7 @@ from synthcam.dynamics.kinematics import Array, State
 from synthcam.dynamics.trajectory import Glide, Leg, Numeric, Rest
 
 STOPPED_M_S = 1e-12
+FADING_M_S = 1e-6  # friction in a contact that lasts fades at speeds below it
 LAST_LOG = 36.0  # of s: r is then 2e-16 of its first value
 DISC = 0.5  # k
 
@@ -41,6 +42,14 @@ class Support(ABC):
     @abstractmethod
     def leg(self, state: State, radius: float, t: float) -> Leg:
         """Return the leg of a body in this state at the time t, s, up to its own end."""
+
+    @abstractmethod
+    def accelerate(self, state: State, radius: float) -> tuple[float, float, float]:
+        """Return the rates of change of vx, vy and wz of a body in this state."""
+
+    def draw_stretch(self, rng: np.random.Generator) -> tuple[Support, dict[str, float]]:
+        """Draw what the support is until the next hit; also the draws, by name."""
+        return self, {}
 
 
 @dataclass(frozen=True)
@@ -57,20 +66,34 @@ class Air(Support):
         c, rad/s: the rate at which the path turns to the left.
     spin_drag : float
         Rate at which the spin decays, 1/s.
+    decel_range, curl_range : tuple of float, optional
+        Limits between which `decel` and `curl` are drawn, evenly, for each stretch of motion between two hits.
     """
 
     decel: float = 0.0
     drag: float = 0.0
     curl: float = 0.0
     spin_drag: float = 0.0
+    decel_range: tuple[float, float] | None = None
+    curl_range: tuple[float, float] | None = None
 
     def leg(self, state: State, radius: float, t: float) -> Leg:
         if math.hypot(state[3], state[4]) <= STOPPED_M_S:
-            still: State = (*state[:2], radius, 0.0, 0.0, 0.0, 0.0, 0.0, state[8])
+            still: State = (*state[:3], 0.0, 0.0, 0.0, 0.0, 0.0, state[8])
             if self.spin_drag == 0 or state[8] == 0:
                 return Rest(t, math.inf, still)
             return Glide(t, math.inf, t, still, 0.0, 0.0, 0.0, self.spin_drag, motion="rest")
         return Glide.of(t, state, self.decel, self.drag, self.curl, self.spin_drag)
+
+    def accelerate(self, state: State, radius: float) -> tuple[float, float, float]:
+        vx, vy = state[3], state[4]
+        loss = self.drag + self.decel / math.hypot(vx, vy, FADING_M_S)
+        return -loss * vx - self.curl * vy, -loss * vy + self.curl * vx, -self.spin_drag * state[8]
+
+    def draw_stretch(self, rng: np.random.Generator) -> tuple[Support, dict[str, float]]:
+        ranges = {"decel": self.decel_range, "curl": self.curl_range}
+        drawn = {name: float(rng.uniform(*limits)) for name, limits in ranges.items() if limits}
+        return replace(self, decel=drawn.get("decel", self.decel), curl=drawn.get("curl", self.curl)), drawn
 
 
 @dataclass(frozen=True)
@@ -87,8 +110,16 @@ class DryPlate(Support):
 
     def leg(self, state: State, radius: float, t: float) -> Leg:
         if max(math.hypot(state[3], state[4]), radius * abs(state[8])) <= STOPPED_M_S:
-            return Rest(t, math.inf, (*state[:2], radius, *(0.0,) * 6))
+            return Rest(t, math.inf, (*state[:3], *(0.0,) * 6))
         return _slide_and_turn(state, radius, self.slowing, t)
+
+    def accelerate(self, state: State, radius: float) -> tuple[float, float, float]:
+        vx, vy, turn = state[3], state[4], radius * state[8]
+        speed = math.hypot(vx, vy)
+        force, torque = friction_of_disc(math.atan2(abs(turn), speed))
+        fading = self.slowing / math.hypot(speed, turn, FADING_M_S) * math.hypot(speed, turn)
+        along = fading * force / max(speed, FADING_M_S)
+        return -along * vx, -along * vy, -math.copysign(fading * torque / DISC / radius, turn)
 
 
 def friction_of_disc(phi: float) -> tuple[float, float]:
@@ -147,7 +178,7 @@ def _slide_and_turn(state: State, radius: float, slowing: float, t: float) -> Nu
         phi, _, path = solution(s)
         out, r = np.zeros((len(share), 9)), first * np.exp(-s)
         out[:, :2] = np.array(state[:2]) + (path * first**2 / slowing)[:, None] * hat
-        out[:, 2] = radius
+        out[:, 2] = state[2]
         out[:, 3:5] = (r * np.cos(phi))[:, None] * hat
         out[:, 8] = math.copysign(1.0, state[8]) * r * np.sin(phi) / radius
         return out

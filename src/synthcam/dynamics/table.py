@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from synthcam.dynamics.contacts.impact import ContactChange
+from synthcam.dynamics.contacts.lasting import ContactSpring
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.supports import Support
 
@@ -23,6 +24,8 @@ class Scatter:
         Standard deviation of the factor on the tangential impulse.
     normal : float
         Standard deviation of the angle by which the normal is turned about the vertical, rad.
+    distance : float
+        Standard deviation of the distance of the centres, over the sum of the radii.
     seed : tuple of int
         Of the draws, which follow the order of the contacts.
     """
@@ -30,16 +33,21 @@ class Scatter:
     restitution: float = 0.0
     friction: float = 0.0
     normal: float = 0.0
+    distance: float = 0.0
     seed: tuple[int, ...] = (0,)
 
     @property
     def active(self) -> bool:
-        return bool(self.restitution or self.friction or self.normal)
+        return bool(self.restitution or self.friction or self.normal or self.distance)
 
-    def draw(self, rng: np.random.Generator) -> ContactChange:
-        """Draw what changes the next contact."""
+    def draw(self, rng: np.random.Generator, further: float) -> ContactChange:
+        """Draw what changes the next contact. further: distance of the centres less the radii, m."""
         one, two, three = rng.standard_normal(3).tolist()
-        return ContactChange(self.restitution * one, max(1 + self.friction * two, 0.0), self.normal * three)
+        shift, factor, turn = self.restitution * one, max(1 + self.friction * two, 0.0), self.normal * three
+        drawn = {"restitution_shift": shift, "friction_factor": factor, "normal_turn": turn}
+        if self.distance:
+            drawn["distance_shift"] = further
+        return ContactChange(shift, factor, turn, drawn=drawn)
 
 
 @dataclass(frozen=True)
@@ -55,9 +63,16 @@ class Table:
         Bounds sequences of impacts without end, s; see `dynamics.solve.solve`.
     scatter : Scatter
         How contacts of bodies differ by chance.
+    sticks : tuple of float
+        Of each body, the impulse that parts it from a body that it has hit, N s; 0: it does not stick. Empty: none
+        does.
+    spring : ContactSpring, optional
+        Of contacts that last; None: all are impacts in an instant.
     """
 
     walls: tuple[Wall, ...] = ()
     supports: tuple[Support | None, ...] = ()
     contact_duration: float = 0.0
     scatter: Scatter = Scatter()
+    sticks: tuple[float, ...] = ()
+    spring: ContactSpring | None = None

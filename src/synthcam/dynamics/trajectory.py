@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from synthcam.dynamics import kinematics
-from synthcam.dynamics.kinematics import Array, State
+from synthcam.dynamics.kinematics import Array, Real, State
 
-Motion = Literal["rest", "roll", "slide", "fly", "glide"]
+Motion = Literal["rest", "roll", "slide", "fly", "glide", "push"]
+OneBodyEvent = Literal["wall", "slide_end", "stop", "start", "land", "launch", "release", "stretch"]
+EventKind = Literal["contact", "contact_end", "together", "apart"] | OneBodyEvent
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,67 @@ class Glide(Leg):
 
 
 @dataclass(frozen=True)
+class Push(Leg):
+    """Moving with a constant acceleration (x, y), m/s^2, as a hand pushes; `state` holds at `time`.
+
+    rolling_radius, m: the spin changes as that of a ball that rolls; infinite: it stays.
+    """
+
+    time: float
+    state: State
+    acceleration: tuple[float, float]
+    rolling_radius: float
+    motion: Motion = field(default="push", kw_only=True)
+
+    def at(self, t: Array) -> Array:
+        return np.stack(np.broadcast_arrays(*self._after(t - self.time)), axis=-1)
+
+    def now(self, t: float) -> State:
+        return self._after(t - self.time)
+
+    def _after(self, s: Real) -> State:
+        (x, y, z, vx, vy, vz, wx, wy, wz), (ax, ay) = self.state, self.acceleration
+        place = x + (vx + ax * s / 2) * s, y + (vy + ay * s / 2) * s, z
+        turn = s / self.rolling_radius
+        return *place, vx + ax * s, vy + ay * s, vz, wx - ay * turn, wy + ax * turn, wz
+
+    def bound(self, t: float) -> float:
+        return math.hypot(*self.acceleration)
+
+
+@dataclass(frozen=True)
+class Carried(Leg):
+    """The motion of one of several bodies that move as one rigid body, whose centre of mass has the leg `centre`.
+
+    offset: from the centre of mass at `time`, m. spin_drag: rate at which the common spin decays, 1/s.
+    """
+
+    centre: Leg
+    time: float
+    offset: tuple[float, float]
+    height: float
+    spin_drag: float
+
+    def at(self, t: Array) -> Array:
+        return np.stack(np.broadcast_arrays(*self._around(tuple(self.centre.at(t).T), t)), axis=-1)
+
+    def now(self, t: float) -> State:
+        return self._around(self.centre.now(t), t)
+
+    def _around(self, centre: State, t: Real) -> State:
+        x, y, _, vx, vy, _, _, _, wz = centre
+        (dx, dy), elapsed = self.offset, t - self.time
+        turned = self.centre.now(self.time)[8] * kinematics.coast(self.spin_drag, elapsed)[0]
+        c, s = (np.cos(turned), np.sin(turned)) if isinstance(t, np.ndarray) else (math.cos(turned), math.sin(turned))
+        ox, oy = c * dx - s * dy, s * dx + c * dy
+        return x + ox, y + oy, self.height, vx - wz * oy, vy + wz * ox, 0.0, 0.0, 0.0, wz
+
+    def bound(self, t: float) -> float:
+        spin, far = abs(float(self.centre.now(t)[8])), math.hypot(*self.offset)
+        return self.centre.bound(t) + (spin + self.spin_drag) * spin * far
+
+
+@dataclass(frozen=True)
 class Numeric(Leg):
     """A leg without closed form: `states` maps times (m,) to states (m, 9); `steepest` bounds the acceleration."""
 
@@ -189,7 +252,7 @@ class Event:
     """Something that happens to one ball, or to two, at one instant."""
 
     t: float  # s
-    kind: Literal["contact", "wall", "slide_end", "stop", "start", "land"]
+    kind: EventKind
     i: int  # the ball, or the first of two
     j: int = -1  # the second ball, or the number of the wall; -1 where the event has one ball
     before: Array | None = None  # states (2, 9) of i and j, or (1, 9) of i alone
@@ -198,8 +261,7 @@ class Event:
     n: tuple[float, float] = (np.nan, np.nan)
     impulse_n: float = np.nan  # at a contact: on ball i along n, N s
     impulse_t: float = np.nan  # at a contact: on ball i along t = z x n, N s
-    # at a contact with scatter: what was added to r, the factor on the tangential impulse, and the turn of n, rad
-    drawn: tuple[float, float, float] | None = None
+    drawn: Mapping[str, float] = field(default_factory=dict)  # by chance, by the names of columns of events.parquet
 
 
 @dataclass(frozen=True)

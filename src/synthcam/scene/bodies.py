@@ -7,11 +7,12 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
+from synthcam.dynamics.contacts.lasting import ContactSpring
 from synthcam.dynamics.contacts.walls import Rim, StraightWall, Wall
 from synthcam.dynamics.kinematics import plate_state, push_share
-from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.supports import Air, DryPlate, Support
 from synthcam.dynamics.table import Scatter, Table
 from synthcam.model import Ball, Bodies, Model
@@ -24,11 +25,27 @@ MAX_BODIES = 20_000
 Point = Annotated[list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)]
 
 
+def _check_order(limits: list[float]) -> list[float]:
+    if limits[0] > limits[1]:
+        raise ValueError("expected low before high")
+    return limits
+
+
+def _check_not_negative(limits: list[float]) -> list[float]:
+    if limits[0] < 0:
+        raise ValueError("expected no number below 0")
+    return limits
+
+
+Range = Annotated[Point, AfterValidator(_check_order)]
+
+
 class SupportSettings(Settings):
     """`support:` carries the bodies.
 
     - plate: they slide and roll by the laws of `model`
     - air: discs glide, v' = -(decel + drag v) v/|v| + curl z x v; spin_drag: rate at which the spin decays, 1/s
+    - decel_range, curl_range: of air, limits between which decel and curl are drawn for each stretch between two hits
     - dry: discs slide and turn with the sliding friction of `model`, under an even pressure
     """
 
@@ -37,6 +54,8 @@ class SupportSettings(Settings):
     drag: NotNegative = 0.0
     curl: Annotated[float, Field(ge=-1e3, le=1e3)] = 0.0
     spin_drag: NotNegative = 0.0
+    decel_range: Annotated[Range, AfterValidator(_check_not_negative)] | None = None
+    curl_range: Range | None = None
 
 
 class BodySettings(Settings):
@@ -47,6 +66,7 @@ class BodySettings(Settings):
     - inertia: I/(m R^2); default: the shape's
     - label: a or b, the ball that effects such as mass_mismatch act on, or not
     - support: default: the scene's
+    - sticks: on air, the impulse, N s, of a later hit that parts it from a body that it has hit; 0: it does not stick
     """
 
     diameter: Positive | None = None
@@ -56,15 +76,24 @@ class BodySettings(Settings):
     inertia: Annotated[float, Field(gt=0, le=1)] | None = None
     label: Literal["a", "b"] = "b"
     support: SupportSettings | None = None
+    sticks: NotNegative = 0.0
+
+
+class PushSettings(Settings):
+    """A hand that pushes a body from its launch on with an acceleration, m/s^2, until a time, s, or its next hit."""
+
+    until: Positive
+    acceleration: Point
 
 
 class BodyLaunchSettings(Settings):
-    """One of `launches:`, the state of a body at time 0.
+    """One of `launches:`, the state of a body at a time, s; until then it rests there, unless it is hit.
 
-    - position: of the centre, m; velocity, m/s
+    - position: of the centre at time 0, m; velocity, m/s
     - slip: velocity of the lowest point, m/s; 0 rolls; for balls on the plate
     - spin: about the vertical, rad/s
-    - height: of the lowest point above the plate, m; rise: vertical velocity, m/s
+    - height: of the lowest point above the plate, m, at time 0; rise: vertical velocity, m/s
+    - push: how a hand pushes it from then on
     """
 
     position: Point
@@ -73,6 +102,18 @@ class BodyLaunchSettings(Settings):
     spin: float = 0.0
     height: NotNegative = 0.0
     rise: float = 0.0
+    time: NotNegative = 0.0
+    push: PushSettings | None = None
+
+    @model_validator(mode="after")
+    def _can_be(self) -> Self:
+        if self.height and self.time:
+            raise ValueError("height: of a launch at time 0; expected 0 with a later time")
+        if self.push and self.push.until <= self.time:
+            raise ValueError(f"push.until: expected a time after the launch, {self.time:g} s")
+        if self.push and (self.height or self.rise):
+            raise ValueError("push: of a body on its plate; expected no height and no rise with it")
+        return self
 
 
 class WallSettings(Settings):
@@ -81,6 +122,7 @@ class WallSettings(Settings):
     - inside: whether the bodies are inside the rim
     - restitution; friction, Coulomb's coefficient; tangential_restitution, where the contact sticks
     - height: at which the wall touches balls, m; default: that of their centres
+    - cushion: the law of the impact, han or mathavan
     """
 
     start: Point | None = None
@@ -92,6 +134,7 @@ class WallSettings(Settings):
     friction: NotNegative = 0.2
     tangential_restitution: Annotated[float, Field(ge=-1, le=1)] = 0.0
     height: Positive | None = None
+    cushion: Literal["han", "mathavan"] = "han"
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -102,6 +145,8 @@ class WallSettings(Settings):
             raise ValueError("expected start and end, or centre and radius")
         if straight and self.start == self.end:
             raise ValueError(f"a wall from {self.start} to {self.end} has no length; expected two points")
+        if self.cushion == "mathavan" and self.tangential_restitution:
+            raise ValueError("tangential_restitution: of the law han; expected 0 with mathavan")
         return self
 
 
@@ -111,11 +156,30 @@ class ScatterSettings(Settings):
     - restitution: of r
     - friction: of the factor on the tangential impulse
     - normal: of the angle by which the normal is turned about the vertical, rad
+    - distance: of the distance of the centres, over the sum of the radii
     """
 
     restitution: Annotated[float, Field(ge=0, le=1)] = 0.0
     friction: Annotated[float, Field(ge=0, le=1)] = 0.0
     normal: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    distance: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+
+
+class ContactForceSettings(Settings):
+    """`contact_force:` a spring and a damper between bodies in contact; without it, contacts take no time.
+
+    - law: linear, with the duration of a contact, s; or hertz, with the modulus E*, Pa
+    """
+
+    law: Literal["linear", "hertz"] = "linear"
+    duration: Positive | None = None
+    modulus: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_number(self) -> Self:
+        if (self.law == "linear") != (self.duration is not None) or (self.law == "hertz") != (self.modulus is not None):
+            raise ValueError("expected law: linear with a duration, or law: hertz with a modulus")
+        return self
 
 
 class ManyBodiesSettings(Settings):
@@ -127,6 +191,7 @@ class ManyBodiesSettings(Settings):
     support: SupportSettings = SupportSettings()
     scatter: ScatterSettings = ScatterSettings()
     contact_duration: NotNegative = 1e-5  # s; bounds sequences of impacts without end
+    contact_force: ContactForceSettings | None = None
 
 
 def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], where: str) -> tuple[Launch, Table]:
@@ -143,6 +208,9 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
     bodies = _build_bodies(model, kinds)
     supports = tuple(_build_support(model, kind.get("support") or drawn["support"]) for kind in kinds)
     walls = tuple(_build_wall(wall) for wall in drawn["walls"])
+    for number, wall in enumerate(walls):
+        if wall.cushion == "mathavan" and any(supports):
+            raise InputError(f"{where}: walls.{number}.cushion: mathavan is a law of balls on the plate; expected han")
     states = np.array([_state(one, *body) for one, *body in zip(launches, bodies.radius, bodies.inertia, strict=True)])
     for k, (launch, kind, support) in enumerate(zip(launches, kinds, supports, strict=True)):
         flat = support is not None or kind["shape"] == "disc"
@@ -152,12 +220,43 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
             raise InputError(f"{where}: bodies: disc {k} is on a plate of balls; expected support: air or dry")
         if flat and (any(launch["slip"]) or launch["height"] or launch["rise"]):
             raise InputError(f"{where}: launches.{k}: slip, height and rise are of balls on the plate; expected 0")
-        if flat:
-            states[k, 6:8] = 0.0
+        if flat:  # discs touch with their rims, so all centres are at one height
+            states[k, 2], states[k, 6:8] = model.ball.radius, 0.0
+    sticks, force = tuple(float(kind["sticks"]) for kind in kinds), drawn.get("contact_force")
+    if any(sticks) and not all(isinstance(support, Air) for support in supports):
+        raise InputError(f"{where}: bodies: only bodies on air stick; expected support: air for all, or sticks: 0")
+    if any(sticks) and force:
+        raise InputError(f"{where}: contact_force: of bodies that do not stick; expected sticks: 0 with it")
+    if force and model.laws.has_effect_on("loft"):
+        raise InputError(f"{where}: contact_force: balls do not hop in contacts that last; expected no effect `hop`")
+    later = tuple(_build_later(k, launch, states[k]) for k, launch in enumerate(launches) if _starts_later(launch))
+    if (later or force) and model.laws.needs("push", "other"):
+        raise InputError(
+            f"{where}: balls that push each other are launched together and hit in an instant; "
+            "expected no `time`, no `push` and no `contact_force`"
+        )
     _check_places(states, bodies, walls, where)
-    return Launch(0.0, states, bodies), Table(
-        walls, supports, drawn["contact_duration"], Scatter(**drawn["scatter"], seed=seed)
+    for one in later:
+        if one.time > 0:
+            states[one.body, 3:] = 0.0
+    table = Table(
+        walls=walls,
+        supports=supports,
+        contact_duration=drawn["contact_duration"],
+        scatter=Scatter(**drawn["scatter"], seed=seed),
+        sticks=sticks if any(sticks) else (),
+        spring=ContactSpring(**force) if force else None,
     )
+    return Launch(0.0, states, bodies, later), table
+
+
+def _starts_later(launch: dict[str, Any]) -> bool:
+    return bool(launch["time"] or launch.get("push"))
+
+
+def _build_later(body: int, launch: dict[str, Any], state: NDArray[np.float64]) -> LaterLaunch:
+    push = launch.get("push") or {"until": -math.inf, "acceleration": (0.0, 0.0)}
+    return LaterLaunch(body, launch["time"], tuple(state[3:].tolist()), push["until"], tuple(push["acceleration"]))
 
 
 def _build_bodies(model: Model, kinds: list[dict[str, Any]]) -> Bodies:
@@ -177,11 +276,15 @@ def _build_support(model: Model, settings: dict[str, Any]) -> Support | None:
         return None
     if settings["kind"] == "dry":
         return DryPlate(model.sliding_friction * model.gravity)
-    return Air(**{name: value for name, value in settings.items() if name != "kind"})
+    numbers: dict[str, Any] = {
+        name: tuple(v) if isinstance(v, list) else v for name, v in settings.items() if name != "kind"
+    }
+    return Air(**numbers)
 
 
 def _build_wall(settings: dict[str, Any]) -> Wall:
-    law: dict[str, Any] = {k: settings.get(k) for k in ("restitution", "friction", "tangential_restitution", "height")}
+    names = "restitution friction tangential_restitution height cushion".split()
+    law: dict[str, Any] = {name: settings.get(name) for name in names}
     if settings.get("start"):
         return StraightWall(**law, start=tuple(settings["start"]), end=tuple(settings["end"]))
     return Rim(**law, centre=tuple(settings["centre"]), radius=settings["radius"], inside=settings["inside"])

@@ -199,7 +199,7 @@ class Clip:
         - frame; t_s: time, s; particle: 0 is ball 1 (the target)
         - x_px, y_px: centre; glint_x_px, glint_y_px: primary glint; x_mean_px, y_mean_px: mean over the exposure
         - x, y, z: m; vx, vy, vz: m/s; wx, wy, wz: rad/s
-        - state: rest, roll, slide, fly or glide; visible: the whole outline is in the picture
+        - state: rest, roll, slide, fly, glide or push; visible: the whole outline is in the picture
         - qx, qy, qz, qw, of balls with a pattern: the rotation from the ball's axes to the world's
         """
         return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames, self.orientation)

@@ -128,7 +128,6 @@ def events(motion: Trajectory, fps: float) -> pd.DataFrame:
     table = pd.DataFrame(
         {name: pd.Series(list(c), dtype=kinds.get(name, "float64")) for name, c in zip(names, columns, strict=True)}
     )
-    if any(e.drawn for e in motion.events):
-        drawn = np.array([e.drawn or (np.nan,) * 3 for e in motion.events])
-        table[["restitution_shift", "friction_factor", "normal_turn"]] = drawn
+    for name in dict.fromkeys(name for e in motion.events for name in e.drawn):
+        table[name] = [e.drawn.get(name, np.nan) for e in motion.events]
     return table

@@ -88,7 +88,7 @@ class Motion:
             - x, y, z: centre, m
             - vx, vy, vz: velocity, m/s
             - wx, wy, wz: spin, rad/s
-            - state: rest, roll, slide, fly or glide
+            - state: rest, roll, slide, fly, glide or push
 
         Raises
         ------
@@ -110,7 +110,7 @@ class Motion:
         """All events in order of time, with the columns of ``truth/events.parquet``.
 
         - t_s: time, s; frame_float: the same time in frames
-        - kind: contact, wall, slide_end, stop, start or land
+        - kind: contact, contact_end, together, apart, wall, slide_end, stop, start, land, launch, release or stretch
         - i, j: the particles; j is the number of the wall, or -1 for another event of one ball
         - nx, ny: at a contact, the unit vector n from the centre of ball j, or from the wall, to that of ball i
         - impulse_n, impulse_t: impulse on ball i along n, and along z x n, N s

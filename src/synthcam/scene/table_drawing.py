@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 TWO_BALLS = ("#2166ac", "#b2182b")
-MARKS = {"contact": "k*", "wall": "kx", "slide_end": "o", "stop": "s", "start": "^", "land": "v"}
+PAIR_MARKS = {"contact": "k*", "together": "kD", "apart": "kd"}
+BALL_MARKS = {"slide_end": "o", "stop": "s", "start": "^", "land": "v", "launch": ">", "release": "<"}
+MARKS = PAIR_MARKS | {"wall": "kx"} | BALL_MARKS
 MAX_MARKED_EVENTS = 60  # more would hide the paths
 MAX_LEGEND_BODIES = 6
 
@@ -55,11 +57,12 @@ def draw_paths(ax: Axes, motion: Trajectory, walls: Sequence[Wall]) -> None:
         ax.plot(*path.T, color=colour, label=f"ball {ball + 1}" if few else None, zorder=1)
         if len(places) > len(TWO_BALLS):
             ax.plot(*path[-1], "o", color=colour, ms=4, zorder=2)
-    for event in motion.events if len(motion.events) <= MAX_MARKED_EVENTS else ():
+    marked = [e for e in motion.events if e.kind in MARKS]
+    for event in marked if len(marked) <= MAX_MARKED_EVENTS else ():
         label, at = event.kind.replace("_", " "), np.searchsorted(times, event.t)
-        for ball in {event.i, event.j if event.kind == "contact" else event.i} - {-1}:
+        for ball in {event.i, event.j if event.kind in PAIR_MARKS else event.i} - {-1}:
             known = ax.get_legend_handles_labels()[1]
-            alone = event.kind not in ("contact", "wall")
+            alone = event.kind in BALL_MARKS
             style: dict[str, Any] = {"color": colours[ball], "mfc": "white"} if alone else {}
             mark = MARKS[event.kind]
             ax.plot(*places[ball, at], mark, label=None if label in known else label, ms=6, zorder=2, **style)

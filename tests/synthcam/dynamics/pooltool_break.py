@@ -13,6 +13,7 @@ import pooltool as pt
 from pooltool.physics.resolve.ball_ball.friction import AverageBallBallFriction
 from pooltool.physics.resolve.ball_ball.frictional_inelastic import FrictionalInelastic
 from pooltool.physics.resolve.ball_cushion.han_2005 import Han2005Circular, Han2005Linear, han2005
+from pooltool.physics.resolve.ball_cushion.mathavan_2010.model import solve
 from pooltool.physics.resolve.resolver import default_resolver
 
 R, MASS, GRAVITY = 0.03075, 0.21, 9.81
@@ -54,6 +55,18 @@ def hit(rng: np.random.Generator, height: float) -> dict:
     return {"before": before.ravel().tolist(), "friction": friction, "after": after.ravel().tolist()}
 
 
+def press(rng: np.random.Generator, height: float) -> dict:
+    """The same by the equations of Mathavan et al., in 10,000 and 100,000 steps: velocity and spin after each."""
+    vx, vy, *spin = rng.uniform(0.2, 5), rng.uniform(-5, 5), *rng.uniform(-100, 100, 3)
+    friction = float(rng.choice([0.05, 0.2, 0.6]))
+    turned = (-vy, vx, -spin[1], spin[0], spin[2])  # its cushion is at +y
+    after = []
+    for steps in (10_000, 100_000):
+        a, b, wa, wb, wz = solve(MASS, R, height, 0.85, NUMBERS["u_s"], friction, *turned, steps, 1e-9)
+        after.append([b, -a, wb, -wa, wz])
+    return {"before": [0, 0, R, vx, vy, 0, *spin], "friction": friction, "after": after}
+
+
 if __name__ == "__main__":
     specs = pt.objects.BilliardTableSpecs()
     events = pt.simulate(system(), engine=engine()).events[1 : SHOWN_EVENTS + 1]
@@ -69,5 +82,6 @@ if __name__ == "__main__":
         "start": [ball.state.rvw.ravel().tolist() for ball in system().balls.values()],
         "events": [[e.time, str(e.event_type), list(e.ids)] for e in events],
         "cushion": [hit(rng, specs.cushion_height) for _ in range(20)],
+        "mathavan": [press(rng, specs.cushion_height) for _ in range(10)],
     }
     Path(__file__).with_suffix(".json").write_text(json.dumps(written) + "\n", encoding="utf-8")

@@ -110,6 +110,41 @@ def test_a_ball_starts_in_the_air_or_without_rolling():
         ),
         (lambda s: s["launches"][0].update(velocity=[{"uniform": [0.3, 0.1]}, 0]), "launches.0.velocity.0.uniform"),
         (lambda s: s["launches"][0].update(position=["left", 0]), "launches.0.position.0"),
+        (lambda s: s["launches"][0].update(time=0.1, height=0.01), "launches.0: height: of a launch at time 0"),
+        (
+            lambda s: s["launches"][0].update(push={"until": 0.1, "acceleration": [1, 0]}, time=0.2),
+            "launches.0: push.until",
+        ),
+        (
+            lambda s: s["launches"][0].update(push={"until": 0.1, "acceleration": [1, 0]}, rise=0.2),
+            "launches.0: push: of a",
+        ),
+        (lambda s: s.update(bodies={"sticks": 1e-3}), "bodies: only bodies on air stick"),
+        (lambda s: s.update(contact_force={"law": "hertz", "duration": 1e-3}), "contact_force: expected law: linear"),
+        (
+            lambda s: s.update(contact_force={"duration": 1e-3}, effects={"hop": {"share": 1.0}}),
+            "contact_force: balls do not hop",
+        ),
+        (
+            lambda s: s.update(contact_force={"duration": 1e-3}, effects={"magnetic_attraction": {"pull": 0.1}}),
+            "balls that push each other are launched together",
+        ),
+        (
+            lambda s: s.update(
+                bodies={"shape": "disc", "sticks": 1}, support={"kind": "air"}, contact_force={"duration": 1}
+            ),
+            "contact_force: of bodies that do not stick",
+        ),
+        (lambda s: s["walls"][0].update(cushion="mathavan", tangential_restitution=0.5), "walls.0: tangential_rest"),
+        (
+            lambda s: s["walls"][1].update(cushion="mathavan") or s.update(support={"kind": "air"}),
+            "walls.1.cushion: mathavan is a law of balls",
+        ),
+        (
+            lambda s: s.update(support={"kind": "air", "decel_range": [0.2, 0.1]}),
+            "support.decel_range.*low before high",
+        ),
+        (lambda s: s.update(support={"kind": "air", "decel_range": [-0.2, 0.1]}), "support.decel_range.*below 0"),
     ],
 )
 def test_what_cannot_be_is_one_line(change, line):
@@ -130,3 +165,33 @@ def test_an_animation(tmp_path):
     with pytest.raises(InputError, match="expected a larger fps or slower"):
         motion.animate(tmp_path / "table.gif", fps=1)
     assert not (tmp_path / "table.avi").exists()
+
+
+def test_what_bodies_do_beside_gliding_and_rolling_is_in_the_truth():
+    """Late launches, pushes, tape, draws of the air and of contacts: the events and their columns."""
+    bodies = [{"shape": "disc", "sticks": 1e-3}, {"shape": "disc"}, {"shape": "disc"}]
+    launches = [
+        {"position": [-0.01, 0.0], "velocity": [0.3, 0.0], "time": 0.02},
+        {"position": [0.0, 0.0]},
+        {"position": [0.0, 0.01], "push": {"until": 0.03, "acceleration": [0.4, 0.3]}},
+    ]
+    support = {"kind": "air", "decel_range": [0.01, 0.02], "curl_range": [-0.1, 0.1]}
+    scene = TRAY | {"bodies": bodies, "launches": launches, "support": support, "scatter": {"distance": 1e-3}}
+    motion = check_scene(scene, "scene").draw(seed=1).solve()
+    events = motion.events
+    assert set(events["kind"]) >= {"launch", "release", "stretch", "contact", "together"}
+    stretches, others = (events[(events["kind"] == "stretch") == whether] for whether in (True, False))
+    assert stretches["decel"].between(0.01, 0.02).all()
+    assert stretches["curl"].between(-0.1, 0.1).all()
+    assert others["decel"].isna().all()
+    assert (events["distance_shift"].notna() == (events["kind"] == "contact")).all()
+    assert set(motion.at(0.01)["state"]) == {"rest", "push"}
+    motion.plot()
+
+
+@pytest.mark.parametrize("force", [{"law": "linear", "duration": 2e-3}, {"law": "hertz", "modulus": 1e7}])
+def test_contacts_last_in_a_scene(force):
+    events = check_scene(TRAY | {"contact_force": force}, "scene").draw().solve().events
+    first, last = (events[events["kind"] == kind].iloc[0] for kind in ("contact", "contact_end"))
+    assert 1e-4 < last["t_s"] - first["t_s"] < 3e-3
+    assert first["impulse_n"] > 0

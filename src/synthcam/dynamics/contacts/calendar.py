@@ -20,7 +20,7 @@ from synthcam.dynamics.trajectory import Leg, Rest, Roll
 
 MAX_NEIGHBOURS = 12  # that a ball may come near while it looks ahead
 MAX_LOOK_S = 10.0
-Kind = Literal["contact", "wall", "end", "renewal", "look"]
+Kind = Literal["contact", "wall", "end", "launch", "renewal", "look"]
 
 
 class Due(NamedTuple):
@@ -34,15 +34,49 @@ class Due(NamedTuple):
     versions: tuple[int, int]  # of the legs that it holds for
 
 
+class ContactDistances:
+    """How far apart two bodies are when they hit, over the sum of their radii: drawn for each contact.
+
+    width: the standard deviation. The draws depend on the seed, the bodies and how often they have hit. They do not
+    depend on the order of searches.
+    """
+
+    CUT_SIGMA = 4.0
+
+    def __init__(self, width: float, seed: tuple[int, ...]) -> None:
+        self.width, self.seed, self.largest = width, seed, self.CUT_SIGMA * width
+        self.hits: dict[tuple[int, int], int] = {}
+        self.drawn: dict[tuple[int, int], float] = {}
+
+    def draw(self, i: int, j: int) -> float:
+        pair = (min(i, j), max(i, j))
+        if pair not in self.drawn:
+            rng = np.random.default_rng((*self.seed, *pair, self.hits.get(pair, 0)))
+            shift = float(np.clip(rng.standard_normal(), -self.CUT_SIGMA, self.CUT_SIGMA))
+            self.drawn[pair] = 1 + self.width * shift
+        return self.drawn[pair]
+
+    def renew(self, i: int, j: int) -> None:
+        """Forget the draw of two bodies that have hit."""
+        pair = (min(i, j), max(i, j))
+        self.hits[pair] = self.hits.get(pair, 0) + 1
+        self.drawn.pop(pair, None)
+
+
 class Calendar:
     """The coming events of balls of these radii, m, between these walls.
 
-    Contacts are searched up to `end`, s, and beyond it once that time has come.
+    Contacts are searched up to `end`, s, and beyond it once that time has come. distances: of contacts, where they are
+    not the sums of the radii. Pairs in `joined` do not hit each other.
     """
 
-    def __init__(self, radius: Sequence[float], walls: Sequence[Wall], end: float) -> None:
+    def __init__(
+        self, radius: Sequence[float], walls: Sequence[Wall], end: float, distances: ContactDistances | None = None
+    ) -> None:
         count = len(radius)
-        self.radius, self.walls, self.end = radius, walls, end
+        self.radius, self.walls, self.end, self.distances = radius, walls, end, distances
+        self.margin = max(OVERLAP_TOLERANCE, distances.largest if distances else 0.0)  # of a radius
+        self.joined = set[tuple[int, int]]()
         self.legs: list[Leg] = []
         self.heap: list[Due] = []
         self.version, self.known, self.look = [0] * count, [0.0] * count, [MAX_LOOK_S] * count
@@ -64,6 +98,15 @@ class Calendar:
                 self._add(legs[k].t1, 2, "end", k)
         self._look_ahead(changed, t)
 
+    def schedule(self, t: float, number: int) -> None:
+        """Add the launch of this number at the time t, s."""
+        self._add(t, 2, "launch", number)
+
+    def forget_distance(self, i: int, j: int) -> None:
+        """Let the next contact of two balls that have hit be at another distance."""
+        if self.distances:
+            self.distances.renew(i, j)
+
     def pop(self, horizon: float) -> Due | None:
         """Return the next event up to the horizon, s."""
         while self.heap and self.heap[0].t <= horizon:
@@ -81,6 +124,8 @@ class Calendar:
     def _versions(self, kind: Kind, i: int, j: int) -> tuple[int, int]:
         if kind == "renewal":
             return self.renewals, 0
+        if kind == "launch":
+            return 0, 0
         return self.version[i], self.version[j] if kind == "contact" else 0
 
     def _add(self, t: float, order: int, kind: Kind, i: int, j: int = -1) -> None:
@@ -99,8 +144,12 @@ class Calendar:
                 other = self.legs[j]
                 if j == k or j in done or (still and isinstance(other, Rest)):
                     continue
-                horizon = min(known, self.known[j])
-                when = find_contact(leg, other, t, horizon, self.radius[k] + self.radius[j], first)
+                if self.joined and (min(k, j), max(k, j)) in self.joined:
+                    continue
+                horizon, reach = min(known, self.known[j]), self.radius[k] + self.radius[j]
+                if self.distances:
+                    reach = min(reach * self.distances.draw(k, j), math.dist(first[:3], other.now(t)[:3]))
+                when = find_contact(leg, other, t, horizon, reach, first)
                 if when is not None:
                     self._add(when, 0, "contact", min(k, j), max(k, j))
             done.add(k)
@@ -136,7 +185,7 @@ class Calendar:
     def _set_box(self, k: int, leg: Leg, t: float, horizon: float) -> float:
         """Set the box that a ball keeps within until the horizon; returns by how much the path widens it, m."""
         one, two = leg.now(t), leg.now(horizon) if horizon < math.inf else leg.now(t)
-        margin = self.radius[k] * (1 + OVERLAP_TOLERANCE)
+        margin = self.radius[k] * (1 + self.margin)
         if not isinstance(leg, Rest | Roll):  # these paths are straight
             margin += leg.bound(t) * (horizon - t) ** 2 / 8
         for axis in (0, 1):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.contacts.walls import Wall
+from synthcam.dynamics.contacts.cushion import press_cushion
+from synthcam.dynamics.contacts.walls import Wall, WallImpact
 from synthcam.dynamics.kinematics import (
     Array,
     Real,
@@ -43,6 +45,7 @@ class ContactChange:
     turn: float = 0.0  # of the normal about the vertical, rad
     elastic: bool = False
     slowest: float = 0.0  # the bodies part at least at this speed, m/s
+    drawn: Mapping[str, float] = field(default_factory=dict)  # what was drawn, by the names of events.parquet
 
     def change_restitution(self, r: float, v_n: float) -> float:
         changed = r + self.restitution if self.restitution else r
@@ -53,16 +56,6 @@ class ContactChange:
         c, s = math.cos(self.turn), math.sin(self.turn)
         new = c * nx - s * ny, s * nx + c * ny
         return new if ax * new[0] + ay * new[1] > 0 else (nx, ny)
-
-
-@dataclass(frozen=True)
-class WallImpact:
-    """The outcome of an impact on a wall."""
-
-    after: State
-    n: tuple[float, float]  # unit vector from the wall to the ball, seen from above
-    impulse_n: float  # along the normal, N s
-    impulse_t: float  # along z x n, N s
 
 
 def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodies) -> Impact:
@@ -116,7 +109,7 @@ def strike(
     uy = ay - v_n * ny + sz * nx - sx * nz
     uz = az - v_n * nz + sx * ny - sy * nx
     inertia = join_inertia(k1, m1, k2, m2)
-    r, c = _contact_coefficients(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny), inertia)
+    r, c = find_contact_coefficients(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny), inertia)
     if change:
         r, c = change.change_restitution(r, v_n), c * change.friction
     reduced = m1 * m2 / (m1 + m2)
@@ -149,7 +142,8 @@ def hit_wall(
     - The tangential impulse is J = min(mu P, (1 + beta) m |u|/(1 + 1/k)) against u, the velocity of the ball's surface.
     - The plate holds back the vertical impulse except for the share `loft`, as in `strike`.
 
-    For a cushion this is the law of I. Han, J. Mech. Sci. Technol. 19 (2005) 976, with beta = 0.
+    For a cushion this is the law of I. Han, J. Mech. Sci. Technol. 19 (2005) 976, with beta = 0. `press_cushion` has
+    the other law of cushions.
 
     body: radius, m, mass, kg, and k of the ball. change: as in `strike`.
     """
@@ -163,6 +157,8 @@ def hit_wall(
     uy = vy + v_n * ny - radius * (wz * nx - wx * nz)
     uz = vz + v_n * nz - radius * (wx * ny - wy * nx)
     r = change.change_restitution(wall.restitution, v_n) if change else wall.restitution
+    if wall.cushion == "mathavan":
+        return press_cushion(wall, model.sliding_friction, ball, body, r)
     slip, normal = (ux * ux + uy * uy + uz * uz) ** 0.5, (1 + r) * v_n  # impulses over the mass
     stick = (1 + wall.tangential_restitution) / slip_rate(inertia)
     pull = -(min(stick, wall.friction * normal / slip) if slip > 0 else 0.0)
@@ -180,7 +176,7 @@ def join_inertia(k1: Real, m1: Real, k2: Real, m2: Real) -> Real:
     return k1 + (k2 - k1) * (k1 * m1 / (m1 * k1 + m2 * k2))
 
 
-def _contact_coefficients(
+def find_contact_coefficients(
     model: Model,
     v_n: Real,
     u: tuple[Real, ...],

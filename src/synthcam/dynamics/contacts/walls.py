@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
 from synthcam.dynamics.kinematics import State
 
@@ -24,12 +25,16 @@ class Wall(ABC):
     height : float, optional
         Height above the plate at which the wall touches balls, m, as the nose of a cushion does. None: at the height of
         their centres.
+    cushion : str
+        The law of the impact: "han", in one step, or "mathavan", with the directions of slip that change, and without
+        `tangential_restitution`.
     """
 
     restitution: float = 1.0
     friction: float = 0.0
     tangential_restitution: float = 0.0
     height: float | None = None
+    cushion: Literal["han", "mathavan"] = "han"
 
     @abstractmethod
     def distance(self, x: float, y: float) -> tuple[float, float, float]:
@@ -49,6 +54,16 @@ class Wall(ABC):
         steepest: a bound of the ball's acceleration, m/s^2.
         """
         return time_to_close(gap, rate, steepest)
+
+
+@dataclass(frozen=True)
+class WallImpact:
+    """The outcome of an impact on a wall."""
+
+    after: State
+    n: tuple[float, float]  # unit vector from the wall to the ball, seen from above
+    impulse_n: float  # along the normal, N s
+    impulse_t: float  # along z x n, N s
 
 
 @dataclass(frozen=True)
