@@ -44,7 +44,7 @@ def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Retu
         try:
             return function(*args, **kwargs)
         except InputError as error:
-            text = str(error) if CALLED_BY_COMMAND.get() else _name_arguments(str(error))
+            text = name_arguments(str(error))
             if text == str(error):
                 raise
             raise type(error)(text) from None
@@ -52,8 +52,10 @@ def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Retu
     return checked
 
 
-def _name_arguments(text: str) -> str:
-    """The text with arguments for options, but in commands between backquotes."""
+def name_arguments(text: str) -> str:
+    """The text with arguments for options, but in commands between backquotes; as it is if a command runs."""
+    if CALLED_BY_COMMAND.get():
+        return text
     parts = re.sub(r"^--([a-z]+):", r"\1:", text).split("`")
     return "`".join(part if k % 2 else _OPTION.sub(r"argument \1", part) for k, part in enumerate(parts))
 

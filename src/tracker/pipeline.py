@@ -19,15 +19,16 @@ from synthcam_shared.jobs import Progress, run_all_jobs, use_one_thread
 from synthcam_shared.outputs import check_utf8, check_writable, resume_folder
 from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
-from tracker.camera.frames import GREY
+from tracker.camera.frames import GREY, Frames
 from tracker.camera.labelled_array import is_zarr
 from tracker.camera.recordings import Recording, RecordingSource, open_source
 from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import detector_name, load_detector, load_linker
 from tracker.detection.own_detector import digest, is_outside
 from tracker.notes import Note, NoteKind, note_all
-from tracker.recording import measure_tracks, track_and_measure
-from tracker.report.refusals import REFUSALS, draw_refusals, is_failure
+from tracker.recording import Result, measure_tracks, track_and_measure
+from tracker.report.misfits import MISFITS, draw_misfit, is_misfit
+from tracker.report.refusals import REFUSALS, NotedPicture, draw_refusals, is_failure
 from tracker.settings import SettingsSource, TrackerSettings
 from tracker.tables.read import read_tracks
 
@@ -133,7 +134,11 @@ def measure_tables(
             own = replace(given.camera, striker=striker or given.camera.striker)
             result = measure_tracks(tracks, own, number, point, chosen.fit)
             notes.update({replace(n, text=f"clip {number}: {n}"): 1 for n in result.notes if n.kind is NoteKind.REPAIR})
-            results.write_clip(partial, number, result.found, result.motion, result.rows, own)
+            pictures = dict[str, bytes]()
+            if drawn := _draw_misfit(result, len(numbers)):
+                pictures[MISFITS] = drawn.png
+                notes[drawn.note] = notes.get(drawn.note, 0) + 1
+            results.write_clip(partial, number, result.found, result.motion, result.rows, own, pictures)
 
     plan = {"made_by": "tracker measure", "input": digest}
     table, fresh = _fill_results(output.resolve(), plan, chosen, numbers, measure)
@@ -235,8 +240,21 @@ def _track_clip(
     if is_failure(result.found, result.rows):
         refusals = draw_refusals(clip, result.found)
         pictures, notes = {REFUSALS: refusals.png}, (*notes, refusals.note)
+    elif drawn := _draw_misfit(result, len(source), clip.frames):
+        pictures, notes = {MISFITS: drawn.png}, (*notes, drawn.note)
     results.write_clip(partial, number, result.found, result.motion, result.rows, result.camera, pictures)
     return result.frames, notes
+
+
+def _draw_misfit(result: Result, clips: int, frames: Frames | None = None) -> NotedPicture | None:
+    """The picture of a clip whose collisions are all misfits; of one among several, the note is the same for all."""
+    if not is_misfit(result.rows):
+        return None
+    drawn = draw_misfit(result.found, result.camera, result.rows, result.number, frames)
+    if drawn is None or clips == 1:
+        return drawn
+    text = f"{MISFITS} beside the tracks of a misfit shows them with its residuals"
+    return replace(drawn, note=replace(drawn.note, text=text))
 
 
 def _resolve_paths(source: RecordingSource) -> RecordingSource:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from synthcam_shared.arguments import check_arguments
+from synthcam_shared.arguments import check_arguments, name_arguments
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import format_with_error
 from tracker import results
@@ -243,7 +243,7 @@ def track(
     options = FilmOptions(times, select, fields, frames, region, str(mask), tuple(ball))
     clip, why = select_channel(_open(film, camera, options), name_channel(channel, colour))
     result = track_and_measure(clip if number is None else replace(clip, number=number), detector, chosen)
-    return replace(result, notes=(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
+    return replace(result, notes=_name_arguments(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
 
 
 def _open(film: Film, camera: CameraSource | None, options: FilmOptions) -> Recording:
@@ -373,8 +373,13 @@ def _measure_given(given: ClipTracks, point: str, settings: SettingsSource | Non
     for number, (tracks, striker) in sorted(given.clips.items()):
         known = given.camera if striker is None else replace(given.camera, striker=striker)
         result = measure_tracks(tracks, known, number, point, fit)
-        found.append(replace(result, notes=(*given.notes, *result.notes)))
+        found.append(replace(result, notes=_name_arguments(*given.notes, *result.notes)))
     return found
+
+
+def _name_arguments(*notes: Note) -> tuple[Note, ...]:
+    """The notes with arguments in place of options."""
+    return tuple(replace(note, text=name_arguments(note.text)) for note in notes)
 
 
 def track_and_measure(

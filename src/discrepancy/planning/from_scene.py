@@ -17,6 +17,7 @@ from synthcam.dynamics.launch import SPIN_COLUMNS
 from synthcam.model import Model
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
+from synthcam_shared.arguments import name_arguments
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.views import first_difference
@@ -74,7 +75,8 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
     rest = filmed.select([k for k, c in enumerate(filmed.clips) if c.clip in kept])
     notes: tuple[str, ...] = ()
     if noise_px is None and clips[0].drawn.get("video"):
-        notes = ("the errors do not include the video encoder's loss; --noise PX sets the error of a position instead",)
+        text = "the errors do not include the video encoder's loss; --noise PX sets the error of a position instead"
+        notes = (name_arguments(text),)
     return DesignedExperiment(experiment=rest, drawn=count, usable=usable, notes=notes)
 
 

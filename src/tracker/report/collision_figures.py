@@ -49,6 +49,11 @@ class CollisionView:
         launch = [r["t_c"], r["x1"], r["y1"], r["heading"], np.arcsin(r["b"]), r["v0"], r["drag"], r["decel"]]
         return np.array([*launch, r["r"], np.log(r["mu_k"]), r["C"], *(r[k] for k in BEFORE)], dtype=np.float64)
 
+    @property
+    def is_instantaneous(self) -> bool:
+        """True if `predict` holds: a contact that lasts shifts the paths after it by what its row does not have."""
+        return bool(self.row.get("contact_first", -1) < 0)
+
     def predict(self, ball: int, start: Floats) -> Floats:
         """Predict positions (n, 2) m by the tied fit, averaged over exposures that begin at start (n,) s."""
         free = np.asarray(tied_to_free(self.parameters), dtype=np.float64)

@@ -170,7 +170,7 @@ class RecordingPage:
         """List for each frame of the film the balls: position, errors, light, residuals (µm) and flags."""
         residuals: dict[tuple[int, int], tuple[float, float]] = {}
         for view in views:
-            for ball, track in view.balls.items() if view is not None else ():
+            for ball, track in view.balls.items() if view is not None and view.is_instantaneous else ():
                 off = (track.position - view.predict(ball, track.start)) * 1e6  # type: ignore[union-attr]
                 for frame, (x, y) in zip(track.frame.tolist(), off.tolist(), strict=True):
                     residuals.setdefault((track.particle, frame), (x, y))
@@ -197,12 +197,15 @@ class RecordingPage:
     def _figures(self, view: CollisionView | None) -> list[Block]:
         if view is None:
             return []
+        tracks = PageFigure.of(tracks_figure(view), "Tracks of both balls", CAPTIONS["tracks"])
+        if not view.is_instantaneous:
+            return [tracks]
         residuals = (
             "Residuals: measured position minus tied fit, with one standard error. Dotted: the contact, and the ends "
             "of both slides. If the model is right, the residuals scatter about zero by their errors."
         )
         return [
-            PageFigure.of(tracks_figure(view), "Tracks of both balls", CAPTIONS["tracks"]),
+            tracks,
             PageFigure.of(residuals_figure(view), "Residuals of the tied fit", residuals),
             PageFigure.of(separation_figure(view), "Separation of the balls", CAPTIONS["separation"]),
             PageFigure.of(energy_figure(view, self.tracks), "Translational energy", CAPTIONS["energy"]),

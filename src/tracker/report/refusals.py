@@ -17,6 +17,7 @@ from tracker.measurement.collision.adequacy import MEASURED, NO_SCALE, ONE_BALL
 from tracker.notes import Note, NoteKind
 
 if TYPE_CHECKING:
+    from tracker.camera.frames import Frames
     from tracker.camera.recordings import Recording
     from tracker.detection.link import Tracks
 
@@ -27,7 +28,7 @@ FOUND, REFUSED = (60, 220, 60), (255, 80, 60)
 
 
 @dataclass(frozen=True)
-class Refusals:
+class NotedPicture:
     """A picture as PNG, and the note that goes with it."""
 
     png: bytes
@@ -40,7 +41,7 @@ def is_failure(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
     return len(tracks) == 0 or not any(state in (*MEASURED, NO_SCALE, ONE_BALL) for state in states)
 
 
-def draw_refusals(clip: Recording, tracks: Tracks) -> Refusals:
+def draw_refusals(clip: Recording, tracks: Tracks) -> NotedPicture:
     """Draw the frame, of nine that are spread over the film, in which most things are refused."""
     picks = sorted({*spread_frames(clip.frames)})
     sample = [np.asarray(clip.frames[k]) for k in spread_frames(clip.frames)]
@@ -64,7 +65,9 @@ def draw_refusals(clip: Recording, tracks: Tracks) -> Refusals:
         advice = f"nothing in it differs from other frames by {least:.0f} counts; --ball X,Y@{number} points at a ball"
     counts = f"{len(balls)} balls found, {len(refused)} things refused{reasons}"
     text = f"{REFUSALS} shows frame {number}: {counts}; {advice}"
-    return Refusals(cv2.imencode(".png", picture[..., ::-1])[1].tobytes(), Note(NoteKind.DETECTOR, text, clip.number))
+    return NotedPicture(
+        cv2.imencode(".png", picture[..., ::-1])[1].tobytes(), Note(NoteKind.DETECTOR, text, clip.number)
+    )
 
 
 def _explain(region: Region, clip: Recording, tracks: Tracks, k: int, frame: NDArray[Any], level: NDArray[Any]) -> str:
@@ -89,17 +92,22 @@ def _explain(region: Region, clip: Recording, tracks: Tracks, k: int, frame: NDA
     return "darker than the ground" if darker else "not followed: too few frames, or no sharp outline"
 
 
+def paint_frame(frames: Frames, k: int) -> NDArray[np.uint8]:
+    """A frame in red, green and blue (h, w, 3), stretched from its darkest to its brightest pixels."""
+    colours = frames.colours
+    shot = np.asarray(frames[k] if colours is None else colours(k)).astype(np.float32)
+    low, high = float(np.percentile(shot, 1)), float(np.percentile(shot, 99.9))
+    grey = (np.clip((shot - low) / max(high - low, 1.0), 0, 1) * 255).astype(np.uint8)
+    return np.ascontiguousarray(np.repeat(grey[..., None], 3, axis=2) if grey.ndim == 2 else grey[..., :3])
+
+
 def _draw(
     clip: Recording, k: int, balls: NDArray[np.float64], refused: Sequence[tuple[Region, str]]
 ) -> NDArray[np.uint8]:
     """The frame with circles about what was found and boxes with reasons about what was refused, (h, w, 3)."""
-    colours = clip.frames.colours
-    shot = np.asarray(clip.frames[k] if colours is None else colours(k)).astype(np.float32)
-    low, high = float(np.percentile(shot, 1)), float(np.percentile(shot, 99.9))
-    grey = (np.clip((shot - low) / max(high - low, 1.0), 0, 1) * 255).astype(np.uint8)
-    times = float(np.clip(900 / max(shot.shape[:2]), 0.25, 4))
-    picture: Any = np.repeat(grey[..., None], 3, axis=2) if grey.ndim == 2 else grey[..., :3]
-    picture = cv2.resize(np.ascontiguousarray(picture), None, fx=times, fy=times, interpolation=cv2.INTER_AREA)
+    picture: Any = paint_frame(clip.frames, k)
+    times = float(np.clip(900 / max(picture.shape[:2]), 0.25, 4))
+    picture = cv2.resize(picture, None, fx=times, fy=times, interpolation=cv2.INTER_AREA)
     for x, y in (balls + 0.5) * times:
         cv2.circle(picture, (round(x), round(y)), max(round(times * clip.camera.diameter_px / 2), 8), FOUND, 2)
     for region, why in refused:
