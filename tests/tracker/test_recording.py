@@ -100,7 +100,7 @@ def test_a_video_that_claims_another_frame_rate_is_said(clip, tmp_path, rate, sa
     known = tracker.Camera.from_dict(clip.camera_json)
     notes = [note for note in map(str, tracker.track(path, known).notes) if note.startswith("fps")]
     text = "fps: 250 in the camera file, 25 by the film's own times, a factor of 10; the camera file's is used; "
-    assert notes == [text + "--times file takes the film's"] * said
+    assert notes == [text + "argument times file takes the film's"] * said
 
 
 def test_without_a_camera_there_are_pixels(clip):

@@ -19,6 +19,7 @@ from synthcam_shared.jobs import Progress
 from tracker.camera.array_file import ARRAYS, read_array_file
 from tracker.camera.camera import Camera
 from tracker.camera.camera_notes import describe_frame_rate
+from tracker.camera.fields import separate_or_note
 from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_area
 from tracker.camera.frame_times import agree, find_stride
 from tracker.camera.frames import GREY, Frame, Frames, linearise
@@ -285,7 +286,7 @@ def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
 
         frames = read_video(location, options)
     check_two_frames(location, frames)
-    return frames
+    return frames if frames.fields or location.suffix.lower() in VIDEOS else separate_or_note(frames, options.fields)
 
 
 def check_two_frames(location: Path | str, frames: Frames) -> None:

@@ -27,6 +27,7 @@ from av.video.reformatter import ColorRange
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from tracker.camera.fields import FieldOrder, separate_fields
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import agree, drop_repeated, read_clock
 from tracker.camera.frames import Frames, check_frame_size, make_grey_frames
@@ -46,7 +47,7 @@ class _VideoContents:
     keys: list[int]
     damaged: list[int]
     changes: list[float]
-    fields: _FieldOrder
+    fields: FieldOrder
     tick: float
     fps: float
     promised: int  # frames that the file says it has; 0 where it does not say
@@ -59,32 +60,6 @@ class _VideoContents:
         """True if each frame has a time of its own."""
         known = [time for time in self.times if time is not None]
         return len(known) == len(self.times) and all(a < b for a, b in pairwise(known))
-
-
-@dataclass
-class _FieldOrder:
-    """Sums of squared differences between fields: those of a frame, and across to the next frame in both orders."""
-
-    flagged: bool = False
-    inside: float = 0.0
-    top_first: float = 0.0
-    bottom_first: float = 0.0
-
-    def add(self, before: NDArray[Any], after: NDArray[Any]) -> None:
-        """Compares two frames; an odd last line is left out."""
-        height = len(after) // 2 * 2
-        top, bottom, top_next, bottom_next = before[:height:2], before[1:height:2], after[:height:2], after[1:height:2]
-        self.inside += cv2.norm(top_next, bottom_next, cv2.NORM_L2SQR)
-        self.top_first += cv2.norm(bottom, top_next, cv2.NORM_L2SQR)
-        self.bottom_first += cv2.norm(top, bottom_next, cv2.NORM_L2SQR)
-
-    def find_first(self) -> int | None:
-        """The field that is exposed first, 0 for the top; None where both show one instant."""
-        late = max(self.top_first, self.bottom_first) - self.inside
-        order = self.top_first - self.bottom_first
-        if not self.flagged or abs(order) < 0.3 * late or late <= 0:
-            return None
-        return 0 if order < 0 else 1
 
 
 def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
@@ -116,40 +91,10 @@ def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
     if options.fields != "auto":
         order = (order or 0) if options.fields == "separate" else None
     if order is not None:
-        return _separate_fields(frames, order)
+        return separate_fields(frames, order)
     if found.fields.flagged and options.fields == "auto":
         frames.faults += ("the file says interlaced, but both fields of a frame show one instant; --fields separate",)
     return drop_repeated(frames, np.array(found.changes))
-
-
-def _separate_fields(frames: Frames, order: int) -> Frames:
-    """Two frames of each: its fields in the order of time, with the lines between by interpolation."""
-    height = frames.shape[1]
-
-    lines = np.arange(height)
-
-    def fill(picture: NDArray[Any], parity: int) -> NDArray[Any]:
-        between = (lines - parity) % 2  # 1 for a line of the other field
-        above, below = lines - between, lines + between
-        above = np.where(above < 0, below, above)
-        below = np.where(below >= height, above, below)
-        mean: NDArray[Any] = ((picture[above].astype(np.uint32) + picture[below] + 1) // 2).astype(picture.dtype)
-        return mean
-
-    def fetch(source: Callable[[int], Any]) -> Callable[[int], Any]:
-        return lambda k: fill(source(k // 2), (k + order) % 2)
-
-    out = Frames(2 * len(frames), frames.shape[1:], frames.dtype, fetch(frames.__getitem__))
-    out.numbers = np.repeat(2 * frames.numbers, 2) + np.tile([0, 1], len(frames))
-    if frames.seconds is not None:
-        out.seconds = np.repeat(frames.seconds, 2) + np.tile([0, 0.5 / frames.fps], len(frames))
-    out.fps, out.lossy, out.aspect, out.fields = 2 * frames.fps, frames.lossy, frames.aspect, True
-    if frames.colours is not None:
-        out.colours = fetch(frames.colours)
-    first = ("upper", "lower")[order]
-    note = f"interlaced: the two fields of each frame, the {first} first, are frames of their own; --fields weave"
-    out.faults = (*frames.faults, note)
-    return out
 
 
 def _open_stream(path: Path) -> tuple[Any, Any]:
@@ -205,7 +150,7 @@ def _scan_video(path: Path) -> _VideoContents | None:
                     keys=keys,
                     damaged=damaged,
                     changes=[],
-                    fields=_FieldOrder(),
+                    fields=FieldOrder(),
                     tick=float(stream.time_base or 0),
                     fps=float(stream.average_rate or stream.guessed_rate or 0),
                     promised=int(stream.frames),
@@ -225,7 +170,7 @@ def _scan_video(path: Path) -> _VideoContents | None:
             found.fields.flagged |= frame.interlaced_frame
             if before is not None:
                 found.changes.append(cv2.norm(before, after, cv2.NORM_L2SQR))
-                if frame.interlaced_frame and frame.height > 2:
+                if frame.height > 2 and (frame.interlaced_frame or (not found.fields.flagged and len(times) % 4 == 1)):
                     found.fields.add(before, after)
             before = after
         return found

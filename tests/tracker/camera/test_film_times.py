@@ -11,6 +11,7 @@ from tracker_video import encode
 
 import tracker
 from synthcam_shared.errors import InputError
+from tracker.camera.fields import FieldOrder
 from tracker.camera.film_options import FilmOptions
 from tracker.camera.frame_times import find_repeated
 from tracker.camera.recordings import open_frames, open_source
@@ -241,22 +242,23 @@ def test_tracks_of_uneven_frames_hold_their_times(tmp_path):
     assert ball.t_s.to_numpy() == pytest.approx(times / 1e3, abs=1e-9)
 
 
-def interlaced(path, first, progressive=False):
+def interlaced(path, first, progressive=False, flagged=True, speed=1.0):
     """A film whose fields show a ball at twice the rate; the position of the ball in each field."""
-    fields = moving(48, speed=1.0)
+    fields = moving(48, speed=speed)
     frames = []
     for k in range(24):
         one, two = fields[2 * k], fields[2 * k + (not progressive)]
         frame = one.copy()
         frame[1 - first :: 2] = two[1 - first :: 2]
         frames.append(frame)
-    options = {"crf": "8", "x264-params": f"{'tff' if first == 0 else 'bff'}=1"}
+    options = {"crf": "8"} | ({"x264-params": f"{'tff' if first == 0 else 'bff'}=1"} if flagged else {})
     return encode(path, np.array(frames), options=options, rate=125)
 
 
+@pytest.mark.parametrize("flagged", [True, False])
 @pytest.mark.parametrize("first", [0, 1])
-def test_fields_of_interlaced_film_become_frames(tmp_path, first):
-    clip, notes = opened(interlaced(tmp_path / "film.mp4", first), {**SMALL, "fps": 125})
+def test_fields_of_interlaced_film_become_frames(tmp_path, first, flagged):
+    clip, notes = opened(interlaced(tmp_path / "film.mp4", first, flagged=flagged), {**SMALL, "fps": 125})
     assert len(clip.frames) == 48
     assert clip.camera.fps == 250
     pictures = np.array(list(clip.frames)).astype(float)
@@ -276,6 +278,34 @@ def test_film_that_is_only_called_interlaced_is_left_whole(tmp_path):
     assert "both fields of a frame show one instant" in notes
     assert len(opened(path, fields="separate")[0].frames) == 48
     assert len(opened(interlaced(tmp_path / "other.mp4", 0), fields="weave")[0].frames) == 24
+
+
+def test_pictures_of_two_fields_have_a_note_and_the_option_separates_them(tmp_path):
+    fields = moving(48, speed=1.0)
+    (tmp_path / "film").mkdir()
+    for k in range(24):
+        frame = fields[2 * k].copy()
+        frame[1::2] = fields[2 * k + 1][1::2]
+        cv2.imwrite(str(tmp_path / f"film/{k:03d}.png"), frame)
+    for choice, count, said in (("auto", 24, True), ("weave", 24, False), ("separate", 48, False)):
+        clip, notes = opened(tmp_path / "film", {**SMALL, "fps": 125}, fields=choice)
+        assert (len(clip.frames), "seems to hold two fields" in notes) == (count, said)
+
+
+@pytest.mark.parametrize("across", [(0.0, 1.0), (0.0, 3.0), (2.0, 1.0), (6.0, 0.0)])
+@pytest.mark.parametrize("noise", [0.5, 12.0])
+def test_motion_and_noise_alone_are_no_fields(across, noise):
+    """A ball that moves up or down looks like its own other field of the next frame."""
+    rng, order = np.random.default_rng(1), FieldOrder()
+    paths = np.array([40.0, 60.0]) + np.arange(12)[:, None] * across
+    pictures = [
+        60 + 150 * np.clip(9.5 - np.hypot(np.arange(200) - x, np.arange(160)[:, None] - y), 0, 1) for x, y in paths
+    ]
+    stored = [np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8) for picture in pictures]
+    for before, after in zip(stored, stored[1:], strict=False):
+        order.add(before, after)
+    assert order.pixels > 0
+    assert order.find_first() is None
 
 
 def test_open_frames_of_numbers_alone_needs_no_camera(tmp_path):
