@@ -34,6 +34,7 @@ from tracker.camera.frames import Frames, check_frame_size, make_grey_frames
 
 LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
 LUMA_FIRST = re.compile(r"(yuvj?4\d\dp|yuva4\d\dp|gray)(\d+le|8)?|nv(12|16|21|24)")  # the first plane is the luma
+HDR_CURVES = {16: "PQ", 18: "HLG"}  # by FFmpeg's number of a transfer curve
 av.logging.set_libav_level(av.logging.PANIC)  # a note reports what is wrong with a film, once
 
 
@@ -195,6 +196,11 @@ def _describe_faults(found: _VideoContents) -> Iterator[str]:
         yield f"truncated or damaged: {count} of the {promised} frames that the file promises can be decoded"
     if found.damaged:
         yield f"damaged: {len(found.damaged)} frames could not be decoded whole, the first at frame {found.damaged[0]}"
+    if curve := HDR_CURVES.get(int(getattr(found.first, "color_trc", 0) or 0)):
+        yield (
+            f"the film has the HDR curve {curve}: counts are not in proportion to light. Centres of outlines hold; "
+            "errors of glints may not, and sensor.gamma does not describe it"
+        )
     if found.streams > 1:
         yield f"the file has {found.streams} videos: the longest is taken"
     if not found.has_times and any(time is not None for time in found.times):

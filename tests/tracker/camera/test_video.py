@@ -74,6 +74,14 @@ def test_a_film_in_colour_is_its_luma_and_said_to_be_converted(tmp_path):
     assert np.abs(frames[1] - 255 * 0.2126).max() < 1
 
 
+@pytest.mark.parametrize(("curve", "name"), [("bt709", ""), ("smpte2084", "PQ"), ("arib-std-b67", "HLG")])
+def test_a_film_with_a_curve_of_hdr_says_so(tmp_path, curve, name):
+    options = {"x264-params": f"transfer={curve}:colorprim=bt2020:colormatrix=bt2020nc"}
+    path = encode(tmp_path / "film.mp4", CODES[:4].astype("<u2") * 4, "libx264", "yuv420p10le", options=options)
+    faults = [fault for fault in open_frames(path).faults if "HDR" in fault]
+    assert [fault.split(":")[0] for fault in faults] == [f"the film has the HDR curve {name}"] * bool(name)
+
+
 def test_a_truncated_film_gives_what_can_be_decoded(folder, tmp_path, capfd):
     for name in ("mjpeg.avi", "grey.mkv", "full.mkv"):
         whole = (folder / name).read_bytes()
