@@ -20,7 +20,7 @@ from synthcam_shared.outputs import check_utf8, check_writable, resume_folder
 from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY, Frames
-from tracker.camera.labelled_array import is_zarr
+from tracker.camera.readers.labelled_array import is_zarr
 from tracker.camera.recordings import Recording, RecordingSource, open_source
 from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import detector_name, load_detector, load_linker

@@ -13,7 +13,7 @@ import numpy as np
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import did_you_mean, format_value
 from tracker.camera.lens import Array
-from tracker.camera.picture_folder import PICTURES, read_picture
+from tracker.camera.readers.picture_folder import PICTURES, read_picture
 from tracker.camera.recordings import open_source
 from tracker.tables.content import Content
 from tracker.tables.rows import to_numbers

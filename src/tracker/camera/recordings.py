@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
-from tracker.camera.array_file import ARRAYS, read_array_file
 from tracker.camera.camera import Camera
 from tracker.camera.camera_notes import describe_frame_rate
 from tracker.camera.fields import separate_or_note
 from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_area
 from tracker.camera.frame_times import agree, find_stride
 from tracker.camera.frames import GREY, Frame, Frames, linearise
-from tracker.camera.labelled_array import HDF5, is_zarr, read_labelled_array
-from tracker.camera.picture_folder import PICTURES, TIFF, is_hidden, list_pictures, read_picture_folder
-from tracker.camera.tiff_stack import read_tiff_stack
+from tracker.camera.readers.array_file import ARRAYS, read_array_file
+from tracker.camera.readers.labelled_array import HDF5, is_zarr, read_labelled_array
+from tracker.camera.readers.picture_folder import PICTURES, TIFF, is_hidden, list_pictures, read_picture_folder
+from tracker.camera.readers.tiff_stack import read_tiff_stack
 from tracker.notes import COLOUR_TO_GREY, MADE_LINEAR, NO_CAMERA_FILE, Note, NoteKind, note_all
 
 VIDEOS = tuple(
@@ -282,7 +282,7 @@ def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
     elif location.suffix.lower() in ARRAYS:
         frames = read_array_file(location)
     else:
-        from tracker.camera.video import read_video  # here alone: FFmpeg's libraries are slow to load
+        from tracker.camera.readers.video import read_video  # here alone: FFmpeg's libraries are slow to load
 
         frames = read_video(location, options)
     check_two_frames(location, frames)

@@ -1,5 +1,6 @@
 """Times that a film states: missing, repeated and uneven frames, and fields, held to the times it was made with."""
 
+import itertools
 import json
 
 import cv2
@@ -302,7 +303,7 @@ def test_motion_and_noise_alone_are_no_fields(across, noise):
         60 + 150 * np.clip(9.5 - np.hypot(np.arange(200) - x, np.arange(160)[:, None] - y), 0, 1) for x, y in paths
     ]
     stored = [np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8) for picture in pictures]
-    for before, after in zip(stored, stored[1:], strict=False):
+    for before, after in itertools.pairwise(stored):
         order.add(before, after)
     assert order.pixels > 0
     assert order.find_first() is None

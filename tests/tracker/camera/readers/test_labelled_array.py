@@ -10,7 +10,7 @@ from scipy.io import netcdf_file
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.film_options import FilmOptions
-from tracker.camera.labelled_array import LabelledArray, name_axes
+from tracker.camera.readers.labelled_array import LabelledArray, name_axes
 from tracker.camera.recordings import make_recording, open_frames, open_source
 
 FILM = np.random.default_rng(0).integers(0, 256, (12, 20, 30)).astype(np.uint8)

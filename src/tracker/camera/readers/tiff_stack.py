@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
-from tracker.camera.film_axes import choose_entries, choose_entry
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import FilmClock, drop_repeated, find_changes, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
+from tracker.camera.readers.film_axes import choose_entries, choose_entry
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its warnings name lines of source code
 UNREADABLE = RuntimeError, ValueError, TypeError, AttributeError  # that tifffile raises at damaged tags

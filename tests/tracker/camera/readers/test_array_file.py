@@ -13,7 +13,7 @@ import tifffile
 
 import tracker
 from synthcam_shared.errors import InputError
-from tracker.camera import array_file
+from tracker.camera.readers import array_file
 from tracker.camera.recordings import open_frames, open_source
 from tracker.tables.read import read_tracks
 

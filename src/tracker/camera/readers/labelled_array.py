@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
-from tracker.camera.film_axes import choose_entries
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import FilmClock, describe_missing, drop_repeated, find_changes, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
+from tracker.camera.readers.film_axes import choose_entries
 
 HDF5 = (".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".cdf", ".netcdf")
 ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")

@@ -16,7 +16,7 @@ from tracker.camera.camera_keys import first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import describe_missing, drop_repeated, find_changes
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
-from tracker.camera.tiff_stack import choose_colours
+from tracker.camera.readers.tiff_stack import choose_colours
 
 TIFF = (".tif", ".tiff")
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
