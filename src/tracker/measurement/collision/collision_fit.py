@@ -134,10 +134,13 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
     if not guesses:
         return "the approach does not lead to the other ball"
     guess, *others = guesses
-    read = _fit_with_noise(contact, [guess])
+    first = fit_motion(contact.pair, True, [guess])
+    read = _fit_with_noise(contact, [guess], first)
     if not _is_accepted(read):  # the descent may have ended in another minimum
-        again = _fit_with_noise(contact, [*others, guess])
-        read = min(read, again, key=_reduced_chi2)
+        second = fit_motion(contact.pair, True, [*others, guess])
+        if not _is_same_minimum(first, second):
+            again = _fit_with_noise(contact, [*others, guess], second)
+            read = min(read, again, key=_reduced_chi2)
     if _is_accepted(read):
         return read
     least = better_striker * _reduced_chi2(read)
@@ -213,19 +216,26 @@ def _reduced_chi2(read: CollisionFits | str) -> float:
     return np.inf if isinstance(read, str) else read.tied.chi2 / read.tied.dof
 
 
-def _fit_with_noise(contact: Contact, starts: list[Floats]) -> CollisionFits | str:
-    """Both fits, by errors of the size and the correlation that the tracks show."""
-    read = _fit_both(contact, starts)
+def _is_same_minimum(one: CollisionFit, other: CollisionFit) -> bool:
+    """Test whether two fits of the same positions ended in one minimum, within what ends a descent."""
+    close = abs(one.chi2 - other.chi2) <= 1e-6 * one.chi2
+    errors = np.sqrt(np.diag(one.cov) * max(1.0, one.chi2 / max(one.dof, 1)))
+    return bool(close and one.dropped == other.dropped and (abs(one.parameters - other.parameters) <= 0.01 * errors).all())
+
+
+def _fit_with_noise(contact: Contact, starts: list[Floats], tied: CollisionFit | None = None) -> CollisionFits | str:
+    """Both fits, by errors of the size and the correlation that the tracks show; tied: that from the starts, if known."""
+    read = _fit_both(contact, starts, tied)
     pair = None if isinstance(read, str) else with_correlated_noise(contact.pair, read.free)
     if pair is None or isinstance(read, str):
         return read
     return _fit_both(replace(contact, pair=pair), [*starts, read.tied.parameters])
 
 
-def _fit_both(contact: Contact, starts: list[Floats]) -> CollisionFits | str:
+def _fit_both(contact: Contact, starts: list[Floats], tied: CollisionFit | None = None) -> CollisionFits | str:
     """Tied and free fit by the errors that the positions have."""
     pair = contact.pair
-    tied = fit_motion(pair, True, starts)
+    tied = tied or fit_motion(pair, True, starts)
     free, seen = _fit_free(pair, tied)
     if tied.chi2 > free.chi2 + 50:  # the free fit has no impact to get wrong: let it lead
         again = fit_motion(pair, True, [_free_to_tied(free, tied, pair.diameter)])
