@@ -38,6 +38,13 @@ def pytest_xdist_make_scheduler(config, log):
 
 
 @pytest.fixture
+def unfitted(monkeypatch):
+    """For tests of what is seen in films: collisions are found and not fitted, which would take most of the time."""
+    for name in ("fit_collision", "fit_lasting_collision"):
+        monkeypatch.setattr(f"tracker.measurement.estimate.{name}", lambda *_: "not fitted")
+
+
+@pytest.fixture
 def own(tmp_path, monkeypatch):
     """A folder for effects; what a test adds of it is forgotten afterwards."""
     monkeypatch.setattr(effects_module, "_folders", {})

@@ -41,7 +41,8 @@ def walks(clip, rng):
 
 @pytest.mark.parametrize("motion", [pucks, walks])
 def test_a_search_of_anything_ends_well(monkeypatch, motion):
-    only(monkeypatch, unknown_lamp=library()["unknown_lamp"])
+    laws = ("friction_speed", "restitution_speed", "force_place", "lag_speed")
+    only(monkeypatch, laws, unknown_lamp=library()["unknown_lamp"])
     rng = np.random.default_rng(1)
     clips = [dataclasses.replace(c, xy=motion(c, rng)) for c in exact(Model(), 6, 1, 30)]
     blind = [dataclasses.replace(c, camera=dataclasses.replace(c.camera, lamp=None)) for c in clips]

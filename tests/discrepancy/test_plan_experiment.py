@@ -45,9 +45,9 @@ def test_a_row_for_each_strength_the_clearest_first(planned):
 
 
 def test_what_a_change_does_to_a_large_experiment_is_scaled_from_some_of_it(planned, monkeypatch):
-    """Changes are tried on 24 collisions at most, here of 90 fitted, and must gain as they do of six."""
+    """Changes are tried on 24 collisions at most, here of 30 fitted, and must gain as they do of six."""
     few(monkeypatch)
-    table = discrepancy.plan(scene(), clips=120).table
+    table = discrepancy.plan(scene(), clips=40).table
     assert (table["naming_then"] < table["naming_limit"]).all()
     ratio, before = (t["naming_then"] / t["naming_limit"] for t in (table, planned.table))
     assert ratio.to_numpy() == pytest.approx(before.to_numpy(), rel=0.4)

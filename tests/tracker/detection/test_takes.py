@@ -10,6 +10,9 @@ from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.takes import find_takes
 
 
+pytestmark = pytest.mark.usefixtures("unfitted")
+
+
 def tracked(pictures):
     return tracker.track(pictures, CAMERA, detector="discs")
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from tracker.cli import app
 from tracker.results import clip_folder
 
-CLIPS = 3
+CLIPS = 2
 
 
 def run(*words):
@@ -20,7 +20,7 @@ def run(*words):
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory):
-    """Tracks of three clips in one table, and the camera of them."""
+    """Tracks of two clips in one table, and the camera of them."""
     import pandas as pd
 
     data = dataset(tmp_path_factory.mktemp("pages") / "data", BENCHMARK, CLIPS, seed=6)

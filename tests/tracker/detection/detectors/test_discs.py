@@ -69,6 +69,7 @@ def test_ground_alone_is_no_disc():
     assert fit_disc(black, ground, np.array([20.0, 20.0]), look, np.zeros(2), []) is None
 
 
+@pytest.mark.usefixtures("unfitted")
 def test_the_diameter_is_found_from_the_film():
     pictures = film(np.random.default_rng(4), collision())
     clip = recorded(pictures, Camera.unknown((SIZE[1], SIZE[0]), 8))
@@ -99,7 +100,7 @@ def test_the_background_under_a_ball_that_rests_for_most_of_the_film():
 
 def test_balls_lit_from_one_side_that_cast_shadows():
     """Every ball is found at its own place, not at that of its bright side, and no shadow is taken for one."""
-    ways = collision()
+    ways = collision(30, 12)
     clip = recorded(lit_film(np.random.default_rng(7), ways), Camera.from_dict(CAMERA))
     discs = Discs(make_view(clip, "discs"))
     detections = discs.detect(enumerate(clip.frames))
@@ -114,7 +115,7 @@ def test_balls_lit_from_one_side_that_cast_shadows():
 
 def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
     """Their bright sides alone tell the lamp: found at their own places, with errors that know of it."""
-    ways = collision()
+    ways = collision(30, 12)
     ground = plate(np.random.default_rng(9), 14.0, 1.0) - plate(np.random.default_rng(9), 0.0, 0.0)
     clip = recorded(lit_film(np.random.default_rng(7), ways, (0.35, -0.2), ground=ground), Camera.from_dict(CAMERA))
     found = Discs(make_view(clip, "discs")).detect(enumerate(clip.frames)).glints
@@ -126,6 +127,7 @@ def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
     assert np.abs(miss.mean(axis=0)).max() < 0.02 * R
 
 
+@pytest.mark.usefixtures("unfitted")
 def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):
     """The film is of discs; told that it is of glints, the tracker tries both and says so."""
     monkeypatch.setattr("tracker.recording.select_detector", lambda *_: ("maximum_likelihood", ""))

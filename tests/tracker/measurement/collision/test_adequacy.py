@@ -47,6 +47,12 @@ def hopping(tmp_path_factory):
     return dataset(tmp_path_factory.mktemp("hop") / "data", settings, 4)
 
 
+@pytest.fixture(scope="module")
+def rejected(hopping):
+    """Rows of four collisions that the model does not fit."""
+    return measured(hopping, 4)
+
+
 def lasting(rng, count, rho):
     """Unit noise (count, 2) whose correlation falls as rho^lag."""
     noise = rng.standard_normal((count, 2))
@@ -80,8 +86,8 @@ def dishonest(table):
     return [n for n, z in found.items() if not (len(z) and abs(z.std() - 1) < 4 / np.sqrt(2 * len(z)))]
 
 
-def test_what_the_data_reject_has_no_errors_and_stays_for_looking_at(hopping):
-    table = measured(hopping, 4)
+def test_what_the_data_reject_has_no_errors_and_stays_for_looking_at(rejected):
+    table = rejected
     assert table["status"].tolist() == ["misfit"] * 4
     assert (table["adequate"] < LEVEL).all()
     accepted = table["adequate_free"] > LEVEL
@@ -104,8 +110,8 @@ def test_what_the_data_reject_has_no_errors_and_stays_for_looking_at(hopping):
     assert said.endswith("To find the cause: discrepancy find out/results --model MODEL")
 
 
-def test_nothing_of_a_misfit_is_fitted_with_the_others(own, hopping):
-    good, bad = measured(own, 6), measured(hopping, 4)
+def test_nothing_of_a_misfit_is_fitted_with_the_others(own, rejected):
+    good, bad = measured(own, 6), rejected
     assert fit_all(pd.concat([good, bad])) == fit_all(good)
     assert fit_all(bad)["clips"] == 0
 
@@ -160,7 +166,7 @@ def test_noise_that_lasts_is_counted(own, monkeypatch):
 def test_noise_is_read_where_the_impact_has_no_part(hopping, monkeypatch):
     """What the model lacks just after the hit is not taken for noise that lasts, even without any doubt before."""
     monkeypatch.setattr(noise_correlation, "MIN_CORRELATION_SIGMA", -np.inf)
-    table = measured(hopping, 4)
+    table = measured(hopping, 2)
     assert (table["noise_rho"] == 0).all()
     assert (table["status"] == "misfit").all()
 

@@ -35,9 +35,9 @@ SPINS = [DRAW, DRAW | {"side": 0.08}, {"ux": -0.1, "uy": 0.05, "side": 0.05, "be
 
 
 def test_a_striker_that_slides_is_fitted_as_sliding():
-    """Two films of each spin; the z of all together are as large as N(0, 1) makes them, within 4 sampling errors."""
+    """The z of all together are as large as N(0, 1) makes them, within 4 sampling errors."""
     every = []
-    for seed, spin in enumerate([*SPINS, *SPINS]):
+    for seed, spin in enumerate(SPINS):
         row = measure(tracks(seed, **spin), CAMERA).rows[0]
         assert row["status"] == "ok"
         assert "striker slides" in row["flags"].split("|")

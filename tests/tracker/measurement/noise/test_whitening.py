@@ -144,9 +144,9 @@ def test_a_lasting_shift_is_correlated_as_matern_says():
 
 @pytest.fixture(scope="module")
 def shaded(tmp_path_factory):
-    """Rows of collisions, balls off by smooth fields of random waves: flagged so, and taken for a pattern of pixels."""
+    """Rows of collisions, balls off by smooth fields of random waves: flagged so; of a few, taken for pixels' pattern."""
     data = dataset(tmp_path_factory.mktemp("shaded") / "data", BENCHMARK, 16)
-    rng, rows, truths = np.random.default_rng(4), [], scalars_of(data)
+    rng, told, untold, truths = np.random.default_rng(4), [], [], scalars_of(data)
     for clip in range(16):
         truth, camera = truth_of(data, clip)
         tracks = noisy(truth, rng, 0.02)
@@ -160,20 +160,21 @@ def shaded(tmp_path_factory):
                 shift[its, axis] = rms * np.sqrt(2 / 200) * np.cos(angle).sum(axis=1)
         fixed = np.broadcast_to(np.eye(2) * rms**2, own.shape)
         off = replace(tracks, x=tracks.x + shift[:, 0], y=tracks.y + shift[:, 1], cov=own + fixed, fixed=fixed)
-        told = replace(off, flags=np.full(len(off.x), PositionFlag.SHADED.word))
-        rows.append([measure(t, camera)[0] | {"true": truths.iloc[clip]} for t in (told, off)])
-    return rows
+        flagged = replace(off, flags=np.full(len(off.x), PositionFlag.SHADED.word))
+        told.append(measure(flagged, camera)[0] | {"true": truths.iloc[clip]})
+        untold += measure(off, camera) if clip < 5 else []
+    return told, untold
 
 
 @pytest.mark.parametrize("name", ["r", "mu_k", "v0"])
 def test_balls_in_their_own_shadow_have_errors_that_hold(shaded, name):
-    rows = [row for row, _ in shaded if row["status"] == "ok"]
+    rows = [row for row in shaded[0] if row["status"] == "ok"]
     z = np.array([(row[name] - row["true"][name]) / row[f"{name}_std"] for row in rows])
     assert len(z) >= 15
     assert np.sqrt(np.mean(z**2)) < 1 + 3 / np.sqrt(2 * len(z))
 
 
 def test_without_the_flag_a_smooth_shift_is_taken_for_rough_noise(shaded):
-    told, untold = (np.nanmedian([row["v0_std"] for row in part]) for part in zip(*shaded, strict=True))
+    few = len(shaded[1])
+    told, untold = (np.nanmedian([row["v0_std"] for row in part[:few]]) for part in shaded)
     assert told < 0.7 * untold
-    assert sum(row["status"] == "misfit" for _, row in shaded) > sum(row["status"] == "misfit" for row, _ in shaded)
