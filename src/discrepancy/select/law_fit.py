@@ -86,7 +86,8 @@ def fit_law(
         moved = None
         if step @ (information + precision) @ step > CONVERGED_CHI2:
             before = fit.chi2 + coefs @ precision @ coefs
-            for share in (1.0, 0.5, 0.25, 0.1, 0.02):  # of a step, the longest first
+            # of a step, the longest first; where the derivatives of another point lead up, new ones lead further
+            for share in (1.0, 0.5, 0.25, 0.1, 0.02) if fit.is_linearised_here else (1.0,):
                 moved = _moved(evidence, law, plain, fit, moves, coefs, share * step)
                 if moved and moved[1].chi2 + (coefs + share * step) @ precision @ (coefs + share * step) < before:
                     coefs = coefs + share * step
