@@ -23,7 +23,7 @@ from discrepancy.select.score_test import ScoreTests
 from synthcam.model import Model
 
 NOISE = Noise(NoiseComponent(1.0))
-CLIPS = 8
+CLIPS = 6
 SLIP, RISE, SCATTER = 0.25, 0.03, 0.003
 
 
