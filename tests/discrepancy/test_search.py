@@ -20,7 +20,7 @@ from discrepancy_clips import (
     only,
     searched,
 )
-from discrepancy_outsiders import FEW, OUTSIDERS, outsider
+from discrepancy_outsiders import OUTSIDERS, outsider
 
 from benchmarks.search.sealed.integrator import Plate, collision, means
 from discrepancy.add import add
@@ -90,15 +90,8 @@ def test_strikers_that_slide_or_spin_hide_nothing_and_are_nothing(monkeypatch, s
 
 
 def test_a_tilt_hidden_by_another_integrator_is_named(monkeypatch):
-    known = (
-        "plate_tilt",
-        "velocity_restitution",
-        "rolling_quadratic",
-        "friction_anisotropy",
-        "camera_tilt",
-        "air_drag",
-    )
-    only(monkeypatch, **{name: library()[name] for name in known})
+    known = ("plate_tilt", "velocity_restitution", "friction_anisotropy", "camera_tilt")
+    only(monkeypatch, ("force_place", "friction_heading"), **{name: library()[name] for name in known})
     found = search(integrated(Model(), np.array([8e-4, -5e-4]), 6, 21), Model())
     assert found.verdict == "named"
     assert names(found) == ["plate_tilt"]
@@ -155,7 +148,7 @@ def test_the_library_is_asked_again_for_what_stands_in_place_of_a_free_law(monke
 
 
 def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(monkeypatch):
-    known = ("stribeck", "viscous_friction", "rolling_quadratic")
+    known = ("stribeck", "viscous_friction")
     only(monkeypatch, ("friction_speed",), **{n: library()[n] for n in known})
     clips = collisions(Model().replace({"stribeck.rise": 0.004, "stribeck.slip": 0.3}), 6, 4)
     found = search(clips, Model(sliding_friction=0.0))
@@ -164,11 +157,17 @@ def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(m
     assert "stribeck" in found.experiment
 
 
-@pytest.mark.parametrize("hidden", [{"stribeck.rise": 0.03}, {"plate_tilt.x": 1e-3}])
-def test_what_the_library_holds_is_not_called_outside_it(monkeypatch, hidden):
+@pytest.mark.parametrize(
+    ("hidden", "bent"),
+    [
+        ({"stribeck.rise": 0.03}, ("friction_speed", "friction_heading")),
+        ({"plate_tilt.x": 1e-3}, ("force_place", "force_velocity")),
+    ],
+)
+def test_what_the_library_holds_is_not_called_outside_it(monkeypatch, hidden, bent):
     """Friction with a shape of its own, or one strength of two, which a free law could bend to."""
-    bent = ("friction_speed", "friction_heading", "force_place", "force_velocity")
-    only(monkeypatch, bent, **{name: library()[name] for name in (*FEW, "plate_tilt")})
+    known = ("velocity_restitution", "stribeck", "friction_anisotropy", "plate_tilt")
+    only(monkeypatch, bent, **{name: library()[name] for name in known})
     found = search(collisions(Model().replace(hidden), 6, 4), Model())
     assert found.free_law is None
     assert found.verdict == "named"
@@ -217,7 +216,7 @@ class Twin(library()["velocity_restitution"]):
 def test_exact_aliases_are_reported_as_a_class(monkeypatch):
     effect = library()["velocity_restitution"]
     Twin.laws = effect.laws
-    only(monkeypatch, velocity_restitution=effect, twin=Twin)
+    only(monkeypatch, ("restitution_speed",), velocity_restitution=effect, twin=Twin)
     found = search(collisions(Model().replace({"velocity_restitution.e": 0.02}), 6, 4), Model())
     assert found.verdict == "ambiguous"
     assert len(found.named) == 1
@@ -252,7 +251,8 @@ def test_an_effect_in_the_model_with_a_wrong_strength_is_named_again(monkeypatch
     assert "Missing" not in found.sentence()
 
 
-def test_a_model_without_rolling_loss_is_searched_too():
+def test_a_model_without_rolling_loss_is_searched_too(monkeypatch):
+    only(monkeypatch)
     slippery = Model().replace({"rolling_decel": 0.0})
     assert search(collisions(slippery, 6, 5), slippery).verdict == "none"
 

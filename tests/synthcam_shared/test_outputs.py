@@ -74,6 +74,7 @@ def test_a_full_disk_is_named_and_the_same_command_goes_on(table, tmp_path, monk
     assert contents(tmp_path / "d") == whole
 
 
+@pytest.mark.usefixtures("unfitted")
 def test_full_at_the_end_it_goes_on_too(table, tmp_path, monkeypatch):
     measure(table, tmp_path / "whole")
     put = outputs.write_atomically
@@ -135,6 +136,7 @@ def test_a_folder_where_nothing_can_be_written_is_named_at_once(table, words, mo
     assert err.count("\n") == 1
 
 
+@pytest.mark.usefixtures("unfitted")
 def test_two_commands_do_not_make_the_same_results(table, tmp_path, monkeypatch):
     """The second is refused while the first is at work, and takes nothing of it away."""
     write, refused, inside = pipeline.results.write_clip, [], []

@@ -178,8 +178,8 @@ def test_a_friction_of_one_ball_is_found_and_said_to_be_of_that_ball():
 
 
 def test_a_ball_that_rolls_worse_is_named_and_no_free_law_is_declared(monkeypatch):
-    few = ("rolling_mismatch", "drag_mismatch", "mass_mismatch", "rolling_quadratic")
-    only(monkeypatch, **{name: effects()[name] for name in few})
+    few = ("rolling_mismatch", "drag_mismatch", "mass_mismatch")
+    only(monkeypatch, ("rolling_speed", "force_speed"), **{name: effects()[name] for name in few})
     found = search(hiding(RollingMismatch(drag=0.02, decel=1e-3)), Model())
     assert [n.effect for n in found.named] == ["rolling_mismatch"]
     assert found.free_law is None
@@ -221,12 +221,13 @@ def one_more(tmp_path, monkeypatch):
 
 
 def test_a_file_dropped_into_the_folder_is_found_fitted_and_named(one_more, monkeypatch):
-    only(monkeypatch, **{name: effects()[name] for name in ("velocity_restitution", "spin_transfer_velocity")})
+    assert law_count() == one_more + 1
+    few = {name: effects()[name] for name in ("velocity_restitution", "spin_transfer_velocity")}
+    only(monkeypatch, ("restitution_side", "restitution_obliqueness", "spin_transfer_speed"), **few)
     clips = exact(Model(), 18, 6)
     sides = [Model().replace({"restitution": 0.9 + 0.01 * np.tanh(c.launch[B] / 0.1)}) for c in clips]
     seen = noisy([dataclasses.replace(c, xy=moved(m, [c])[0]) for c, m in zip(clips, sides, strict=True)], 6)
     found = search(seen, Model())
-    assert law_count() == one_more + 1
     assert (found.verdict, found.free_law.law.name) == ("outside_library", "restitution_side")
     said = found.document()["outside"][0]
     assert (said["slot"], said["law"]) == ("restitution_side", "r that depends on the impact parameter")

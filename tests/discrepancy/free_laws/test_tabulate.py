@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from discrepancy_clips import collisions, only
-from discrepancy_outsiders import FEW, OUTSIDERS, outsider
+from discrepancy_outsiders import OUTSIDERS, outsider
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.free_laws.tabulate import tabulate_and_refit
@@ -57,7 +57,8 @@ def test_on_collisions_kept_out_the_model_is_as_good_as_the_true_law(law):
 def test_a_search_that_begins_with_it_finds_nothing(law, seeds, tmp_path, monkeypatch):
     """Seed 3: in the collisions that it was found in. 8: in others, which may meet at speeds not seen before."""
     found = outsider(law)
-    only(monkeypatch, ("restitution_speed", "friction_speed", law), **{name: library()[name] for name in FEW})
+    few = {name: library()[name] for name in ("velocity_restitution", "rolling_quadratic")}
+    only(monkeypatch, ("restitution_speed", law), **few)
     write_model(found.model, tmp_path / "model.yaml")
     model = read_model(tmp_path / "model.yaml")
     hidden = dataclasses.replace(Model(), effects=(OUTSIDERS[law],))
@@ -71,7 +72,7 @@ def test_a_search_that_begins_with_it_finds_nothing(law, seeds, tmp_path, monkey
 
 def test_a_law_found_once_more_is_the_whole_law_and_takes_the_place_of_its_table(monkeypatch):
     """The model has a third of what is hidden as a table."""
-    only(monkeypatch, ("restitution_speed",), **{name: library()[name] for name in FEW})
+    only(monkeypatch, ("restitution_speed",), velocity_restitution=library()["velocity_restitution"])
     step, x = OUTSIDERS["restitution_speed"], np.linspace(0, 0.7, 41)
     base = Model()
     third = base.restitution + (step._law(x) - base.restitution) / 3

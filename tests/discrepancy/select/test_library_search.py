@@ -230,7 +230,7 @@ def test_what_cannot_be_told_apart_is_a_class(monkeypatch):
 
 def test_friction_and_spin_are_found_one_after_the_other_in_a_textbook_collision(monkeypatch):
     """The discovery of Behringer and Painter: balls that collide also slide, and turn each other."""
-    few(monkeypatch, (*FEW, "ball_friction", "stribeck", "air_drag"))
+    few(monkeypatch, ("velocity_restitution", "rolling_quadratic", "ball_friction", "stribeck"))
     textbook = Model().replace({"sliding_friction": 0.0, "spin_transfer": 0.0})
     clips, base, noise = started(Model(), textbook)
     steps, found = selected(clips, base, noise)

@@ -13,6 +13,8 @@ from synthcam_shared.errors import InputError, PluginError
 from tracker import cli
 from tracker.detection.detect import detector_name, load_detector
 
+pytestmark = pytest.mark.usefixtures("unfitted")
+
 CENTROID = '''
 import numpy as np
 
