@@ -32,7 +32,8 @@ class Count(SchedulerPlugin):
     def transition(self, key, start, finish, *args, **more):
         self.done |= {key} if finish == "memory" and str(key).startswith("clip-") else set()
 if __name__ == "__main__":
-    options = {"processes": False, "protocol": "tcp://", "dashboard_address": None, "silence_logs": 60}  # a thread starts at once
+    # a thread starts at once
+    options = {"processes": False, "protocol": "tcp://", "dashboard_address": None, "silence_logs": 60}
     with LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
         cluster.scheduler.add_plugin(Count())
         address, text = cluster.scheduler_address, Path(sys.argv[1]).read_text()

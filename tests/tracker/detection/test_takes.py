@@ -9,7 +9,6 @@ import tracker
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.takes import find_takes
 
-
 pytestmark = pytest.mark.usefixtures("unfitted")
 
 

@@ -220,11 +220,13 @@ def _is_same_minimum(one: CollisionFit, other: CollisionFit) -> bool:
     """Test whether two fits of the same positions ended in one minimum, within what ends a descent."""
     close = abs(one.chi2 - other.chi2) <= 1e-6 * one.chi2
     errors = np.sqrt(np.diag(one.cov) * max(1.0, one.chi2 / max(one.dof, 1)))
-    return bool(close and one.dropped == other.dropped and (abs(one.parameters - other.parameters) <= 0.01 * errors).all())
+    return bool(
+        close and one.dropped == other.dropped and (abs(one.parameters - other.parameters) <= 0.01 * errors).all()
+    )
 
 
 def _fit_with_noise(contact: Contact, starts: list[Floats], tied: CollisionFit | None = None) -> CollisionFits | str:
-    """Both fits, by errors of the size and the correlation that the tracks show; tied: that from the starts, if known."""
+    """Both fits, by errors as the tracks show them, in size and correlation; tied: that from the starts, if known."""
     read = _fit_both(contact, starts, tied)
     pair = None if isinstance(read, str) else with_correlated_noise(contact.pair, read.free)
     if pair is None or isinstance(read, str):

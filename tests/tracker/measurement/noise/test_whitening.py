@@ -144,7 +144,7 @@ def test_a_lasting_shift_is_correlated_as_matern_says():
 
 @pytest.fixture(scope="module")
 def shaded(tmp_path_factory):
-    """Rows of collisions, balls off by smooth fields of random waves: flagged so; of a few, taken for pixels' pattern."""
+    """Rows of collisions, balls off by smooth fields of random waves: flagged so; of a few, taken for pixels."""
     data = dataset(tmp_path_factory.mktemp("shaded") / "data", BENCHMARK, 16)
     rng, told, untold, truths = np.random.default_rng(4), [], [], scalars_of(data)
     for clip in range(16):
