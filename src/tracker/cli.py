@@ -1,4 +1,4 @@
-"""tracker: track, measure, combine, export, score, compare, benchmark, calibrate."""
+"""tracker: track, measure, combine, export, score, compare, benchmark, calibrate, warp."""
 
 from __future__ import annotations
 
@@ -331,6 +331,30 @@ def calibrate(
     result.write(output)
     keys = {"camera": str(output), **result.to_dict()["calibration"], "scale": result.camera.scale}
     print(json.dumps(keys) if as_json else "\n".join([*summary(result), f"{output}"]))
+
+
+@app.command()
+def warp(
+    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="RESULTS of one camera.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="CAMERA.JSON", help="File to write.")],
+    as_json: Json = False,
+) -> None:
+    """Correct the camera's map: a smooth displacement of positions, from balls that slide and roll freely.
+
+    Writes the camera file of the results with the key warp, if it predicts recordings that were left out. All commands
+    apply it.
+
+    Example: tracker warp out/results -o camera.json
+    """
+    from tracker.calibration.calibrate import check_output
+    from tracker.calibration.camera_warp import find_camera_warp
+
+    check_output(output)
+    with progress_bar("warp") as progress:
+        found = find_camera_warp(results, progress)
+    found.write(output)
+    fit = found.to_dict()["calibration"]["warp"]
+    print(json.dumps({"camera": str(output), **fit}) if as_json else "\n".join([*found.summary(), f"{output}"]))
 
 
 def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:

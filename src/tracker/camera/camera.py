@@ -21,6 +21,7 @@ from tracker.camera.camera_json import STANDARD_ERRORS, HasCameraJson, LampSetti
 from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import SensorSpec
+from tracker.camera.warp import Warp
 
 __all__ = ["Camera", "InputError", "LampSettings", "SensorSpec"]
 
@@ -66,6 +67,8 @@ class Camera:
         The change of K, dist, R and t by each of n independent standard errors; see `perturb_view`.
     matte : bool
         Whether the balls are matte: they show no glint and are seen whole.
+    warp : Warp or None
+        A smooth correction of positions on the plate; `project` and `unproject` contain it.
 
     Examples
     --------
@@ -101,6 +104,7 @@ class Camera:
     ball_diameter_std: float = 0.0
     view_errors: Array = field(default_factory=lambda: np.zeros((0, NUMBERS)))
     matte: bool = False
+    warp: Warp | None = None
 
     @property
     def effective_exposure(self) -> float:
@@ -170,7 +174,10 @@ class Camera:
         -------
         ndarray of shape (..., 2)
         """
-        cam = np.asarray(points, dtype=np.float64) @ self.R.T + self.t
+        given = np.asarray(points, dtype=np.float64)
+        if self.warp is not None:
+            given = np.concatenate([self.warp.undo(given[..., :2]), given[..., 2:]], axis=-1)
+        cam = given @ self.R.T + self.t
         bent, _ = distort(cam[..., :2] / cam[..., 2:3], self.dist)
         return bent @ self.K[:2, :2].T + self.K[:2, 2]
 
@@ -190,18 +197,22 @@ class Camera:
         jacobians : ndarray of shape (..., 2, 2)
             Derivative of the positions by the pixels, m/px.
         """
-        position, straight, bend, depth = self._on_plane(pixels, self.centre_height if z is None else z)
+        position, straight, bend, depth, stretch = self._on_plane(pixels, self.centre_height if z is None else z)
         # d straight / d position at this depth, from x_cam = R x_world + t
         slope = (self.R[:2, :2] - straight[..., :, None] * self.R[2, :2]) / depth[..., None]
-        return position, np.asarray(np.linalg.inv(self.K[:2, :2] @ bend @ slope), dtype=np.float64)
+        return position, np.asarray(stretch @ np.linalg.inv(self.K[:2, :2] @ bend @ slope), dtype=np.float64)
 
-    def _on_plane(self, pixels: ArrayLike, height: float) -> tuple[Array, Array, Array, Array]:
-        """Positions on a plane; normalised coordinates, the lens's Jacobian there, and the depth (..., 1)."""
+    def _on_plane(self, pixels: ArrayLike, height: float) -> tuple[Array, Array, Array, Array, Array]:
+        """Positions on a plane; normalised coordinates, the lens's Jacobian there, the depth (..., 1); the warp's."""
         bent = (np.asarray(pixels, dtype=np.float64) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
         straight, bend = undistort(bent, self.dist)
         ray = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1) @ self.R
         depth = (height - self.position[2]) / ray[..., 2:3]
-        return np.asarray(self.position[:2] + depth * ray[..., :2], dtype=np.float64), straight, bend, depth
+        position, stretch = np.asarray(self.position[:2] + depth * ray[..., :2], dtype=np.float64), np.eye(2)
+        if self.warp is not None:
+            shift, slope = self.warp.displace(position)
+            position, stretch = position + shift, stretch + slope
+        return position, straight, bend, depth, stretch
 
     def glint_of_centre(self, centres: ArrayLike) -> Array:
         """Find the pixels at which balls mirror the centre of the lamp. An InputError says that the lamp is unknown.
@@ -380,6 +391,7 @@ class Camera:
             "shutter": {"kind": "rolling", "line_time": self.line_time} if self.line_time else None,
             "ball": {"finish": "matte"} if self.matte else None,
             "exposure_seen_s": self.exposure_from_blur,
+            "warp": None if self.warp is None else self.warp.to_dict(),
         }
         return out | {key: value for key, value in optional.items() if value is not None}
 

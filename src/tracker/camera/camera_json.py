@@ -19,6 +19,7 @@ from synthcam_shared.errors import InputError as InputError
 from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, NUMBERS, did_you_mean, format_value, read_json
 from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
+from tracker.camera.warp import Warp
 
 STANDARD_ERRORS = ("scale_std", "fps_std", "ball_diameter_std")
 
@@ -227,6 +228,7 @@ class _CameraFile(_Section):
     video: Any = None
     view_errors: Annotated[Array, PlainValidator(_check_rows)] = Field(default_factory=lambda: np.zeros((0, NUMBERS)))
     assumed: Annotated[Sequence[str], _anything_that(_is_list_of_names, "a list of names of keys")] = ()
+    warp: Annotated[Warp | None, PlainValidator(Warp.of)] = None
     exposure_seen_s: Any = None
     calibration: Any = None
 
@@ -306,7 +308,7 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
     sensor = file.sensor.model_dump(exclude_none=True)
     needed = ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "black_level")
     assumed += [f"sensor.{key}" for key in needed if key not in sensor]
-    plain = ("R", "size", "fps", "striker", "metric", "view_errors", *STANDARD_ERRORS)
+    plain = ("R", "size", "fps", "striker", "metric", "view_errors", "warp", *STANDARD_ERRORS)
     fields: dict[str, Any] = {key: getattr(file, key) for key in plain} | dict(
         K=matrix,
         dist=np.zeros(5) if file.dist is None else file.dist,

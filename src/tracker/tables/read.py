@@ -293,7 +293,8 @@ def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camer
 
 
 def _project(tracks: Tracks, camera: Camera) -> Tracks:
-    """Tracks in metres on the plate, as the camera sees them."""
+    """Tracks in metres on the plate, as the camera sees them; its warp corrects them when they are read."""
+    camera = replace(camera, warp=None)
     height = np.full((len(tracks), 1), camera.centre_height)
     pixels = camera.project(np.concatenate([tracks.xy, height], axis=1))
     slope = np.linalg.inv(camera.unproject(pixels)[1])

@@ -1,0 +1,360 @@
+"""A smooth correction of the camera's map, from the residuals of free motion.
+
+The displacement of each position is a sum of cubic B-splines with a prior of smoothness (Eilers and Marx 1996, Stat.
+Sci. 11, 89), whose strength maximises the marginal likelihood. The free motion of each stretch is fitted beside it.
+Shifts, turns and uniform strains leave free motion as it is: the correction has no such part. A map is accepted only
+if it predicts the stretches of recordings that were left out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.linalg import eigh, null_space
+from scipy.stats import t
+
+from synthcam_shared.errors import InputError
+from synthcam_shared.jobs import Progress
+from synthcam_shared.outputs import as_input_error, write_atomically
+from tracker.calibration.free_stretches import FreeStretch, FrictionPrior, find_free_stretches, fit_stretch
+from tracker.camera.camera import Camera
+from tracker.camera.warp import Warp
+from tracker.measurement.positions import to_ball_tracks
+from tracker.results import read_clip
+
+Floats = NDArray[np.float64]
+MIN_STRETCHES = 20
+MIN_RECORDINGS = 8  # with fewer the stretches are left out in turn, and not the recordings
+FOLDS = 8
+MAX_INTERVALS = 16  # of the splines along the longer side
+MIN_INTERVALS = 3  # along either side
+POSITIONS_PER_CELL = 40  # at least, in the mean over the cells of the splines
+SIGNIFICANCE = 1e-3  # p-value of the gain on held-out stretches
+REPETITIONS = 2  # of the fit, with friction as the corrected stretches show it
+SMOOTHNESS = np.logspace(-8, 8, 65)  # ratios of the prior's precision to that of the positions that are tried
+
+
+@dataclass(frozen=True, eq=False)
+class SplineField:
+    """Displacement fields of a rectangle: tensor products of cubic B-splines, for x and for y."""
+
+    low: Floats
+    high: Floats
+    intervals: tuple[int, int]
+
+    @staticmethod
+    def over(position: Floats) -> SplineField:
+        """The fields over all positions (n, 2)."""
+        low, high = position.min(axis=0), position.max(axis=0)
+        sides = np.maximum(high - low, 1e-9)
+        cells = len(position) / POSITIONS_PER_CELL
+        side = max(float(np.sqrt(sides.prod() / cells)), float(sides.max()) / MAX_INTERVALS)
+        across, down = (max(round(s / side), MIN_INTERVALS) for s in sides)
+        return SplineField(low, high, (across, down))
+
+    def basis(self, position: Floats, orders: tuple[int, int] = (0, 0)) -> Floats:
+        """Values (n, k) of the k splines, or derivatives of these orders, at positions (n, 2)."""
+        one, other = (self._along(position[:, axis], axis, orders[axis]) for axis in (0, 1))
+        return np.asarray((one[:, :, None] * other[:, None, :]).reshape(len(position), -1))
+
+    def _along(self, at: Floats, axis: int, order: int) -> Floats:
+        low, high, n = self.low[axis], self.high[axis], self.intervals[axis]
+        knots = low + (high - low) / n * np.arange(-3, n + 4)
+        splines = BSpline(knots, np.eye(n + 3), 3)
+        return np.asarray(splines(np.clip(at, low, high), nu=order), dtype=np.float64)
+
+    def roughness(self) -> Floats:
+        """Matrix (k, k) of the integral of the squared second derivatives, with a weak prior of the size."""
+        grid = [
+            self.low[a] + (self.high[a] - self.low[a]) * (np.arange(4 * n) + 0.5) / (4 * n)
+            for a, n in enumerate(self.intervals)
+        ]
+        at = np.stack(np.meshgrid(*grid), axis=-1).reshape(-1, 2)
+        size = float((self.high - self.low).max())
+        parts = [(1.0, (2, 0)), (2.0, (1, 1)), (1.0, (0, 2)), (size**-4.0, (0, 0))]
+        whole = sum(share * (b := self.basis(at, orders)).T @ b for share, orders in parts)
+        return np.asarray(whole * size**4 / len(at))
+
+
+class _Sums:
+    """Sums over stretches, beside their own motion: the least squares problem of the displacements."""
+
+    def __init__(self, size: int) -> None:
+        self.matrix, self.vector, self.square, self.dof = np.zeros((size, size)), np.zeros(size), 0.0, 0
+
+    def add(self, stretch: FreeStretch, field: SplineField, constraint: Floats) -> None:
+        """Add a stretch; its residuals are those of positions before the correction."""
+        columns, residual = _design(stretch, field, constraint)
+        self.matrix += columns.T @ columns
+        self.vector -= columns.T @ residual
+        self.square += float(residual @ residual)
+        self.dof += stretch.dof
+
+    @staticmethod
+    def total(parts: Sequence[_Sums]) -> _Sums:
+        """The sums over several."""
+        out = _Sums(len(parts[0].vector))
+        for one in parts:
+            out.matrix, out.vector = out.matrix + one.matrix, out.vector + one.vector
+            out.square, out.dof = out.square + one.square, out.dof + one.dof
+        return out
+
+    def without(self, other: _Sums) -> _Sums:
+        """The sums over the stretches that are not in `other`."""
+        rest = _Sums(len(self.vector))
+        rest.matrix, rest.vector = self.matrix - other.matrix, self.vector - other.vector
+        rest.square, rest.dof = self.square - other.square, self.dof - other.dof
+        return rest
+
+    def left(self, displacement: Floats) -> float:
+        """Sum of squared residuals after a correction with these coefficients."""
+        return float(self.square - 2 * self.vector @ displacement + displacement @ self.matrix @ displacement)
+
+
+def _design(stretch: FreeStretch, field: SplineField, constraint: Floats) -> tuple[Floats, Floats]:
+    """Columns of the displacements beside the stretch's motion, and its residuals, in standard errors."""
+    basis = field.basis(stretch.position) / stretch.std[:, None]
+    k = basis.shape[1]
+    columns = np.concatenate([basis @ constraint[:k], basis @ constraint[k:]])
+    return stretch.project(columns), stretch.residual
+
+
+@dataclass(frozen=True, eq=False)
+class _Posterior:
+    """Coefficients of the displacements: mean, and a root (p, p) of their covariance; the chosen smoothness."""
+
+    mean: Floats
+    root: Floats
+    smoothness: float
+
+
+def _solve(sums: _Sums, prior: Floats, smoothness: float | None = None) -> _Posterior:
+    """The displacements at the smoothness of the largest marginal likelihood, or at a given one."""
+    size, axes = eigh(sums.matrix, prior)
+    size, pull = np.maximum(size, 0.0), axes.T @ sums.vector
+    ratios = size.max() * SMOOTHNESS if smoothness is None else np.array([smoothness])
+    left = sums.square - (pull**2 / (size + ratios[:, None])).sum(axis=1)
+    evidence = -sums.dof * np.log(left) - np.log1p(size / ratios[:, None]).sum(axis=1)
+    best = int(np.argmax(evidence))
+    shrunk = size + ratios[best]
+    root = axes * np.sqrt(left[best] / sums.dof / shrunk)
+    return _Posterior(axes @ (pull / shrunk), root, float(ratios[best]))
+
+
+@dataclass(frozen=True, eq=False)
+class CameraWarp:
+    """A correction of a camera's map that predicts stretches which were left out.
+
+    recordings, stretches, positions: how many were used. rms_before, rms_after: of the residuals of stretches that were
+    left out, m. p_value: of the gain. size: rms of the displacements at the positions, m. certain: share of their
+    square that is not error. halves: correlation of the maps of two halves of the data.
+    """
+
+    camera: Camera
+    recordings: int
+    stretches: int
+    positions: int
+    rms_before: float
+    rms_after: float
+    p_value: float
+    size: float
+    certain: float
+    halves: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """The keys of camera.json, with those of the fit under `calibration`."""
+        fit = {key: value for key, value in vars(self).items() if key != "camera"}
+        return {**self.camera.to_dict(), "calibration": {"warp": fit}}
+
+    def write(self, output: Path) -> None:
+        """Write camera.json."""
+        with as_input_error(output):
+            write_atomically(output, json.dumps(self.to_dict(), indent=1) + "\n")
+
+    def summary(self) -> list[str]:
+        """Lines for a terminal."""
+        scale = 1e3
+        return [
+            f"{self.positions} positions in {self.stretches} free stretches of {self.recordings} recordings",
+            f"rms of residuals on held-out stretches: {scale * self.rms_before:.4g} mm, with the warp "
+            f"{scale * self.rms_after:.4g} mm (p {self.p_value:.2g})",
+            f"displacements: {scale * self.size:.4g} mm rms, {100 * self.certain:.0f} % of their square is certain; "
+            f"maps of two halves of the data correlate by {self.halves:.2f}",
+        ]
+
+
+def find_camera_warp(results: Sequence[Path], progress: Progress) -> CameraWarp:
+    """Fit a warp to the free stretches of results of one camera. Raises InputError where they show none."""
+    camera, recordings = _read_stretches(results, progress)
+    return fit_camera_warp(camera, recordings, progress)
+
+
+def _read_stretches(results: Sequence[Path], progress: Progress) -> tuple[Camera, list[list[FreeStretch]]]:
+    clips = [(folder, file) for folder in results for file in sorted((folder / "clips").glob("[0-9]*/tracks.parquet"))]
+    for folder in results:
+        if not any(one == folder for one, _ in clips):
+            raise InputError(f"{folder}: no clips/ with tracks in it, expected RESULTS, as tracker track makes them")
+    first: Camera | None = None
+    recordings = []
+    for done, (folder, file) in enumerate(clips):
+        progress(done, len(clips))
+        tracks, camera = read_clip(folder, int(file.parent.name))
+        camera = replace(camera, warp=None)
+        if first is None:
+            first = camera
+            if not camera.metric:
+                raise InputError(f"{folder}: no scale, expected results of a camera file")
+        if not _is_same_view(first, camera):
+            raise InputError(f"{folder}: clip {file.parent.name}: another camera, expected results of one camera")
+        recordings.append(find_free_stretches(to_ball_tracks(tracks, camera), camera.ball_diameter))
+    assert first is not None
+    return replace(first, exposure_from_blur=None), recordings
+
+
+def _is_same_view(one: Camera, other: Camera) -> bool:
+    first, second = (np.concatenate([c.K.ravel(), c.dist, c.R.ravel(), c.t, [c.scale]]) for c in (one, other))
+    return bool(np.array_equal(first, second)) and one.size == other.size
+
+
+def fit_camera_warp(
+    camera: Camera, recordings: Sequence[Sequence[FreeStretch]], progress: Progress = lambda done, total: None
+) -> CameraWarp:
+    """Fit a warp to free stretches by recording. Raises InputError where they are too few, or it does not help."""
+    groups = [one for one in _leave_out_bad(recordings) if one]
+    count, stretches = len(groups), sum(len(one) for one in groups)
+    if stretches < MIN_STRETCHES:
+        raise InputError(f"warp: {stretches} free stretches, expected at least {MIN_STRETCHES}")
+    if count < MIN_RECORDINGS:
+        groups = [[stretch] for one in groups for stretch in one]
+    problem = start = _WarpProblem.of(groups)
+    for _ in range(REPETITIONS):
+        problem = problem.repeat_at(problem.solve().mean, progress)
+    found = problem.solve()
+    before, after, value = problem.test_on_held_out(start, progress)
+    if not value < SIGNIFICANCE:
+        raise InputError(
+            f"warp: refused, the free stretches show none: it changes the rms of held-out residuals from "
+            f"{1e3 * before:.4g} to {1e3 * after:.4g} mm (p {value:.2g}, expected under {SIGNIFICANCE:g})"
+        )
+    shift, error = problem.displace(found.mean), problem.displace(found.root)
+    halves = [problem.displace(problem.solve(half, found.smoothness).mean).ravel() for half in (0, 1)]
+    size, variance = (float(np.sum(part**2)) / len(shift) for part in (shift, error))
+    return CameraWarp(
+        camera=replace(camera, warp=problem.to_warp(found.mean)),
+        recordings=count,
+        stretches=stretches,
+        positions=len(shift),
+        rms_before=before,
+        rms_after=after,
+        p_value=value,
+        size=float(np.sqrt(size)),
+        certain=size / (size + variance),
+        halves=float(np.corrcoef(halves[0], halves[1])[0, 1]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _WarpProblem:
+    """Stretches in groups, of which each is left out once, the field of their displacements, and its prior."""
+
+    groups: Sequence[Sequence[FreeStretch]]
+    field: SplineField
+    constraint: Floats
+    prior: Floats
+    friction: FrictionPrior
+
+    @staticmethod
+    def of(groups: Sequence[Sequence[FreeStretch]]) -> _WarpProblem:
+        position = np.concatenate([stretch.position for group in groups for stretch in group])
+        field = SplineField.over(position)
+        constraint, rough = _affine_free(field, position), field.roughness()
+        one, other = np.split(constraint, 2)
+        friction = FrictionPrior.of([stretch for group in groups for stretch in group])
+        return _WarpProblem(groups, field, constraint, one.T @ rough @ one + other.T @ rough @ other, friction)
+
+    @cached_property
+    def sums(self) -> list[_Sums]:
+        """The sums of each fold."""
+        folds = [_Sums(len(self.prior)) for _ in range(FOLDS)]
+        for number, group in enumerate(self.groups):
+            for stretch in group:
+                folds[number % FOLDS].add(stretch, self.field, self.constraint)
+        return folds
+
+    def solve(self, half: int | None = None, smoothness: float | None = None) -> _Posterior:
+        """The displacements by all folds, or by every second."""
+        used = self.sums if half is None else self.sums[half::2]
+        return _solve(_Sums.total(used), self.prior, smoothness)
+
+    def repeat_at(self, mean: Floats, progress: Progress) -> _WarpProblem:
+        """The problem about these displacements, with a prior of friction as the corrected stretches show it."""
+        shifts = [[self._shift(stretch.position, mean) for stretch in group] for group in self.groups]
+        pairs = [list(zip(*both, strict=True)) for both in zip(self.groups, shifts, strict=True)]
+        friction = FrictionPrior.of([stretch.fit_again(shift) for group in pairs for stretch, shift in group])
+        groups = []
+        for number, group in enumerate(pairs):
+            progress(number, len(pairs))
+            groups.append([stretch.fit_again(shift, friction) for stretch, shift in group])
+        return replace(self, groups=groups, friction=friction)
+
+    def test_on_held_out(self, start: _WarpProblem, progress: Progress) -> tuple[float, float, float]:
+        """The rms of residuals of groups that were left out, m, without and with a correction; p-value of the gain.
+
+        start: the problem without a correction. Both fit each stretch again, beside the prior of their own problem.
+        """
+        whole, gains, total, left = _Sums.total(self.sums), [], 0.0, 0.0
+        means = [_solve(whole.without(fold), self.prior).mean for fold in self.sums]
+        for number, group in enumerate(self.groups):
+            progress(number, len(self.groups))
+            gain = 0.0
+            for stretch in group:
+                shift = self._shift(stretch.position, means[number % FOLDS])
+                before = stretch.fit_again(np.zeros_like(shift), start.friction).chi2
+                after = fit_stretch(stretch.time, stretch.position + shift, stretch.std, self.friction).chi2
+                total, left, gain = total + before, left + after, gain + before - after
+            gains.append(gain)
+        error = np.std(gains, ddof=1) / np.sqrt(len(gains))
+        noise = float(np.median(np.concatenate([stretch.std for group in self.groups for stretch in group])))
+        before, after = (noise * float(np.sqrt(square / whole.dof)) for square in (total, left))
+        return before, after, float(t.sf(np.mean(gains) / max(error, 1e-300), len(gains) - 1))
+
+    def displace(self, coefficients: Floats) -> Floats:
+        """Displacements (n, 2, ...) of all positions by coefficients (p, ...)."""
+        position = np.concatenate([stretch.position for group in self.groups for stretch in group])
+        return self._shift(position, coefficients)
+
+    def _shift(self, position: Floats, coefficients: Floats) -> Floats:
+        basis = self.field.basis(position)
+        return np.stack([basis @ (part @ coefficients) for part in np.split(self.constraint, 2)], axis=1)
+
+    def to_warp(self, coefficients: Floats) -> Warp:
+        """The displacements at knots twice as dense as those of the field."""
+        low, high = self.field.low, self.field.high
+        x, y = (np.linspace(low[a], high[a], 2 * self.field.intervals[a] + 1) for a in (0, 1))
+        at = np.stack(np.meshgrid(x, y), axis=-1)
+        shift = self._shift(at.reshape(-1, 2), coefficients).reshape(at.shape)
+        return Warp(x, y, shift[..., 0], shift[..., 1])
+
+
+def _leave_out_bad(recordings: Sequence[Sequence[FreeStretch]], most: float = 3.0) -> list[list[FreeStretch]]:
+    """The stretches whose residuals are not `most` times as large as usual: others are no free motion."""
+    sizes = [stretch.chi2 / stretch.dof for one in recordings for stretch in one]
+    limit = most**2 * float(np.median(sizes)) if sizes else 0.0
+    return [[stretch for stretch in one if stretch.chi2 / stretch.dof <= limit] for one in recordings]
+
+
+def _affine_free(field: SplineField, position: Floats) -> Floats:
+    """Columns (2k, 2k - 6) of displacements that have no shift, turn or uniform strain over the positions."""
+    basis = field.basis(position)
+    centred = (position - position.mean(axis=0)) / np.ptp(position, axis=0).max()
+    sums = np.column_stack([np.ones(len(position)), centred]).T @ basis
+    empty = np.zeros_like(sums)
+    return np.asarray(null_space(np.block([[sums, empty], [empty, sums]])))

@@ -1,0 +1,81 @@
+"""A smooth correction of the camera's map: displacements of positions on the plate, by their place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from tracker.camera.lens import Array
+
+MIN_KNOTS, MAX_KNOTS = 4, 64  # along an axis
+MAX_SLOPE = 0.2  # change of a displacement along a way, over this way
+
+
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """Displacements that turn the positions that K, dist, R and t give into those on the plate.
+
+    x (m,) and y (n,) are knots, m, in increasing order; dx and dy (n, m) displacements at them, m. Between the knots
+    splines of third order interpolate. Beyond them the displacement is that at the nearest point of their rectangle.
+    """
+
+    x: Array
+    y: Array
+    dx: Array
+    dy: Array
+
+    @staticmethod
+    def of(given: Any) -> Warp:
+        """Read the key `warp` of camera.json. Raises ValueError, which says what was expected."""
+        if not isinstance(given, Mapping) or set(given) != {"x", "y", "dx", "dy"}:
+            raise ValueError("a table with x, y, dx and dy")
+        try:
+            x, y, dx, dy = (np.array(given[key], dtype=np.float64) for key in ("x", "y", "dx", "dy"))
+        except (ValueError, TypeError):
+            raise ValueError("numbers in x, y, dx and dy") from None
+        for name, knots in (("x", x), ("y", y)):
+            if not (knots.ndim == 1 and MIN_KNOTS <= len(knots) <= MAX_KNOTS and (np.diff(knots) > 0).all()):
+                raise ValueError(f"{MIN_KNOTS} to {MAX_KNOTS} knots {name} in increasing order, m")
+        if not (dx.shape == dy.shape == (len(y), len(x)) and np.isfinite([dx, dy]).all()):
+            raise ValueError(f"dx and dy of {len(y)} rows of {len(x)} numbers, one for each knot")
+        warp = Warp(x, y, dx, dy)
+        at = np.stack(np.meshgrid(np.linspace(x[0], x[-1], 4 * len(x)), np.linspace(y[0], y[-1], 4 * len(y))), axis=-1)
+        if not np.abs(warp.displace(at)[1]).max() < MAX_SLOPE:
+            raise ValueError(f"displacements that change by less than {MAX_SLOPE:g} m over a metre")
+        return warp
+
+    def to_dict(self) -> dict[str, Any]:
+        """The key of camera.json."""
+        return {"x": self.x.tolist(), "y": self.y.tolist(), "dx": self.dx.tolist(), "dy": self.dy.tolist()}
+
+    @cached_property
+    def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
+        one, other = (RectBivariateSpline(self.x, self.y, shift.T) for shift in (self.dx, self.dy))
+        return one, other
+
+    def displace(self, at: Array) -> tuple[Array, Array]:
+        """Displacements (..., 2) of positions (..., 2), and their derivatives (..., 2, 2) by the positions."""
+        x = np.clip(at[..., 0], self.x[0], self.x[-1])
+        y = np.clip(at[..., 1], self.y[0], self.y[-1])
+        inside = np.stack([x == at[..., 0], y == at[..., 1]], axis=-1)
+        shift = np.stack([spline.ev(x, y) for spline in self._splines], axis=-1)
+        slope = np.stack(
+            [np.stack([spline.ev(x, y, dx=1), spline.ev(x, y, dy=1)], axis=-1) for spline in self._splines], axis=-2
+        )
+        return shift, np.asarray(slope * inside[..., None, :])
+
+    def undo(self, at: Array) -> Array:
+        """Find the positions that are displaced to `at` (..., 2)."""
+        before = at.copy()
+        for _ in range(60):  # contracts by MAX_SLOPE or better
+            fresh = at - self.displace(before)[0]
+            moved = float(np.max(np.abs(fresh - before), initial=0.0))
+            before = fresh
+            if moved < 1e-15:
+                break
+        return before
