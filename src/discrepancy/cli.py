@@ -87,6 +87,10 @@ def find(
         Path | None,
         typer.Option(metavar="POLICY.yaml", help="Decision thresholds that replace the defaults (SearchPolicy)."),
     ] = None,
+    stretches: Annotated[
+        bool,
+        typer.Option("--stretches", help="Search the free stretches between contacts, each with a start of its own."),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Find the effects that the model lacks, and test them on held-out collisions.
@@ -114,7 +118,7 @@ def find(
             if note.kind is SearchNoteKind.NO_STRIKER:  # at once: a search without it may look for the wrong ball
                 print(f"discrepancy: {note}", file=sys.stderr)
         with show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report"), 60 * minutes) as progress:
-            found = search(clips, given, progress, 60 * minutes, notes)
+            found = search(clips, given, progress, 60 * minutes, notes, stretches)
             progress("report")
             search_page.write(found, folder)
         document = json.loads((folder / "discrepancy.json").read_text())
@@ -125,7 +129,8 @@ def find(
         _print_processed(document["processed"])
         lost = count_lost_clips(notes)
         _print_left_out(document["clips"]["left_out"], lost > len(clips))
-        used = f"{len(found.data.clips) + len(found.data.held_out)} of {len(clips) + lost}"
+        count = len(found.data.clips) + len(found.data.held_out)
+        used = f"{count} stretches of {len(clips)}" if stretches else f"{count} of {len(clips) + lost}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
 
 

@@ -9,6 +9,7 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.data.outlier_points import note_removed_points, remove_outliers
 from discrepancy.data.prior_processing import covers_contact, remove_filtered_rows
+from discrepancy.data.stretches import cut_stretches
 from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.base_fit import Progress, estimate_noise, fit_base_model, remove_outliers_beside_model
 from discrepancy.fitting.noise_refit import refit_noise
@@ -31,14 +32,23 @@ class SearchData:
     is_smoothed: bool = False  # true if the tracks were smoothed by a filter before the search
     error_notes: tuple[SearchNote, ...] = ()  # what the errors of the positions depend on
 
+    @property
+    def is_cut(self) -> bool:
+        """True if each clip is a free stretch of one ball."""
+        return any(clip.is_stretch for clip in self.clips)
+
     def without(self, outliers: Mapping[int, SearchNote]) -> SearchData:
         """Remove clips to fit, given by index, each with a note that says why."""
         clips = tuple(c for k, c in enumerate(self.clips) if k not in outliers)
         return replace(self, clips=clips, left_out=(*self.left_out, *outliers.values()))
 
 
-def prepare(clips: Sequence[MeasuredCollision], model: Model, progress: Progress) -> SearchData:
+def prepare(
+    clips: Sequence[MeasuredCollision], model: Model, progress: Progress, stretches: bool = False
+) -> SearchData:
     """Remove outliers, hold some clips out, and estimate the noise of the others.
+
+    stretches: cut each clip into its free stretches after some clips are held out, so that these share none.
 
     The noise is estimated from the smooth parts of the tracks, and again from the residuals of the base model. That
     comes before any claim, because a claim could absorb underestimated noise. If the tracks were smoothed, the stage
@@ -47,7 +57,11 @@ def prepare(clips: Sequence[MeasuredCollision], model: Model, progress: Progress
     progress("noise")
     cleaned, error_notes = remove_frame_shift(remove_outliers(clips))
     fitted, held_out = split_held_out(cleaned)
-    if estimate_noise(fitted).is_smoothed:
+    if stretches:
+        fitted, held_out = cut_stretches(fitted), cut_stretches(held_out)
+        if not (fitted and held_out):
+            raise InputError("no clip has free stretches that are long enough, before or after a contact")
+    elif estimate_noise(fitted).is_smoothed:
         return _prepare_smoothed(cleaned, note_removed_points(clips, cleaned))
     fitted, held_out = remove_outliers_beside_model(fitted, held_out, model, progress)
     noise = estimate_noise(fitted)
@@ -57,7 +71,7 @@ def prepare(clips: Sequence[MeasuredCollision], model: Model, progress: Progress
         noise, error_notes = estimate_noise(fitted), [*error_notes, *trends]
     base = fit_base_model(fitted, model, noise, progress)
     noise = refit_noise(fitted, base, noise, explained=False) or noise
-    left_out = note_removed_points(clips, [*fitted, *held_out])
+    left_out = note_removed_points(clips, cleaned if stretches else [*fitted, *held_out])
     return SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out), error_notes=tuple(error_notes))
 
 

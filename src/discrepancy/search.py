@@ -57,6 +57,7 @@ def find(
     progress: Progress = lambda stage: None,
     minutes: float = math.inf,
     policy: SearchPolicy | None = None,
+    stretches: bool = False,
 ) -> SearchResult:
     """Search for what a model lacks, from measured collisions.
 
@@ -76,6 +77,9 @@ def find(
         Time limit. A search that exceeds it is cut short, claims nothing, and reports how far it came.
     policy : SearchPolicy, optional
         The thresholds that decide; default: ``SearchPolicy()``.
+    stretches : bool
+        Search the free stretches of each ball between contacts, each with a start of its own. The impact and the
+        motion before it are then no evidence. Use it where no one model fits whole collisions, as with cued strikers.
 
     Returns
     -------
@@ -100,7 +104,7 @@ def find(
     given = as_model(model)
     with applied_policy(policy or SearchPolicy()):
         clips, notes = read_collisions(source, Path(camera) if isinstance(camera, str) else camera)
-        return search(clips, given, progress, 60 * minutes, notes)
+        return search(clips, given, progress, 60 * minutes, notes, stretches)
 
 
 def search(
@@ -109,14 +113,16 @@ def search(
     progress: Progress = lambda stage: None,
     seconds: float = math.inf,
     notes: Sequence[SearchNote] = (),
+    stretches: bool = False,
 ) -> SearchResult:
     """Search collisions from `read_collisions`, with its notes.
 
-    See `find`. The policy is that of the context (`applied_policy`).
+    stretches: the evidence is each free stretch between contacts, with a start of its own, and no impact. The policy is
+    that of the context (`applied_policy`). See `find`.
     """
     with threadpool_limits(1, "blas"):  # matrices here are small: threads wait for one another longer than they work
         clips = check_clips(clips, model)
-        data = prepare(clips, model, progress)
+        data = prepare(clips, model, progress, stretches)
         data, library, selection = select_until_stable(data, model, Deadline(progress, seconds))
         progress("gap")
         data, gap = measure_held_out_gap(data, selection, progress)

@@ -37,6 +37,15 @@ def describe_search(found: SearchOutcome) -> str:
     -------
     str
     """
+    return name_units(_describe_search(found), found)
+
+
+def name_units(text: str, found: SearchOutcome) -> str:
+    """Write "stretches" for "collisions" in a text about a search of free stretches."""
+    return text.replace("collisions", "stretches") if found.data.is_cut else text
+
+
+def _describe_search(found: SearchOutcome) -> str:
     with applied_policy(found.policy):
         slow = describe_slow_noise(found.data.noise)
     rejected, remaining = describe_rejections(found.rejected), found.disagreements

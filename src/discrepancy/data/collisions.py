@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.launch import T_C
+from discrepancy.data.launch import GRAZING, T_C, B
 from discrepancy.policy import current_policy
 from synthcam_shared.whitening import inverse_roots
 from tracker.camera.camera import Camera
@@ -36,6 +36,11 @@ class MeasuredCollision:
     # not contain it.
     offset: float = 0.0
     max_shift_frames: float = 0.0  # largest time shift of a position to an even frame rate; 0 where times are even
+
+    @property
+    def is_stretch(self) -> bool:
+        """True for the free stretch of one ball: see `discrepancy.data.stretches`."""
+        return abs(float(self.launch[B])) == GRAZING
 
     @property
     def fps(self) -> float:

@@ -185,7 +185,7 @@ def guess_hit_from_outgoing(tracks: Tracks, camera: Camera, since: float = -math
         rows = np.flatnonzero((tracks.particle == name) & later)[unsure:]
         many = len(rows) >= current_policy().min_frames_after_hit
         if many and np.hypot(*(xy[rows[-1]] - xy[rows[0]])) > camera.radius:
-            paths[int(name)] = _fit_slide(tracks.frame[rows] / camera.fps + camera.exposure / 2, xy[rows])
+            paths[int(name)] = fit_slide(tracks.frame[rows] / camera.fps + camera.exposure / 2, xy[rows])
     if len(paths) != 2:
         return None
     names, ((first, one, _), (second, two, _)) = [*paths], paths.values()
@@ -217,7 +217,7 @@ def guess_hit_from_outgoing(tracks: Tracks, camera: Camera, since: float = -math
     return HitGuess(order, t_c, v0, b, ends, launch)
 
 
-def _fit_slide(times: Array, xy: Array) -> tuple[float, Array, float]:
+def fit_slide(times: Array, xy: Array) -> tuple[float, Array, float]:
     """A slide: its first time, its parabola from there (3, 2), highest power first, and its end.
 
     Rolling follows on another parabola with the same velocity at the joint.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from discrepancy.arrays import Array
 from discrepancy.policy import current_policy
+from synthcam.dynamics.batch import GRAZING as GRAZING
 from synthcam.dynamics.batch import LAUNCH_COLUMNS
 from synthcam.dynamics.launch import SPIN_COLUMNS
 
@@ -25,8 +26,13 @@ MAX_SPIN_TO_SPEED = 10.0  # a cue gives a slip or a spin of 3 to 4 times the spe
 
 
 def find_free_columns(launches: Array) -> NDArray[np.bool_]:
-    """Which numbers of launches (clips, p) a fit may change: not a rolling ball's slip, nor a side spin of zero."""
+    """Which numbers of launches (clips, p) a fit may change.
+
+    Not a rolling ball's slip, a side spin of zero, or time and impact parameter of a graze.
+    """
     out = np.ones(launches.shape, dtype=bool)
+    grazes = np.abs(launches[:, B]) == GRAZING
+    out[grazes, T_C] = out[grazes, B] = False
     if launches.shape[1] == WITH_SPIN:
         out[:, SLIP] = np.any(launches[:, SLIP] != 0, axis=1)[:, None]
         out[:, SIDE] = launches[:, SIDE] != 0

@@ -57,12 +57,13 @@ def refit_noise(
     indices = np.unique(np.linspace(0, len(clips) - 1, min(max_clips, len(clips))).astype(int)).tolist()
     left = _Residuals.of(clips, fit, noise, indices)
     within = BallPairs(pair for k in indices for pair in clips[k].paired_stretches())
-    sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.common_mode_score(noise)
+    tests_shared = explained and not noise.shared and bool(within.pairs)
+    sigma, rho = left.common_mode_score(noise) if tests_shared else (0.0, 0.0)
     if noise.shared:
         new = left.best(noise)[1]
         if new.common_mode_rms > current_policy().max_shared_noise_growth * noise.common_mode_rms:
             return None
-    elif sigma > current_policy().shared_noise_sigma and within.pairs:
+    elif sigma > current_policy().shared_noise_sigma:
         own, size = within.own(), float(np.mean([np.mean(c.claimed_std() ** 2) for c in left.clips]))
         slow = NoiseComponent(0.2 * own.variance * size, (rho,))
         new = left.best(Noise(own, (slow, slow)))[1]

@@ -63,7 +63,8 @@ class ClipWhitener:
         if self.order is None:
             split = len(self.filters[0])
             parts = (scaled[:split], scaled[split:])
-            white = [f @ part.reshape(len(part), -1) for f, part in zip(self.filters, parts, strict=True)]
+            both = zip(self.filters, parts, strict=True)
+            white = [f @ part.reshape(len(part), -1) for f, part in both if len(part)]
             return np.concatenate(white).reshape(-1, *residuals.shape[2:])
         rows = scaled.reshape(2 * len(scaled), -1)
         out: Array = np.empty_like(rows)
@@ -78,7 +79,8 @@ class ClipWhitener:
             split = len(self.filters[0])
             by_row = flat.reshape(n, -1)
             parts = (by_row[:split], by_row[split:])
-            scaled = np.concatenate([_solve_lower(f, part) for f, part in zip(self.filters, parts, strict=True)])
+            both = zip(self.filters, parts, strict=True)
+            scaled = np.concatenate([_solve_lower(f, part) for f, part in both if len(part)])
         else:
             scaled = np.empty_like(flat)
             scaled[self.order] = _solve_lower(self.filters[0], flat[self.order])
@@ -95,6 +97,8 @@ class ClipWhitener:
 def _inverse_factor(component: NoiseComponent, frames: bytes, offsets: bytes) -> Array:
     """The filter of one ball's rows and one axis; clips share it by the cache. frames: int64, offsets: float64."""
     frame = np.frombuffer(frames, dtype=np.int64)
+    if not len(frame):
+        return np.zeros((0, 0))
     apart = np.abs(frame[:, None] - frame)
     lags = component.autocovariances(int(apart.max(initial=0)) + 1)
     offset = np.frombuffer(offsets)

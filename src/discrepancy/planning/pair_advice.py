@@ -91,8 +91,8 @@ def advise(one: Candidate, other: Candidate, found: Sequence[ComparedDesign]) ->
     """
     as_filmed, *proposed = found
     policy = current_policy()
-    best = min(proposed, key=lambda d: d.cosine)
-    single = min(proposed[:-1], key=lambda d: d.cosine)
+    best = min(proposed, key=lambda d: d.cosine, default=as_filmed)
+    single = min(proposed[:-1], key=lambda d: d.cosine, default=as_filmed)
     if single.cosine < policy.separated_cosine or single.cosine < best.cosine + policy.min_cosine_gain:
         best = single
     pair = f"{one.name} and {other.name}"

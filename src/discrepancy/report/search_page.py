@@ -16,7 +16,13 @@ from discrepancy.report.narrative import format_chi2, format_sigma, write_story
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
-from discrepancy.wording import describe_disagreement, describe_rejection, describe_search, format_with_error
+from discrepancy.wording import (
+    describe_disagreement,
+    describe_rejection,
+    describe_search,
+    format_with_error,
+    name_units,
+)
 from synthcam.model import Model, write_model
 from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number
@@ -28,6 +34,7 @@ DEFINITIONS = (
     "only their launches are fitted.",
     "χ² per point: noise alone gives slightly less than 1, because the launches are fitted.",
 )
+STRETCHES = "A stretch is the motion of one ball between two contacts. It has its own start; the impact is no evidence."
 FILES = ("discrepancy.json", "index.html", "model.yaml")
 
 
@@ -41,7 +48,7 @@ def write(found: SearchOutcome, folder: Path) -> None:
     named, base = _named_table(found), found.base_disagreements
     sections = [
         Section("Effects that the model lacks", [named, *_describe_similar(found)] if named else []),
-        Section("How to read this page", [PageList(DEFINITIONS)]),
+        Section("How to read this page", [PageList([*([STRETCHES] if found.data.is_cut else []), *DEFINITIONS])]),
         Section("Course of the search", [PageList(write_story(found), ordered=True)]),
         Section("Experiment that would distinguish the candidates", [found.experiment] if found.experiment else []),
         *(Section(figure.title, [figure]) for figure in figures),
@@ -56,7 +63,9 @@ def write(found: SearchOutcome, folder: Path) -> None:
         Section("Collisions and positions that were not used", [PageList(left_out)] if left_out else []),
     ]
     summary = [f"Verdict: {found.verdict}", describe_search(found)]
-    write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", summary)
+    page = folder / "index.html"
+    write_page(page, "Search for missing physics", sections, "discrepancy find", summary)
+    page.write_text(name_units(page.read_text(encoding="utf-8"), found), encoding="utf-8")
 
 
 def write_report(found: SearchOutcome, folder: Path) -> Path:

@@ -364,7 +364,9 @@ class ClipSolution:
         both = np.column_stack([launch, columns])
         length = np.linalg.norm(both, axis=0)
         unit = both / np.where(length > 0, length, 1)
-        kept = np.abs(np.diag(np.linalg.qr(unit, mode="r"))) > min_share
+        kept = length > 0
+        left = np.abs(np.diag(np.linalg.qr(unit[:, kept], mode="r"))) > min_share
+        kept[kept] = np.pad(left, (0, int(kept.sum()) - len(left)))
         q, r = np.linalg.qr(unit[:, kept])
         inverse = np.linalg.inv(r)
         at, first = np.flatnonzero(kept), launch.shape[1]

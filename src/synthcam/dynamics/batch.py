@@ -56,6 +56,7 @@ from synthcam.model import Bodies, Model
 
 # position of the contact, m; its time, s; speed, m/s, and heading, rad, of the striker; b over the sum of the radii
 LAUNCH_COLUMNS = ("x", "y", "t_c", "v0", "heading", "b")
+GRAZING = 1 - 1e-9  # |b| from which on a contact changes nothing, so that the striker is free
 MAX_GROUP = 400  # balls that are integrated together: more leave the processor's cache
 
 
@@ -157,7 +158,9 @@ def solve_collisions(
     hit = collide(model, target, striker, one, two)
     if run.mutual and np.any(soft := hit.impulse_n < MIN_IMPACT_SPEED_OF_PAIR_M_S * one.mass):
         raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
-    run.solve_after_impact(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
+    grazes = np.abs(launches[:, 5])[:, None] >= GRAZING
+    after = np.where(grazes, target, hit.target), np.where(grazes, striker, hit.striker)
+    run.solve_after_impact(np.concatenate(after), hit.n[:, :2])
     odd = sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting})
     return _solve_one_by_one(model, launches, is_a, run.out, np.array(odd, dtype=np.intp))
 

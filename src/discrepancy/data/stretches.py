@@ -1,0 +1,65 @@
+"""Cuts collisions into free stretches: one ball between two contacts, each with a start of its own.
+
+A stretch is evidence on the plate, the air, the camera and the clock, whatever the impact was and however the ball came
+to move. It is a `MeasuredCollision` of which only the striker is seen, from a contact that it just grazes. Time and
+impact parameter of that contact are fixed, and it changes nothing, so no law of the impact counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from discrepancy.arrays import Array, Ints
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.first_guess import fit_slide
+from discrepancy.data.launch import GRAZING, T_C
+from discrepancy.policy import current_policy
+
+SLIP_PER_LOSS = 3.5  # a solid ball's slip ends at 7/2 of the deceleration of its centre
+
+
+def cut_stretches(clips: Sequence[MeasuredCollision], margin_frames: float = 1.5) -> list[MeasuredCollision]:
+    """Cut each collision into its stretches: the striker before the contact, and both balls after it.
+
+    Positions within `margin_frames` of the contact are left out. A ball that moves by less than a radius, or that is
+    seen in fewer than `SearchPolicy.min_stretch_positions` frames, gives no stretch.
+    """
+    stretches = []
+    for clip in clips:
+        since = (clip.frame / clip.fps + clip.exposure / 2 - clip.launch[T_C]) * clip.fps
+        for ball, side in ((1, since < -margin_frames), (1, since > margin_frames), (0, since > margin_frames)):
+            rows = np.flatnonzero((clip.ball == ball) & side)
+            moved = np.ptp(clip.xy[rows], axis=0) if len(rows) else np.zeros(2)
+            if len(rows) >= current_policy().min_stretch_positions and np.hypot(*moved) > clip.camera.radius:
+                stretches.append(_build_stretch(clip, rows))
+    return stretches
+
+
+def _build_stretch(clip: MeasuredCollision, rows: Ints) -> MeasuredCollision:
+    other = "a" if clip.striker == "b" else "b"
+    own = clip.striker if clip.ball[rows[0]] == 1 else other
+    opens = clip.frame[rows] / clip.fps
+    start = float(opens[0]) - 0.5 / clip.fps
+    launch, end = _guess_start(opens + clip.exposure / 2 - start, clip.xy[rows], clip.camera.radius, start)
+    stretch = replace(clip.select(rows), striker=own, launch=launch, slide_ends=np.array([start, end]), offset=0.0)
+    return replace(stretch, ball=np.ones(len(rows), dtype=clip.ball.dtype))
+
+
+def _guess_start(times: Array, xy: Array, radius: float, start: float) -> tuple[Array, float]:
+    """A launch (9,) at the time zero of `times`, and the time at which the slide ends, s."""
+    first, path, end = fit_slide(times, xy)
+    pull, velocity, place = 2 * path[0], path[1] - 2 * path[0] * first, path[2] - path[1] * first + path[0] * first**2
+    slides = np.hypot(*pull) > current_policy().sliding_deceleration_m_s2
+    if not slides:
+        slope, place = np.polyfit(times, xy, 1)
+        velocity, end = slope, 0.0
+    speed, heading = float(np.hypot(*velocity)), float(np.arctan2(velocity[1], velocity[0]))
+    ahead = velocity / speed
+    left = np.array([-ahead[1], ahead[0]])
+    slip = -SLIP_PER_LOSS * end * pull if slides else np.zeros(2)
+    b = GRAZING if slip @ left <= 0 else -GRAZING  # the other ball is on the side from which the slide bends away
+    beside = place - radius * b * left
+    return np.array([*beside, start, speed, heading, b, slip @ ahead, slip @ left, 0.0]), start + end
