@@ -215,10 +215,11 @@ def _speeds(clip: MeasuredCollision) -> Array:
     return np.concatenate([np.hypot(*velocity.T) for _, velocity in _motion(clip)])
 
 
-def _innovations(clips: Sequence[MeasuredCollision], noise: Noise) -> tuple[Array, list[Ints]]:
+def _innovations(clips: Sequence[MeasuredCollision], noise: Noise, min_share: float = 0.05) -> tuple[Array, list[Ints]]:
     """Squared innovations (n,), the mean of both axes, with their rows in each clip.
 
     A track less its cubic is whitened. What remains of each number is divided by its share that the cubic leaves.
+    A number of which less than `min_share` is left says nothing.
     """
     squares, rows, least = list[Array](), list[Ints](), current_policy().min_short_stretch_positions
     for clip in clips:
@@ -232,8 +233,9 @@ def _innovations(clips: Sequence[MeasuredCollision], noise: Noise) -> tuple[Arra
             q, _ = np.linalg.qr(white[:, :CUBIC_COEFFICIENTS])
             seen = white[:, CUBIC_COEFFICIENTS:]
             left, share = seen - q @ (q.T @ seen), 1 - (q**2).sum(axis=1)
-            squares.append((left**2).mean(axis=1) / share)
-            own.append(part)
+            shown = share > min_share
+            squares.append((left[shown] ** 2).mean(axis=1) / share[shown])
+            own.append(part[shown])
         rows.append(np.concatenate(own))
     return np.concatenate(squares) if squares else np.zeros(0), rows
 
