@@ -5,7 +5,8 @@ python -m benchmarks.simulation.many_bodies [-o out/many_bodies] [--pooltool PYT
 - A nine-ball break between cushions, by this program and by pooltool in turn, in CPU seconds of one core; pooltool
   warm, its compilation not counted. PYTHON is an interpreter that has it: see pooltool_shots.py of the tests.
 - Trays of 10 to 10,000 steel balls at 30 % of the area: CPU time per event.
-- A tray of 100 balls: granular temperature, and what takes the energy, with the plate's friction and without. Without
+- A tray of 100 balls: granular temperature, what takes the energy, and how long balls slide between their contacts,
+  with the plate's friction and without. Without
   it and with a constant restitution the temperature falls as (1 + t/t0)^-2 (Haff, J. Fluid Mech. 134 (1983) 401).
 """
 
@@ -113,23 +114,46 @@ def time_trays() -> list[dict[str, float]]:
 
 
 def cool(model: Model, lasts: float) -> dict[str, Any]:
-    """A tray of 100 balls: mean square speed over time, and the energy that contacts, walls and the plate took."""
+    """A tray of 100 balls: mean square speed over time, what takes the energy, and how long balls slide."""
     launch, side = fill_tray(model, 100, 0.3)
     motion = solve(model, launch, 0.0, lasts, False, Table(box(side, side, 1.0, 0.0), (), 1e-5))
     times = np.linspace(0, lasts, 41)
     found = {"t": times, "temperature": temperature(motion.at(times)), **share_losses(motion, launch.bodies)}
-    return found | {"haff": deviation_from_haff(times, np.array(found["temperature"])), "t": times.tolist()}
+    found |= fit_haff(times, np.array(found["temperature"])) | {"t": times.tolist()}
+    return found | {"sliding": compare_slides(motion, lasts)}
 
 
-def deviation_from_haff(times: NDArray[np.float64], temperature: NDArray[np.float64]) -> float:
-    """Root mean square of ln T about the best T0 (1 + t/t0)^-2."""
+def compare_slides(motion: Trajectory, lasts: float) -> list[dict[str, float]]:
+    """Return by time, in ten intervals: how long a ball slides at a stretch, the time between its contacts, and the
+    share of the time for which balls slide."""
+    edges, rows = np.linspace(0, lasts, 11), []
+    hits = np.array([e.t for e in motion.events if e.kind == "contact"])
+    slides = np.array([(leg.t0, leg.t1) for legs in motion.legs for leg in legs if leg.motion == "slide"])
+    for low, high in itertools.pairwise(edges):
+        contacts = 2 * np.count_nonzero((hits >= low) & (hits < high)) / len(motion.legs)  # of each ball
+        parts = np.clip(slides, low, high) if len(slides) else np.zeros((0, 2))
+        spent = float(np.diff(parts, axis=1).sum()) / len(motion.legs)
+        begun = np.count_nonzero((slides[:, 0] >= low) & (slides[:, 0] < high)) if len(slides) else 0
+        rows.append(
+            {
+                "t": float((low + high) / 2),
+                "slide_ms": 1e3 * spent * len(motion.legs) / begun if begun else math.nan,
+                "between_ms": 1e3 * (high - low) / contacts if contacts else math.nan,
+                "share": spent / (high - low),
+            }
+        )
+    return rows
+
+
+def fit_haff(times: NDArray[np.float64], temperature: NDArray[np.float64]) -> dict[str, float]:
+    """Fit T0 (1 + t/t0)^-2: the root mean square of ln T about it, and t0, s."""
 
     def deviate(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(np.log(temperature) - numbers[0] + 2 * np.log1p(times * np.exp(numbers[1])))
 
     times, temperature = times[temperature > 0], temperature[temperature > 0]
     best = least_squares(deviate, [math.log(temperature[0]), 0.0])
-    return float(np.sqrt(np.mean(best.fun**2)))
+    return {"haff": float(np.sqrt(np.mean(best.fun**2))), "haff_time": float(np.exp(-best.x[1]))}
 
 
 def temperature(states: NDArray[np.float64]) -> list[float]:
@@ -138,36 +162,69 @@ def temperature(states: NDArray[np.float64]) -> list[float]:
 
 
 def share_losses(motion: Trajectory, bodies: Bodies) -> dict[str, Any]:
-    """Shares of the lost energy, translation and spin, that went in contacts of balls, in walls, and to the plate."""
+    """Shares of the lost energy, translation and spin, that went in contacts of balls, in walls, and by what to the
+    plate."""
 
     def energy(states: NDArray[np.float64], own: Bodies) -> float:
         spin = own.inertia * own.radius**2 * (states[..., 6:9] ** 2).sum(axis=-1)
         return float((own.mass / 2 * ((states[..., 3:6] ** 2).sum(axis=-1) + spin)).sum())
 
-    lost = dict.fromkeys(("contact", "wall"), 0.0)
+    lost = dict.fromkeys(("contact", "wall", "slide", "roll"), 0.0)
     for event in motion.events:
         if event.kind in lost:
             own = bodies[[event.i, event.j] if event.kind == "contact" else [event.i]]
             lost[event.kind] += energy(np.asarray(event.before), own) - energy(np.asarray(event.after), own)
+    for ball, legs in enumerate(motion.legs):
+        for leg in legs:
+            if leg.motion in lost:
+                ends = leg.at(np.array([leg.t0, leg.t1]))
+                lost[leg.motion] += energy(ends[0], bodies[[ball]]) - energy(ends[1], bodies[[ball]])
     first, last = (energy(motion.at(t)[:, 0], bodies) for t in (motion.t0, motion.t1))
     return {"lost": first - last, "shares": {k: v / (first - last) for k, v in lost.items()}}
 
 
 def draw(found: dict[str, Any], path: Path) -> None:
-    """Plot the cost of an event by the number of balls, and the temperatures."""
+    """Plot the cost of an event by the number of balls."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    rows = found["trays"]
-    left.loglog([r["balls"] for r in rows], [r["us_per_event"] for r in rows], "ko-", label="one core")
-    left.set(xlabel="balls", ylabel="processor time per event (µs)", ylim=(10, 3000))
-    for (name, one), style in zip(found["cooling"].items(), ("k-", "k--"), strict=True):
-        right.loglog(one["t"][1:], one["temperature"][1:], style, label=name)
-    right.set(xlabel="time (s)", ylabel="mean square velocity (m²/s²)")
-    for ax in (left, right):
-        ax.legend(fontsize="small")
-    figure.savefig(path)
+    figure = Figure(figsize=(4.5, 3.6), layout="constrained")
+    ax, rows = figure.subplots(), found["trays"]
+    ax.loglog([r["balls"] for r in rows], [r["us_per_event"] for r in rows], "ko-", label="one core")
+    ax.set(xlabel="balls", ylabel="processor time per event (µs)", ylim=(10, 3000))
+    ax.legend(fontsize="small")
+    figure.savefig(path, dpi=150)
+
+
+def draw_cooling(found: dict[str, Any], path: Path) -> None:
+    """Plot temperatures, what takes the energy, and how long balls slide."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    names = list(found)
+    for (name, one), style in zip(found.items(), ("k-", "k--"), strict=True):
+        left.loglog(one["t"][1:], one["temperature"][1:], style, label=name)
+    smooth = found[names[1]]
+    late = np.array(smooth["t"][1:])
+    t0 = smooth["haff_time"]
+    left.loglog(late, smooth["temperature"][0] * (1 + late / t0) ** -2, "r:", label="Haff's law")
+    left.set(xlabel="time (s)", ylabel="mean square velocity (m²/s²)")
+    kinds = {"contact": "contacts", "slide": "sliding", "roll": "rolling"}
+    bottom = np.zeros(len(names))
+    for (kind, label), shade in zip(kinds.items(), ("0.25", "0.6", "0.9"), strict=True):
+        values = np.array([100 * one["shares"][kind] for one in found.values()])
+        middle.bar(names, values, bottom=bottom, color=shade, edgecolor="k", width=0.5, label=label)
+        bottom += values
+    middle.set(ylabel="share of the energy lost (%)", ylim=(0, 135), yticks=range(0, 101, 20))
+    rows = found[names[0]]["sliding"]
+    t = [1e3 * r["t"] for r in rows]
+    right.semilogy(t, [r["slide_ms"] for r in rows], "ko-", label="sliding at a stretch")
+    right.semilogy(t, [r["between_ms"] for r in rows], "ks--", label="between contacts of a ball")
+    right.set(xlabel="time (ms)", ylabel="ms", title=names[0])
+    left.legend(fontsize="small", loc="lower left")
+    middle.legend(fontsize="small", ncols=4, loc="upper center")
+    right.legend(fontsize="small")
+    figure.savefig(path, dpi=150)
 
 
 def main() -> None:
@@ -191,14 +248,15 @@ def main() -> None:
     found["trays"] = time_trays()
     smooth = Model(rolling_drag=0.0, rolling_decel=0.0, sliding_friction=1e-9, spin_transfer=0.0)
     found["cooling"] = {
-        "plate of the paper": cool(Model(effects=(BallFriction(mu=0.15),)), 0.5),
-        "plate without friction": cool(smooth, 2.0),
+        "the paper's plate": cool(Model(effects=(BallFriction(mu=0.15),)), 0.5),
+        "no friction": cool(smooth, 2.0),
     }
     for name, one in found["cooling"].items():
         shares = ", ".join(f"{k} {v:.1%}" for k, v in one["shares"].items())
-        print(f"{name}: {shares} of the loss, the plate the rest; rms of ln T about Haff's law {one['haff']:.3f}")
+        print(f"{name}: {shares} of the loss; rms of ln T about Haff's law {one['haff']:.3f}")
     save(args.output / "figures.json", found)
     draw(found, args.output / "many_bodies.png")
+    draw_cooling(found["cooling"], args.output / "cooling.png")
     print(args.output / "many_bodies.png")
 
 
