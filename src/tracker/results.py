@@ -31,6 +31,7 @@ from tracker.tables.content import Content
 from tracker.tables.rows import check_columns, to_csv, to_tracks, tracks_table
 
 RUN = "run.json"
+TEXT_COLUMNS = ("cov", "status", "striker", "noise", "flags", "motion_local", "local", "recommended", "why")
 SEEN = "exposure_seen_s"  # by clip, where the motion blur is not as long as the camera file's exposure makes it, s
 
 
@@ -108,7 +109,7 @@ def estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Estimates as the columns of estimates.parquet, one row a collision; None of JSON stands for NaN."""
     table = pd.DataFrame([finite(row) for row in rows])
     for name in table.columns:
-        if table[name].dtype == object and name not in ("cov", "status", "striker", "noise", "flags"):
+        if table[name].dtype == object and name not in TEXT_COLUMNS:
             table[name] = table[name].astype(float)
     return table
 

@@ -107,8 +107,14 @@ LAYERS = {
         "positions track_repair random_effects",
         "collision",
         "camera_errors energy_momentum messages",
-        "joint_fit painter_behringer lone_ball",
+        "joint_fit painter_behringer lone_ball local",
         "estimate",
+    ],
+    "tracker.measurement.local": [
+        "stretches",
+        "local_fit",
+        "local_estimate",
+        "local_columns recommendation",
     ],
     "tracker.measurement.collision": [
         "collision_model",

@@ -84,14 +84,14 @@ def test_tracks_have_the_columns_of_the_page(made: Path) -> None:
     assert pd.read_csv(made / "benchmark_results/clips/000000/tracks.csv").columns.tolist() == columns
 
 
-def test_estimates_hold_every_quantity_three_ways(made: Path) -> None:
+def test_estimates_hold_every_quantity_four_ways(made: Path) -> None:
     table = pd.read_parquet(made / "benchmark_results/estimates.parquet")
     assert {"clip", "collision", "striker", "status", "cov"} <= set(table.columns)
     text = re.search(r"for each of (.*?): NAME", " ".join(PAGE.split()))
     assert text
     names = text[1].split()
     assert len(names) == 20
-    missing = [n + s + e for n in names for s in ("", "_free", "_paper") for e in ("", "_std")]
+    missing = [n + s + e for n in names for s in ("", "_free", "_local", "_paper") for e in ("", "_std")]
     assert [m for m in missing if m not in table.columns] == []
 
 

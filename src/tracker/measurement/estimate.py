@@ -1,12 +1,14 @@
 """From the tracks of one clip to its physics: r, mu_k, C, slide times, energy, momentum, with standard errors.
 
-Each quantity is measured in three ways:
+Each quantity is measured in four ways:
 
 - NAME: the tied fit, one physical model of impact, sliding and rolling.
 - NAME_free: the free fit, with any velocities and slide times after the hit.
+- NAME_local: free motion near the contact, with no law of the impact.
 - NAME_paper: the finite differences of the paper.
 
-If the first two disagree, the model is wrong. Quantities that a clip does not show are NaN.
+If the first two disagree, the model is wrong; the local estimate still holds. `recommended` says which to use.
+Quantities that a clip does not show are NaN.
 """
 
 from __future__ import annotations
@@ -62,6 +64,9 @@ from tracker.measurement.collision.noise_correlation import variance_of_residual
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, Stay, find_stays
 from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.joint_fit import fit_all
+from tracker.measurement.local.local_columns import empty_columns, local_columns
+from tracker.measurement.local.local_estimate import estimate_locally
+from tracker.measurement.local.recommendation import recommend
 from tracker.measurement.lone_ball import PARAMETERS, add_camera_errors_to_lone_ball, fit_lone_ball
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.positions import BallTrack, to_ball_tracks
@@ -175,7 +180,8 @@ def _measure_collisions(
     every = sorted([*every, *((stay.first, stay) for stay in stays)], key=lambda event: event[0])
     for i, (_, event) in enumerate(every):
         if isinstance(event, Stay):
-            rows.append(empty_row(camera, TOGETHER, i) | _stay_columns(event) | noise)
+            row = empty_row(camera, TOGETHER, i) | _stay_columns(event) | noise
+            rows.append(row | recommend(row))
             earlier |= dict.fromkeys((event.struck.particle, event.striker.particle), EarlierHit(np.inf))
             continue
         try:
@@ -184,6 +190,7 @@ def _measure_collisions(
             one, two = event.one.particle, event.other.particle
             row = empty_row(camera, failure_status(error), i) | {"particle1": one, "particle2": two}
             left = dict.fromkeys((one, two), EarlierHit(np.inf))
+        row |= recommend(row)
         rows.append(noise | row if row["noise"] == "scatter" else row | noise)
         earlier |= left
     return rows
@@ -238,6 +245,10 @@ def _measure_collision(
     if contact.reason:
         return row, unknown
     read, flags = _fit(contact, candidate, earlier, camera, settings)
+    lasting = None if isinstance(read, str) else read.lasting
+    row |= _estimate_locally(
+        contact if lasting is None else replace(contact, first=lasting.first, last=lasting.last), camera
+    )
     if isinstance(read, str):
         return row | {"status": read}, unknown
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
@@ -255,6 +266,15 @@ def _measure_collision(
     if read.contact.pair.striker.encoded:
         row["flags"] = "|".join(filter(None, [row["flags"], Flag.ENCODED]))
     return row | {"status": MISFIT} | {f"{name}_paper_std": np.nan for name in lost}, unknown
+
+
+def _estimate_locally(contact: Contact, camera: Camera) -> dict[str, Any]:
+    """The columns of the local estimate; those of none, with the reason in `why`."""
+    try:
+        found = estimate_locally(contact, camera, (1.0, 1.0))
+    except (ArithmeticError, ValueError, IndexError) as error:  # the other estimates stand without it
+        found = failure_status(error)
+    return {"why": found} if isinstance(found, str) else local_columns(found)
 
 
 def _fit(
@@ -436,7 +456,7 @@ def empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
         for kind in ("", "_free", "_paper"):
             row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
     row |= dict.fromkeys(("particle1", "particle2", "frame_first", "frame_last"), -1)
-    row |= {"cov": "{}", "heading": np.nan, "x1": np.nan, "y1": np.nan}
+    row |= empty_columns() | {"cov": "{}", "heading": np.nan, "x1": np.nan, "y1": np.nan}
     row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
     row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
     row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}

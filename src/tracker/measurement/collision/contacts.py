@@ -281,7 +281,7 @@ def guess_parameters(contact: Contact) -> list[Floats]:
     grid = (0.5, 0.75, 0.95), (0.1, 0.2, 0.4), (0.1, 0.35)  # r, mu_k and C
     starts, rolling = [], [0.0] * len(SPIN)
     for frame in (contact.frame,) if whole else (contact.frame - 1, contact.frame, contact.frame + 1):
-        launch = _guess_launch(contact.pair, frame)
+        launch = guess_launch(contact.pair, frame)
         if launch is not None:
             starts += [[*launch[:8], r, np.log(mu), c, *rolling, *launch[8:]] for r, mu, c in product(*grid)]
     if not starts:
@@ -315,8 +315,8 @@ def _rough_chi2(pair: BallPair, tied: Floats) -> Floats:
     return total
 
 
-def _guess_launch(pair: BallPair, frame: int) -> list[float] | None:
-    """The first eight of the tied parameters and ball 1's velocity, from what lies before `frame`."""
+def guess_launch(pair: BallPair, frame: int) -> list[float] | None:
+    """Guess the first eight of the tied parameters and ball 1's velocity, from what lies before `frame`."""
     line, target = _before(pair.striker, frame), _before(pair.struck, frame)
     if len(line) < 2 or len(target) < 1 + pair.target_moves:
         return None

@@ -20,6 +20,8 @@ QUANTITY_NAMES = (
     *("v0", "b", "t_c", "r", "s", "mu_k", "C", "tau1", "tau2", "v1f", "v2f"),
     *("energy_fraction", "momentum_fraction", "final_angle", "drag", "decel", "w1n", "w1t", "w2n", "w2t"),
 )
+# where in the columns of `derive_from_each_ball` these have a value from ball 1, and behind it one from ball 2
+ONCE_FROM_EACH_BALL = {"mu_k": QUANTITY_NAMES.index("mu_k"), "C": QUANTITY_NAMES.index("C") + 1}
 
 
 @dataclass(frozen=True)
@@ -57,26 +59,39 @@ def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats |
     undefined at these parameters (s of a head-on hit) is NaN with its covariance. Further errors of the parameters,
     `shift` (22, k), count in those weights but not in the covariance.
     """
-    twice, slope = _with_slope(lambda p: _derive_from_each_ball(p, diameter), free, cov)
+    twice, slope = _with_slope(lambda p: derive_from_each_ball(p, diameter), free, cov)
     unknown = ~(np.isfinite(twice) & np.isfinite(slope).all(axis=1))  # s at b = 0 exactly is 0 / 0
     slope[unknown] = 0.0
     spread = slope @ cov @ slope.T
     further = slope @ (np.zeros((len(free), 0)) if shift is None else shift)
     wide = spread + further @ further.T
-    merge, apart = np.zeros((len(QUANTITY_NAMES), len(QUANTITY_NAMES) + 2)), list[str]()
-    for row, name in enumerate(QUANTITY_NAMES):
-        column = row + (row > QUANTITY_NAMES.index("mu_k")) + (row > QUANTITY_NAMES.index("C"))
-        if name in ("mu_k", "C"):
-            pair = slice(column, column + 2)
-            merge[row, pair] = _weights(wide[pair, pair])
-            if abs(twice[column] - twice[column + 1]) > 5.0 * np.sqrt(_of_difference(wide[pair, pair])):
-                apart.append(name)
-        else:
-            merge[row, column] = 1.0
+    merge, apart = mean_of_balls(wide), list[str]()
+    for name, column in ONCE_FROM_EACH_BALL.items():
+        pair = slice(column, column + 2)
+        if abs(twice[column] - twice[column + 1]) > 5.0 * np.sqrt(_of_difference(wide[pair, pair])):
+            apart.append(name)
     value = merge @ np.where(unknown, 0.0, twice)
     value[merge[:, unknown].any(axis=1)] = np.nan
     lost = [name for name, known in zip(QUANTITY_NAMES, np.isfinite(value), strict=True) if not known]
     return DerivedValues(value, merge @ spread @ merge.T).without_errors([*apart, *lost])
+
+
+def mean_of_balls(cov: Floats) -> Floats:
+    """Build the matrix (n - 2, n) that averages mu_k and C over both balls, with weights from their covariance (n, n).
+
+    The first 22 rows of `cov` are those of `derive_from_each_ball`; further ones are kept.
+    """
+    merge, row = np.zeros((len(cov) - 2, len(cov))), 0
+    for column in range(len(cov)):
+        if column - 1 in ONCE_FROM_EACH_BALL.values():
+            continue
+        if column in ONCE_FROM_EACH_BALL.values():
+            pair = slice(column, column + 2)
+            merge[row, pair] = _weights(cov[pair, pair])
+        else:
+            merge[row, column] = 1.0
+        row += 1
+    return merge
 
 
 def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> DerivedValues:
@@ -87,7 +102,7 @@ def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0
 
     def single(p: Floats) -> Floats:
         slip = p[..., TIED.index("ux") : TIED.index("uy") + 1]
-        both = _derive_from_each_ball(np.asarray(tied_to_free(p, spin), dtype=np.float64), diameter, slip)
+        both = derive_from_each_ball(np.asarray(tied_to_free(p, spin), dtype=np.float64), diameter, slip)
         return np.delete(both, [QUANTITY_NAMES.index("mu_k") + 1, QUANTITY_NAMES.index("C") + 2], axis=-1)
 
     value, slope = _with_slope(single, tied, cov)
@@ -118,8 +133,13 @@ def _of_difference(cov: Floats) -> float:
     return float(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1])
 
 
-def _derive_from_each_ball(free: Floats, diameter: float, slip: Floats | float = 0.0) -> Floats:
-    """QUANTITY_NAMES, mu_k and C from each ball: (..., 22); slip (..., 2) of ball 2 before the hit, m/s."""
+def derive_from_each_ball(
+    free: Floats, diameter: float, slip: Floats | float = 0.0, masses: tuple[float, float] = (1.0, 1.0)
+) -> Floats:
+    """Derive QUANTITY_NAMES, with mu_k and C from each ball: (..., 22).
+
+    slip (..., 2): of ball 2 before the hit, m/s. masses: of both balls, in any unit.
+    """
     radius = diameter / 2
     beta, v0 = free[..., 4], free[..., 5]
     d, n, t = (np.asarray(a, dtype=np.float64) for a in directions(free[..., 3], beta))
@@ -133,7 +153,8 @@ def _derive_from_each_ball(free: Floats, diameter: float, slip: Floats | float =
     second = first + v0[..., None] * d
     along, across = v0 * np.cos(beta), v0 * np.sin(beta)
     rolls = dot(first, n), dot(second - slip, n)  # R w_t before: a rolling ball's spin along t is its speed along n
-    total, start = dot(first, first) + dot(second, second), first + second
+    one, two = masses
+    total, start = one * dot(first, first) + two * dot(second, second), one * first + two * second
     with np.errstate(divide="ignore", invalid="ignore"):
         columns = [
             v0, np.sin(beta), free[..., 0],
@@ -141,7 +162,8 @@ def _derive_from_each_ball(free: Floats, diameter: float, slip: Floats | float =
             *(_norm(f[i] - v[i]) / (GRAVITY * tau[i]) for i in (1, 2)),
             *((rolls[i - 1] - spin[i][1]) / (rolls[0] + rolls[1]) for i in (1, 2)),
             tau[1], tau[2], _norm(f[1]), _norm(f[2]),
-            (dot(f[1], f[1]) + dot(f[2], f[2])) / total, dot(f[1] + f[2], start) / dot(start, start),
+            (one * dot(f[1], f[1]) + two * dot(f[2], f[2])) / total,
+            dot(one * f[1] + two * f[2], start) / dot(start, start),
             np.arctan2(np.abs(cross(f[1], f[2])), dot(f[1], f[2])),
             free[..., 6], free[..., 7],
             *(spin[i][axis] / radius for i in (1, 2) for axis in (0, 1)),

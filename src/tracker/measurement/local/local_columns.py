@@ -1,0 +1,150 @@
+"""The columns of the local estimate in estimates.parquet, and its calibration by the balance of momentum.
+
+Residuals cannot show an error that is smooth over a stretch, such as a bent map of the camera, a marker beside the
+centre of mass, or a body that lifts off. The balance of momentum shows it. Its errors are those of the residuals and,
+for each component of each velocity, an error that is proportional to the speed of the hit; along the line of centres
+there is a bias that is proportional to the normal speed. Of one recording that error is a prior. Of a set it is fitted.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, VELOCITIES, LocalEstimate
+
+Floats = NDArray[np.float64]
+MIN_HITS = 8  # of a set, from which on its errors are fitted
+PRIOR_ERROR = 0.01  # of one recording whose residuals are far larger than its noise, over the speed of the hit
+# Largest standard errors with which quantities are reported; others have max_relative_error of their value.
+_LARGEST_ERRORS = {"b": 0.05, "s": 0.3, "r": 0.2, "C": 0.1, "final_angle": 0.1, "impact_energy": 0.1}
+_LARGEST_ERRORS |= {"energy_fraction": 0.1, "momentum_fraction": 0.1, "mass_ratio": np.inf}
+_LARGEST_ERRORS |= dict.fromkeys(("t_c", *VELOCITIES, *BALANCE, "w1n", "w1t", "w2n", "w2t"), np.inf)
+COLUMNS = tuple(name if name == "mass_ratio" else f"{name}_local" for name in LOCAL_NAMES)
+
+
+@dataclass(frozen=True)
+class LocalErrors:
+    """Errors of velocities beyond their residuals."""
+
+    bias_n: float = 0.0  # of the balance along n, over the normal speed of approach
+    error_n: float = 0.0  # of each component along n, over the relative speed
+    error_t: float = 0.0  # of each component along t, over the relative speed
+    hits: int = 0  # from which these are fitted; 0: a prior
+
+
+def empty_columns() -> dict[str, Any]:
+    """Make the columns of a collision without a local estimate."""
+    row: dict[str, Any] = {}
+    for column in COLUMNS:
+        row[column] = row[f"{column}_std"] = np.nan
+    row |= {"chi2_local": np.nan, "dof_local": np.nan, "motion_local": "", "local": "{}"}
+    row |= {"local_bias": np.nan, "local_error_n": np.nan, "local_error_t": np.nan, "local_hits": 0}
+    return row | {"recommended": "none", "why": ""}
+
+
+def local_columns(estimate: LocalEstimate) -> dict[str, Any]:
+    """Write an estimate as columns; its errors beyond the residuals are the prior of one recording."""
+    v0 = float(estimate.value[LOCAL_NAMES.index("v0")])
+    excess = max(estimate.misfit - 1 - 3 * np.sqrt(2 / max(estimate.dof, 1.0)), 0.0)
+    prior = PRIOR_ERROR * min(1.0, float(np.sqrt(excess)))
+    raw = {
+        "value": _rounded(estimate.value),
+        "std": _rounded(estimate.std),
+        "response": [_rounded(line) for line in estimate.response],
+        "v0": v0,
+        "vn": estimate.normal_speed,
+        "unseen": sorted(estimate.unseen),
+    }
+    row = empty_columns() | {"local": json.dumps(raw, separators=(",", ":"))}
+    row |= {"chi2_local": estimate.chi2, "dof_local": estimate.dof}
+    row["motion_local"] = "glide" if estimate.glides else "slide and roll"
+    return row | apply_errors(row, LocalErrors(error_n=prior, error_t=prior))
+
+
+def _rounded(values: Floats) -> list[float | None]:
+    return [float(f"{v:.9g}") if np.isfinite(v) else None for v in values]
+
+
+def apply_errors(row: Mapping[str, Any], errors: LocalErrors, max_relative_error: float = 0.2) -> dict[str, Any]:
+    """Compute the columns of a row with these errors beyond the residuals; a bias is taken out.
+
+    The bias of the balance is shared among the velocities in proportion to their weight in it. How it is shared is
+    unknown, so the change by it is one more error.
+    """
+    raw = json.loads(row["local"])
+    if not raw:
+        return {}
+    value, std = (np.array(raw[key], dtype=np.float64) for key in ("value", "std"))
+    response = np.nan_to_num(np.array(raw["response"], dtype=np.float64))
+    size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
+    weights = response[LOCAL_NAMES.index("balance_n")] * np.tile([1.0, 0.0], 4)
+    total = float(weights @ weights)
+    shift = -errors.bias_n * raw["vn"] * weights / total if total > 0 else np.zeros(8)
+    moved = response @ shift
+    split = np.where([name in BALANCE for name in LOCAL_NAMES], 0.0, moved)
+    wide = np.sqrt(std**2 + ((response * size) ** 2).sum(axis=1) + split**2)
+    value, out = value + moved, dict[str, Any]()
+    for k, (name, column) in enumerate(zip(LOCAL_NAMES, COLUMNS, strict=True)):
+        limit = _LARGEST_ERRORS.get(name, max_relative_error * abs(value[k]))
+        folded = name == "final_angle" and value[k] < 3 * wide[k]
+        known = name not in raw["unseen"] and np.isfinite(value[k]) and wide[k] <= limit and not folded
+        out[column], out[f"{column}_std"] = (float(value[k]), float(wide[k])) if known else (np.nan, np.nan)
+    out |= {"local_bias": errors.bias_n, "local_error_n": errors.error_n, "local_error_t": errors.error_t}
+    return out | {"local_hits": errors.hits}
+
+
+def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
+    """Fit the errors beyond the residuals to the balance of momentum of all hits of a set; None of too few hits.
+
+    The fit maximises the likelihood of the balances, each with the variance of its residuals and of these errors. A
+    share of the hits may be anything, such as two contacts at once: their balance is off by a third of the speed.
+    """
+    odd_share, odd_size = 0.05, 0.3
+    usable = [row for row in rows if row["local"] != "{}" and np.isfinite(row["r_local"])]
+    if len(usable) < MIN_HITS:
+        return None
+    found = [json.loads(row["local"]) for row in usable]
+    at = [LOCAL_NAMES.index(name) for name in BALANCE]
+    off = np.array([[raw["value"][k] for k in at] for raw in found])
+    std = np.array([[raw["std"][k] for k in at] for raw in found])
+    v0, vn = (np.array([raw[key] for raw in found]) for key in ("v0", "vn"))
+    response = np.nan_to_num(np.array([[raw["response"][k] for k in at] for raw in found], dtype=np.float64))
+    along, across = np.tile([1.0, 0.0], 4), np.tile([0.0, 1.0], 4)
+    spread = np.sqrt(np.stack([((response[:, 0] * along) ** 2).sum(-1), ((response[:, 1] * across) ** 2).sum(-1)], -1))
+    spread *= v0[:, None]
+
+    def fit(axis: int, lever: Floats) -> tuple[float, float]:
+        def price(p: Floats) -> float:
+            var = std[:, axis] ** 2 + (np.exp(p[1]) * spread[:, axis]) ** 2
+            odd = var + (odd_size * v0) ** 2
+            square = (off[:, axis] - p[0] * lever) ** 2
+            usual, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, odd))
+            return -float(np.logaddexp(np.log(1 - odd_share) + usual, np.log(odd_share) + unusual).sum())
+
+        middle = float(np.median(off[:, axis] / np.where(lever == 0, np.inf, lever))) if lever.any() else 0.0
+        starts = [np.array([middle, np.log(e)]) for e in (0.003, 0.03)]
+        best = min((minimize(price, start, method="Nelder-Mead") for start in starts), key=lambda m: float(m.fun))
+        return float(best.x[0]), float(np.exp(best.x[1]))
+
+    bias, error_n = fit(0, vn)
+    _, error_t = fit(1, np.zeros(len(v0)))
+    # the mean of n balances shows a bias no better than this
+    doubt = error_n * float(np.median(spread[:, 0] / np.abs(vn))) / np.sqrt(len(usable))
+    if abs(bias) < 2 * doubt:
+        bias = 0.0
+    return LocalErrors(bias_n=bias, error_n=error_n, error_t=error_t, hits=len(usable))
+
+
+def calibrate_set(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Compute the rows of a set with the errors that its balances of momentum show; few hits keep their prior."""
+    errors = calibrate_rows(rows)
+    if errors is None:
+        return [dict(row) for row in rows]
+    return [dict(row) | apply_errors(row, errors) for row in rows]

@@ -1,0 +1,259 @@
+"""The local estimate of one collision: velocities just before and after, and the quantities that follow from them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.camera_errors import camera_errors
+from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
+from tracker.measurement.collision.contacts import Contact, guess_launch
+from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, mean_of_balls
+from tracker.measurement.local.local_fit import (
+    LocalPriors,
+    LocalSolution,
+    choose_window,
+    fit_motions,
+    guess_contact,
+    weigh_by_residuals,
+)
+from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Motion, Stretch, cut_stretch
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+
+Floats = NDArray[np.float64]
+WINDOW_S = 0.5  # longest stretch on either side of a contact
+NEAR_FRAMES = 1.5  # of the contact, within which positions count less
+MIN_POSITIONS = 3  # of each stretch
+SIDES = ((1, False), (2, False), (1, True), (2, True))  # ball, whether after the contact
+VELOCITIES = ("v1ix", "v1iy", "v2ix", "v2iy", "v1ox", "v1oy", "v2ox", "v2oy")  # m/s, just before and after
+BALANCE = ("balance_n", "balance_t")  # m/s, momentum after less before over the mean mass, along n and t
+LOCAL_NAMES = (*QUANTITY_NAMES, *VELOCITIES, "impact_energy", *BALANCE, "mass_ratio")
+_AFTER_SLIDES = ("energy_fraction", "momentum_fraction", "final_angle")
+_FRICTION = ("mu_k", "C", "w1n", "w1t", "w2n", "w2t", "tau1", "tau2")
+
+
+@dataclass(frozen=True)
+class LocalEstimate:
+    """Values in the order of LOCAL_NAMES, with their covariance.
+
+    response: derivative of each value by the velocities of SIDES along n and t, (n, 8).
+    misfit: chi^2 per degree of freedom by the claimed errors, or by the scatter from frame to frame.
+    """
+
+    value: Floats
+    cov: Floats
+    response: Floats
+    normal_speed: float  # of approach, m/s
+    misfit: float
+    chi2: float
+    dof: float
+    glides: bool
+    unseen: frozenset[str]
+
+    @property
+    def std(self) -> Floats:
+        """Standard errors in the order of LOCAL_NAMES."""
+        return np.sqrt(np.maximum(np.diag(self.cov), 0.0))
+
+
+def estimate_locally(
+    contact: Contact, camera: Camera, masses: tuple[float, float], support: str = ""
+) -> LocalEstimate | str:
+    """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
+
+    masses: of ball 1 and ball 2, in any unit. support: of camera.json, "" if the tracks decide.
+    """
+    rests = not contact.pair.target_moves
+    glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[support]
+    lasts = contact.end > contact.start
+    instant = _guess_instant(contact, camera)
+    for turn in range(3):
+        whole = _cut_stretches(contact, camera, instant)
+        if min(map(len, whole)) < MIN_POSITIONS:
+            return "too few positions near the contact"
+        stretches = [
+            s if rests and (s.ball, s.after) == (1, False) else choose_window(s, instant, _simple_motions(s, glides))
+            for s in whole
+        ]
+        priors = _allow_for_duration(LocalPriors(contact.pair.diameter), stretches, contact, camera)
+        solution = fit_motions(stretches, instant, rests, glides, priors)
+        late, instant = float(solution.x[0]) - instant, float(solution.x[0])
+        again = _cut_stretches(contact, camera, instant)
+        same = all(len(a) == len(b) for a, b in zip(whole, again, strict=True))
+        if turn == 2 or lasts or same or abs(late) > 3 / camera.fps:
+            break
+    misfit = solution.chi2 / solution.dof
+    solution = weigh_by_residuals(solution, known=bool(np.isinf(contact.pair.striker.noise_dof)))
+    return _read_values(solution, camera, masses, misfit)
+
+
+def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[Motion, ...]:
+    cloth = (SLIDE, SLIDE_AND_ROLL) if stretch.after else (ROLL, SLIDE, SLIDE_AND_ROLL)
+    return cloth if False in glides else (SLIDE,)
+
+
+def _allow_for_duration(
+    priors: LocalPriors, stretches: Sequence[Stretch], contact: Contact, camera: Camera
+) -> LocalPriors:
+    """Widen what is known of the places at the contact by the way that bodies move while it lasts."""
+    lasts_s = (contact.end - contact.start) / camera.fps
+    if not lasts_s > 0:
+        return priors
+    way = lasts_s * max(float(np.hypot(*s.position[-1] - s.position[0])) / np.ptp(s.time) for s in stretches)
+    share = way / contact.pair.diameter
+    return replace(priors, distance_share=priors.distance_share + share, shift_share=priors.shift_share + share)
+
+
+def _guess_instant(contact: Contact, camera: Camera) -> float:
+    """Guess the instant of the contact, s: where the approach brings the bodies to one diameter."""
+    frame_s = 1 / camera.fps
+    seen = [float(t) for _, track in contact.pair.balls for t in track.time[track.frame == contact.frame]]
+    instant = float(np.mean(seen)) if seen else contact.frame * frame_s + camera.exposure / 2
+    if contact.end > contact.start:
+        return instant + ((contact.start + contact.end) / 2 - contact.frame) * frame_s
+    launch = guess_launch(contact.pair, contact.frame)
+    if launch is not None and abs(launch[0] - instant) < 2 * frame_s:
+        return float(launch[0])
+    stretches = _cut_stretches(contact, camera, instant)
+    guess = guess_contact(stretches, instant) if all(map(len, stretches)) else instant
+    return guess if abs(guess - instant) < 1.5 * frame_s else instant
+
+
+def _cut_stretches(contact: Contact, camera: Camera, instant: float) -> list[Stretch]:
+    """The four stretches in the order of SIDES, without the frames of a contact that lasts."""
+    tracks, frame_s = dict(contact.pair.balls), 1 / camera.fps
+    half = (contact.end - contact.start + 1) / 2 * frame_s if contact.end > contact.start else 0.0
+    early, late = instant - half, instant + half
+    return [
+        cut_stretch(tracks[1], 1, False, early - WINDOW_S, early, early, NEAR_FRAMES * frame_s),
+        cut_stretch(tracks[2], 2, False, early - WINDOW_S, early, early, NEAR_FRAMES * frame_s),
+        cut_stretch(tracks[1], 1, True, late, late + WINDOW_S, late, NEAR_FRAMES * frame_s),
+        cut_stretch(tracks[2], 2, True, late, late + WINDOW_S, late, NEAR_FRAMES * frame_s),
+    ]
+
+
+def _read_values(solution: LocalSolution, camera: Camera, masses: tuple[float, float], misfit: float) -> LocalEstimate:
+    problem, x = solution.problem, solution.x
+    own = {(s.ball, s.after): k for k, s in enumerate(problem.stretches)}
+    std = np.sqrt(np.maximum(np.diag(solution.cov), 0.0))
+    step = 0.01 * std + 1e-9
+    high, low = (_quantities(solution, x + sign * np.diag(step), masses) for sign in (1, -1))
+    with np.errstate(invalid="ignore"):
+        slope = ((high - low) / (2 * step[:, None])).T
+    value = _quantities(solution, x[None], masses)[0]
+    normal = x[1:3] - x[3:5]
+    normal = normal / np.hypot(*normal)
+    axes = (normal, np.array([-normal[1], normal[0]]))
+    shifts = np.zeros((len(x), 8))
+    for i, side in enumerate(SIDES):
+        at = problem.start[own[side]]
+        for axis, unit in enumerate(axes):
+            if problem.motions[own[side]].moves:
+                shifts[at + 2 : at + 4, 2 * i + axis] = unit
+    camera_shifts = _camera_shifts(solution, camera)
+    unknown = ~(np.isfinite(value) & np.isfinite(slope).all(axis=1))
+    slope[unknown] = 0.0
+    merge = mean_of_balls(slope @ solution.cov @ slope.T)
+    slope, value = merge @ slope, merge @ np.where(unknown, 0.0, value)
+    value[merge[:, unknown].any(axis=1)] = np.nan
+    shared = slope @ camera_shifts
+    v = [_velocity(solution, x[None], side)[0] for side in SIDES]
+    return LocalEstimate(
+        value=value,
+        cov=slope @ solution.cov @ slope.T + shared @ shared.T,
+        response=slope @ shifts,
+        normal_speed=float((v[1] - v[0]) @ normal),
+        misfit=misfit,
+        chi2=solution.chi2,
+        dof=solution.dof,
+        glides=problem.glide,
+        unseen=frozenset(_list_unseen(solution)),
+    )
+
+
+def _camera_shifts(solution: LocalSolution, camera: Camera) -> Floats:
+    """Change of the parameters by one standard error of the scale and of the frame rate, (n, k)."""
+    errors = camera_errors(camera)
+    scale = float(np.linalg.norm([e.share for e in errors if e.key not in ("fps", "ball_diameter")]))
+    rate = float(np.linalg.norm([e.share for e in errors if e.key == "fps"]))
+    out = np.zeros((len(solution.x), 2))
+    for k, motion in enumerate(solution.problem.motions):
+        at = solution.problem.start[k]
+        if motion.moves:
+            out[at + 2 : at + 4] = np.outer(solution.x[at + 2 : at + 4], [scale, rate])
+        if motion.pushed and solution.problem.glide:
+            out[at + 4 : at + 6] = np.outer(solution.x[at + 4 : at + 6], [scale, 2 * rate])
+        if motion.ends:
+            out[at + 6] = 0.0, -rate
+    out[0, 1], out[5] = -solution.x[0] * rate, (scale, 2 * rate)
+    return out
+
+
+def _list_unseen(solution: LocalSolution) -> list[str]:
+    """Quantities that the stretches do not show."""
+    problem, out = solution.problem, ["drag", "decel"]
+    if problem.glide:
+        return [*out, *_FRICTION]
+    for k, (stretch, motion) in enumerate(zip(problem.stretches, problem.motions, strict=True)):
+        if stretch.after and motion.ends:
+            at, ball = problem.start[k] + 6, stretch.ball
+            left = float(stretch.time[-1] - solution.x[0])
+            if np.exp(solution.x[at]) > left or not 0 < solution.cov[at, at] < 0.04:
+                out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *_AFTER_SLIDES]
+        elif stretch.ball == 2 and motion.pushed:
+            out += ["C", "w1n", "w1t", "w2n", "w2t"]
+    return out
+
+
+def _velocity(solution: LocalSolution, x: Floats, side: tuple[int, bool]) -> Floats:
+    """Velocities (m, 2) at the contact, of parameters (m, n)."""
+    problem = solution.problem
+    k = next(k for k, s in enumerate(problem.stretches) if (s.ball, s.after) == side)
+    at = problem.start[k]
+    if not problem.motions[k].moves:
+        return np.zeros((len(x), 2))
+    if not problem.slides_first(k):
+        return x[:, at + 2 : at + 4]
+    tau, pull = _slide(solution, x, k)
+    return np.asarray(x[:, at + 2 : at + 4] - np.minimum(tau, problem.spans[k])[:, None] * pull)
+
+
+def _slide(solution: LocalSolution, x: Floats, k: int) -> tuple[Floats, Floats]:
+    """Duration (m,) of the slide with which a stretch begins, and the acceleration (m, 2) by it."""
+    at = solution.problem.start[k]
+    tau, size, angle = np.exp(x[:, at + 6]), np.exp(x[:, 5] + x[:, at + 4]) * GRAVITY, x[:, at + 5]
+    return tau, size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _quantities(solution: LocalSolution, x: Floats, masses: tuple[float, float]) -> Floats:
+    """Quantities (m, 34) of parameters (m, n): those of each ball, see `mean_of_balls`, and the rest of LOCAL_NAMES."""
+    problem, (m1, m2) = solution.problem, np.array(masses) / np.mean(masses)
+    v1i, v2i, v1o, v2o = velocities = [_velocity(solution, x, side) for side in SIDES]
+    normal = x[:, 1:3] - x[:, 3:5]
+    normal = normal / np.hypot(normal[:, 0], normal[:, 1])[:, None]
+    tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
+    launch = v2i - v1i
+    v0 = np.hypot(launch[:, 0], launch[:, 1])
+    free = np.zeros((len(x), len(FREE)))
+    sine = (normal[:, 0] * launch[:, 1] - normal[:, 1] * launch[:, 0]) / v0
+    heading = np.arctan2(launch[:, 1], launch[:, 0])
+    free[:, 0], free[:, 1:3], free[:, 3] = x[:, 0], x[:, 1:3], heading
+    free[:, 4], free[:, 5], free[:, -2:] = np.arcsin(np.clip(sine, -1, 1)), v0, v1i
+    for ball, v in ((1, v1o), (2, v2o)):
+        k = next(k for k, s in enumerate(problem.stretches) if (s.ball, s.after) == (ball, True))
+        to = AFTER[ball]
+        tau, pull = _slide(solution, x, k) if problem.slides_first(k) else (np.ones(len(x)), np.zeros((len(x), 2)))
+        free[:, to : to + 2], free[:, to + 2 : to + 4], free[:, to + 4] = v, v + tau[:, None] * pull, np.log(tau)
+    each = derive_from_each_ball(free, problem.priors.diameter, 0.0, (float(m1), float(m2)))
+    kicks = (v1o - v1i, v2o - v2i)
+    balance = m1 * kicks[0] + m2 * kicks[1]
+    energy = (m1 * dot(v1o, v1o) + m2 * dot(v2o, v2o)) / (m1 * dot(v1i, v1i) + m2 * dot(v2i, v2i))
+    ratio = -dot(kicks[1], normal) / dot(kicks[0], normal)
+    further = [energy, dot(balance, normal), dot(balance, tangent), ratio]
+    return np.column_stack([each, *velocities, *further])

@@ -1,0 +1,427 @@
+"""The local fit: stretches of free motion that meet at a contact, without any law of the impact.
+
+The parameters are the instant of the contact, the place of each body there, and for each stretch a start of its own.
+Weak knowledge keeps short stretches regular, as rows of the least squares:
+
+- the bodies touch at about one diameter, and each is in about one place before and after the contact;
+- the plate's friction, and its rolling loss, are about the same in all stretches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.collision.collision_model import GRAVITY
+from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, Motion, Stretch, evaluate_path
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LocalPriors:
+    """What is known beside the positions, and how well."""
+
+    diameter: float  # m
+    distance_share: float = 0.016  # error of the distance at which the bodies touch, diameters
+    shift_share: float = 0.005  # by which a body may be elsewhere after the contact, diameters
+    friction: float = 0.2  # the plate's
+    friction_factor: float = 0.7  # error of its logarithm
+    friction_scatter: float = 0.04  # from stretch to stretch, relative
+    turn: float = 0.5  # rad, of friction from the direction in which a ball that did not slide is slowed or sped up
+    slide_s: float = 0.1  # duration of a slide
+    slide_factor: float = 3.0  # error of its logarithm
+    loss: float = 0.05  # of rolling, m/s^2
+    loss_std: float = 0.05
+    loss_scatter: float = 0.01  # from stretch to stretch, m/s^2
+    push: float = 1.0  # acceleration of bodies that glide, m/s^2
+
+
+@dataclass(frozen=True)
+class LocalProblem:
+    """The stretches of one hit with their motions; `glide` if the bodies slide on air, where pushes are unlike."""
+
+    stretches: tuple[Stretch, ...]
+    motions: tuple[Motion, ...]
+    priors: LocalPriors
+    glide: bool
+    start: tuple[int, ...] = field(init=False)  # of each stretch in the vector of parameters
+    spans: tuple[float, ...] = field(init=False)  # duration of each stretch, s
+
+    COMMON = 7  # t_c; x, y of ball 1; x, y of ball 2; log of the friction; loss
+
+    def __post_init__(self) -> None:
+        ends = np.cumsum([self.COMMON, *(motion.size for motion in self.motions)])
+        object.__setattr__(self, "start", tuple(int(end) for end in ends))
+        object.__setattr__(self, "spans", tuple(float(np.ptp(s.time)) for s in self.stretches))
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.start[-1]
+
+    def values(self, x: Floats, k: int) -> Floats:
+        """The parameters of a stretch, with its place at the contact."""
+        own = x[self.start[k] : self.start[k + 1]].copy()
+        own[:2] += x[self.place(k)]
+        if self.rubs(k):
+            size, angle = float(np.exp(x[5] + own[4])) * GRAVITY, own[5]
+            own[4:6] = size * np.cos(angle), size * np.sin(angle)
+        if self.slides_first(k):
+            own[2:4] -= own[4:6] * min(float(np.exp(own[6])), self.spans[k])
+        return own
+
+    def rubs(self, k: int) -> bool:
+        """Decide whether a stretch is pushed by friction: its size over the common one and its direction are fitted."""
+        return self.motions[k].pushed and not self.glide
+
+    def slides_first(self, k: int) -> bool:
+        """Decide whether a stretch begins with a slide; the velocity at its end, which is known better, is fitted.
+
+        The end is that of the slide or that of the stretch, whichever is earlier.
+        """
+        return self.stretches[k].after and self.motions[k].ends
+
+    def place(self, k: int) -> slice:
+        """Where the place of the body of a stretch is in the vector of parameters."""
+        return slice(1, 3) if self.stretches[k].ball == 1 else slice(3, 5)
+
+    def residuals(self, x: Floats, roots: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Whitened residuals and derivatives, positions first and then what is known.
+
+        roots: for each stretch the inverse root (n, n) of the covariance of one coordinate, or its diagonal (n,).
+        """
+        rows, slopes = [], []
+        for k, (stretch, motion, root) in enumerate(zip(self.stretches, self.motions, roots, strict=True)):
+            own = self.values(x, k)
+            path, slope = evaluate_path(motion, own, stretch.time - x[0], stretch.after)
+            wide = np.zeros((self.size, *path.shape))
+            if self.slides_first(k):
+                tau, by_v = min(float(np.exp(own[6])), self.spans[k]), slope[2:4].copy()
+                slope[4:6] -= tau * by_v
+                if tau < self.spans[k]:
+                    slope[6] -= tau * (own[4] * by_v[0] + own[5] * by_v[1])
+            if self.rubs(k):
+                along = own[4] * slope[4] + own[5] * slope[5]
+                slope[5] = own[4] * slope[5] - own[5] * slope[4]
+                slope[4] = wide[5] = along
+            wide[self.start[k] : self.start[k + 1]] = slope[:-1]
+            wide[self.place(k)] = slope[:2]
+            wide[0] = slope[-1]
+            both = np.concatenate([(path - stretch.position)[None], wide])
+            white = both * root[:, None] if root.ndim == 1 else root @ both
+            flat = white.reshape(len(both), -1)
+            rows.append(flat[0])
+            slopes.append(flat[1:].T)
+        known, by = self._knowledge(x)
+        return np.concatenate([*rows, known]), np.concatenate([*slopes, by])
+
+    def _knowledge(self, x: Floats) -> tuple[Floats, Floats]:
+        """Residuals of what is known, in its errors, and derivatives."""
+        p, rows = self.priors, list[tuple[float, dict[int, float]]]()
+        gap = x[1:3] - x[3:5]
+        apart = max(float(np.hypot(*gap)), 1e-12)
+        unit, error = gap / apart, p.distance_share * p.diameter
+        rows.append(
+            ((apart - p.diameter) / error, dict(zip((1, 2, 3, 4), [*(unit / error), *(-unit / error)], strict=True)))
+        )
+        rows.append(((x[5] - np.log(p.friction)) / p.friction_factor, {5: 1 / p.friction_factor}))
+        rows.append(((x[6] - p.loss) / p.loss_std, {6: 1 / p.loss_std}))
+        for k, motion in enumerate(self.motions):
+            at, shift = self.start[k], p.shift_share * p.diameter
+            rows += [(x[at + axis] / shift, {at + axis: 1 / shift}) for axis in (0, 1)]
+            if motion.pushed and self.glide:
+                rows += [(x[at + 4 + axis] / p.push, {at + 4 + axis: 1 / p.push}) for axis in (0, 1)]
+            elif motion.pushed:
+                rows.append((x[at + 4] / p.friction_scatter, {at + 4: 1 / p.friction_scatter}))
+            if motion.ends:
+                rows.append(((x[at + 6] - np.log(p.slide_s)) / p.slide_factor, {at + 6: 1 / p.slide_factor}))
+            if self.slides_first(k):
+                rows.append(self._friction_direction(x, k))
+            if motion.rolls:
+                last = at + motion.size - 1
+                rows.append(((x[last] - x[6]) / p.loss_scatter, {last: 1 / p.loss_scatter, 6: -1 / p.loss_scatter}))
+        slope = np.zeros((len(rows), self.size))
+        for i, (_, entries) in enumerate(rows):
+            for j, value in entries.items():
+                slope[i, j] = value
+        return np.array([value for value, _ in rows]), slope
+
+    def _friction_direction(self, x: Floats, k: int) -> tuple[float, dict[int, float]]:
+        """Residual and derivatives of the direction of friction.
+
+        A ball that rolled or rested is brought back towards its velocity before the hit, but for what the rub of the
+        bodies adds to its spin. That of a ball that slid is all but unknown.
+        """
+        before = next(i for i, s in enumerate(self.stretches) if s.ball == self.stretches[k].ball and not s.after)
+        at, from_ = self.start[k], self.start[before]
+        moved = self.motions[before].moves
+        old = x[from_ + 2 : from_ + 4] if moved else np.zeros(2)
+        way = old - x[at + 2 : at + 4]
+        size = max(float(np.hypot(*way)), 1e-9)
+        share = (float(np.hypot(*old)) + float(np.hypot(*x[at + 2 : at + 4]))) / size
+        error = float(np.hypot(0.1 * share, np.pi / np.sqrt(3) if self.motions[before].pushed else self.priors.turn))
+        off = float((x[at + 5] - np.arctan2(way[1], way[0]) + np.pi) % (2 * np.pi) - np.pi)
+        turn = np.array([-way[1], way[0]]) / size**2 / error
+        by = {at + 5: 1 / error, at + 2: turn[0], at + 3: turn[1]}
+        return off / error, by | ({from_ + 2: -turn[0], from_ + 3: -turn[1]} if moved else {})
+
+
+@dataclass(frozen=True)
+class LocalSolution:
+    """The minimum of a problem."""
+
+    problem: LocalProblem
+    x: Floats
+    cov: Floats
+    roots: tuple[Floats, ...]
+    chi2: float  # of the positions, near ones with their smaller weight
+    cost: float  # chi^2 with what is known
+    dof: float
+
+    @property
+    def is_good(self) -> bool:
+        """True if chi^2 is what the claimed errors make it, and nothing known is far off."""
+        usual = abs(self.chi2 - self.dof) < 3 * float(np.sqrt(2 * self.dof))
+        return usual and self.cost - self.chi2 < 15
+
+    @property
+    def cost_with_price(self) -> float:
+        """Cost with a price for each parameter that the positions determine, by which problems are compared."""
+        n = 2 * sum(map(len, self.problem.stretches))
+        return self.cost + (n - self.dof) * float(np.log(max(n, 2)))
+
+
+def solve(problem: LocalProblem, x: Floats, roots: Sequence[Floats], steps: int = 40) -> LocalSolution:
+    """Descend to the minimum by damped Gauss-Newton steps (Levenberg and Marquardt)."""
+    damping, (r, j) = 1e-3, problem.residuals(x, roots)
+    cost = float(r @ r)
+    for _ in range(steps):
+        square, pull = j.T @ j, j.T @ r
+        scale = np.diag(square)
+        while True:
+            step = -np.linalg.solve(square + damping * np.diag(scale + 1e-12), pull)
+            tried = _within_reach(problem, x, np.asarray(step, dtype=np.float64))
+            new_r, new_j = problem.residuals(tried, roots)
+            new = float(new_r @ new_r)
+            if new <= cost or damping > 1e8:
+                break
+            damping *= 8
+        gain, x = cost - new, tried if new <= cost else x
+        if not new <= cost:
+            break
+        r, j, cost, damping = new_r, new_j, new, damping / 5
+        if gain < 1e-4 * (1 + 1e-3 * cost):
+            break
+    n = 2 * sum(map(len, problem.stretches))
+    size = np.sqrt(np.maximum((j**2).sum(axis=0), 1e-300))
+    cov = np.linalg.pinv((j / size).T @ (j / size), rcond=1e-13, hermitian=True) / np.outer(size, size)
+    used = float(np.einsum("ij,jk,ik->", j[:n], cov, j[:n], optimize=True))
+    chi2 = float(r[:n] @ r[:n])
+    return LocalSolution(problem, x, cov, tuple(roots), chi2, cost, max(n - used, 0.5))
+
+
+def _within_reach(problem: LocalProblem, x: Floats, step: Floats) -> Floats:
+    """A step whose logarithms change by at most one."""
+    out = x + step
+    logs = [5, *(problem.start[k] + 6 for k, motion in enumerate(problem.motions) if motion.ends)]
+    out[logs] = np.clip(out[logs], x[logs] - 1, x[logs] + 1)
+    out[logs[1:]] = np.clip(out[logs[1:]], np.log(1e-4), np.log(1e2))
+    return out
+
+
+def diagonal_roots(stretches: Sequence[Stretch], near_factor: float = 4.0) -> list[Floats]:
+    """Inverse errors (n,) of each stretch; positions near the contact count as `near_factor` times less exact."""
+    return [1 / (s.std * np.where(s.near, near_factor, 1.0)) for s in stretches]
+
+
+# --- starts ---
+
+
+@dataclass(frozen=True)
+class StretchFit:
+    """A fit of one stretch alone: its parameters, with the place at the contact, and how far they can be trusted."""
+
+    values: Floats
+    cost: float  # chi^2 by the claimed errors
+    spread: float  # factor on the variances by which errors are as large and as lasting as the residuals
+    speed_std: float  # m/s, error of a component of the velocity at the contact, with that factor
+
+
+def fit_stretch(stretch: Stretch, contact: float, motion: Motion, taus: Floats) -> StretchFit:
+    """Fit one stretch alone, by linear fits over a few times tau."""
+    since = stretch.time - contact
+    weight = diagonal_roots([stretch])[0]
+    ahead = np.abs(since)
+    far = np.maximum(ahead - taus[:, None], 0.0) ** 2 / 2 if motion.ends else np.zeros((1, len(since)))
+    curve = far if motion.ends and not stretch.after else ahead**2 / 2 - far
+    columns = [np.ones_like(curve)]
+    if motion.moves:
+        columns.append(np.broadcast_to(since, curve.shape))
+    widths = [0.0] * len(columns)
+    if motion.pushed:
+        columns.append(curve)
+        widths.append(2.0)  # m/s^2
+    if motion.rolls:
+        columns.append(ahead**2 / 2 - curve if motion.pushed else ahead**2 / 2 + 0 * far)
+        widths.append(0.1)  # m/s^2
+    basis = np.stack(columns, -1) * weight[:, None]
+    square = np.swapaxes(basis, 1, 2) @ basis
+    for k, width in enumerate(widths):
+        if width > 0:
+            square[:, k, k] += 1 / width**2 + 1e-9 * square[:, 0, 0]
+    seen = stretch.position * weight[:, None]
+    fits = np.linalg.solve(square, np.swapaxes(basis, 1, 2) @ seen)
+    left = seen - basis @ fits
+    cost = (left**2).sum(axis=(1, 2))
+    best = int(np.argmin(cost))
+    out, plain = np.zeros(motion.size), len(columns) - motion.rolls
+    out[: 2 * plain] = fits[best, :plain].ravel()
+    if motion.ends:
+        out[6] = np.log(taus[best])
+    if motion.rolls:
+        out[-1] = 0.05
+    dof = max(2 * len(stretch) - motion.size, 1)
+    spread = float(cost[best]) / dof * correlation_factor(left[best])
+    cov = np.linalg.inv(square[best])
+    return StretchFit(out, float(cost[best]), spread, float(np.sqrt(spread * cov[1, 1])) if motion.moves else 0.0)
+
+
+def correlation_factor(left: Floats) -> float:
+    """Factor on the variances of a fit whose residuals (n, 2) are correlated from one position to the next."""
+    if len(left) < 6:
+        return 1.0
+    rho = float((left[1:] * left[:-1]).sum() / max(float((left**2).sum()), 1e-300))
+    rho = min(max(rho + 2 / len(left), 0.0), 0.9)  # residuals of a fit are less correlated than the errors
+    return (1 + rho) / (1 - rho)
+
+
+def choose_window(stretch: Stretch, contact: float, motions: Sequence[Motion], least: int = 5) -> Stretch:
+    """Shorten a stretch to the window from which the velocity at the contact has the smallest error.
+
+    A cushion, another contact or any force that the motions lack raises the residuals of a window that holds it.
+    """
+    ahead = np.abs(stretch.time - contact)
+    best, chosen, last = np.inf, stretch, 0
+    for share in (0.1, 0.16, 0.25, 0.4, 0.63, 1.0):
+        keep = ahead <= share * float(ahead.max(initial=0.0)) * 1.0001
+        count = int(keep.sum())
+        if count <= max(last, least - 1) and count < len(stretch):
+            continue
+        last, part = count, stretch.where(keep)
+        taus = np.geomspace(float(ahead[keep].max()) / 40, 1.5 * float(ahead[keep].max()), 12)
+        n = max(2 * count, 3)
+        tries = [(fit_stretch(part, contact, m, taus), m) for m in motions if 2 * count > m.size]
+        if not tries:
+            continue
+        noise = max(min(f.cost / max(n - m.size, 1) for f, m in tries), 1e-12)
+        found = min(tries, key=lambda f: f[0].cost / noise + f[1].size * np.log(n))[0]
+        small = 1 + 4 / max(n - 6, 1)  # few residuals hardly show their size
+        if found.speed_std * small < best:
+            best, chosen = found.speed_std * small, part
+    return chosen
+
+
+def guess_contact(stretches: Sequence[Stretch], contact: float) -> float:
+    """Guess the instant at which straight lines before and after the contact meet best."""
+    shift, turn = np.zeros(2), np.zeros(2)
+    top = bottom = 0.0
+    for ball in (1, 2):
+        lines = {s.after: _line(s, contact) for s in stretches if s.ball == ball}
+        if len(lines) < 2:
+            continue
+        shift, turn = lines[True][0] - lines[False][0], lines[True][1] - lines[False][1]
+        top, bottom = top - float(turn @ shift), bottom + float(turn @ turn)
+    return contact + (top / bottom if bottom > 0 else 0.0)
+
+
+def _line(stretch: Stretch, contact: float, most: int = 6) -> tuple[Floats, Floats]:
+    rows = slice(0, most) if stretch.after else slice(-most, None)
+    t, x = stretch.time[rows] - contact, stretch.position[rows]
+    if len(t) < 2 or np.ptp(t) == 0:
+        return x.mean(axis=0), np.zeros(2)
+    v = (t - t.mean()) @ x / float(((t - t.mean()) ** 2).sum())
+    return x.mean(axis=0) - v * t.mean(), v
+
+
+def list_motions(stretches: Sequence[Stretch], rests: bool, glide: bool) -> Iterator[tuple[Motion, ...]]:
+    """List the motions that the stretches may have, on air (glide) or on a plate."""
+    choices: list[tuple[Motion, ...]] = []
+    for s in stretches:
+        if s.ball == 1 and not s.after and rests:
+            choices.append((REST,))
+        elif glide:
+            choices.append((SLIDE,))
+        elif s.after:
+            choices.append((SLIDE_AND_ROLL,))
+        else:
+            choices.append((ROLL, SLIDE_AND_ROLL, SLIDE) if s.ball == 2 else (ROLL,))
+    yield from product(*choices)
+
+
+def fit_motions(
+    stretches: Sequence[Stretch], contact: float, rests: bool, glides: Sequence[bool], priors: LocalPriors
+) -> LocalSolution:
+    """Fit the motions that the stretches may have, the simplest first, until one describes the positions.
+
+    If none does, the one of the smallest cost with its price is the best.
+    """
+    roots = diagonal_roots(stretches)
+    found: list[LocalSolution] = []
+    for glide in glides:
+        for motions in list_motions(stretches, rests, glide):
+            problem = LocalProblem(tuple(stretches), motions, priors, glide)
+            x = np.zeros(problem.size)
+            x[0], x[5], x[6] = contact, np.log(priors.friction), priors.loss
+            places: dict[int, list[Floats]] = {1: [], 2: []}
+            for k, (s, motion) in enumerate(zip(stretches, motions, strict=True)):
+                span = float(np.abs(s.time - contact).max())
+                own = fit_stretch(s, contact, motion, np.geomspace(span / 40, 1.5 * span, 12)).values
+                if problem.slides_first(k):
+                    own[2:4] += own[4:6] * min(float(np.exp(own[6])), problem.spans[k])
+                if problem.rubs(k):
+                    own[4:6] = 0.0, np.arctan2(own[5], own[4])
+                x[problem.start[k] : problem.start[k + 1]] = own
+                places[s.ball].append(own[:2])
+            for ball, own_places in places.items():
+                x[2 * ball - 1 : 2 * ball + 1] = np.mean(own_places, axis=0)
+            for k in range(len(stretches)):
+                x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
+            found.append(solve(problem, x, roots))
+            if found[-1].is_good:  # the simplest come first
+                return found[-1]
+    noise = max(1.0, min(s.chi2 / s.dof for s in found))
+    return min(found, key=lambda s: s.cost / noise + s.cost_with_price - s.cost)
+
+
+def weigh_by_residuals(solution: LocalSolution, known: bool, shared: float = 8.0) -> LocalSolution:
+    """Solve again with errors as large and as lasting as the residuals of each stretch.
+
+    known: errors are claimed, and are never smaller than that. shared: degrees of freedom with which the mean of all
+    stretches counts in each. A body at rest takes the mean, because recorders round or drop its positions.
+    """
+    if known and solution.is_good:
+        return solution
+    problem, n = solution.problem, sum(map(len, solution.problem.stretches))
+    r = problem.residuals(solution.x, solution.roots)[0]
+    left = np.split(r[: 2 * n].reshape(-1, 2), np.cumsum([len(s) for s in problem.stretches])[:-1])
+    moving = [k for k, motion in enumerate(problem.motions) if motion.moves]
+    share = solution.dof / (2 * n)
+    squares = {k: float((left[k] ** 2).sum()) for k in moving}
+    freedom = {k: max(share * 2 * len(left[k]), 0.5) for k in moving}
+    mean = sum(squares.values()) / sum(freedom.values())
+    lasting = sum(freedom[k] * correlation_factor(left[k]) for k in moving) / sum(freedom.values())
+    roots = []
+    for k, root in enumerate(solution.roots):
+        size, factor = mean, lasting
+        if k in squares:
+            own = freedom[k] / (freedom[k] + shared)
+            size = (squares[k] + shared * mean) / (freedom[k] + shared)
+            factor = own * correlation_factor(left[k]) + (1 - own) * lasting
+        size *= factor
+        roots.append(root / np.sqrt(max(size, 1.0) if known else max(size, 1e-12)))
+    return solve(problem, solution.x, roots)

@@ -1,0 +1,83 @@
+"""Which of the estimates of a collision to use, and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from tracker.measurement.collision.adequacy import MISFIT, TOGETHER
+
+TIED, FREE, LOCAL, NONE = "tied", "free", "local", "none"
+SUFFIXES = {TIED: "", FREE: "_free", LOCAL: "_local"}  # of the columns of each estimate
+COMPARED = ("v0", "b", "r", "s")  # quantities in which estimates are compared
+MAX_DIFFERENCE = 3.0  # in standard errors
+MAX_MASS_RATIO = 50.0
+
+
+def recommend(row: Mapping[str, Any]) -> dict[str, str]:
+    """Recommend an estimate of one row of estimates: its columns `recommended` and `why`.
+
+    The tied fit comes first where the tracks accept it and the local estimate does not contradict it.
+    """
+    local, doubt = _is_usable(row)
+    if row["status"] == TOGETHER:
+        return _because(TIED, "the balls stay together")
+    if row["status"] == "ok" and _is_known(row, "r"):
+        other, sigmas = _find_difference(row, "")
+        if not other:
+            agrees = "agrees with the local estimate" if local else f"has no local estimate beside it ({doubt})"
+            return _because(TIED, f"the tied fit describes the tracks and {agrees}")
+        if local:
+            return _because(LOCAL, f"the local estimate contradicts the tied fit by {sigmas:.1f} errors in {other}")
+        return _because(NONE, f"the local estimate contradicts the tied fit, and has itself a fault: {doubt}")
+    reason = "the tracks reject the tied fit" if row["status"] == MISFIT else "the tied fit does not show r"
+    if row["status"] not in ("ok", MISFIT):
+        reason = f"there is no tied fit ({row['status']})"
+    if _is_known(row, "r_free") and _is_known(row, "r_free_std") and not _find_difference(row, "_free")[0] and local:
+        return _because(FREE, f"{reason}; the free fit agrees with the local estimate")
+    if local:
+        return _because(LOCAL, reason)
+    if row["status"] == "ok":
+        return _because(TIED, "the tied fit describes the tracks; nothing shows r")
+    return _because(NONE, f"{reason}; no local estimate: {doubt}")
+
+
+def _because(name: str, why: str) -> dict[str, str]:
+    return {"recommended": name, "why": why}
+
+
+def _is_usable(row: Mapping[str, Any]) -> tuple[bool, str]:
+    """Decide whether the local estimate of a row can be used, and give the reason against it."""
+    if not _is_known(row, "r_local"):
+        return False, str(row["why"]) or "its errors are too large"
+    r, std = row["r_local"], row["r_local_std"]
+    if not -3 * std <= r <= 1 + 3 * std:
+        return False, f"its r of {r:.2f} is impossible"
+    if not 1 / MAX_MASS_RATIO < row["mass_ratio"] < MAX_MASS_RATIO:
+        return False, "momentum is not conserved, whatever the masses"
+    return True, ""
+
+
+def _is_known(row: Mapping[str, Any], column: str) -> bool:
+    value = row.get(column)
+    return value is not None and math.isfinite(value)
+
+
+def _find_difference(row: Mapping[str, Any], suffix: str) -> tuple[str, float]:
+    """Find the quantity in which another estimate differs most from the local one: "" below MAX_DIFFERENCE errors."""
+    worst, sigmas = "", MAX_DIFFERENCE
+    for name in COMPARED:
+        columns = (f"{name}{suffix}", f"{name}{suffix}_std", f"{name}_local", f"{name}_local_std")
+        if not all(_is_known(row, column) for column in columns):
+            continue
+        one, one_std, two, two_std = (row[column] for column in columns)
+        size = abs(one - two) / max(math.hypot(one_std, two_std), 1e-300)
+        if size > sigmas:
+            worst, sigmas = name, size
+    return worst, sigmas
+
+
+def recommended_suffix(row: Mapping[str, Any]) -> str:
+    """Give the suffix of the recommended columns of a row; that of the tied fit where nothing is recommended."""
+    return SUFFIXES.get(str(row.get("recommended", TIED)), "")

@@ -1,0 +1,148 @@
+"""Stretches of free motion up to a contact or from it on: what each shows, and the path that describes it.
+
+A path is a sum of a few functions of the time s since the contact. With G = s^2/2 until the time tau from the contact
+and straight from there on, and H = s^2/2 - G:
+
+- after the contact, a body slides for tau with the constant acceleration a and then rolls:
+  x + v s + a G - loss v^ H;
+- before it, the body slid until tau before the contact and rolled since: x + v s + a H - loss v^ G.
+
+Without tau the acceleration lasts for the whole stretch. Pucks on air move so, and balls that slide all along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.positions import BallTrack
+
+Floats = NDArray[np.float64]
+MAX_POSITIONS = 45  # of a stretch; more are averaged in groups
+KEPT_POSITIONS = 25  # of these, next to the contact, which are not averaged
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """The positions of one body on one side of a contact."""
+
+    ball: int  # 1: struck, 2: striker
+    after: bool
+    time: Floats  # (n,) s
+    position: Floats  # (n, 2) m
+    std: Floats  # (n,) m, of either coordinate
+    near: NDArray[np.bool_]  # (n,) whether so near the contact that trackers and bodies are less regular
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def where(self, rows: NDArray[np.bool_]) -> Stretch:
+        """The same stretch, only those rows."""
+        arrays: dict[str, Any] = {name: v[rows] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **arrays)
+
+
+class Motion(NamedTuple):
+    """Terms of a path beside its position at the contact."""
+
+    moves: bool = True
+    pushed: bool = True  # by an acceleration of its own: friction of a slide, or drag
+    ends: bool = True  # whether the push ends, or began, at a time tau from the contact
+    rolls: bool = True  # with a loss while it is not pushed
+
+    @property
+    def size(self) -> int:
+        """Number of parameters: x, y; vx, vy; ax, ay; log tau; loss."""
+        return 2 + 2 * self.moves + 2 * self.pushed + self.ends + self.rolls
+
+
+REST = Motion(False, False, False, False)
+ROLL = Motion(True, False, False, True)
+SLIDE = Motion(True, True, False, False)
+SLIDE_AND_ROLL = Motion(True, True, True, True)
+
+
+def cut_stretch(
+    track: BallTrack, ball: int, after: bool, first: float, last: float, contact: float, near_s: float
+) -> Stretch:
+    """Cut the positions of a body from `first` to `last`, s, without the exposures that hold the contact.
+
+    More positions than MAX_POSITIONS are averaged in groups of neighbours. `near_s`: from the contact, within which
+    positions count as near.
+    """
+    half = track.exposure / 2
+    rows = (track.time >= first) & (track.time <= last)
+    rows &= (track.time - half > contact) if after else (track.time + half < contact)
+    t, x = track.time[rows], track.position[rows]
+    std = np.sqrt(np.trace(track.cov[rows], axis1=1, axis2=2) / 2)
+    near = np.abs(t - contact) < near_s
+    whole = Stretch(ball=ball, after=after, time=t, position=x, std=std, near=near)
+    order = np.arange(len(t)) if after else np.arange(len(t))[::-1]
+    size = -(-(len(t) - KEPT_POSITIONS) // (MAX_POSITIONS - KEPT_POSITIONS))
+    if size <= 1:
+        return whole
+    group = np.where(order < KEPT_POSITIONS, order, KEPT_POSITIONS + (order - KEPT_POSITIONS) // size)
+    group = group if after else group.max() - group
+    count = np.bincount(group)
+
+    def mean(values: Floats) -> Floats:
+        return np.bincount(group, values) / count
+
+    joined = np.column_stack([mean(x[:, 0]), mean(x[:, 1])])
+    std = np.sqrt(mean(std**2) / count)
+    return replace(whole, time=mean(t), position=joined, std=std, near=mean(near.astype(np.float64)) > 0.5)
+
+
+def evaluate_path(motion: Motion, values: Floats, since: Floats, after: bool) -> tuple[Floats, Floats]:
+    """Evaluate the path of a stretch at times since the contact: (n, 2), and derivatives (size + 1, n, 2).
+
+    The last derivative is that by the instant of the contact.
+    """
+    n, at = len(since), 2
+    path, slope = np.tile(values[:2], (n, 1)), np.zeros((motion.size + 1, n, 2))
+    slope[0, :, 0] = slope[1, :, 1] = 1.0
+    if not motion.moves:
+        return path, slope
+    v, speed = values[2:4], np.zeros((n, 2))
+    path += since[:, None] * v
+    slope[2, :, 0] = slope[3, :, 1] = since
+    at, speed = 4, speed + v
+    ahead = np.abs(since)
+    sign = 1.0 if after else -1.0
+    a, late, curve, free = np.zeros(2), np.zeros(n), ahead**2 / 2, ahead**2 / 2
+    k_tau = -1
+    if motion.pushed:
+        a, at = values[4:6], 6
+        tau = np.inf
+        if motion.ends:
+            tau, k_tau, at = float(np.exp(values[6])), 6, 7
+        late = np.maximum(ahead - tau, 0.0)
+        far = late**2 / 2
+        curve, free = (ahead**2 / 2 - far, far) if after or not motion.ends else (far, ahead**2 / 2 - far)
+        path += curve[:, None] * a
+        slope[4, :, 0] = slope[5, :, 1] = curve
+        rate = ahead - late if after or not motion.ends else late
+        speed = speed + sign * rate[:, None] * a
+    if motion.rolls:
+        carries = motion.ends and after  # the push, which turns the direction in which the body rolls
+        tau = float(np.exp(values[k_tau])) if carries else 0.0
+        along = v + a * tau
+        speed_along = max(float(np.hypot(*along)), 1e-12)
+        along = along / speed_along
+        loss = values[at]
+        path -= loss * free[:, None] * along
+        slope[at] = -free[:, None] * along
+        turn = (np.eye(2) - np.outer(along, along)) / speed_along
+        slope[2:4] -= loss * free[:, None] * turn[:, None]
+        if carries:
+            slope[4:6] -= loss * tau * free[:, None] * turn[:, None]
+            slope[k_tau] -= loss * tau * free[:, None] * (turn @ a)
+        kept = late if motion.ends and after else ahead - late
+        speed = speed - sign * loss * kept[:, None] * along
+        if motion.ends:
+            slope[k_tau] += (np.exp(values[k_tau]) * late)[:, None] * sign * (a + loss * along)
+    slope[-1] = -speed
+    return path, slope

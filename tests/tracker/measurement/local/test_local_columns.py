@@ -1,0 +1,81 @@
+"""Calibration by the balance of momentum, on hits drawn with known errors."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tracker.measurement.local.local_columns import (
+    LocalErrors,
+    apply_errors,
+    calibrate_rows,
+    calibrate_set,
+    empty_columns,
+    local_columns,
+)
+from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate
+
+AT = {name: k for k, name in enumerate(LOCAL_NAMES)}
+
+
+def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002):
+    """Rows of head-on hits with r = 0.8, whose velocities have errors in proportion to the speed."""
+    rng, rows = np.random.default_rng(seed), []
+    for _ in range(hits):
+        v0 = rng.uniform(0.5, 2.0)
+        off = rng.normal(0, 1, (3, 2)) * [error_n, error_t] * v0 + rng.normal(0, residual, (3, 2))
+        (v2i, v1o, v2o) = off + np.array([[v0, 0], [0.9 * v0, 0], [0.1 * v0, 0]])
+        v1o = v1o + bias * v0 * np.array([1, 0])
+        response = np.zeros((len(LOCAL_NAMES), 8))
+        response[AT["balance_n"], [2, 4, 6]] = -1, 1, 1
+        response[AT["balance_t"], [3, 5, 7]] = -1, 1, 1
+        closing = v2i[0]
+        response[AT["r"], [2, 4, 6]] = np.array([-(v1o[0] - v2o[0]) / closing, 1, -1]) / closing
+        value = np.full(len(LOCAL_NAMES), np.nan)
+        balance = v1o + v2o - v2i
+        for name, v in (("v0", v0), ("r", (v1o[0] - v2o[0]) / closing), ("mass_ratio", (v2i[0] - v2o[0]) / v1o[0])):
+            value[AT[name]] = v
+        value[AT["balance_n"]], value[AT["balance_t"]] = balance
+        cov = np.nan_to_num(response @ response.T) * residual**2
+        estimate = LocalEstimate(value, cov, response, v0, 1.0, 10.0, 10.0, True, frozenset())
+        rows.append(empty_columns() | local_columns(estimate))
+    return rows
+
+
+def test_the_balance_of_momentum_shows_errors_beyond_the_residuals():
+    rows = draw_rows(120, 0.012, 0.006, -0.02)
+    errors = calibrate_rows(rows)
+    assert errors.error_n == pytest.approx(0.012, rel=0.25)
+    assert errors.error_t == pytest.approx(0.006, rel=0.25)
+    assert errors.bias_n == pytest.approx(-0.02, abs=0.006)
+    held_out = [row | apply_errors(row, errors) for row in draw_rows(200, 0.012, 0.006, -0.02, seed=1)]
+    for name in ("balance_n", "balance_t"):
+        z = np.array([row[f"{name}_local"] / row[f"{name}_local_std"] for row in held_out])
+        assert 0.55 < np.mean(np.abs(z) < 1) < 0.8
+        assert np.mean(np.abs(z) < 1.96) > 0.88
+    z = np.array([(row["r_local"] - 0.8) / row["r_local_std"] for row in held_out])
+    assert 0.55 < np.mean(np.abs(z) < 1) < 0.85
+
+
+def test_a_few_odd_hits_do_not_widen_the_errors():
+    rows = draw_rows(60, 0.005, 0.005, 0.0)
+    odd = draw_rows(3, 0.5, 0.5, 0.0, seed=2)
+    assert calibrate_rows(rows + odd).error_n == pytest.approx(calibrate_rows(rows).error_n, rel=0.15)
+
+
+def test_a_second_calibration_changes_nothing():
+    rows = draw_rows(30, 0.01, 0.01, 0.03)
+    once = calibrate_set(rows)
+    assert once[0]["local_hits"] == 30
+    assert once[0]["r_local_std"] > 1.5 * rows[0]["r_local_std"]
+    assert json.dumps(calibrate_set(once)) == json.dumps(once)
+
+
+def test_few_hits_keep_the_prior():
+    rows = draw_rows(5, 0.01, 0.01, 0.0)
+    assert calibrate_rows(rows) is None
+    assert calibrate_set(rows)[0]["local_hits"] == 0
+
+
+def test_no_estimate_has_no_columns_to_change():
+    assert apply_errors(empty_columns(), LocalErrors(error_n=0.1)) == {}

@@ -1,0 +1,86 @@
+"""The local estimate of hits whose truth comes from the textbook in three dimensions, or from conservation laws."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import tracker_billiard as billiard
+
+from tracker import measure
+
+FPS, NOISE_PX, SCALE = 250.0, 0.02, 1.6e-4
+P = billiard.Physics()
+BALLS = {"fps": FPS, "scale": SCALE, "size": [800, 800], "ball_diameter": 2 * P.radius, "exposure": 0.0}
+
+
+def film(paths, camera, rng, noise=NOISE_PX):
+    """Tracks, px, of positions (balls, n, 2) in m."""
+    parts = []
+    for ball, path in enumerate(paths):
+        x, y = (path / camera["scale"] * [1, -1] + 400 + rng.normal(0, noise, path.shape)).T
+        rows = {"frame": np.arange(len(path)), "particle": ball, "x": x, "y": y, "x_std": noise, "y_std": noise}
+        parts.append(pd.DataFrame(rows))
+    return pd.concat(parts)
+
+
+def play_hit(b, v0, spin=(0.0, 0.0)):
+    """Positions (2, 90, 2) of a resting and a striking ball, and the truth; spin: slip of the striker, m/s."""
+    target = billiard.rolling([0.0, 0.0], [0.0, 0.0], P.radius)
+    striker = billiard.rolling([-0.1 * v0 - 2 * P.radius, -2 * P.radius * b], [v0, 0.0], P.radius)
+    striker[2] = np.cross(billiard.Z, striker[1] - [*spin, 0.0]) / P.radius
+    legs, hits = billiard.play([target, striker], 90 / FPS, P)
+    _, two, one, before, after = hits[0]
+    truth = billiard.truth(hits[0], P)
+    sides = ((before, one), (before, two), (after, one), (after, two))
+    names = ("v1i", "v2i", "v1o", "v2o")
+    truth |= {f"{n}{a}": side[k][1][i] for n, (side, k) in zip(names, sides, strict=True) for i, a in enumerate("xy")}
+    return billiard.positions(legs, np.arange(90) / FPS, P), truth
+
+
+def collect_z(row, truth, names):
+    known = [name for name in names if np.isfinite(row[f"{name}_local_std"]) and row[f"{name}_local_std"] > 0]
+    return {name: (row[f"{name}_local"] - truth[name]) / row[f"{name}_local_std"] for name in known}
+
+
+@pytest.mark.parametrize("spin", [(0.0, 0.0), (0.5, 0.0)], ids=["rolling", "sliding"])
+def test_balls_are_measured_without_a_law_of_the_impact(spin):
+    """The z of a few hits are those of N(0, 1), or smaller, because positions near the contact count less."""
+    names = ("v0", "b", "r", "s", "energy_fraction", "v1f", "v2f", "v2ix", "v1ox", "v1oy", "v2ox", "v2oy")
+    every = []
+    for seed, b in enumerate((0.35, -0.2)):
+        paths, truth = play_hit(b, 0.35, spin)
+        row = measure(film(paths, BALLS, np.random.default_rng(seed)), BALLS).rows[0]
+        found = collect_z(row, truth, names)
+        assert {"v0", "b", "r", "v1ox", "v2oy"} <= set(found)
+        assert row["r_local_std"] < 0.02
+        assert abs(row["balance_n_local"]) < 4 * row["balance_n_local_std"]
+        assert abs(row["balance_t_local"]) < 4 * row["balance_t_local_std"]
+        assert (row["motion_local"], row["recommended"]) == ("slide and roll", "tied")
+        every += found.values()
+    assert np.abs(every).max() < 4
+    assert np.sqrt(np.mean(np.square(every))) < 1.6
+
+
+def glide(x, v, spin_free_loss, t):
+    speed = np.hypot(*v)
+    return x + v * t[:, None] - (spin_free_loss * t**2 / 2)[:, None] * v / max(speed, 1e-12)
+
+
+def test_discs_on_air_of_unequal_masses_show_r_and_their_ratio():
+    """Two discs keep m1 v1 + m2 v2 and leave with r times the normal speed; each run has a drag of its own."""
+    camera = {"fps": FPS, "scale": 1e-3, "size": [800, 800], "ball_diameter": 0.05, "exposure": 0.0}
+    ratio, r, v0, b = 0.6, 0.8, 0.7, 0.3
+    n = np.array([np.sqrt(1 - b**2), b])
+    v2 = np.array([v0, 0.0])
+    kick = (1 + r) * (v2 @ n) * n / (1 + ratio)
+    t = np.arange(90) / FPS
+    s = t - 0.161
+    v1o, v2o = kick, v2 - ratio * kick
+    at = -0.05 * n
+    target = np.where((s < 0)[:, None], 0.0, glide(np.zeros(2), v1o, 0.1, np.maximum(s, 0)))
+    striker = np.where((s < 0)[:, None], glide(at, v2, 0.3, np.minimum(s, 0)), glide(at, v2o, 0.5, np.maximum(s, 0)))
+    row = measure(film([target, striker], camera, np.random.default_rng(3)), camera).rows[0]
+    assert (row["status"], row["recommended"], row["motion_local"]) == ("misfit", "local", "glide")
+    assert row["r_local"] == pytest.approx(r, abs=4 * row["r_local_std"])
+    assert row["mass_ratio"] == pytest.approx(ratio, abs=4 * row["mass_ratio_std"])
+    assert max(row["r_local_std"], row["mass_ratio_std"]) < 0.03
+    assert row["v1ox_local"] == pytest.approx(v1o[0], abs=4 * row["v1ox_local_std"])

@@ -1,0 +1,63 @@
+"""Paths of one stretch: derivatives, and averaged positions."""
+
+import numpy as np
+import pytest
+
+from tracker.measurement.local.stretches import (
+    KEPT_POSITIONS,
+    MAX_POSITIONS,
+    REST,
+    ROLL,
+    SLIDE,
+    SLIDE_AND_ROLL,
+    cut_stretch,
+    evaluate_path,
+)
+from tracker.measurement.positions import BallTrack
+
+VALUES = {
+    REST: [0.1, 0.2],
+    ROLL: [0.1, 0.2, 0.5, -0.3, 0.05],
+    SLIDE: [0.1, 0.2, 0.5, -0.3, -1.2, 0.6],
+    SLIDE_AND_ROLL: [0.1, 0.2, 0.5, -0.3, -1.2, 0.6, np.log(0.1), 0.05],
+}
+
+
+@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("motion", VALUES)
+def test_derivatives_are_those_of_differences(motion, after):
+    since = np.linspace(0.013, 0.4, 7) * (1 if after else -1)
+    values, step = np.array(VALUES[motion]), 1e-6
+    slope = evaluate_path(motion, values, since, after)[1]
+    moves = [*(np.eye(motion.size) * step), np.zeros(motion.size)]
+    for k, move in enumerate(moves):
+        late = step * (k == motion.size)  # the instant of the contact
+        high, low = (evaluate_path(motion, values + sign * move, since - sign * late, after)[0] for sign in (1, -1))
+        assert slope[k] == pytest.approx((high - low) / (2 * step), abs=1e-7)
+
+
+def test_a_slide_ends_at_the_velocity_that_friction_leaves():
+    """v + a tau, and a loss along that from then on: the textbook's two legs, one after the other."""
+    values, tau, loss = np.array(VALUES[SLIDE_AND_ROLL]), 0.1, 0.05
+    at, v, a = values[:2], values[2:4], values[4:6]
+    final = v + a * tau
+    left = np.array([0.02, 0.1])
+    legs = at + v * tau + a * tau**2 / 2 + left[:, None] * final
+    legs -= loss * left[:, None] ** 2 / 2 * final / np.hypot(*final)
+    assert evaluate_path(SLIDE_AND_ROLL, values, tau + left, True)[0] == pytest.approx(legs, abs=1e-12)
+
+
+@pytest.mark.parametrize("after", [False, True])
+def test_many_positions_are_averaged_far_from_the_contact_alone(after):
+    time = np.arange(400) / 1000.0
+    position = np.column_stack([time, 2 * time])
+    cov = np.tile(np.eye(2) * 4e-6, (400, 1, 1))
+    track = BallTrack(particle=1, frame=np.arange(400), start=time, position=position, cov=cov, exposure=0.0)
+    contact = time[0] - 1e-3 if after else time[-1] + 1e-3
+    stretch = cut_stretch(track, 1, after, -1.0, 1.0, contact, 1.5e-3)
+    near = slice(0, KEPT_POSITIONS) if after else slice(-KEPT_POSITIONS, None)
+    assert KEPT_POSITIONS < len(stretch) <= MAX_POSITIONS
+    assert stretch.time[near] == pytest.approx(time[near])
+    assert stretch.position[:, 1] == pytest.approx(2 * stretch.time)
+    assert (1 / stretch.std**2).sum() == pytest.approx(400 / 4e-6)
+    assert stretch.near.sum() == 1
