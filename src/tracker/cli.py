@@ -447,12 +447,14 @@ def _report(outcome: ClipOutcome, output: Path, extra: dict[str, Any], as_json: 
 
 
 def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
-    """A row of estimates as --json has it: the quantities of the tied fit in SI units, null for what is not known."""
+    """A row of estimates as --json has it: the recommended quantities in SI units, null for what is not known."""
     from tracker.measurement.collision.derived import QUANTITY_NAMES
+    from tracker.measurement.local.recommendation import recommended_suffix
     from tracker.results import finite
 
-    pairs = {name: {"value": finite(row[name]), "std": finite(row[f"{name}_std"])} for name in QUANTITY_NAMES}
-    return {key: row[key] for key in ("clip", "collision", "status")} | pairs
+    columns = {name: f"{name}{recommended_suffix(row)}" for name in QUANTITY_NAMES}
+    pairs = {name: {"value": finite(row[at]), "std": finite(row[f"{at}_std"])} for name, at in columns.items()}
+    return {key: row[key] for key in ("clip", "collision", "status", "recommended", "why")} | pairs
 
 
 def main() -> None:

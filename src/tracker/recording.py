@@ -35,6 +35,7 @@ from tracker.detection.diagnose import MIN_DETECTIONS, explain_no_discs, explain
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
+from tracker.measurement.local.recommendation import recommended_suffix
 from tracker.measurement.track_repair import repair_tracks
 from tracker.notes import Note, NoteKind, note_all
 from tracker.settings import FitSettings, SettingsSource, TrackerSettings
@@ -116,12 +117,15 @@ class Result:
         seen = f" in {self.frames} frames" if self.frames else ""
         lines = [f"Clip {self.number}: {balls} ball{'s' * (balls != 1)} tracked{seen}"]
         for row in self.rows:
+            best = recommended_suffix(row)
             values = (
-                f"{name} {format_with_error(row[name], row[f'{name}_std'])} {unit}".strip()
+                f"{name} {format_with_error(row[f'{name}{best}'], row[f'{name}{best}_std'])} {unit}".strip()
                 for name, unit in PRINTED_UNITS.items()
             )
-            measured_values = f": {', '.join(values)}" if row["status"] in MEASURED else ""
-            lines.append(f"  collision {row['collision']} {row['status']}{measured_values}")
+            known = row["status"] in MEASURED or best
+            measured_values = f": {', '.join(values)}" if known else ""
+            used = f", {row['recommended']} estimate" if best else ""
+            lines.append(f"  collision {row['collision']} {row['status']}{used}{measured_values}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -129,10 +133,10 @@ class Result:
         parts = [f"<p>{repr(self).partition(chr(10))[0]}</p>"]
         for row in self.rows:
             title = f"collision {row['collision']}: {row['status']}"
-            if row["status"] not in MEASURED:
+            if row["status"] not in MEASURED and not recommended_suffix(row):
                 parts.append(f"<p>{title}</p>")
                 continue
-            kinds = {"tied fit": "", "free fit": "_free", "as the paper": "_paper"}
+            kinds = {"tied fit": "", "free fit": "_free", "local estimate": "_local", "as the paper": "_paper"}
             columns = {
                 k: [format_with_error(row[n + s], row[f"{n}{s}_std"]) for n in QUANTITY_NAMES] for k, s in kinds.items()
             }
@@ -367,6 +371,8 @@ def _read_given(
 
 
 def _measure_given(given: ClipTracks, point: str, settings: SettingsSource | None) -> list[Result]:
+    from tracker.measurement.local.local_columns import calibrate_set
+
     if point not in ("centre", "glint"):
         raise InputError(f"point: expected centre or glint, not {point!r}")
     fit, found = TrackerSettings.of(settings).fit, []
@@ -374,7 +380,12 @@ def _measure_given(given: ClipTracks, point: str, settings: SettingsSource | Non
         known = given.camera if striker is None else replace(given.camera, striker=striker)
         result = measure_tracks(tracks, known, number, point, fit)
         found.append(replace(result, notes=_name_arguments(*given.notes, *result.notes)))
-    return found
+    every = calibrate_set([row for result in found for row in result.rows])
+    ends = np.cumsum([len(result.rows) for result in found])
+    return [
+        replace(result, rows=tuple(every[end - len(result.rows) : end]))
+        for result, end in zip(found, ends, strict=True)
+    ]
 
 
 def _name_arguments(*notes: Note) -> tuple[Note, ...]:

@@ -80,6 +80,7 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
     from tracker.measurement.estimate import fit_all
 
     order = sorted(numbers)
+    calibrate_local(partial, order)
     table = gather(partial, order)
     # without pandas' own metadata, which names the versions of libraries
     plain = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None)
@@ -93,15 +94,35 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
     return table
 
 
+def calibrate_local(results: Path, numbers: Sequence[int]) -> None:
+    """Give the local estimates of all clips the errors that the balances of momentum of the set show.
+
+    A second time changes nothing, because the errors start from the values of each clip alone.
+    """
+    from tracker.measurement.local.local_columns import calibrate_set
+
+    clips = [read_rows(results, number) for number in numbers]
+    every = calibrate_set([row for rows in clips for row in rows])
+    for number, rows in zip(numbers, clips, strict=True):
+        changed, every = every[: len(rows)], every[len(rows) :]
+        if finite(changed) != finite(rows):
+            write_json(clip_folder(results, number) / "estimates.json", changed)
+
+
+def read_rows(results: Path, number: int) -> list[dict[str, Any]]:
+    """The rows of estimates of one clip."""
+    path = clip_folder(results, number) / "estimates.json"
+    found = load_json(path)
+    if not isinstance(found, list) or not all(isinstance(row, dict) and "status" in row for row in found):
+        raise InputError(f"{path}: damaged, expected a list of estimates; remove {results} to start anew")
+    return found
+
+
 def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
     """All clips' estimates, one row a collision, ``clip`` first."""
     rows = []
     for number in numbers:
-        path = clip_folder(results, number) / "estimates.json"
-        found = load_json(path)
-        if not isinstance(found, list) or not all(isinstance(row, dict) and "status" in row for row in found):
-            raise InputError(f"{path}: damaged, expected a list of estimates; remove {results} to start anew")
-        rows += [{"clip": number, **row} for row in found]
+        rows += [{"clip": number, **row} for row in read_rows(results, number)]
     return estimates_table(rows)
 
 

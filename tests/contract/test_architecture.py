@@ -111,10 +111,10 @@ LAYERS = {
         "estimate",
     ],
     "tracker.measurement.local": [
-        "stretches",
+        "stretches recommendation",
         "local_fit",
         "local_estimate",
-        "local_columns recommendation",
+        "local_columns",
     ],
     "tracker.measurement.collision": [
         "collision_model",

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_json import STANDARD_ERRORS, HasCameraJson, LampSettings, parse, read_source
+from tracker.camera.camera_json import BODIES, STANDARD_ERRORS, HasCameraJson, LampSettings, parse, read_source
 from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import SensorSpec
@@ -69,6 +69,12 @@ class Camera:
         Whether the balls are matte: they show no glint and are seen whole.
     warp : Warp or None
         A smooth correction of positions on the plate; `project` and `unproject` contain it.
+    mass_ratio : float or None
+        Mass of ball a over that of ball b; None if unknown.
+    body : float
+        Moment of inertia of the bodies over m R^2.
+    support : {"", "cloth", "air", "sliding"}
+        What carries the bodies; "" if the tracks decide.
 
     Examples
     --------
@@ -105,6 +111,9 @@ class Camera:
     view_errors: Array = field(default_factory=lambda: np.zeros((0, NUMBERS)))
     matte: bool = False
     warp: Warp | None = None
+    mass_ratio: float | None = None
+    body: float = BODIES["ball"]
+    support: str = ""
 
     @property
     def effective_exposure(self) -> float:
@@ -390,6 +399,9 @@ class Camera:
             "psf": None if self.psf_sigma is None else {"sigma_px": self.psf_sigma},
             "shutter": {"kind": "rolling", "line_time": self.line_time} if self.line_time else None,
             "ball": {"finish": "matte"} if self.matte else None,
+            "mass_ratio": self.mass_ratio,
+            "body": self.body if self.body != BODIES["ball"] else None,
+            "support": self.support or None,
             "exposure_seen_s": self.exposure_from_blur,
             "warp": None if self.warp is None else self.warp.to_dict(),
         }

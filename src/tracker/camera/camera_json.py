@@ -21,6 +21,7 @@ from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
 from tracker.camera.warp import Warp
 
+BODIES = {"ball": 0.4, "disc": 0.5}  # I/(m R^2)
 STANDARD_ERRORS = ("scale_std", "fps_std", "ball_diameter_std")
 
 
@@ -136,6 +137,14 @@ def _check_size(value: Any) -> tuple[int, int]:
     return int(value[0]), int(value[1])
 
 
+def _check_body(value: Any) -> float:
+    if isinstance(value, str) and value in BODIES:
+        return BODIES[value]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.01 <= value <= 1.0:
+        raise ValueError(f"ball, disc, or I/(m R^2) from 0.01 to 1, not {format_value(value)}")
+    return float(value)
+
+
 # --- The sections: the keys that the tracker uses. _KNOWN_KEYS lists the others too.
 
 
@@ -229,6 +238,10 @@ class _CameraFile(_Section):
     view_errors: Annotated[Array, PlainValidator(_check_rows)] = Field(default_factory=lambda: np.zeros((0, NUMBERS)))
     assumed: Annotated[Sequence[str], _anything_that(_is_list_of_names, "a list of names of keys")] = ()
     warp: Annotated[Warp | None, PlainValidator(Warp.of)] = None
+    ball_masses: Annotated[Array | None, _array(1e-9, 1e3, 2)] = None
+    mass_ratio: Annotated[float | None, _number(1e-3, 1e3)] = None
+    body: Annotated[float, PlainValidator(_check_body)] = BODIES["ball"]
+    support: Annotated[str, _choice("cloth", "air", "sliding")] = ""
     exposure_seen_s: Any = None
     calibration: Any = None
 
@@ -308,7 +321,7 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
     sensor = file.sensor.model_dump(exclude_none=True)
     needed = ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "black_level")
     assumed += [f"sensor.{key}" for key in needed if key not in sensor]
-    plain = ("R", "size", "fps", "striker", "metric", "view_errors", "warp", *STANDARD_ERRORS)
+    plain = ("R", "size", "fps", "striker", "metric", "view_errors", "warp", "body", "support", *STANDARD_ERRORS)
     fields: dict[str, Any] = {key: getattr(file, key) for key in plain} | dict(
         K=matrix,
         dist=np.zeros(5) if file.dist is None else file.dist,
@@ -321,6 +334,7 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
         sensor=SensorSpec(**sensor),
         line_time=file.shutter.line_time if file.shutter.kind == "rolling" else 0.0,
         matte=file.ball.get("finish") == "matte",
+        mass_ratio=_mass_ratio(file),
     )
     for key in STANDARD_ERRORS:
         name = key.removesuffix("_std")
@@ -329,6 +343,16 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
             raise _KeyProblem(key, f"the standard error of {name}, at most 0.5 of what that is")
     assumed += file.assumed
     return fields | {"assumed": tuple(dict.fromkeys(assumed)), "unmodelled": tuple(unmodelled)}
+
+
+def _mass_ratio(file: _CameraFile) -> float | None:
+    """Mass of ball a over that of ball b; None if the file has neither masses nor a ratio."""
+    if file.ball_masses is None:
+        return file.mass_ratio
+    ratio = float(file.ball_masses[0] / file.ball_masses[1])
+    if file.mass_ratio is not None and abs(file.mass_ratio / ratio - 1) > 1e-3:
+        raise _KeyProblem("mass_ratio", f"{ratio:.6g}, that of ball_masses, not {file.mass_ratio:g}")
+    return ratio
 
 
 def _view(file: _CameraFile, assumed: list[str]) -> tuple[Array, Array, float]:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.camera_json import BODIES
 from tracker.measurement import painter_behringer
 from tracker.measurement.camera_errors import (
     add_camera_errors,
@@ -65,7 +66,7 @@ from tracker.measurement.collision.staying_together import MAX_DISTANCE, Stay, f
 from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.joint_fit import fit_all
 from tracker.measurement.local.local_columns import empty_columns, local_columns
-from tracker.measurement.local.local_estimate import estimate_locally
+from tracker.measurement.local.local_estimate import LocalEstimate, estimate_locally
 from tracker.measurement.local.recommendation import recommend
 from tracker.measurement.lone_ball import PARAMETERS, add_camera_errors_to_lone_ball, fit_lone_ball
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
@@ -90,6 +91,7 @@ _SEEN_THROUGH_A_CODEC = ("v0", "b", "t_c", "r")  # what a free fit of a lossy fi
 # By how much errors of outlined balls in lossy video exceed those that residuals show, because a fit absorbs a part of
 # what the codec moves: rms z of mu_k in 40 drawn films of eight codecs was 1.58 +- .12 without it, that of v0 1.29.
 ENCODED_OUTLINES = 1.5
+MAX_MASS_DIFFERENCE = 0.002  # relative, of balls that count as equal
 _SPINS_FROM_LAWS = ("w1n", "w1t", "w2n", "w2t")  # the free fit infers spins by laws that a misfit puts in doubt
 
 
@@ -175,7 +177,7 @@ def _measure_collisions(
 ) -> list[dict[str, Any]]:
     """A row for each contact, in order of time; balls that stay together have no further contacts."""
     found = [candidate for candidate in found if not any(_is_within(candidate, stay) for stay in stays)]
-    rows, earlier = [], dict[int, EarlierHit]()
+    rows, earlier, letters = [], dict[int, EarlierHit](), dict[int, str]()
     every: list[tuple[int, ContactCandidate | Stay]] = [(candidate.frame, candidate) for candidate in found]
     every = sorted([*every, *((stay.first, stay) for stay in stays)], key=lambda event: event[0])
     for i, (_, event) in enumerate(every):
@@ -185,7 +187,7 @@ def _measure_collisions(
             earlier |= dict.fromkeys((event.struck.particle, event.striker.particle), EarlierHit(np.inf))
             continue
         try:
-            row, left = _measure_collision(event, earlier, camera, i, settings)
+            row, left = _measure_collision(event, earlier, letters, camera, i, settings)
         except (ArithmeticError, ValueError, IndexError) as error:  # one collision never costs the others
             one, two = event.one.particle, event.other.particle
             row = empty_row(camera, failure_status(error), i) | {"particle1": one, "particle2": two}
@@ -229,9 +231,17 @@ def _noise_columns(track: BallTrack, camera: Camera) -> dict[str, Any]:
 
 
 def _measure_collision(
-    candidate: ContactCandidate, earlier: dict[int, EarlierHit], camera: Camera, index: int, settings: FitSettings
+    candidate: ContactCandidate,
+    earlier: dict[int, EarlierHit],
+    letters: dict[int, str],
+    camera: Camera,
+    index: int,
+    settings: FitSettings,
 ) -> tuple[dict[str, Any], dict[int, EarlierHit]]:
-    """The row of one collision, and by particle the state in which it leaves the balls."""
+    """The row of one collision, and by particle the state in which it leaves the balls.
+
+    letters: "a" or "b" of camera.json by particle; a collision adds those of its balls.
+    """
     again = find_second_touch(candidate, camera.ball_diameter)
     if again is not None:
         one, other = (track.where(track.frame < again) for track in (candidate.one, candidate.other))
@@ -246,9 +256,12 @@ def _measure_collision(
         return row, unknown
     read, flags = _fit(contact, candidate, earlier, camera, settings)
     lasting = None if isinstance(read, str) else read.lasting
-    row |= _estimate_locally(
-        contact if lasting is None else replace(contact, first=lasting.first, last=lasting.last), camera
-    )
+    seen = contact if lasting is None else replace(contact, first=lasting.first, last=lasting.last)
+    _name_balls(contact, camera, letters)
+    masses = _masses_of(contact, camera, letters)
+    straight = "" if isinstance(read, str) else "|".join(read.flags)
+    local = _estimate_locally(seen, masses, camera)
+    row |= local_columns(local, camera.mass_ratio is not None, _why_foreign(masses, camera, straight))
     if isinstance(read, str):
         return row | {"status": read}, unknown
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
@@ -268,13 +281,37 @@ def _measure_collision(
     return row | {"status": MISFIT} | {f"{name}_paper_std": np.nan for name in lost}, unknown
 
 
-def _estimate_locally(contact: Contact, camera: Camera) -> dict[str, Any]:
-    """The columns of the local estimate; those of none, with the reason in `why`."""
+def _estimate_locally(contact: Contact, masses: tuple[float, float], camera: Camera) -> LocalEstimate | str:
+    """The local estimate, or the reason why there is none."""
     try:
-        found = estimate_locally(contact, camera, (1.0, 1.0))
+        return estimate_locally(contact, camera, masses)
     except (ArithmeticError, ValueError, IndexError) as error:  # the other estimates stand without it
-        found = failure_status(error)
-    return {"why": found} if isinstance(found, str) else local_columns(found)
+        return failure_status(error)
+
+
+def _masses_of(contact: Contact, camera: Camera, letters: dict[int, str]) -> tuple[float, float]:
+    """Masses of ball 1 and ball 2 of a contact, in any unit; letters: "a" or "b", by particle."""
+    ratio = 1.0 if camera.mass_ratio is None else camera.mass_ratio
+    of = {"a": ratio, "b": 1.0}
+    return of[letters[contact.pair.struck.particle]], of[letters[contact.pair.striker.particle]]
+
+
+def _name_balls(contact: Contact, camera: Camera, letters: dict[int, str]) -> None:
+    """Give the letters of camera.json to the balls of a contact; the first striker is the ball that was launched."""
+    one, two = contact.pair.struck.particle, contact.pair.striker.particle
+    other = {"a": "b", "b": "a"}
+    letters.setdefault(two, other[letters[one]] if one in letters else camera.striker)
+    letters.setdefault(one, other[letters[two]])
+
+
+def _why_foreign(masses: tuple[float, float], camera: Camera, flags: str) -> str:
+    """Say why the tied fit, of equal balls that roll, is not one of these bodies; "" if it is."""
+    if abs(masses[0] / masses[1] - 1) > MAX_MASS_DIFFERENCE:
+        return "the tied fit is that of equal masses"
+    glides = camera.support in ("air", "sliding") or camera.body != BODIES["ball"]
+    if glides and Flag.STRAIGHT not in flags.split("|"):
+        return "the tied fit is that of balls that roll"
+    return ""
 
 
 def _fit(

@@ -65,10 +65,11 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
             f" (median chi2/dof {median:.3g}).\n"
             "  Likely causes, the most frequent first: compression of the video, bodies that do not roll, a wrong"
             " scale, a tilted plate, unequal balls, a striker that slides or spins.\n"
-            "  Their values are indicative and carry no errors."
+            f"  The values of their tied fits are indicative and carry no errors.{_name_others(rejected)}"
             f" To find the cause: discrepancy find {results} --model MODEL"
         )
         notes.append(Note(NoteKind.MISFIT, text))
+    notes += _describe_local(estimates)
     flags = Counter(flag for row in estimates["flags"] for flag in row.split("|") if flag)
     for name, count in sorted(flags.items()):
         flagged = estimates[[name in text.split("|") for text in estimates["flags"]]]
@@ -89,6 +90,47 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
         )
         notes.append(Note(NoteKind.NOISE, text))
     return notes
+
+
+def _name_others(rejected: pd.DataFrame) -> str:
+    if "recommended" not in rejected:
+        return ""
+    count = int(rejected["recommended"].isin(["local", "free"]).sum())
+    return f" {count} of them {'have' if count != 1 else 'has'} another estimate with errors." if count else ""
+
+
+def _describe_local(estimates: pd.DataFrame) -> list[Note]:
+    """Describe the errors of local estimates and what they say about the masses, where one is recommended."""
+    if "recommended" not in estimates:
+        return []
+    used, texts = estimates[estimates["recommended"] == "local"], list[str]()
+    if not len(used):
+        return []
+    hits, along, across = int(used["local_hits"].max()), used["local_error_n"].max(), used["local_error_t"].max()
+    if hits:
+        bias = float(used["local_bias"].iloc[0])
+        texts.append(
+            f"local estimates: the balance of momentum of {hits} hits shows errors beyond the residuals, {along:.2%} of"
+            f" v0 along the line of centres and {across:.2%} across it"
+            + (f"; a bias of {bias:.1%} of the normal speed is taken out" if bias else "")
+        )
+    elif along > 0:
+        texts.append(
+            f"local estimates: each component of a velocity has a further error of at most {along:.1%} of v0, assumed,"
+            f" because {_count(len(used))} cannot show it by the balance of momentum"
+        )
+    ratio, std = (used[name].to_numpy(float) for name in ("mass_ratio", "mass_ratio_std"))
+    known = used["local"].str.contains('"masses_known":true').to_numpy(bool)
+    unequal = ~known & (
+        np.abs(np.log(np.clip(ratio, 0.01, 100))) > np.maximum(5 * std / np.clip(ratio, 0.01, 100), 0.02)
+    )
+    if unequal.any():
+        texts.append(
+            f"masses: recoil contradicts equal masses in {_count(int(unequal.sum()))}, with a ratio of"
+            f" {np.median(ratio[unequal]):.3g} (median); ball_masses in the camera file gives them. Without it energies"
+            " are those of equal masses"
+        )
+    return [Note(NoteKind.FLAG, text) for text in texts]
 
 
 def _name_duration(rows: pd.DataFrame) -> str:

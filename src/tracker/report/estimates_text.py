@@ -11,14 +11,15 @@ import pandas as pd
 from synthcam_shared.report.numbers import NOT_KNOWN, format_with_error
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT, ONE_BALL, TOGETHER, Flag
 from tracker.measurement.collision.derived import QUANTITY_NAMES
+from tracker.measurement.local.recommendation import recommended_suffix
 from tracker.report.quantities import QUANTITIES, Quantity
 
 # suffix of a column: the method that gave its value
-METHODS = {"": "tied fit", "_free": "free fit", "_paper": "finite differences"}
+METHODS = {"": "tied fit", "_free": "free fit", "_local": "local estimate", "_paper": "finite differences"}
 
 
 class QuantityLine(NamedTuple):
-    """A quantity with its column name and, as text, its value and error by each of `METHODS`."""
+    """A quantity with its column name and, as text, its value and error by each of `order_methods`."""
 
     name: str
     quantity: Quantity
@@ -30,10 +31,57 @@ def rows_as_dicts(estimates: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(name): value for name, value in row.items()} for row in estimates.to_dict("records")]
 
 
+def order_methods(row: Mapping[str, Any]) -> dict[str, str]:
+    """Give METHODS with the recommended one first."""
+    first = recommended_suffix(row)
+    return {first: METHODS[first]} | METHODS
+
+
+def has_values(row: Mapping[str, Any]) -> bool:
+    """Decide whether a row has values of a collision, by a fit or by the local estimate."""
+    return row["status"] in MEASURED or _is_known(row, "v0_local")
+
+
+def describe_recommendation(row: Mapping[str, Any]) -> str:
+    """Say which estimate to use, and why; "" of a row without values."""
+    if not has_values(row) or not row.get("why"):
+        return ""
+    if row["recommended"] == "none":
+        return f"No estimate is recommended: {row['why']}"
+    return f"Recommended is the {METHODS[recommended_suffix(row)]}: {row['why']}"
+
+
+def describe_velocities(row: Mapping[str, Any]) -> str:
+    """Give the speeds just before and after the hit, what they keep, and the balance, of a local estimate."""
+    if row.get("recommended") != "local":
+        return ""
+
+    def speed(name: str) -> str:
+        x, y, x_std, y_std = (row[f"{name}{axis}_local{kind}"] for kind in ("", "_std") for axis in "xy")
+        size = math.hypot(x, y)
+        std = math.hypot(x * x_std, y * y_std) / size if size > 0 else max(x_std, y_std)
+        return format_with_error(1e2 * size, 1e2 * std)
+
+    before = f"Striker before the hit {speed('v2i')} cm/s"
+    if math.hypot(row["v1ix_local"], row["v1iy_local"]) > 0:
+        before += f", struck ball {speed('v1i')} cm/s"
+    kept = format_with_error(row["impact_energy_local"], row["impact_energy_local_std"])
+    along, across = (
+        format_with_error(1e2 * row[f"balance_{axis}_local"], 1e2 * row[f"balance_{axis}_local_std"]) for axis in "nt"
+    )
+    ratio = format_with_error(row["mass_ratio"], row["mass_ratio_std"])
+    return (
+        f"{before}; just after it {speed('v2o')} cm/s and {speed('v1o')} cm/s. The hit keeps {kept} of the"
+        f" translational energy. Momentum is off by {along} cm/s along the line of centres and {across} cm/s across it."
+        f" Recoil gives a mass ratio of {ratio}"
+    )
+
+
 def list_quantities(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES) -> list[QuantityLine]:
     """List the quantities of one row of estimates; those without a value by any method are left out."""
+    methods = order_methods(row)
     lines = [
-        QuantityLine(name, QUANTITIES[name], tuple(format_value(row, f"{name}{suffix}") for suffix in METHODS))
+        QuantityLine(name, QUANTITIES[name], tuple(format_value(row, f"{name}{suffix}") for suffix in methods))
         for name in names
     ]
     return [line for line in lines if any(value != NOT_KNOWN for value in line.values)]
@@ -42,7 +90,7 @@ def list_quantities(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAME
 def format_value(row: Mapping[str, Any], column: str) -> str:
     """Format the value of a column, with the error beside it, in the unit of its quantity."""
     value, std = (row[name] for name in (column, f"{column}_std"))
-    factor = QUANTITIES[column.removesuffix("_free").removesuffix("_paper")].factor
+    factor = QUANTITIES[column.removesuffix("_free").removesuffix("_local").removesuffix("_paper")].factor
     return format_with_error(*(None if x is None else float(x) * factor for x in (value, std)))
 
 
@@ -108,6 +156,9 @@ def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES
         )
     if missing[""] and not reasons:
         reasons.append("tied fit: the error is larger than a fifth of the value, or than the limits of docs/format.md")
+    local = [_is_known(row, f"{n}_local") for n in names]
+    if any(local) and not all(local):
+        reasons.append("local estimate: the positions near the contact do not show it")
     if row["status"] == MISFIT and bare:
         reasons.append("no error: the tracks reject the fit")
     shown = [n for n in names if any(_is_known(row, f"{n}{s}") for s in METHODS)]
@@ -134,7 +185,7 @@ def is_extrapolated(row: Mapping[str, Any], name: str, suffix: str) -> bool:
 
 
 def _is_known(row: Mapping[str, Any], column: str) -> bool:
-    value = row[column]
+    value = row.get(column)
     return value is not None and math.isfinite(value)
 
 
@@ -157,12 +208,14 @@ def format_for_terminal(estimates: pd.DataFrame, max_collisions: int = 6) -> Ite
         for row in rows_as_dicts(estimates):
             yield from _format_row(row, names)
         return
-    ok = estimates[estimates["status"] == "ok"]
-    if len(ok):
-        yield f"{'median of ' + str(len(ok)) + ' ok':<18}{'value':>12}{'error of one':>14}  unit"
-    for name in names if len(ok) else ():
+    used = [row for row in rows_as_dicts(estimates) if row.get("recommended", "tied") != "none"]
+    used = [row for row in used if has_values(row)]
+    if used:
+        yield f"{'median of ' + str(len(used)) + ' hits':<18}{'value':>12}{'error of one':>14}  unit"
+    for name in names if used else ():
         quantity = QUANTITIES[name]
-        value, std = (float(ok[column].median()) * quantity.factor for column in (name, f"{name}_std"))
+        pairs = [[row[f"{name}{recommended_suffix(row)}{kind}"] for kind in ("", "_std")] for row in used]
+        value, std = pd.DataFrame(pairs, dtype=float).median() * quantity.factor
         if math.isfinite(value):
             yield f"  {quantity.plain_symbol:<16}{value:>12.4g}{std:>14.2g}  {quantity.unit}".rstrip()
 
@@ -170,22 +223,23 @@ def format_for_terminal(estimates: pd.DataFrame, max_collisions: int = 6) -> Ite
 def _format_row(row: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
     collision = "" if row["status"] in ("no_collision", ONE_BALL) else f", collision {row['collision']}"
     yield f"clip {row['clip']}{collision}{describe_frames(row)}: {describe_status(row)}."
-    is_measured = row["status"] in MEASURED
+    is_measured = has_values(row)
     unmeasured = ("v0", "b", "r") if row["status"] == TOGETHER else ("v0", "drag", "decel")
     lines = list_quantities(row, names if is_measured else unmeasured)
-    methods = 3 if is_measured else 1
-    if contact := describe_contact(row):
-        yield f"  {contact}."
+    methods = order_methods(row) if is_measured else {"": ""}
+    for text in (describe_contact(row), describe_recommendation(row), describe_velocities(row)):
+        if text:
+            yield f"  {text}."
     if lines and is_measured:
-        heads = "".join(f"{method:>19}" for method in METHODS.values())
+        heads = "".join(f"{method:>19}" for method in methods.values())
         yield f"  {'':<8}{heads}  {describe_fit(row)}".rstrip()
     for line in lines:
-        marks = ["*" if is_extrapolated(row, line.name, suffix) else "" for suffix in METHODS]
-        texts = [f"{value}{mark}" for value, mark in zip(line.values, marks, strict=True)]
-        values = "".join(f" {text:>{18 if is_measured else 15}}" for text in texts[:methods])
+        marks = ["*" if is_extrapolated(row, line.name, suffix) else "" for suffix in methods]
+        texts = [f"{value}{mark}" for value, mark in zip(line.values, marks, strict=False)]
+        values = "".join(f" {text:>{18 if is_measured else 15}}" for text in texts)
         yield f"  {line.quantity.plain_symbol:<8}{values}  {line.quantity.unit:<6}{line.quantity.meaning}".rstrip()
     if any(is_extrapolated(row, line.name, "") for line in lines):
         yield "  * extrapolated: a ball slides for longer than it is seen."
-    if lines and any(value == NOT_KNOWN for line in lines for value in line.values[:methods]):
+    if lines and any(value == NOT_KNOWN for line in lines for value in line.values[: len(methods)]):
         for reason in explain_dashes(row, names):
             yield f"  {NOT_KNOWN} {reason}."

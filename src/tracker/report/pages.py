@@ -29,6 +29,7 @@ from tracker.camera.frames import Frames
 from tracker.camera.recordings import RecordingSource
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED
+from tracker.measurement.local.recommendation import recommended_suffix
 from tracker.measurement.messages import list_messages
 from tracker.notes import Note
 from tracker.report.collision_figures import (
@@ -41,16 +42,18 @@ from tracker.report.collision_figures import (
     tracks_figure,
 )
 from tracker.report.estimates_text import (
-    METHODS,
     describe_contact,
     describe_fit,
     describe_frames,
+    describe_recommendation,
     describe_status,
+    describe_velocities,
     explain_dashes,
     format_value,
     is_extrapolated,
     is_straight,
     list_quantities,
+    order_methods,
     rows_as_dicts,
 )
 from tracker.report.overlay import Overlay, choose_frames, encode_mp4
@@ -65,7 +68,8 @@ CAPTIONS = {
     "Dashed: energy that a head-on impact alone would leave. Sliding on the plate takes the rest.",
 }
 MODELS = (
-    "The tied fit uses one physical model of impact, sliding and rolling. The free fit assumes no law for the impact."
+    "The tied fit uses one physical model of impact, sliding and rolling. The free fit assumes no law for the impact. "
+    "The local estimate assumes no law of the impact either, and no more than free motion near the contact."
 )
 HOW_TO_READ = (
     "0.9027(12) means 0.9027 ± 0.0012, one standard error. A value without brackets claims no error. {models} Finite "
@@ -124,7 +128,8 @@ class RecordingPage:
 
     def _describe(self, row: Mapping[str, Any]) -> str:
         number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""
-        parts = [describe_status(row), describe_contact(row), describe_fit(row)]
+        parts = [describe_status(row), describe_recommendation(row), describe_velocities(row)]
+        parts += [describe_contact(row), describe_fit(row)]
         return number + " ".join(f"{part}." for part in parts if part)
 
     def _refusals(self, folder: Path) -> Section:
@@ -147,7 +152,7 @@ class RecordingPage:
             reasons.append(
                 f"Extrapolated in the tied fit, because a ball slides for longer than it is seen: {', '.join(late)}."
             )
-        table = PageTable(["symbol", "quantity", "unit", *METHODS.values(), "column"], rows, title)
+        table = PageTable(["symbol", "quantity", "unit", *order_methods(row).values(), "column"], rows, title)
         return [table, *([" ".join(reasons)] if reasons else [])]
 
     def _film(self, folder: Path, views: Sequence[CollisionView | None]) -> str:
@@ -290,12 +295,13 @@ class ResultPages:
         for row in rows_as_dicts(estimates):
             link = Markup('<a href="clips/{}/index.html">{}</a>').format(f"{row['clip']:06d}", row["clip"])
             quality = f"{row['chi2'] / row['dof']:.3g}" if row["dof"] else ""
-            values = [format_value(row, name) for name in names]
-            rows.append((link, row["collision"], row["status"], quality, *values, row["flags"].replace("|", ", ")))
+            values = [format_value(row, f"{name}{recommended_suffix(row)}") for name in names]
+            state = (row["collision"], row["status"], row.get("recommended", ""), quality)
+            rows.append((link, *state, *values, row["flags"].replace("|", ", ")))
         known = [QUANTITIES[name] for name in names]
         symbols = [typeset_symbol(q.symbol) + (f" / {q.unit}" if q.unit else "") for q in known]
-        heads = ["clip", "collision", "status", "χ²/dof", *symbols, "flags"]
-        table = PageTable(heads, rows, "Tied fits, with one standard error in brackets")
+        heads = ["clip", "collision", "status", "estimate", "χ²/dof", *symbols, "flags"]
+        table = PageTable(heads, rows, "Recommended estimates, with one standard error in brackets")
         counts = ", ".join(f"{count} {status}" for status, count in estimates["status"].value_counts().items())
         summary = f"{len(estimates)} rows of estimates from {len(self.numbers)} clips: {counts}."
         warnings = [*map(str, list_messages(estimates)), *map(str, self.notes)]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, VELOCITIES, LocalEstimate
+from tracker.measurement.local.recommendation import recommend
 
 Floats = NDArray[np.float64]
 MIN_HITS = 8  # of a set, from which on its errors are fitted
+MIN_STRIKES = 3  # of each body, from which on the ratio of their masses is fitted
 PRIOR_ERROR = 0.01  # of one recording whose residuals are far larger than its noise, over the speed of the hit
 # Largest standard errors with which quantities are reported; others have max_relative_error of their value.
 _LARGEST_ERRORS = {"b": 0.05, "s": 0.3, "r": 0.2, "C": 0.1, "final_angle": 0.1, "impact_energy": 0.1}
@@ -36,6 +38,8 @@ class LocalErrors:
     bias_n: float = 0.0  # of the balance along n, over the normal speed of approach
     error_n: float = 0.0  # of each component along n, over the relative speed
     error_t: float = 0.0  # of each component along t, over the relative speed
+    log_ratio: float = 0.0  # logarithm of the mass of the first particle over that of the second, beyond what is given
+    log_ratio_std: float = 0.0
     hits: int = 0  # from which these are fitted; 0: a prior
 
 
@@ -49,8 +53,13 @@ def empty_columns() -> dict[str, Any]:
     return row | {"recommended": "none", "why": ""}
 
 
-def local_columns(estimate: LocalEstimate) -> dict[str, Any]:
-    """Write an estimate as columns; its errors beyond the residuals are the prior of one recording."""
+def local_columns(estimate: LocalEstimate | str, masses_known: bool = False, foreign: str = "") -> dict[str, Any]:
+    """Write an estimate as columns; its errors beyond the residuals are the prior of one recording.
+
+    A text is the reason why there is none. foreign: why the tied fit is not one of these bodies, "" if it is.
+    """
+    if isinstance(estimate, str):
+        return empty_columns() | {"local": json.dumps({"reason": estimate, "foreign": foreign}, separators=(",", ":"))}
     v0 = float(estimate.value[LOCAL_NAMES.index("v0")])
     excess = max(estimate.misfit - 1 - 3 * np.sqrt(2 / max(estimate.dof, 1.0)), 0.0)
     prior = PRIOR_ERROR * min(1.0, float(np.sqrt(excess)))
@@ -61,6 +70,8 @@ def local_columns(estimate: LocalEstimate) -> dict[str, Any]:
         "v0": v0,
         "vn": estimate.normal_speed,
         "unseen": sorted(estimate.unseen),
+        "masses_known": masses_known,
+        "foreign": foreign,
     }
     row = empty_columns() | {"local": json.dumps(raw, separators=(",", ":"))}
     row |= {"chi2_local": estimate.chi2, "dof_local": estimate.dof}
@@ -78,11 +89,11 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, max_relative_error
     The bias of the balance is shared among the velocities in proportion to their weight in it. How it is shared is
     unknown, so the change by it is one more error.
     """
-    raw = json.loads(row["local"])
-    if not raw:
+    raw = json.loads(row.get("local", "{}"))
+    if "value" not in raw:
         return {}
     value, std = (np.array(raw[key], dtype=np.float64) for key in ("value", "std"))
-    response = np.nan_to_num(np.array(raw["response"], dtype=np.float64))
+    response, by_mass = np.split(np.nan_to_num(np.array(raw["response"], dtype=np.float64)), [8], axis=1)
     size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
     weights = response[LOCAL_NAMES.index("balance_n")] * np.tile([1.0, 0.0], 4)
     total = float(weights @ weights)
@@ -90,7 +101,13 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, max_relative_error
     moved = response @ shift
     split = np.where([name in BALANCE for name in LOCAL_NAMES], 0.0, moved)
     wide = np.sqrt(std**2 + ((response * size) ** 2).sum(axis=1) + split**2)
-    value, out = value + moved, dict[str, Any]()
+    role = 1.0 if row.get("particle1", 0) < row.get("particle2", 1) else -1.0
+    value = value + moved + by_mass[:, 0] * role * errors.log_ratio
+    wide, out = np.hypot(wide, by_mass[:, 0] * errors.log_ratio_std), dict[str, Any]()
+    if errors.log_ratio_std > 0:
+        at = LOCAL_NAMES.index("mass_ratio")
+        value[at] = np.exp(role * errors.log_ratio)
+        wide[at] = value[at] * errors.log_ratio_std
     for k, (name, column) in enumerate(zip(LOCAL_NAMES, COLUMNS, strict=True)):
         limit = _LARGEST_ERRORS.get(name, max_relative_error * abs(value[k]))
         folded = name == "final_angle" and value[k] < 3 * wide[k]
@@ -105,41 +122,62 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
 
     The fit maximises the likelihood of the balances, each with the variance of its residuals and of these errors. A
     share of the hits may be anything, such as two contacts at once: their balance is off by a third of the speed.
+
+    If the masses are unknown, their ratio is fitted too where each of two bodies strikes the other a few times: recoil
+    from either side distinguishes it from a bias.
     """
     odd_share, odd_size = 0.05, 0.3
-    usable = [row for row in rows if row["local"] != "{}" and np.isfinite(row["r_local"])]
+    usable = [row for row in rows if _is_known(row.get("r_local"))]
     if len(usable) < MIN_HITS:
         return None
     found = [json.loads(row["local"]) for row in usable]
     at = [LOCAL_NAMES.index(name) for name in BALANCE]
-    off = np.array([[raw["value"][k] for k in at] for raw in found])
-    std = np.array([[raw["std"][k] for k in at] for raw in found])
+    off, std = (np.array([[raw[key][k] for k in at] for raw in found]) for key in ("value", "std"))
     v0, vn = (np.array([raw[key] for raw in found]) for key in ("v0", "vn"))
     response = np.nan_to_num(np.array([[raw["response"][k] for k in at] for raw in found], dtype=np.float64))
-    along, across = np.tile([1.0, 0.0], 4), np.tile([0.0, 1.0], 4)
-    spread = np.sqrt(np.stack([((response[:, 0] * along) ** 2).sum(-1), ((response[:, 1] * across) ** 2).sum(-1)], -1))
-    spread *= v0[:, None]
+    sizes = (response[:, axis, axis:8:2] for axis in (0, 1))
+    spread = np.stack([np.sqrt((part**2).sum(-1)) for part in sizes], -1) * v0[:, None]
+    recoil = _recoil_by_mass(usable, found, response[:, 0, 8])
 
-    def fit(axis: int, lever: Floats) -> tuple[float, float]:
-        def price(p: Floats) -> float:
-            var = std[:, axis] ** 2 + (np.exp(p[1]) * spread[:, axis]) ** 2
-            odd = var + (odd_size * v0) ** 2
-            square = (off[:, axis] - p[0] * lever) ** 2
-            usual, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, odd))
-            return -float(np.logaddexp(np.log(1 - odd_share) + usual, np.log(odd_share) + unusual).sum())
+    def price(p: Floats, axis: int, levers: Floats) -> float:
+        var = std[:, axis] ** 2 + (np.exp(p[0]) * spread[:, axis]) ** 2
+        square = (off[:, axis] - levers @ p[1:]) ** 2
+        usual, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * v0) ** 2))
+        return -float(np.logaddexp(np.log(1 - odd_share) + usual, np.log(odd_share) + unusual).sum())
 
-        middle = float(np.median(off[:, axis] / np.where(lever == 0, np.inf, lever))) if lever.any() else 0.0
-        starts = [np.array([middle, np.log(e)]) for e in (0.003, 0.03)]
-        best = min((minimize(price, start, method="Nelder-Mead") for start in starts), key=lambda m: float(m.fun))
-        return float(best.x[0]), float(np.exp(best.x[1]))
+    def fit(axis: int, levers: Floats) -> Floats:
+        starts = [np.append(np.log(error), np.zeros(levers.shape[1])) for error in (0.003, 0.03)]
+        sizes = np.append(0.5, np.full(levers.shape[1], 0.02))
+        simplex = np.vstack([0 * sizes, np.diag(sizes)])
+        tries = (
+            minimize(price, x, (axis, levers), method="Nelder-Mead", options={"initial_simplex": simplex + x})
+            for x in starts
+        )
+        return np.asarray(min(tries, key=lambda m: float(m.fun)).x, dtype=np.float64)
 
-    bias, error_n = fit(0, vn)
-    _, error_t = fit(1, np.zeros(len(v0)))
-    # the mean of n balances shows a bias no better than this
-    doubt = error_n * float(np.median(spread[:, 0] / np.abs(vn))) / np.sqrt(len(usable))
-    if abs(bias) < 2 * doubt:
-        bias = 0.0
-    return LocalErrors(bias_n=bias, error_n=error_n, error_t=error_t, hits=len(usable))
+    levers = np.column_stack([vn, *recoil])
+    along, across = fit(0, levers), fit(1, np.zeros((len(v0), 0)))
+    errors = LocalErrors(error_n=float(np.exp(along[0])), error_t=float(np.exp(across[0])), hits=len(usable))
+    weight = 1 / (std[:, 0] ** 2 + (errors.error_n * spread[:, 0]) ** 2)
+    doubt = np.sqrt(np.diag(np.linalg.inv((levers * weight[:, None]).T @ levers)))
+    if abs(along[1]) > 2 * doubt[0]:
+        errors = replace(errors, bias_n=float(along[1]))
+    if recoil:
+        errors = replace(errors, log_ratio=-float(along[2]), log_ratio_std=float(doubt[1]))
+    return errors
+
+
+def _recoil_by_mass(rows: Sequence[Mapping[str, Any]], found: Sequence[Any], by_mass: Floats) -> list[Floats]:
+    """The derivative of each balance along n by the logarithm of the mass ratio, if the ratio is to be fitted."""
+    pairs = [(row.get("particle1", -1), row.get("particle2", -1)) for row in rows]
+    strikers = [pair[1] for pair in pairs]
+    two = len({frozenset(pair) for pair in pairs}) == 1 and -1 not in pairs[0]
+    if any(raw["masses_known"] for raw in found) or not two:
+        return []
+    if min(strikers.count(k) for k in pairs[0]) < MIN_STRIKES:
+        return []
+    roles = np.array([1.0 if one < other else -1.0 for one, other in pairs])
+    return [by_mass * roles]
 
 
 def calibrate_set(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -147,4 +185,9 @@ def calibrate_set(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     errors = calibrate_rows(rows)
     if errors is None:
         return [dict(row) for row in rows]
-    return [dict(row) | apply_errors(row, errors) for row in rows]
+    changed = (dict(row) | apply_errors(row, errors) for row in rows)
+    return [row | recommend(row) if row.get("local", "{}") != "{}" else row for row in changed]
+
+
+def _is_known(value: Any) -> bool:
+    return value is not None and bool(np.isfinite(value))

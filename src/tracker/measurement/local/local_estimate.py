@@ -30,6 +30,7 @@ Floats = NDArray[np.float64]
 WINDOW_S = 0.5  # longest stretch on either side of a contact
 NEAR_FRAMES = 1.5  # of the contact, within which positions count less
 MIN_POSITIONS = 3  # of each stretch
+MASS_STEP = 1e-4  # of the logarithm of the mass ratio, for derivatives
 SIDES = ((1, False), (2, False), (1, True), (2, True))  # ball, whether after the contact
 VELOCITIES = ("v1ix", "v1iy", "v2ix", "v2iy", "v1ox", "v1oy", "v2ox", "v2oy")  # m/s, just before and after
 BALANCE = ("balance_n", "balance_t")  # m/s, momentum after less before over the mean mass, along n and t
@@ -42,7 +43,8 @@ _FRICTION = ("mu_k", "C", "w1n", "w1t", "w2n", "w2t", "tau1", "tau2")
 class LocalEstimate:
     """Values in the order of LOCAL_NAMES, with their covariance.
 
-    response: derivative of each value by the velocities of SIDES along n and t, (n, 8).
+    response: derivative of each value by the velocities of SIDES along n and t, and by the logarithm of the mass of
+    ball 1 over that of ball 2, (n, 9).
     misfit: chi^2 per degree of freedom by the claimed errors, or by the scatter from frame to frame.
     """
 
@@ -62,15 +64,13 @@ class LocalEstimate:
         return np.sqrt(np.maximum(np.diag(self.cov), 0.0))
 
 
-def estimate_locally(
-    contact: Contact, camera: Camera, masses: tuple[float, float], support: str = ""
-) -> LocalEstimate | str:
+def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, float]) -> LocalEstimate | str:
     """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
 
-    masses: of ball 1 and ball 2, in any unit. support: of camera.json, "" if the tracks decide.
+    masses: of ball 1 and ball 2, in any unit.
     """
     rests = not contact.pair.target_moves
-    glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[support]
+    glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
     lasts = contact.end > contact.start
     instant = _guess_instant(contact, camera)
     for turn in range(3):
@@ -157,9 +157,12 @@ def _read_values(solution: LocalSolution, camera: Camera, masses: tuple[float, f
             if problem.motions[own[side]].moves:
                 shifts[at + 2 : at + 4, 2 * i + axis] = unit
     camera_shifts = _camera_shifts(solution, camera)
+    heavier = _quantities(solution, x[None], (masses[0] * np.exp(MASS_STEP), masses[1]))[0]
+    by_mass = (heavier - value) / MASS_STEP
     unknown = ~(np.isfinite(value) & np.isfinite(slope).all(axis=1))
     slope[unknown] = 0.0
     merge = mean_of_balls(slope @ solution.cov @ slope.T)
+    by_mass = merge @ np.where(unknown, 0.0, by_mass)
     slope, value = merge @ slope, merge @ np.where(unknown, 0.0, value)
     value[merge[:, unknown].any(axis=1)] = np.nan
     shared = slope @ camera_shifts
@@ -167,7 +170,7 @@ def _read_values(solution: LocalSolution, camera: Camera, masses: tuple[float, f
     return LocalEstimate(
         value=value,
         cov=slope @ solution.cov @ slope.T + shared @ shared.T,
-        response=slope @ shifts,
+        response=np.column_stack([slope @ shifts, by_mass]),
         normal_speed=float((v[1] - v[0]) @ normal),
         misfit=misfit,
         chi2=solution.chi2,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -21,9 +22,10 @@ def recommend(row: Mapping[str, Any]) -> dict[str, str]:
     The tied fit comes first where the tracks accept it and the local estimate does not contradict it.
     """
     local, doubt = _is_usable(row)
+    foreign = json.loads(row["local"]).get("foreign", "")
     if row["status"] == TOGETHER:
         return _because(TIED, "the balls stay together")
-    if row["status"] == "ok" and _is_known(row, "r"):
+    if row["status"] == "ok" and _is_known(row, "r") and not foreign:
         other, sigmas = _find_difference(row, "")
         if not other:
             agrees = "agrees with the local estimate" if local else f"has no local estimate beside it ({doubt})"
@@ -32,13 +34,15 @@ def recommend(row: Mapping[str, Any]) -> dict[str, str]:
             return _because(LOCAL, f"the local estimate contradicts the tied fit by {sigmas:.1f} errors in {other}")
         return _because(NONE, f"the local estimate contradicts the tied fit, and has itself a fault: {doubt}")
     reason = "the tracks reject the tied fit" if row["status"] == MISFIT else "the tied fit does not show r"
-    if row["status"] not in ("ok", MISFIT):
+    if foreign and row["status"] == "ok":
+        reason = foreign
+    elif row["status"] not in ("ok", MISFIT):
         reason = f"there is no tied fit ({row['status']})"
     if _is_known(row, "r_free") and _is_known(row, "r_free_std") and not _find_difference(row, "_free")[0] and local:
         return _because(FREE, f"{reason}; the free fit agrees with the local estimate")
     if local:
         return _because(LOCAL, reason)
-    if row["status"] == "ok":
+    if row["status"] == "ok" and not foreign:
         return _because(TIED, "the tied fit describes the tracks; nothing shows r")
     return _because(NONE, f"{reason}; no local estimate: {doubt}")
 
@@ -50,11 +54,11 @@ def _because(name: str, why: str) -> dict[str, str]:
 def _is_usable(row: Mapping[str, Any]) -> tuple[bool, str]:
     """Decide whether the local estimate of a row can be used, and give the reason against it."""
     if not _is_known(row, "r_local"):
-        return False, str(row["why"]) or "its errors are too large"
+        return False, str(json.loads(row["local"]).get("reason", "its errors are too large"))
     r, std = row["r_local"], row["r_local_std"]
     if not -3 * std <= r <= 1 + 3 * std:
         return False, f"its r of {r:.2f} is impossible"
-    if not 1 / MAX_MASS_RATIO < row["mass_ratio"] < MAX_MASS_RATIO:
+    if not _is_known(row, "mass_ratio") or not 1 / MAX_MASS_RATIO < row["mass_ratio"] < MAX_MASS_RATIO:
         return False, "momentum is not conserved, whatever the masses"
     return True, ""
 

@@ -26,7 +26,7 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002):
         off = rng.normal(0, 1, (3, 2)) * [error_n, error_t] * v0 + rng.normal(0, residual, (3, 2))
         (v2i, v1o, v2o) = off + np.array([[v0, 0], [0.9 * v0, 0], [0.1 * v0, 0]])
         v1o = v1o + bias * v0 * np.array([1, 0])
-        response = np.zeros((len(LOCAL_NAMES), 8))
+        response = np.zeros((len(LOCAL_NAMES), 9))
         response[AT["balance_n"], [2, 4, 6]] = -1, 1, 1
         response[AT["balance_t"], [3, 5, 7]] = -1, 1, 1
         closing = v2i[0]
@@ -38,7 +38,7 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002):
         value[AT["balance_n"]], value[AT["balance_t"]] = balance
         cov = np.nan_to_num(response @ response.T) * residual**2
         estimate = LocalEstimate(value, cov, response, v0, 1.0, 10.0, 10.0, True, frozenset())
-        rows.append(empty_columns() | local_columns(estimate))
+        rows.append({"status": "misfit"} | local_columns(estimate))
     return rows
 
 
@@ -69,6 +69,25 @@ def test_a_second_calibration_changes_nothing():
     assert once[0]["local_hits"] == 30
     assert once[0]["r_local_std"] > 1.5 * rows[0]["r_local_std"]
     assert json.dumps(calibrate_set(once)) == json.dumps(once)
+
+
+def test_the_mass_ratio_of_two_bodies_is_fitted_from_recoil_on_either_side():
+    """Body 1 is heavier by 4 %: the balance by equal masses is off by +-2 % of its kick, whichever of them strikes."""
+    rows = draw_rows(60, 0.003, 0.003, 0.0)
+    for k, row in enumerate(rows):
+        role = 1 if k % 2 else -1
+        raw = json.loads(row["local"])
+        for name, change in (("balance_n", 0.9 * raw["v0"]),):
+            raw["response"][AT[name]][8] = change
+            raw["value"][AT[name]] -= role * 0.04 * change
+        row |= {"particle1": 7 if role > 0 else 9, "particle2": 9 if role > 0 else 7, "local": json.dumps(raw)}
+    errors = calibrate_rows(rows)
+    assert errors.log_ratio == pytest.approx(0.04, abs=4 * errors.log_ratio_std)
+    assert errors.log_ratio_std < 0.002
+    assert errors.bias_n == 0
+    one, other = (row["mass_ratio"] for row in calibrate_set(rows)[:2])
+    assert other == pytest.approx(np.exp(errors.log_ratio))
+    assert one == pytest.approx(1 / other)
 
 
 def test_few_hits_keep_the_prior():

@@ -7,11 +7,11 @@ import pytest
 from tracker.measurement.local.recommendation import recommend, recommended_suffix
 
 KNOWN = {"v0": (0.5, 0.001), "b": (0.1, 0.001), "r": (0.9, 0.01), "s": (math.nan, math.nan)}
-LOCAL = {"mass_ratio": 1.0}
+REASON = '{"reason":"too few positions near the contact"}'
 
 
-def make_row(status, tied=True, free=True, local=True, **changes):
-    row = {"status": status, "why": "", **LOCAL}
+def make_row(status, tied=True, free=True, local=True, local_json="{}", **changes):
+    row = {"status": status, "mass_ratio": 1.0, "local": local_json}
     for suffix, known in (("", tied), ("_free", free), ("_local", local)):
         for name, (value, std) in KNOWN.items():
             row[f"{name}{suffix}"] = value if known else math.nan
@@ -24,7 +24,7 @@ def make_row(status, tied=True, free=True, local=True, **changes):
     [
         (make_row("ok"), "tied", "agrees"),
         (make_row("ok", r=0.7), "local", "contradicts the tied fit by 14.1 errors in r"),
-        (make_row("ok", local=False, why="too few positions near the contact"), "tied", "too few positions"),
+        (make_row("ok", local=False, local_json=REASON), "tied", "too few positions"),
         (make_row("ok", r=0.7, mass_ratio=-2.0), "none", "momentum is not conserved"),
         (make_row("ok", r=math.nan, r_std=math.nan), "free", "does not show r"),
         (make_row("misfit", r_std=math.nan), "free", "the free fit agrees"),
@@ -33,6 +33,11 @@ def make_row(status, tied=True, free=True, local=True, **changes):
         (make_row("misfit", free=False, r_local=1.3), "none", "its r of 1.30 is impossible"),
         (make_row("misfit", free=False, local=False), "none", "its errors are too large"),
         (make_row("too few frames after the contact", False, False, False), "none", "too few frames"),
+        (
+            make_row("ok", local_json='{"foreign":"the tied fit is that of equal masses"}', free=False),
+            "local",
+            "equal masses",
+        ),
         (make_row("stay_together", free=False, local=False), "tied", "stay together"),
     ],
 )
