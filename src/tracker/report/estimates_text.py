@@ -39,7 +39,13 @@ def order_methods(row: Mapping[str, Any]) -> dict[str, str]:
 
 def has_values(row: Mapping[str, Any]) -> bool:
     """Decide whether a row has values of a collision, by a fit or by the local estimate."""
-    return row["status"] in MEASURED or _is_known(row, "v0_local")
+    return row["status"] in MEASURED or recommended_suffix(row) == "_local"
+
+
+def _has_recommended_values(row: Mapping[str, Any]) -> bool:
+    """Decide whether a row has values to rely on; results of older versions have no recommendation."""
+    recommended = row.get("recommended", "tied" if row["status"] == "ok" else "none")
+    return recommended != "none" and has_values(row)
 
 
 def describe_recommendation(row: Mapping[str, Any]) -> str:
@@ -202,14 +208,13 @@ def describe_fit(row: Mapping[str, Any]) -> str:
 
 
 def format_for_terminal(estimates: pd.DataFrame, max_collisions: int = 6) -> Iterator[str]:
-    """Yield lines for a terminal: each collision, or, of more than `max_collisions`, medians of those that are ok."""
+    """Yield lines for a terminal: each collision, or, of more than `max_collisions`, medians of recommended values."""
     names = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction", "momentum_fraction")
     if len(estimates) <= max_collisions:
         for row in rows_as_dicts(estimates):
             yield from _format_row(row, names)
         return
-    used = [row for row in rows_as_dicts(estimates) if row.get("recommended", "tied") != "none"]
-    used = [row for row in used if has_values(row)]
+    used = [row for row in rows_as_dicts(estimates) if _has_recommended_values(row)]
     if used:
         yield f"{'median of ' + str(len(used)) + ' hits':<18}{'value':>12}{'error of one':>14}  unit"
     for name in names if used else ():

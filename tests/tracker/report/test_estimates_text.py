@@ -60,7 +60,7 @@ def test_one_collision_is_printed_whole_and_many_as_medians():
     assert "χ²/dof 0.9, dof 100, p 0.75" in alone
     assert "1.000(10)" in alone
     many = "\n".join(format_for_terminal(pd.DataFrame([row(r=0.8 + 0.01 * k) for k in range(9)])))
-    assert "median of 9 ok" in many
+    assert "median of 9 hits" in many
     assert "0.84" in many
     assert list(format_for_terminal(pd.DataFrame([row("no_collision")] * 9))) == []
 
