@@ -1,0 +1,134 @@
+"""Local estimates of the hits of other laboratories: yield, and the balance of momentum on hits kept out.
+
+python -m benchmarks.real.hits CLONE [CLONE ...] [--tied] [-o out/real_hits.json]
+
+Each CLONE is a clone of one of the repositories that `recordings` reads; its folder's name must contain that of the
+repository. The table gives for each laboratory:
+
+- hits, and those with an r whose error is below .05;
+- the median of r, with the median of its errors, and the scatter from hit to hit;
+- the share of hits whose balance of momentum is within 1 and 1.96 errors, along and across the line of centres: with
+  the prior of one recording, with errors fitted to all hits, and with errors fitted to the other half of the hits.
+
+With --tied the tied and free fits are made too, some five seconds a hit, and the recommendations are counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+import tracker
+from benchmarks.harness import save
+from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
+from tracker.camera.camera import Camera
+from tracker.measurement.collision.contacts import find_contacts, prepare_contact
+from tracker.measurement.local.local_columns import apply_errors, calibrate_rows, calibrate_set, local_columns
+from tracker.measurement.local.local_estimate import estimate_locally
+from tracker.measurement.local.recommendation import recommend
+from tracker.measurement.positions import to_ball_tracks
+from tracker.settings import FitSettings
+from tracker.tables.read import read_frame
+
+READERS: dict[str, tuple[str, Callable[[Path], list[RecordedHit]]]] = {
+    "3cushiontool": ("cloth", read_billiards),
+    "TIF083-Expfys1A": ("air", read_pucks),
+    "TIF083A": ("air", read_discs),
+}
+
+
+def measure_hit(hit: RecordedHit, support: str, tied: bool = False) -> dict[str, Any]:
+    """Measure one hit: the columns of its local estimate, and with `tied` the row of its first collision."""
+    keys = hit.camera | {"support": support}
+    masses = keys.get("ball_masses", [1.0, 1.0])
+    if tied:
+        return {"name": hit.name} | dict(tracker.measure(hit.tracks, keys, unit="m").rows[0])
+    given = read_frame(hit.tracks, keys, "", "m")
+    ((tracks, _),) = given.clips.values()
+    camera = Camera.of(keys)
+    balls = to_ball_tracks(tracks, camera)
+    found = find_contacts(balls, camera.ball_diameter) or find_contacts(balls, 1.5 * camera.ball_diameter, 2.0)
+    empty = {"name": hit.name, "status": "misfit"}
+    if not found:
+        return empty | local_columns("no contact")
+    contact = prepare_contact(found[0], camera.ball_diameter, {}, FitSettings())
+    if contact.reason:
+        return empty | local_columns(contact.reason)
+    particles = contact.pair.struck.particle, contact.pair.striker.particle
+    one, two = (masses[k] for k in particles)
+    local = estimate_locally(contact, camera, (one, two))
+    row = empty | {"particle1": particles[0], "particle2": particles[1], "true_ratio": one / two}
+    return row | local_columns(local, "ball_masses" in keys)
+
+
+def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Summarise the rows of one laboratory."""
+    known = [row for row in rows if np.isfinite(row["r_local"])]
+    if not known:
+        return {"hits": len(rows), "known": 0}
+    r, std = (np.array([row[name] for row in known]) for name in ("r_local", "r_local_std"))
+    out = {"hits": len(rows), "known": len(known), "r_under_0.05": int((std < 0.05).sum())}
+    out |= {"r": round(float(np.median(r)), 4), "r_std": round(float(np.median(std)), 4)}
+    out["r_scatter"] = round(float(1.48 * np.median(np.abs(r - np.median(r)))), 4)
+    for axis in "nt":
+        z = np.array([abs(row[f"balance_{axis}_local"] / row[f"balance_{axis}_local_std"]) for row in known])
+        out[f"balance_{axis}"] = [round(float(np.mean(z < limit)), 2) for limit in (1.0, 1.96)]
+    errors = {name: round(float(known[0][f"local_{name}"]), 4) for name in ("bias", "error_n", "error_t")}
+    return out | errors
+
+
+def keep_halves_out(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Give the hits of each half the errors that the other half shows."""
+    errors = [calibrate_rows(rows[k::2]) for k in (0, 1)]
+    other = [errors[1 - k % 2] for k in range(len(rows))]
+    return [row | (apply_errors(row, e) if e is not None else {}) for row, e in zip(rows, other, strict=True)]
+
+
+def run(clones: Sequence[Path], tied: bool) -> dict[str, Any]:
+    """Measure the hits of all clones."""
+    out: dict[str, Any] = {}
+    for clone in clones:
+        name = next((name for name in READERS if name in str(clone)), None)
+        if name is None:
+            raise SystemExit(f"{clone}: expected a clone of {', '.join(READERS)}")
+        support, read = READERS[name]
+        rows = [measure_hit(hit, support, tied) for hit in read(clone)]
+        fitted = calibrate_set(rows)
+        out[name] = {"prior": summarise(rows), "set": summarise(fitted), "held out": summarise(keep_halves_out(rows))}
+        if tied:
+            out[name]["recommended"] = dict(Counter(row["recommended"] for row in fitted))
+        else:
+            used = Counter(recommend(row)["recommended"] for row in fitted)
+            out[name]["usable"] = used["local"]
+        ratios = [
+            (row["name"], row["true_ratio"], row["mass_ratio"], row["mass_ratio_std"])
+            for row in fitted
+            if "true_ratio" in row
+        ]
+        out[name]["mass ratios"] = [list(line) for line in ratios if line[1] != 1]
+        for kind, summary in out[name].items():
+            if kind != "mass ratios":
+                print(f"{name:18}{kind:12}{summary}", flush=True)
+    return out
+
+
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("clones", nargs="+", type=Path)
+    parser.add_argument("--tied", action="store_true")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/real_hits.json"))
+    given = parser.parse_args()
+    save(given.output, run(given.clones, given.tied))
+
+
+if __name__ == "__main__":
+    main()
