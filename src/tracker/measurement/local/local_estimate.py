@@ -57,6 +57,7 @@ class LocalEstimate:
     dof: float
     glides: bool
     unseen: frozenset[str]
+    errors_known: bool  # whether the tracks claim errors of positions that their scatter does not contradict
 
     @property
     def std(self) -> Floats:
@@ -89,8 +90,8 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
         if turn == 2 or lasts or same or abs(late) > 3 / camera.fps:
             break
     misfit = solution.chi2 / solution.dof
-    solution = weigh_by_residuals(solution, known=bool(np.isinf(contact.pair.striker.noise_dof)))
-    return _read_values(solution, camera, masses, misfit)
+    known = bool(np.isinf(contact.pair.striker.noise_dof))
+    return _read_values(weigh_by_residuals(solution, known), camera, masses, misfit, known)
 
 
 def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[Motion, ...]:
@@ -138,7 +139,9 @@ def _cut_stretches(contact: Contact, camera: Camera, instant: float) -> list[Str
     ]
 
 
-def _read_values(solution: LocalSolution, camera: Camera, masses: tuple[float, float], misfit: float) -> LocalEstimate:
+def _read_values(
+    solution: LocalSolution, camera: Camera, masses: tuple[float, float], misfit: float, known: bool
+) -> LocalEstimate:
     problem, x = solution.problem, solution.x
     own = {(s.ball, s.after): k for k, s in enumerate(problem.stretches)}
     std = np.sqrt(np.maximum(np.diag(solution.cov), 0.0))
@@ -177,6 +180,7 @@ def _read_values(solution: LocalSolution, camera: Camera, masses: tuple[float, f
         dof=solution.dof,
         glides=problem.glide,
         unseen=frozenset(_list_unseen(solution)),
+        errors_known=known,
     )
 
 
