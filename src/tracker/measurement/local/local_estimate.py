@@ -30,6 +30,7 @@ Floats = NDArray[np.float64]
 WINDOW_S = 0.5  # longest stretch on either side of a contact
 NEAR_FRAMES = 1.5  # of the contact, within which positions count less
 MIN_POSITIONS = 3  # of each stretch
+SLIDE_END_SIGMA = 10.0  # errors of a position by which a slide that does not end would pass the last one
 MASS_STEP = 1e-4  # of the logarithm of the mass ratio, for derivatives
 SIDES = ((1, False), (2, False), (1, True), (2, True))  # ball, whether after the contact
 VELOCITIES = ("v1ix", "v1iy", "v2ix", "v2iy", "v1ox", "v1oy", "v2ox", "v2oy")  # m/s, just before and after
@@ -210,8 +211,10 @@ def _list_unseen(solution: LocalSolution) -> list[str]:
     for k, (stretch, motion) in enumerate(zip(problem.stretches, problem.motions, strict=True)):
         if stretch.after and motion.ends:
             at, ball = problem.start[k] + 6, stretch.ball
-            left = float(stretch.time[-1] - solution.x[0])
-            if np.exp(solution.x[at]) > left or not 0 < solution.cov[at, at] < 0.04:
+            rest = float(stretch.time[-1] - solution.x[0] - np.exp(solution.x[at]))
+            size = float(np.exp(solution.x[5] + solution.x[at - 2])) * GRAVITY
+            off = size * max(rest, 0.0) ** 2 / 2 * float(np.median(solution.roots[k]))  # of a slide that goes on
+            if off < SLIDE_END_SIGMA or not solution.cov[at, at] < 0.04:
                 out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *_AFTER_SLIDES]
         elif stretch.ball == 2 and motion.pushed:
             out += ["C", "w1n", "w1t", "w2n", "w2t"]
