@@ -75,7 +75,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     if not known:
         return {"hits": len(rows), "known": 0}
     r, std = (np.array([row[name] for row in known]) for name in ("r_local", "r_local_std"))
-    out = {"hits": len(rows), "known": len(known), "r_under_0.05": int((std < 0.05).sum())}
+    out: dict[str, Any] = {"hits": len(rows), "known": len(known), "r_under_0.05": int((std < 0.05).sum())}
     out |= {"r": round(float(np.median(r)), 4), "r_std": round(float(np.median(std)), 4)}
     out["r_scatter"] = round(float(1.48 * np.median(np.abs(r - np.median(r)))), 4)
     for axis in "nt":

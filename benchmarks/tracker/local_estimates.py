@@ -98,7 +98,7 @@ def bend(place: Floats, waves: Floats, size: float) -> Floats:
     """Shift positions by a smooth map of `size` rms, made of a few waves (k, 2, 3) of wave vector and phase."""
     phase = place @ waves[:, 0, :2].T + waves[:, 0, 2]
     shift = np.stack([np.sin(phase).sum(-1), np.cos(phase + waves[:, 1, 2]).sum(-1)], -1)
-    return place + size * shift * np.sqrt(2 / len(waves))
+    return np.asarray(place + size * shift * np.sqrt(2 / len(waves)), dtype=np.float64)
 
 
 def measure_kind(kind: str, hits: int, seed: int, warp: float) -> list[dict[str, Any]]:

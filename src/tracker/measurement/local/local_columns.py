@@ -21,6 +21,7 @@ from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, VELOC
 from tracker.measurement.local.recommendation import recommend
 
 Floats = NDArray[np.float64]
+MIN_OBLIQUENESS = 5.0  # errors of the impact parameter, from which on s is reported
 MIN_HITS = 8  # of a set, from which on its errors are fitted
 MIN_STRIKES = 3  # of each body, from which on the ratio of their masses is fitted
 # Of one recording, over the speed of the hit, if its tracks claim no errors or its residuals are far larger. Sets of
@@ -110,6 +111,9 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, max_relative_error
         at = LOCAL_NAMES.index("mass_ratio")
         value[at] = np.exp(role * errors.log_ratio)
         wide[at] = value[at] * errors.log_ratio_std
+    b, s = (LOCAL_NAMES.index(name) for name in "bs")
+    if not abs(value[b]) > MIN_OBLIQUENESS * wide[b]:  # s is a ratio by b
+        value[s] = np.nan
     for k, (name, column) in enumerate(zip(LOCAL_NAMES, COLUMNS, strict=True)):
         limit = _LARGEST_ERRORS.get(name, max_relative_error * abs(value[k]))
         folded = name == "final_angle" and value[k] < 3 * wide[k]

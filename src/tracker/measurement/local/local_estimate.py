@@ -171,10 +171,12 @@ def _read_values(
     value[merge[:, unknown].any(axis=1)] = np.nan
     shared = slope @ camera_shifts
     v = [_velocity(solution, x[None], side)[0] for side in SIDES]
+    response = slope @ shifts
+    hidden = response * np.repeat([_hidden_change(solution, own[side]) for side in SIDES], 2)
     return LocalEstimate(
         value=value,
-        cov=slope @ solution.cov @ slope.T + shared @ shared.T,
-        response=np.column_stack([slope @ shifts, by_mass]),
+        cov=slope @ solution.cov @ slope.T + shared @ shared.T + hidden @ hidden.T,
+        response=np.column_stack([response, by_mass]),
         normal_speed=float((v[1] - v[0]) @ normal),
         misfit=misfit,
         chi2=solution.chi2,
@@ -183,6 +185,19 @@ def _read_values(
         unseen=frozenset(_list_unseen(solution)),
         errors_known=known,
     )
+
+
+def _hidden_change(solution: LocalSolution, k: int, least: int = 4, share: float = 0.2) -> float:
+    """Error of a velocity after the contact, m/s, if a slide is shorter than `least` positions away from the contact.
+
+    Errors of first order do not hold then. It is a share of the change of velocity by the slide.
+    """
+    problem, stretch = solution.problem, solution.problem.stretches[k]
+    if not problem.slides_first(k):
+        return 0.0
+    tau, pull = (part[0] for part in _slide(solution, solution.x[None], k))
+    seen = ~stretch.near & (stretch.time - solution.x[0] < tau)
+    return share * float(tau * np.hypot(*pull)) if seen.sum() < least else 0.0
 
 
 def _camera_shifts(solution: LocalSolution, camera: Camera) -> Floats:

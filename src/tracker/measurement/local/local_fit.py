@@ -37,7 +37,7 @@ class LocalPriors:
     slide_factor: float = 3.0  # error of its logarithm
     loss: float = 0.05  # of rolling, m/s^2
     loss_std: float = 0.05
-    loss_scatter: float = 0.01  # from stretch to stretch, m/s^2
+    loss_scatter: float = 0.03  # from stretch to stretch, m/s^2: balls of steel lose more the faster they roll
     push: float = 1.0  # acceleration of bodies that glide, m/s^2
 
 

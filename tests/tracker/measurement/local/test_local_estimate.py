@@ -51,7 +51,7 @@ def test_balls_are_measured_without_a_law_of_the_impact(spin):
         row = measure(film(paths, BALLS, np.random.default_rng(seed)), BALLS).rows[0]
         found = collect_z(row, truth, names)
         assert {"v0", "b", "r", "v1ox", "v2oy"} <= set(found)
-        assert row["r_local_std"] < 0.02
+        assert row["r_local_std"] < 0.05
         assert abs(row["balance_n_local"]) < 4 * row["balance_n_local_std"]
         assert abs(row["balance_t_local"]) < 4 * row["balance_t_local_std"]
         assert (row["motion_local"], row["recommended"]) == ("slide and roll", "tied")
