@@ -77,9 +77,10 @@ def describe_velocities(row: Mapping[str, Any]) -> str:
     )
     ratio = format_with_error(row["mass_ratio"], row["mass_ratio_std"])
     return (
-        f"{before}; just after it {speed('v2o')} cm/s, and the struck ball {speed('v1o')} cm/s. The hit keeps {kept} of"
-        f" the translational energy. Momentum is off by {along} cm/s along the line of centres, {across} cm/s across it."
-        f" Recoil gives a mass ratio of {ratio}"
+        f"{before}; just after it {speed('v2o')} cm/s, and the struck ball {speed('v1o')} cm/s. "
+        f"The hit keeps {kept} of the translational energy. "
+        f"Momentum is off by {along} cm/s along the line of centres and {across} cm/s across it. "
+        f"Recoil gives a mass ratio of {ratio}"
     )
 
 
