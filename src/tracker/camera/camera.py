@@ -235,11 +235,14 @@ class Camera:
         -------
         ndarray of shape (..., 2)
         """
+        middle = self._at_ball_height(np.asarray(centres, dtype=np.float64))
+        return self.project(middle + self.radius * self._glint_normal(middle))
+
+    def _glint_normal(self, middle: Array, start: Array | None = None) -> Array:
+        """Unit normals (..., 3) of balls about positions (..., 3), m, where they mirror the lamp. start: near them."""
         if self.lamp is None:
             raise InputError("camera: lamp is missing, expected its position for the position of a glint")
-        middle = self._at_ball_height(np.asarray(centres, dtype=np.float64))
-        light = np.array(self.lamp.position)
-        return self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, light))
+        return mirror_normal(middle, self.radius, self.position, np.array(self.lamp.position), start)
 
     def centre_of_glint(self, glints: ArrayLike) -> tuple[Array, Array]:
         """Convert the pixels of glints to those of the balls' centres.
@@ -277,8 +280,14 @@ class Camera:
             In the world, m.
         """
         at = target = self._on_plane(glints, self.radius)[0]
+        normal = None
         for _ in range(12):  # contracts by about R/height, .003, a step
-            miss = target - self._on_plane(self.glint_of_centre(at), self.radius)[0]
+            middle = self._at_ball_height(at)
+            normal = self._glint_normal(middle, normal)
+            point = middle + self.radius * normal
+            # the eye's ray through the glint meets the plane of the centres there
+            share = (self.radius - point[..., 2:]) / (self.position[2] - point[..., 2:])
+            miss = target - (point + share * (self.position - point))[..., :2]
             at = at + miss
             if np.max(np.abs(miss)) < 1e-12:
                 break

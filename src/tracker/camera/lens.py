@@ -8,14 +8,17 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def mirror_normal(centres: Array, radius: float, eye: Array, light: Array) -> Array:
+def mirror_normal(centres: Array, radius: float, eye: Array, light: Array, start: Array | None = None) -> Array:
     """Unit normals (n, 3) of spheres (n, 3) at which an eye sees a point of light.
 
-    The normal halves the angle between the directions to light and eye. It is iterated, because these directions start
-    on the surface.
+    The normal halves the angle between the directions to light and eye. It is iterated from upright or from `start`,
+    because these directions start on the surface.
     """
-    normal = np.zeros_like(centres)
-    normal[..., 2] = 1.0
+    if start is None:
+        normal = np.zeros_like(centres)
+        normal[..., 2] = 1.0
+    else:
+        normal = start
     for _ in range(20):
         point = centres + radius * normal
         fresh = _unit(_unit(eye - point) + _unit(light - point))

@@ -39,3 +39,18 @@ def test_a_picture_full_of_light_is_crowded():
     found = search(drawn(np.full(SIZE, 40.0)))
     assert found.crowded
     assert len(found.row) == 0
+
+
+@pytest.mark.parametrize("sigma", [1.0, 1.6])
+def test_candidates_in_bytes_are_those_in_words(sigma):
+    """Bytes are summed in a faster way. Glints touch the rim, and the sums of some exceed 255."""
+    level = np.full(SIZE, 8.0)
+    level[:2, 50:53] = level[70:73, -1] = 30
+    picture = drawn(level, seed=1)
+    one, two = (
+        CandidateSearch(EmptyPlate(np.full(SIZE, 8, kind), 0.3), sigma, 10.0)(picture.astype(kind))
+        for kind in (np.uint8, np.uint16)
+    )
+    assert len(one.row) >= 4
+    for name in ("column", "row", "strength"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))

@@ -221,16 +221,22 @@ class MirrorRenderer(Renderer):
             numbers = patches.number[frame][patches.number[frame] >= 0].tolist()
             corners = [patches.box(number, self.camera.size) for number in numbers]
             boxes = merge_boxes(corners)
-            image = plate.copy()
+            parts = [plate[box].copy() for box in boxes]
             for number, (top, bottom, left, right) in zip(numbers, corners, strict=True):
                 here = np.s_[top:bottom, left:right]
                 x, y = patches.origins[number]
                 there = np.s_[top - y : bottom - y, left - x : right - x]
                 ball = drawn[number][there]
-                image[here] += ball if self._vignette is None else ball * self._vignette[here]
+                rows, columns, part = next(
+                    (rows, columns, part)
+                    for (rows, columns), part in zip(boxes, parts, strict=True)
+                    if rows.start <= top < rows.stop and columns.start <= left < columns.stop
+                )
+                image = part[top - rows.start : bottom - rows.start, left - columns.start : right - columns.start]
+                image += ball if self._vignette is None else ball * self._vignette[here]
                 if number in shades:
-                    image[here] += self._lit[here] * shades[number][there]
-            yield Picture(plate, boxes, tuple(image[box] for box in boxes))
+                    image += self._lit[here] * shades[number][there]
+            yield Picture(plate, boxes, tuple(parts))
 
     def _place_moments(self, centres: Centres, spans: Array, cuts: Array) -> list[SubExposures]:
         """Sub-exposures for the glints, and fewer for the balls, which are wide and faint."""

@@ -32,7 +32,7 @@ from tracker.detection.likelihood.glint_fit import (
     score_blur_length,
 )
 from tracker.detection.likelihood.neighbours import find_isolated, find_neighbours
-from tracker.detection.likelihood.patches import GlintGeometry, Patches, make_windows
+from tracker.detection.likelihood.patches import GlintGeometry, Patches, PatchStack, make_windows
 from tracker.detection.link import assign, estimate_velocities
 from tracker.detection.motion_blur import MotionBlurEvidence
 
@@ -76,19 +76,17 @@ class MaximumLikelihood:
     def detect(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Detections:
         """Glints of numbered frames, their motion blur from the glints' own motion from frame to frame."""
         parts = [Glints.none()]
-        waiting, windows = list[Patches](), 0
+        waiting = PatchStack(self.geometry.reach, self.sound)
         for number, frame in frames:
             found = self.search(frame)
             if self.dsnu and not found.crowded:
                 self.dsnu.add(frame, found.row, found.column)
             if len(found.row):
-                waiting.append(Patches.cut(frame, number, found, self.geometry.reach, self.sound))
-                windows += len(found.row)
-            if windows >= self.settings.block_windows:
-                parts.append(self._fit_block(Patches.join(waiting)))
-                waiting, windows = [], 0
-        if waiting:
-            parts.append(self._fit_block(Patches.join(waiting)))
+                waiting.add(frame, number, found)
+            if len(waiting) >= self.settings.block_windows:
+                parts.append(self._fit_block(waiting.take_all()))
+        if len(waiting):
+            parts.append(self._fit_block(waiting.take_all()))
         return Detections(glints=Glints.join(parts), blur=self.blur)
 
     def _fit_block(self, patches: Patches) -> Glints:

@@ -60,20 +60,42 @@ class Patches(RowArrays):
     inside: NDArray[np.bool_]  # (n, p, p): pixels that lie in the frame and are not hot
     level: NDArray[np.bool_]  # (n,): the counts are corrected for the fixed offsets of their pixels
 
-    @staticmethod
-    def cut(frame: NDArray[Any], number: int, found: Candidates, reach: int, sound: NDArray[np.bool_]) -> Patches:
-        """The patches of one frame's candidates; `sound` (h, w): which pixels are not hot."""
+
+class PatchStack:
+    """Gathers the patches of many frames; `sound` (h, w): which pixels are not hot."""
+
+    def __init__(self, reach: int, sound: NDArray[np.bool_]) -> None:
+        self.reach, self.sound = reach, sound
+        self.found, self.numbers = list[Candidates](), list[int]()
+        self.parts = list[tuple[NDArray[Any], NDArray[np.bool_]]]()
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    def add(self, frame: NDArray[Any], number: int, found: Candidates) -> None:
+        """Cut the patches of one frame's candidates."""
         at = zip(found.row.tolist(), found.column.tolist(), strict=True)
-        counts, inside = (np.stack(part) for part in zip(*(_cut(frame, *one, reach, sound) for one in at), strict=True))
-        return Patches(
-            frame=np.full(len(found.row), number),
-            column=found.column,
-            row=found.row,
-            strength=found.strength,
+        self.parts += [_cut(frame, *one, self.reach, self.sound) for one in at]
+        self.numbers += [number] * len(found.row)
+        self.found.append(found)
+
+    def take_all(self) -> Patches:
+        """The patches, of which there must be one at least; the stack is then empty."""
+        counts, inside = (np.stack(part) for part in zip(*self.parts, strict=True))
+        column, row, strength = (
+            np.concatenate([getattr(found, name) for found in self.found]) for name in ("column", "row", "strength")
+        )
+        patches = Patches(
+            frame=np.array(self.numbers),
+            column=column,
+            row=row,
+            strength=strength,
             counts=counts,
             inside=inside,
             level=np.zeros(len(counts), bool),
         )
+        self.found, self.numbers, self.parts = [], [], []
+        return patches
 
 
 def _cut(
