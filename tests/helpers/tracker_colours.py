@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
-from tracker_discs import SIZE, disc
+from tracker_discs import SIZE, R, disc
 
 GREEN, ORANGE, SKIN, WOOD = (28.0, 125.0, 98.0), (235.0, 150.0, 30.0), (205.0, 155.0, 130.0), (215.0, 190.0, 140.0)
 Y, X = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
@@ -30,6 +30,15 @@ def cue(k):
     """A bar (h, w) that comes in from the left and goes."""
     along, across = X + 0.2 * (Y - 140), Y - 140 - 0.2 * X
     return gaussian_filter(((np.abs(across) < 3) & (along < 115 - 9 * abs(k - 14))).astype(float), 0.7)
+
+
+def cluster(balls, bend, frames=FRAMES):
+    """Places (balls, frames, 2) of a chain of balls in contact, bent by an angle at each, that turns and drifts."""
+    angles = np.arange(balls - 1) * bend + 0.05 * np.arange(frames)[:, None]
+    steps = (2 * R + 0.05) * np.stack([np.cos(angles), np.sin(angles)], axis=2)
+    places = np.concatenate([np.zeros((frames, 1, 2)), np.cumsum(steps, axis=1)], axis=1)
+    drift = (np.arange(frames)[:, None] - frames / 2) * [4.0, 1.8] + [95, 80]
+    return (places - places.mean(axis=1, keepdims=True)).swapaxes(0, 1) + drift
 
 
 def draw(ways, balls, ground=GREEN, shadow=True, people=(), seed=0):

@@ -160,7 +160,7 @@ class _CutSums:
         """The sums (k,) at pixels, not cut off."""
         wide, span = self.lifted.shape[1], np.arange(self.box)
         pixels = (rows * wide + columns)[:, None] + np.add.outer(span * wide, span).ravel()
-        return self.lifted.ravel()[pixels].sum(axis=1, dtype=np.float64)
+        return np.asarray(self.lifted.ravel()[pixels].sum(axis=1, dtype=np.float64))
 
 
 class CandidateSearch:

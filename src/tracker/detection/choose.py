@@ -20,6 +20,7 @@ from tracker.camera.frames import GREY, Frames
 from tracker.camera.lens import Array
 from tracker.camera.recordings import Recording
 from tracker.detection.candidates import estimate_noise, median_of_nine, spread_frames
+from tracker.detection.contrast_regions import find_touching_discs
 from tracker.detection.still_background import StillBackground, estimate_still_background
 from tracker.detection.windows import find_regions
 
@@ -35,6 +36,7 @@ MIN_RADIUS_PX = 4.0  # where no radius is expected: a clipped glint looks like a
 LONGEST_SIDE_OF_CHOICE_PX = 960  # of the pictures in which the channel is chosen
 MAX_THRESHOLD_OF_CHOICE = 120  # counts; balls of more contrast show at a lower one too
 MIN_SCORE = 3.0  # bodies in 15 frames that only another channel than grey shows
+MORE_BODIES = 1.3  # one of four balls is hidden otherwise
 CORE_PX = 2.5  # radius of what surely belongs to a ball that the user points at
 SIZE_LIMITS = 0.8, 1.25  # of the radius over the expected one; a glint out of focus is smaller than its ball
 
@@ -88,8 +90,9 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     A red ball on green cloth may be as grey as the cloth, and a moving shadow may hide a ball in grey. Each plane has a
     score: the number of round bodies of one size, times the share of the changed pixels that they cover. Shadows, hands
     and cues cover the rest. Grey is kept unless another plane has 1.5 times its score, or 1.2 times where bodies cover
-    less than half of what changes in grey. If the camera knows the diameter of its balls, only bodies of about that
-    size count. The second result is a note that gives the reason; '' for grey.
+    less than half of what changes in grey. That may still hide a ball. A plane in which shadows hardly show replaces it
+    if it has `MORE_BODIES` times as many bodies, less the changes of their number. If the camera knows the diameter of
+    its balls, only bodies of about that size count. The second result is a note with the reason; '' for grey.
     """
     if frames.colours is None:
         return GREY, ""
@@ -105,6 +108,11 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     most = max(rating.score for rating in found.values())
     best = next(name for name, rating in found.items() if rating.score >= 0.9 * most)  # the plainest of equals
     if most < MIN_SCORE or most < (1.5 if found[GREY].share > 0.5 else 1.2) * found[GREY].score:
+        best = GREY
+    least = max(MORE_BODIES * found[best].bodies, MIN_SCORE)
+    more = [name for name in PLANES if found[name].bodies - found[name].changes >= least]
+    best = max(more, key=lambda name: found[name].score, default=best)
+    if best == GREY:
         return GREY, ""
     fewer = found[best].bodies < found[GREY].bodies
     return best, (
@@ -119,6 +127,7 @@ class _Rating:
 
     bodies: int  # round, of one size, on ground that was seen empty
     share: float  # of the pixels that differ from the background, which they cover
+    changes: int = 0  # of their number from picture to picture, added up: balls stay, other bodies come and go
 
     @property
     def score(self) -> float:
@@ -145,8 +154,11 @@ def _rate_plane(pictures: list[NDArray[Any]], expected: float | None) -> _Rating
             found.append(bodies[np.array(seen, bool) & ~_are_shadows(bodies, contrast)])
             changed += int(((cv2.absdiff(picture.astype(np.float32), level) > least) & ground.known).sum())
         radii = np.concatenate(found)[:, 0]
-        same = radii[_of_common_size(radii, float(np.median(radii)))] if len(radii) else radii
-        rating = _Rating(len(same), min(float(np.pi * (same**2).sum()) / max(changed, 1), 1.0))
+        usual = float(np.median(radii)) if len(radii) else 0.0
+        same = radii[_of_common_size(radii, usual)]
+        counts = [int(_of_common_size(bodies[:, 0], usual).sum()) for bodies in found[1:]]
+        share = min(float(np.pi * (same**2).sum()) / max(changed, 1), 1.0)
+        rating = _Rating(len(same), share, int(np.abs(np.diff(counts)).sum()))
         best = max(best, rating, key=lambda r: r.score)
     return best
 
@@ -308,22 +320,36 @@ def find_round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, ex
     for region in find_regions(
         rough, MIN_BODY_AREA_PX - 1, lambda at: np.abs(np.subtract(frame[at], level[at], dtype=np.float32)) > least
     )[:MAX_REGIONS]:
-        if region.area < MIN_ROUNDNESS * np.pi / 4 * max(region.own.shape) ** 2:
-            continue
-        rows, columns = np.nonzero(region.own)
-        y, x = np.ogrid[: region.own.shape[0], : region.own.shape[1]]
-        away = np.hypot(x - columns.mean(), y - rows.mean()) / np.sqrt(region.area / np.pi)
         whole = np.subtract(frame[region.at], level[region.at], dtype=np.float32)
-        over, ring = whole[region.own], whole[(away > 0.5) & (away < 0.8)]
-        if len(ring) == 0:
-            continue
-        body = float(np.median(ring))
-        steep = (np.abs(over) > 0.8 * abs(body)).sum() / (np.abs(over) > 0.2 * abs(body)).sum()
-        radius = np.sqrt((np.abs(over) > abs(body) / 2).sum() / np.pi)
-        spot = float(whole[away < 0.9].max())
-        glint = spot > max(least, abs(body) * MAX_GLINT_RATIO) or (body < 0 and spot > least)
-        low, high = SIZE_LIMITS
-        large = radius > MIN_RADIUS_PX if expected is None else low < radius / expected < high
-        if not glint and large and steep > MIN_STEEPNESS:
-            found.append((radius, region.left + columns.mean(), region.top + rows.mean()))
+        for own in _separate_discs(region.own):
+            radius, x, y = _measure_body(whole, own, least)
+            low, high = SIZE_LIMITS
+            if radius > MIN_RADIUS_PX if expected is None else low < radius / expected < high:
+                found.append((radius, region.left + x, region.top + y))
     return np.array(found).reshape(-1, 3)
+
+
+def _separate_discs(own: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
+    """The pixels of the discs in a region (h, w): several that touch, itself if it is round, or none."""
+    radius, centres = find_touching_discs(own)
+    if not centres:
+        return [own] if own.sum() >= MIN_ROUNDNESS * np.pi / 4 * max(own.shape) ** 2 else []
+    y, x = np.ogrid[: own.shape[0], : own.shape[1]]
+    return [own & (np.hypot(x - column, y - row) <= radius) for column, row in centres]
+
+
+def _measure_body(whole: NDArray[np.float32], own: NDArray[np.bool_], least: float) -> tuple[float, float, float]:
+    """Radius and middle (x, y), px, of a body from differences from the background (h, w); radius 0 of a glint."""
+    area, (rows, columns) = int(own.sum()), np.nonzero(own)
+    y, x = np.ogrid[: own.shape[0], : own.shape[1]]
+    away = np.hypot(x - columns.mean(), y - rows.mean()) / np.sqrt(area / np.pi)
+    over, ring = whole[own], whole[(away > 0.5) & (away < 0.8)]
+    if len(ring) == 0:
+        return 0.0, 0.0, 0.0
+    body = float(np.median(ring))
+    steep = (np.abs(over) > 0.8 * abs(body)).sum() / (np.abs(over) > 0.2 * abs(body)).sum()
+    spot = float(whole[away < 0.9].max())
+    glint = spot > max(least, abs(body) * MAX_GLINT_RATIO) or (body < 0 and spot > least)
+    solid = not glint and steep > MIN_STEEPNESS
+    radius = np.sqrt((np.abs(over) > abs(body) / 2).sum() / np.pi) if solid else 0.0
+    return float(radius), float(columns.mean()), float(rows.mean())

@@ -158,3 +158,30 @@ def find_disc_centres(region: ContrastRegion, radius: float) -> list[tuple[float
         middles.append((float(x), float(y)))
         cv2.circle(depth, (x, y), round(1.3 * radius), 0.0, -1)
     return middles
+
+
+def find_touching_discs(own: NDArray[Any]) -> tuple[float, list[tuple[float, float]]]:
+    """Radius, px, and centres (x, y) of the discs of one size that touch in a region; none if it is anything else.
+
+    own: (h, w), the pixels of the region. The centres are the points furthest from its rim. Between two neighbours the
+    region has a waist, which a bar has not, and the discs have the area of the region, which a hand has not.
+    """
+    most, nothing = 8, (0.0, list[tuple[float, float]]())
+    depth = cv2.distanceTransform(np.pad(own, 1).astype(np.uint8), cv2.DIST_L2, 5)
+    left, centres = depth.copy(), list[tuple[float, float]]()
+    radius = float(depth.max()) - 0.5  # the rim is half a pixel within the first pixel outside
+    while len(centres) <= most:
+        _, deepest, _, (x, y) = cv2.minMaxLoc(left)
+        if deepest < 0.8 * radius:
+            break
+        centres.append((float(x), float(y)))
+        cv2.circle(left, (x, y), round(1.4 * radius), 0.0, -1)
+    if not 2 <= len(centres) <= most or abs(float(own.sum()) / (len(centres) * np.pi * radius**2) - 1) > 0.2:
+        return nothing
+    for i, one in enumerate(centres):
+        for two in centres[:i]:
+            apart = float(np.hypot(one[0] - two[0], one[1] - two[1])) / radius
+            x, y = round((one[0] + two[0]) / 2), round((one[1] + two[1]) / 2)
+            if apart < 1.6 or (apart < 2.4 and depth[y, x] > 0.65 * radius):
+                return nothing
+    return radius, [(x - 1, y - 1) for x, y in centres]

@@ -58,6 +58,15 @@ def test_a_plane_that_shows_fewer_balls_than_grey_says_how_to_point_at_the_other
     assert note.endswith("--channel overrides this, and --ball X,Y@FRAME points at a ball that only grey shows")
 
 
+@pytest.mark.parametrize(("changes", "best"), [(0, "red-blue"), (30, "red-green")])
+def test_a_plane_that_shows_more_balls_wins_unless_they_come_and_go(monkeypatch, changes, best):
+    """A hand covers most of what changes where all three balls show; of one ball alone a plane shows nothing else."""
+    few, more = choose._Rating(15, 1.0), choose._Rating(45, 0.24, changes)
+    ratings = iter([choose._Rating(30, 0.23), *[choose._Rating(0, 0.0)] * 3, few, more, few, few])
+    monkeypatch.setattr(choose, "_rate_plane", lambda *_: next(ratings))
+    assert choose_channel(wrap_frames(cloth(apart(9), (WHITE, WHITE))), Camera.from_dict(CAMERA))[0] == best
+
+
 @pytest.mark.parametrize(("pictures", "name", "said"), [
     (np.zeros((5, 40, 40), np.uint8), "red", "channel: the film is in grey, expected no 'red'"),
     (np.zeros((5, 40, 40, 3), np.uint8), "mauve", "channel: expected one of grey, red, green, blue, .*, not 'mauve'"),

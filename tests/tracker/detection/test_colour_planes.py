@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tracker_colours import FRAMES, GREEN, ORANGE, SKIN, WOOD, cue, draw, hand
+from tracker_colours import FRAMES, GREEN, ORANGE, SKIN, WOOD, cluster, cue, draw, hand
 from tracker_discs import CAMERA, apart
 
 import tracker
@@ -66,6 +66,16 @@ def test_balls_of_two_colours_are_whole_discs():
     assert count(result, ways, 2.0)[1] == 0
     assert count(result, ways, 2.0)[0] >= 2 * FRAMES - 2
     assert any(str(note).startswith("channel: colour, ") for note in result.notes)
+
+
+@pytest.mark.parametrize(("bend", "colours", "ground"), [
+    (0.9, ((190.0, 40.0, 60.0), (30.0, 60.0, 110.0), (20.0, 120.0, 60.0)), (205.0, 210.0, 200.0)),
+    (1.57, (ORANGE, ORANGE, (190.0, 40.0, 60.0)), GREEN),
+])  # fmt: skip
+def test_balls_that_touch_all_the_time_are_each_found(bend, colours, ground):
+    """In a bent chain. Differences of two colours show two of the first three only, and no plane a ball alone."""
+    ways = cluster(3, bend, 16)
+    assert count(tracker.track(draw(ways, colours, ground, shadow=False), CAMERA), ways) == (3 * 16, 0)
 
 
 def test_a_wrong_channel_is_one_line():

@@ -19,6 +19,7 @@ from tracker.detection.contrast_regions import (
     ContrastRegion,
     casts_shadow,
     find_disc_centres,
+    find_touching_discs,
     split_region,
 )
 from tracker.detection.detector import Detections, OutlineRadius, View
@@ -297,34 +298,55 @@ class Discs:
             fitted = fit_disc(light, ground, part.middle, self._look(radius), part.blur, [])
             flag = PositionFlag.STREAK if np.hypot(*part.blur) > MAX_BLUR_AT_REST * radius else 0
             found = [(fitted, flag)] if fitted is not None else []
-        elif self.in_colour and (inner := self._inner_disc(light, ground, part, radius)) is not None:
-            found = [(inner, PositionFlag.NEAR)]
+        elif self.in_colour:
+            found = self._in_coloured_part(light, ground, part, radius)
         elif 0.3 < part.area / (np.pi * radius**2) < 6:
             found = self._touching(light, ground, part, radius)
         found = [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]
         self.fitted += [f.radius for f, flag in found if flag == 0]
         return found
 
-    def _inner_disc(
+    def _in_coloured_part(
         self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
-    ) -> DiscFit | None:
-        """The disc of the usual contrast in a region that has less elsewhere: a ball that a hand or a cue touches."""
-        at = part.top + 1, part.left + 1
+    ) -> list[tuple[DiscFit, int]]:
+        """The same in a plane of colour, for a region that is not one whole disc: the most discs that fit.
+
+        A ball has the usual contrast. Where balls touch, or a hand or a cue touches a ball, there is less between them.
+        """
         own = part.mask[1:-1, 1:-1]
+        at = part.top + 1, part.left + 1
         inside = tuple(slice(first, first + long) for first, long in zip(at, own.shape, strict=True))
         apart = (light[inside] - ground.level[inside]).astype(np.float32)
         box = (at[1], at[0], own.shape[1], own.shape[0])
-        fits = list[DiscFit]()
-        for share in (0.6, 0.7):
+        best = list[DiscFit]()
+        for share in (0.6, 0.7, 0.8):
             strong = (own > 0) & (np.abs(apart) > share * self.contrast)
             parts = split_region(apart, strong, box, 0, self.low, 0.6 * radius) if strong.any() else []
-            for p in parts:  # a rough look: the fit decides
-                streak = np.hypot(*p.blur) > 2.2 * radius
-                if p.fullness > (MIN_STREAK_FULLNESS if streak else 0.85) and 0.6 < p.minor / radius < 1.25:
-                    fitted = fit_disc(light, ground, p.middle, self._look(radius), p.blur, [])
-                    if fitted is not None and abs(fitted.radius / radius - 1) < 0.15:
-                        fits.append(fitted)
-        return min(fits, key=lambda fit: fit.spread, default=None)
+            fits = [fit for p in parts for fit in self._inner_discs(light, ground, p, radius)]
+            best = max(best, fits, key=lambda fits: (len(fits), -sum(fit.spread for fit in fits)))
+        found = [(fit, int(PositionFlag.NEAR)) for fit in best]
+        balls = part.area / (np.pi * radius**2)
+        if len(found) < max(round(balls), 1) and 0.3 < balls < 6:
+            found = max(found, self._touching(light, ground, part, radius), key=len)
+        return found
+
+    def _inner_discs(
+        self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
+    ) -> list[DiscFit]:
+        """The disc, or the discs that touch, of a part of such a region; a rough look: the fits decide."""
+        middles, blur = find_touching_discs(part.mask)[1], np.zeros(2)
+        starts = [np.add(middle, (part.left, part.top)) for middle in middles]
+        if not starts:
+            streak = np.hypot(*part.blur) > 2.2 * radius
+            if part.fullness > (MIN_STREAK_FULLNESS if streak else 0.85) and 0.6 < part.minor / radius < 1.25:
+                starts, blur = [part.middle], part.blur
+        fits = list[DiscFit]()
+        for start in starts:
+            others = [(float(x), float(y)) for x, y in starts if (x, y) != tuple(start)]
+            fit = fit_disc(light, ground, start, self._look(radius), blur, others)
+            if fit is not None and abs(fit.radius / radius - 1) < 0.15:
+                fits.append(fit)
+        return fits
 
     def _look(self, radius: float) -> DiscAppearance:
         return DiscAppearance(
