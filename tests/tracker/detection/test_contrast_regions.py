@@ -26,6 +26,8 @@ HAND = discs((40, 40), radius=20) | (
     (discs((30, 30)), []), (BAR, []), (HAND, []),
     (discs((30, 40), radius=18) | discs((60, 40), radius=11), []),  # of two sizes
     (discs((30, 30), (42, 30)), []),  # more than half hidden
+    (discs((30, 30), (50, 30)) | ((np.abs(ROWS - 30) < 8) & (np.abs(COLUMNS - 40) < 10)), []),  # a waist too wide
+    (discs((30, 30), (50, 30)) | ((np.abs(ROWS - 30) < 4) & (np.abs(COLUMNS - 70) < 40)), []),  # an arm
 ])  # fmt: skip
 def test_discs_that_touch_are_told_from_other_shapes(own, places):
     radius, found = find_touching_discs(own)
