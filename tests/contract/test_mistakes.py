@@ -111,6 +111,7 @@ MISTAKES = {
     "synthcam generate s.yaml -o s.yaml": "s.yaml",
     "synthcam export dataset --format moot -o new": "there are",
     "synthcam verify results": "results",
+    "synthcam preview s.yaml -o frame.png --from-above --frame 1": "--frame: of a film",
     "synthcam preview s.yaml -o frame.jpg": "expected a name that ends in .png, .gif or .mp4",
     "synthcam effects plate_tlt": "did you mean plate_tilt?",
     "tracker track datset -o new": "datset: no such file or folder",

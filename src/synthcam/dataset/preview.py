@@ -91,6 +91,27 @@ def write_animation(clip: Clip, path: Path) -> float:
     return slower
 
 
+def write_map(clip: Clip, path: Path) -> None:
+    """Draw the motion of a clip from above: paths, walls and events as .png, or the moving bodies as .gif or .mp4."""
+
+    motion, kind = clip.solve(), path.suffix.lower()
+    check_picture_output(path, "synthcam preview")
+    with as_input_error(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with as_input_error(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+        aside = Path(folder) / f"map{kind}"
+        if kind == ".png":
+            from matplotlib.figure import Figure  # here alone: slow to load
+
+            figure = Figure(layout="constrained")
+            motion.plot(figure.subplots())
+            figure.savefig(aside, dpi=100)
+        else:
+            motion.animate(aside, ANIMATION_FPS, clip.camera.fps / ANIMATION_FPS)
+        aside.write_bytes(mark_picture(aside.read_bytes(), kind))
+        aside.replace(path)
+
+
 def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
     first = next(frames)
     size = (first.shape[1], first.shape[0])

@@ -31,7 +31,8 @@ def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
     row |= {"mu_k": model.sliding_friction, "drag": model.rolling_drag, "decel": model.rolling_decel}
     hit = motion.first("contact")
     if hit is None or hit.before is None or hit.after is None or len(motion.legs) > 2:
-        speeds = np.hypot(launch.states[:, 3], launch.states[:, 4])
+        launched = [*launch.states[:, 3:5].tolist(), *(one.velocity[:2] for one in launch.later)]
+        speeds = np.hypot(*np.transpose(launched))
         return row | {"v0": float(speeds.max())}
     side = np.array(hit.n)  # shorter than 1 for unequal balls, which touch off their equators
     n = side / np.hypot(*side)

@@ -44,6 +44,17 @@ def test_a_film(clip, tmp_path, name):
     assert 400 < max(frames[0].shape) < 1000
 
 
+@pytest.mark.parametrize("name", ["map.png", "map.gif"])
+def test_a_map_from_above_needs_no_film(name, tmp_path, monkeypatch):
+    monkeypatch.delattr(Clip, "pictures")
+    clip = plan().clip(1)
+    preview.write_map(clip, tmp_path / name)
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+    frames = frames_of(tmp_path / name) if name == "map.gif" else [iio.imread(tmp_path / name)[..., 0]]
+    assert len(frames) == (clip.frames + 1 if name == "map.gif" else 1)  # up to the end of the last frame
+    assert len(np.unique(frames[0])) > 10
+
+
 def test_it_plays_at_the_speed_it_states(clip, tmp_path):
     preview.write_animation(clip, tmp_path / "f.gif")
     assert iio.immeta(tmp_path / "f.gif")["duration"] == 50

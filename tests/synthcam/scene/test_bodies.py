@@ -186,7 +186,7 @@ def test_what_bodies_do_beside_gliding_and_rolling_is_in_the_truth():
     assert others["decel"].isna().all()
     assert (events["distance_shift"].notna() == (events["kind"] == "contact")).all()
     assert set(motion.at(0.01)["state"]) == {"rest", "push"}
-    motion.plot()
+    assert check_scene(scene, "scene").draw(seed=1).truth["v0"] == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("force", [{"law": "linear", "duration": 2e-3}, {"law": "hertz", "modulus": 1e7}])
