@@ -12,8 +12,8 @@ from synthcam.model import Model
 from tracker.camera.camera import LampSettings
 
 POSITION = (0.12, -0.08, 0.25)
-KNOWN = (*EFFECTS, "unknown_lamp", "glint_parallax", "scale_error", "aspect_error", "lens_distortion", "camera_tilt")
-RIVALS = ("warp_place", "friction_place", "restitution_speed")  # free laws
+KNOWN = (*EFFECTS, "unknown_lamp", "glint_parallax", "lens_distortion")
+RIVALS = ("warp_place", "restitution_speed")  # free laws
 
 
 def without_a_lamp(clips, lamp=None):
