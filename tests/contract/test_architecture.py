@@ -200,9 +200,10 @@ def by_name(path):
     """Modules that a file imports by name: a constant, or every file of a folder whose __name__ begins the name."""
     folders = {name.rpartition(".")[2]: name for name in imported(path) if name in PEERS}
     for node in parsed(path):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "classes_in":
+        called = getattr(node.func, "attr", getattr(node.func, "id", "")) if isinstance(node, ast.Call) else ""
+        if called == "classes_in":
             yield from (m for m in KNOWN if m.startswith(f"{folders[ast.unparse(node.args[0])]}."))
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        elif called == "import_module":
             (name,) = node.args
             if isinstance(name, ast.Constant):
                 yield name.value
@@ -213,19 +214,25 @@ def by_name(path):
                 yield from (m for m in KNOWN if m.startswith(f"{folder}."))
 
 
-BY_NAME = {module(p): set(by_name(p)) for p in FILES}
+@cache
+def found_by_name():
+    """Modules that each module imports by name."""
+    return {module(p): set(by_name(p)) for p in FILES}
 
 
 def ours(path):
     """The modules of these packages that a file imports."""
-    for name in {*imported(path), *BY_NAME[module(path)]}:
+    for name in {*imported(path), *found_by_name()[module(path)]}:
         while name and name not in KNOWN:
             name = name.rpartition(".")[0]
         if name and name != module(path):
             yield name
 
 
-ARROWS = {module(p): set(ours(p)) for p in FILES}
+@cache
+def arrows():
+    """Modules of these packages that each module imports: read when a test asks, not when tests are collected."""
+    return {module(p): set(ours(p)) for p in FILES}
 
 
 def tops(path):
@@ -234,7 +241,7 @@ def tops(path):
 
 def test_there_is_something_to_read():
     assert {"synthcam.dynamics.solve", "tracker.measurement.collision.collision_model", "discrepancy"} <= KNOWN
-    assert "synthcam.dynamics.kinematics" in ARROWS["synthcam.dynamics.contacts.impact"]
+    assert "synthcam.dynamics.kinematics" in arrows()["synthcam.dynamics.contacts.impact"]
     for finder in (
         "synthcam.library",
         "synthcam.dataset.export",
@@ -242,7 +249,7 @@ def test_there_is_something_to_read():
         "tracker.tables.read",
         "discrepancy.free_laws.library",
     ):
-        assert any(m.startswith(f"{folder}.") for folder in PEERS for m in ARROWS[finder]), finder
+        assert any(m.startswith(f"{folder}.") for folder in PEERS for m in arrows()[finder]), finder
 
 
 @pytest.mark.parametrize("path", FILES, ids=module)
@@ -252,7 +259,7 @@ def test_packages_keep_apart(path):
     allowed["discrepancy"] = {"synthcam_shared", "synthcam", "tracker"}
     assert tops(path) & allowed.keys() <= allowed[package] | {package}
     if package == "discrepancy":
-        assert not any(name.startswith("synthcam.camera.render") for name in ARROWS[module(path)])
+        assert not any(name.startswith("synthcam.camera.render") for name in arrows()[module(path)])
 
 
 @pytest.mark.parametrize("path", FILES, ids=module)
@@ -262,7 +269,7 @@ def test_only_render_knows_opengl(path):
 
 
 def test_no_circles():
-    assert set(TopologicalSorter(ARROWS).static_order()) >= KNOWN  # raises CycleError
+    assert set(TopologicalSorter(arrows()).static_order()) >= KNOWN  # raises CycleError
 
 
 def room(name, package):
@@ -281,7 +288,7 @@ def test_arrows_run_one_way(package):
         there = {p.stem for p in folder.iterdir() if p.suffix == ".py" or (p / "__init__.py").is_file()}
         assert there - {"__init__"} == set(row), "a room stands in no row"
     wrong = []
-    for name, others in ARROWS.items():
+    for name, others in arrows().items():
         here = room(name, package)
         for other in (o for o in others if room(o, package) not in ("", here)):
             there = room(other, package)
@@ -312,15 +319,15 @@ def test_decisions_are_made_where_contributing_says():
 @pytest.mark.parametrize("folder", sorted(PEERS))
 def test_what_is_found_by_being_there_is_listed_nowhere(folder):
     """No file names a file of such a folder, and they do not know each other."""
-    finder = {m for m, found in BY_NAME.items() if any(n.startswith(folder) for n in found & KNOWN)}
-    for name, others in ARROWS.items():
+    finder = {m for m, found in found_by_name().items() if any(n.startswith(folder) for n in found & KNOWN)}
+    for name, others in arrows().items():
         named = [o for o in others if o.startswith(f"{folder}.")]
         assert not named or name in finder, f"{name} names {named}"
     assert not list(imported(SRC / folder.replace(".", "/") / "__init__.py"))
 
 
 def test_an_effect_knows_of_effect_alone():
-    for name, others in ARROWS.items():
+    for name, others in arrows().items():
         if name.startswith("synthcam.effects."):
             assert {o for o in others if o.startswith("synthcam")} == {"synthcam.effect"}, name
 
