@@ -224,7 +224,7 @@ def test_a_file_dropped_into_the_folder_is_found_fitted_and_named(one_more, monk
     assert law_count() == one_more + 1
     few = {name: effects()[name] for name in ("velocity_restitution", "spin_transfer_velocity")}
     only(monkeypatch, ("restitution_side", "restitution_obliqueness", "spin_transfer_speed"), **few)
-    clips = exact(Model(), 18, 6)
+    clips = exact(Model(), 12, 6)
     sides = [Model().replace({"restitution": 0.9 + 0.01 * np.tanh(c.launch[B] / 0.1)}) for c in clips]
     seen = noisy([dataclasses.replace(c, xy=moved(m, [c])[0]) for c, m in zip(clips, sides, strict=True)], 6)
     found = search(seen, Model())

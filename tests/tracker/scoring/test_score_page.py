@@ -8,6 +8,7 @@ import pytest
 import tifffile
 from tracker_noisy import BENCHMARK, dataset, results, truth_of
 
+from tracker.scoring import score_page
 from tracker.scoring.score import score
 from tracker.scoring.score_page import choose_clip, draw_figures, make_quantity_tables, write_report
 
@@ -40,9 +41,10 @@ def film(data, clip):
     tifffile.imwrite(data / "clips" / f"{clip:06d}" / "frames.tif", frames)
 
 
-def test_page_is_one_file_without_network(folders, drawn, tmp_path):
+def test_page_is_one_file_without_network(folders, drawn, tmp_path, monkeypatch):
     data, found = folders
-    verdict, _ = drawn
+    verdict, shown = drawn
+    monkeypatch.setattr(score_page, "draw_figures", lambda *_: shown)
     page = write_report(verdict, found, data, tmp_path / "report")
     assert [p.name for p in page.parent.iterdir()] == ["index.html"]
     html = page.read_text(encoding="utf-8")
