@@ -81,9 +81,9 @@ def track(
         str, typer.Option(help="Colour of the balls, as orange or #ff8000; use it without --channel.")
     ] = "",
     region: Annotated[
-        str, typer.Option(metavar="X0,Y0,X1,Y1", help="Search for balls within this rectangle, px.")
+        str, typer.Option(metavar="X0,Y0,X1,Y1", help="Search for balls in this rectangle alone, px.")
     ] = "",
-    mask: Annotated[Path | None, typer.Option(help="A picture, white in the area to search for balls.")] = None,
+    mask: Annotated[Path | None, typer.Option(help="A picture, white where alone balls are searched.")] = None,
     frames: Annotated[str, typer.Option(metavar="A:B", help="Which frames are read, without B.")] = "",
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
     scheduler: Scheduler = "",

@@ -25,13 +25,20 @@ from tracker.detection.choose import DISCS, GLINTS, name_channel, select_channel
 from tracker.detection.detect import (
     DEFAULT,
     DetectorChoice,
+    blank_outside,
     detect_until_blur_converges,
     detected_point,
     load_detector,
     load_linker,
     make_view,
 )
-from tracker.detection.diagnose import MIN_DETECTIONS, explain_no_discs, explain_no_glints, warn_of_loose_ends
+from tracker.detection.diagnose import (
+    MIN_DETECTIONS,
+    explain_no_discs,
+    explain_no_glints,
+    warn_of_loose_ends,
+    warn_of_missed_examples,
+)
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
@@ -442,7 +449,8 @@ def track_clip(
 ) -> tuple[Tracks, Camera, str, list[Note]]:
     """Tracks of one clip, its camera completed from the clip, why there is nothing, or '', and notes."""
     settings = settings or TrackerSettings()
-    found, view = detect_until_blur_converges(clip, make_view(clip, name, settings), name)
+    view = make_view(clip, name, settings)
+    found, view = detect_until_blur_converges(clip if name == DISCS else blank_outside(clip, view), view, name)
     numbers = clip.frames.numbers
     stored = view.takes.spans if view.takes is not None else [(0, len(clip.frames) - 1)]
     spans = [(int(numbers[first]), int(numbers[last])) for first, last in stored]
@@ -462,6 +470,7 @@ def track_clip(
     else:
         why = explain_no_glints(clip.frames, view, found.glints)
     notes = note_all(NoteKind.DETECTOR, found.notes, clip.number)
+    notes += note_all(NoteKind.DETECTOR, warn_of_missed_examples(tracks, clip.balls, view), clip.number)
     notes += note_all(NoteKind.LINKING, warn_of_loose_ends(tracks, view.camera.size, spans), clip.number)
     return tracks, view.camera, why, notes
 

@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from types import ModuleType
 from typing import Any, TypeAlias
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +23,7 @@ from tracker.camera.recordings import Recording
 from tracker.detection import detectors as detector_files
 from tracker.detection import linkers as linker_files
 from tracker.detection.autocalibrate import estimate_unknown_settings
-from tracker.detection.candidates import EmptyPlate, estimate_empty_plate
+from tracker.detection.candidates import EmptyPlate, estimate_empty_plate, median_of_nine, spread_frames
 from tracker.detection.choose import find_radius
 from tracker.detection.detector import AnyDetector, ClipDetector, Detections, DetectorClass, Point, View
 from tracker.detection.glints import Glints
@@ -135,6 +136,25 @@ def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracker
         raise InputError(f"clip {clip.number}: frames of unequal sizes, expected all as the first")
     camera = estimate_unknown_settings(clip.camera, plate, clip.frames)
     return View(camera, plate, clip.frames, settings=settings, area=clip.area, channel=clip.channel)
+
+
+def blank_outside(clip: Recording, view: View) -> Recording:
+    """The recording with the empty plate outside its area and a diameter around that, where a ball may reach into it.
+
+    A detector then finds nothing there, whatever moves or shines. `discs` looks at the area by itself.
+    """
+    if clip.area is None:
+        return clip
+    reach = 2 * round(max(clip.camera.diameter_px, 8.0)) + 1
+    outside = cv2.dilate(clip.area.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))) == 0
+    frames = clip.frames
+    sample = [view.plate.level] if view.takes is None else [np.array(frames[k]) for k in spread_frames(frames)]
+    level = np.rint(sample[0] if view.takes is None else median_of_nine(sample)).astype(frames.dtype)
+
+    def fetch(k: int) -> Any:
+        return np.where(outside, level, frames[k])
+
+    return replace(clip, frames=frames.with_fetch(fetch))
 
 
 def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detections:

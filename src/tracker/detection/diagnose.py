@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from tracker.camera.film_options import BallExample
 from tracker.detection.candidates import CandidateSearch, spread_frames
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
@@ -66,6 +67,23 @@ def explain_no_discs(frames: Sequence[Any], view: View) -> str:
     if np.median([np.sum(a > smallest) for a in areas]) > most:
         return f"too many: over {most} things differ from the background in most frames"
     return "nothing round moves on a still background"
+
+
+def warn_of_missed_examples(tracks: Tracks, examples: Sequence[BallExample], view: View) -> tuple[str, ...]:
+    """Warn of balls that the user points at and that no track passes in that frame."""
+    notes = []
+    for ball in examples:
+        within = ball.radius or view.radius or view.camera.diameter_px / 2
+        rows = tracks.frame == ball.frame
+        away = np.hypot(tracks.x[rows] - ball.x, tracks.y[rows] - ball.y)
+        if len(away) and away.min() <= within:
+            continue
+        near = f"the nearest is {away.min():.0f} px away" if len(away) else "none is followed in that frame"
+        notes.append(
+            f"--ball {ball.x:g},{ball.y:g}@{ball.frame}: no ball is followed within {within:.0f} px of it, {near}; try "
+            "another frame, its radius (X,Y,R@FRAME), or --colour"
+        )
+    return tuple(notes)
 
 
 def warn_of_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]]) -> tuple[str, ...]:

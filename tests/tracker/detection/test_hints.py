@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from tracker_colours import GREEN, ORANGE, draw
 from tracker_discs import CAMERA, SIZE, R, apart, disc
+from tracker_film import CAMERA as GLINTS
+from tracker_film import film
 
 import tracker
 from synthcam_shared.errors import InputError
@@ -84,6 +86,29 @@ def test_a_mask_of_another_size_is_refused(tmp_path):
     cv2.imwrite(f"{tmp_path}/mask.png", np.zeros((9, 8), np.uint8))
     with pytest.raises(InputError, match=r"mask.png: 8x9 pixels, expected 200x160 as the film"):
         read_area("", f"{tmp_path}/mask.png", SIZE)
+
+
+@pytest.mark.parametrize("detector", ["maximum_likelihood", "centroid"])
+def test_what_shines_outside_a_region_hides_no_glint_inside(detector):
+    """Thirty bright specks that flicker are more than the candidates that are looked at in a frame."""
+    rng, ways = np.random.default_rng(5), np.array([[[30 + 1.5 * k, 120.0]] for k in range(30)])
+    pictures = film(rng, ways)
+    for picture in pictures:
+        for row, column in np.argwhere(rng.random((5, 14)) < 0.4):
+            picture[5 + 14 * row : 8 + 14 * row, 8 + 14 * column : 11 + 14 * column] = 250
+    settings = {"detection": {"max_candidates_per_frame": 12}}
+    found = tracker.track(pictures, GLINTS, detector=detector, region="0,90,200,160", settings=settings).tracks
+    assert len(found) == 30
+    assert np.hypot(found.glint_x - ways[found.frame, 0, 0], found.glint_y - 120).max() < 0.5
+
+
+def test_a_ball_that_is_pointed_at_in_vain_has_a_note():
+    (x, y), (u, v) = WAYS[0, 10], WAYS[1, 3]
+    hints = [f"{x:.0f},{y:.0f}@10", f"{u:.0f},{v:.0f},{R}@3", f"{x + 30:.0f},{y:.0f}@10"]
+    notes = [note for note in map(str, tracker.track(grey_film(), CAMERA, ball=hints).notes) if "is followed" in note]
+    assert len(notes) == 1
+    assert notes[0].startswith(f"argument ball {x + 30:.0f},{y:.0f}@10: no ball is followed within 10 px of it, ")
+    assert "the nearest is 30 px away; try another frame" in notes[0]
 
 
 @pytest.mark.parametrize("radius", ["", f",{R}"])
