@@ -430,18 +430,26 @@ def measure_tracks(
     tracks: Tracks, camera: Camera, number: int, point: str, settings: FitSettings | None = None
 ) -> Result:
     """Measure tracks made elsewhere as `track_and_measure` does its own."""
-    settings, count = settings or FitSettings(), len(np.unique(tracks.particle))
-    if count > settings.max_particles:
-        raise InputError(
-            f"clip {number}: {count} particles, expected at most {settings.max_particles}; the time grows with their "
-            f"square. For all write `fit: {{max_particles: {count}}}` into a file of settings (--settings FILE)"
-        )
+    settings = settings or FitSettings()
+    check_particles(
+        tracks, number, settings, "For all write `fit: {{max_particles: {}}}` into a file of settings (--settings FILE)"
+    )
     if point == "glint":
         tracks = results.to_centres(tracks, camera)
     repaired = repair_tracks(tracks, camera, number)
     rows, motion = measure_clip(repaired.tracks, camera, settings)
     notes = (*repaired.notes, *(n for n in describe_camera_gaps(camera) if n.kind is not NoteKind.ASSUMED))
     return Result(number, camera, repaired.tracks, tuple(rows), motion, notes)
+
+
+def check_particles(tracks: Tracks, number: int, settings: FitSettings, advice: str) -> None:
+    """Raise InputError for more particles than can be measured in seconds; the advice may hold {}, their number."""
+    count = len(np.unique(tracks.particle))
+    if count > settings.max_particles:
+        raise InputError(
+            f"clip {number}: {count} particles, expected at most {settings.max_particles}; the time grows with their "
+            f"square. {advice.format(count)}"
+        )
 
 
 def track_clip(

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -65,6 +66,15 @@ def test_a_table_without_a_camera_is_refused(made):
         read_collisions(made[0])
 
 
+def test_a_table_of_many_particles_is_refused_at_once():
+    """Repair and fits of so many take minutes, and a search uses two balls of a clip."""
+    rows = {"frame": np.tile([0, 1], 2500), "particle": np.repeat(np.arange(2500), 2), "clip": 0}
+    table = pd.DataFrame(rows).assign(x=lambda t: 40.0 * (t.particle % 50), y=lambda t: 40.0 * (t.particle // 50))
+    camera = {"size": [2000, 2000], "fps": 250.0, "scale": 1e-3, "ball_diameter": 0.015}
+    with pytest.raises(InputError, match=r"clip 0: 2500 particles, expected at most 2000; .* two balls of a collision"):
+        read_collisions(table, camera)
+
+
 def test_names_of_balls_say_who_strikes_as_a_column_does():
     """Ball a strikes in even clips; numbers alone leave it open, with a note."""
     parts = []
@@ -76,10 +86,13 @@ def test_names_of_balls_say_who_strikes_as_a_column_does():
     table = pd.concat(parts, ignore_index=True)
     camera = {key: value for key, value in clip.camera_json.items() if key != "striker"}
     named = table.drop(columns="striker").assign(particle=table["particle"].map({0: "a", 1: "b"}))
-    for given in (table, named):
-        found, notes = read_collisions(given, camera)
-        assert [c.striker for c in found] == ["a", "b", "a", "b"]
-        assert notes == []
+    (by_column, notes), (by_name, others) = (read_collisions(given, camera) for given in (table, named))
+    assert notes == others == []
+    assert [c.striker for c in by_column] == ["a", "b", "a", "b"]
+    for one, other in zip(by_column, by_name, strict=True):  # so that a search, which sees these alone, is the same
+        assert one.striker == other.striker
+        for name in ("frame", "ball", "xy", "covariance", "launch"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     found, (note,) = read_collisions(table.drop(columns="striker"), camera)
     assert [c.striker for c in found] == ["b"] * 4
     assert "particle 0 strikes in 2 clips and particle 1 in 2" in str(note)

@@ -25,8 +25,9 @@ from tracker.measurement.collision.adequacy import MISFIT
 from tracker.measurement.estimate import measure
 from tracker.measurement.track_repair import repair_tracks
 from tracker.notes import Note, NoteKind
-from tracker.recording import Result
+from tracker.recording import Result, check_particles
 from tracker.results import read_clip
+from tracker.settings import FitSettings
 from tracker.tables.read import ClipTracks, read_frame, read_tracks
 from tracker.tables.rows import split_tracks
 
@@ -167,6 +168,7 @@ def _read_table(path: Path, given: ClipTracks) -> Iterator[_Source]:
         raise InputError(f"{path}: {why}")
     for number, (tracks, striker) in sorted(tables.items()):
         own = replace(base, striker=striker) if striker is not None else base
+        check_particles(tracks, number, FitSettings(), "A search needs the two balls of a collision in each clip")
         repaired = repair_tracks(tracks, own, number)
         tracks, strays = remove_strays(repaired.tracks, own)
         yield _Source(number, tracks, own, partial(measure, tracks, own), strays, repaired.notes)

@@ -90,11 +90,12 @@ def undo_exchanges(tracks: Tracks, diameter: float) -> tuple[Ints, list[int], li
     renamed = particle.copy()
     follows = np.flatnonzero((np.diff(particle) == 0) & (np.diff(frame) <= MAX_GAP_FRAMES)) + 1
     far = follows[np.hypot(*(xy[follows] - xy[follows - 1]).T) > diameter / 4]
+    follows = follows[np.argsort(frame[follows], kind="stable")]
     names = {int(p): int(p) for p in np.unique(particle[far])}  # the true number by the table's
     frames, unsure = list[int](), list[int]()
     # an exchange moves at least one ball by more than a quarter of a diameter: the others need no look
     for now in np.unique(frame[far]).tolist():
-        rows = follows[frame[follows] == now]
+        rows = follows[slice(*np.searchsorted(frame[follows], [now, now + 1]))]
         cost = np.hypot(*(xy[rows][:, None] - xy[rows - 1][None]).transpose(2, 0, 1))
         found = linear_sum_assignment(cost)[1]
         for cycle in _cycles(found):
@@ -110,7 +111,8 @@ def undo_exchanges(tracks: Tracks, diameter: float) -> tuple[Ints, list[int], li
             given = [names.setdefault(int(p), int(p)) for p in particle[rows[found[cycle]]]]
             for number, true in zip(numbers, given, strict=True):
                 names[number] = true
-                renamed[(particle == number) & (frame >= now)] = true
+                own = slice(*np.searchsorted(particle, [number, number + 1]))
+                renamed[own][frame[own] >= now] = true
     return renamed, sorted(set(frames)), sorted(set(unsure))
 
 
@@ -120,7 +122,7 @@ def _slowest(tracks: Tracks, row: int) -> float:
     own = own[tracks.particle[own] == tracks.particle[row]]
     if len(own) < 2:
         return 0.0
-    speeds = np.hypot(*np.diff(tracks.xy[own], axis=0).T) / np.diff(tracks.frame[own])
+    speeds = np.hypot(*np.diff(np.column_stack([tracks.x[own], tracks.y[own]]), axis=0).T) / np.diff(tracks.frame[own])
     return float(speeds.min() * (tracks.frame[row] - tracks.frame[row - 1]))
 
 
@@ -138,20 +140,21 @@ def _cycles(found: NDArray[np.intp]) -> Iterator[list[int]]:
 
 def find_unreachable(tracks: Tracks, diameter: float) -> tuple[Ints, NDArray[np.bool_]]:
     """Numbers of particles, new ones for paths far from a ball's own, and the rows of lost points."""
+    xy = tracks.xy
     renumbered, gone = np.array(tracks.particle, dtype=np.int64), np.zeros(len(tracks), dtype=bool)
     following = int(renumbered.max(initial=-1)) + 1
-    far = (np.diff(tracks.particle) == 0) & (np.hypot(*np.diff(tracks.xy, axis=0).T) > diameter)
+    far = (np.diff(tracks.particle) == 0) & (np.hypot(*np.diff(xy, axis=0).T) > diameter)
     for particle in np.unique(tracks.particle[1:][far]):
-        rows = np.flatnonzero(tracks.particle == particle)
-        pieces = _cut(tracks.frame[rows], tracks.xy[rows], diameter)
+        rows = np.arange(*np.searchsorted(tracks.particle, [particle, particle + 1]))
+        pieces = _cut(tracks.frame[rows], xy[rows], diameter)
         if len(pieces) == 1:
             continue
         # numbers that stay exactly where they are after a jump mark a ball that is not seen
-        still = [piece for piece in pieces if np.ptp(tracks.xy[rows[piece]], axis=0).max() == 0 and len(piece) > 1]
+        still = [piece for piece in pieces if np.ptp(xy[rows[piece]], axis=0).max() == 0 and len(piece) > 1]
         moving = [piece for piece in pieces if not any(piece is other for other in still)]
         own = True
         while moving:
-            chain = _longest_chain(moving, tracks.frame[rows], tracks.xy[rows], diameter)
+            chain = _longest_chain(moving, tracks.frame[rows], xy[rows], diameter)
             every = np.concatenate([moving[k] for k in chain])
             if not own and len(every) < MIN_PATH_POSITIONS:
                 break
@@ -167,20 +170,21 @@ def find_unreachable(tracks: Tracks, diameter: float) -> tuple[Ints, NDArray[np.
 def _is_near_another(tracks: Tracks, some: NDArray[np.bool_], diameter: float) -> NDArray[np.bool_]:
     """True if those rows, or some of their run, lie where another ball was or will be within two frames."""
     rest = np.flatnonzero(~some)
-    frame, particle, xy = tracks.frame[rest], tracks.particle[rest], tracks.xy[rest]
+    every = tracks.xy
+    frame, particle, xy = tracks.frame[rest], tracks.particle[rest], every[rest]
     same = (np.diff(particle) == 0) & (np.diff(frame) == 1)
     steps = np.hypot(*np.diff(xy, axis=0).T)[same]
     reach = diameter + 2 * float(np.quantile(steps, 0.9)) if len(steps) else diameter
     order = np.argsort(frame, kind="stable")
-    near = []
+    ordered, near = frame[order], list[bool]()
     for row in np.flatnonzero(some):
         now = tracks.frame[row]
-        others = order[slice(*np.searchsorted(frame[order], [now - 2, now + 3]))]
+        others = order[slice(*np.searchsorted(ordered, [now - 2, now + 3]))]
         others = others[particle[others] != tracks.particle[row]]
-        near.append(bool((np.hypot(*(xy[others] - tracks.xy[row]).T) < reach).any()))
+        near.append(bool((np.hypot(*(xy[others] - every[row]).T) < reach).any()))
     rows = np.flatnonzero(some)
     joined = (np.diff(rows) == 1) & (np.diff(tracks.particle[rows]) == 0)
-    joined &= np.hypot(*np.diff(tracks.xy[rows], axis=0).T) < reach
+    joined &= np.hypot(*np.diff(every[rows], axis=0).T) < reach
     run = np.concatenate([[0], np.cumsum(~joined)])[: len(rows)]
     return np.isin(run, run[np.array(near, dtype=bool)])
 
