@@ -23,8 +23,9 @@ from tracker.detection.candidates import estimate_noise, median_of_nine, spread_
 from tracker.detection.contrast_regions import find_touching_discs
 from tracker.detection.still_background import StillBackground, estimate_still_background
 from tracker.detection.windows import find_regions
+from tracker.settings import DetectionSettings
 
-GLINTS, DISCS = "maximum_likelihood", "discs"
+GLINTS, DISCS, CENTROIDS = "maximum_likelihood", "discs", "centroid"
 MIN_BODY_AREA_PX = 28  # of a ball seen whole, 6 px across
 MAX_REGIONS = 40  # of a frame that are examined, the largest first
 MIN_ROUNDNESS = 0.6  # area over that of the circle around a region
@@ -68,7 +69,7 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     expected = camera.diameter_px / 2 if camera.knows_diameter else None
     smallest = max(MIN_BODY_AREA_PX, 0.25 * np.pi * expected**2) if expected else MIN_BODY_AREA_PX
     if not any(_shows_large_region(np.asarray(frames[k]), level, least, smallest) for k in picks):
-        return GLINTS, ""
+        return _choose_for_glints([frames[k] for k in picks], level, least)
     level = estimate_still_background(frames, noise).level
     found = [find_round_bodies(np.asarray(frames[k]), level, least, expected)[:, 0] for k in picks]
     radii = np.concatenate(found)
@@ -81,6 +82,20 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     return DISCS, (
         f"detector: discs, because the film shows balls as bodies of {2 * usual:.0f} px, not only their glints; "
         "--detector overrides this"
+    )
+
+
+def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float) -> tuple[str, str]:
+    """Maximum likelihood, or centroids where a frame shows so many specks that to fit each would take minutes."""
+    most = DetectionSettings().max_candidates_per_frame
+    bright = [cv2.subtract(np.asarray(picture), level) > math.floor(least) for picture in sample]
+    specks = int(np.median([cv2.connectedComponents(spots.view(np.uint8))[0] - 1 for spots in bright]))
+    crowded_share = 0.3  # of the pixels, from which on the light changes
+    if specks <= most or np.median([spots.mean() for spots in bright]) > crowded_share:
+        return GLINTS, ""
+    return CENTROIDS, (
+        f"detector: {CENTROIDS}, because a frame shows {specks} bright specks, too many for {GLINTS}, which fits each; "
+        f"the {most} brightest of them are followed; --detector overrides this"
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from tracker.camera.film_options import BallExample
 from tracker.detection.candidates import CandidateSearch, spread_frames
@@ -103,10 +104,43 @@ def warn_of_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tu
     loose = ~(rim | cut)
     if loose.sum() < max(4, 0.5 * len(ends)):
         return ()
-    return (
+    count = (
         f"{loose.sum()} of the {len(ends)} ends of tracks lie inside the picture, where no ball comes in or leaves: "
-        "the tracks may be reflections or specks, or more objects than the tracker can distinguish",
     )
+    pairs = _count_resumed(tracks, rows, loose, rim_px)
+    if 4 * pairs >= loose.sum():  # half of the loose ends
+        text = (
+            f"{pairs} tracks begin where another ended shortly before: they may be pieces of one ball that was hidden"
+        )
+        return (f"{count}{text}; `link: {{max_gap_frames: 20}}` in a file behind --settings joins longer gaps",)
+    return (f"{count}the tracks may be reflections or specks, or more objects than the tracker can distinguish",)
+
+
+def _count_resumed(tracks: Tracks, rows: list[NDArray[np.intp]], loose: NDArray[np.bool_], reach: float) -> int:
+    """Loose ends of tracks that another track's loose beginning continues, within 40 frames and `reach` px.
+
+    rows: of each track; loose: whether its first and its last position are so, one after the other.
+    """
+    longest, count = 40, 0
+    ordered = [own[np.argsort(tracks.frame[own], kind="stable")] for own in rows]
+    begins = [own[0] for k, own in enumerate(ordered) if loose[2 * k]]
+    for k, own in enumerate(ordered):
+        if not loose[2 * k + 1]:
+            continue
+        near = own[-5:]
+        time = max(int(tracks.frame[near[-1]] - tracks.frame[near[0]]), 1)
+        speed = (tracks.xy[near[-1]] - tracks.xy[near[0]]) / time
+        for begin in begins:
+            gap = int(tracks.frame[begin] - tracks.frame[near[-1]])
+            if 0 < gap <= longest:
+                miss = tracks.xy[begin] - tracks.xy[near[-1]]
+                # the ball may go on as before, or stop
+                off = min(float(np.hypot(*miss)), float(np.hypot(*(miss - gap * speed))))
+                if off <= reach:
+                    count += 1
+                    begins.remove(begin)
+                    break
+    return count
 
 
 def _shows_dark_ball(frame: Any, level: Any, noise: float, diameter: float) -> bool:

@@ -40,6 +40,19 @@ def test_ends_of_tracks_amid_the_picture_are_counted(ways, spans, ends):
     assert "".join(said)[: len(ends) or None] == ends
 
 
+PIECES = [(a, a + 12, (20 + 3 * a, 100), (56 + 3 * a, 100)) for a in (0, 22, 44, 66)]
+SCATTERED = [(10 * k, 10 * k + 6, (200 * (k % 2) + 50, 150 * (k // 2 % 2) + 60), (203 * (k % 2) + 50, 150 * (k // 2 % 2)
+              + 62)) for k in range(1, 8)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("ways", "said"), [(PIECES, "3 tracks begin where another ended"), (SCATTERED, "reflections")])
+def test_pieces_of_one_ball_are_no_reflections(ways, said):
+    """A hand hides a ball for ten frames, longer than the tracker links over."""
+    (warning,) = warn_of_loose_ends(tracks(*ways), SIZE, [(0, LAST)])
+    assert said in warning
+    assert ("max_gap_frames" in warning) == (ways is PIECES)
+
+
 def test_nothing_is_said_of_nothing():
     none = Tracks(*(values[:0] for values in vars(tracks(BALLS[0])).values()))
     assert warn_of_loose_ends(none, SIZE, [(0, LAST)]) == ()

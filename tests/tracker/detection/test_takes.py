@@ -109,3 +109,20 @@ def test_two_sizes_of_balls():
     result = tracker.track(both, detector="discs")
     found = result.tracks.groupby("particle").flux.median().pipe(np.sqrt) / np.sqrt(np.pi)
     assert sorted(found) == pytest.approx([0.6 * R, R], rel=0.05)
+
+
+def test_a_crowd_of_touching_balls_has_a_note():
+    """A heap that moves shows as one large object; no ball of it is found."""
+    rng, small = np.random.default_rng(7), R / 2
+    way = np.stack([np.linspace(60, 75, 12), np.full(12, 40.0)], axis=1)
+    heap = np.array([way + np.array([column, row]) * 1.8 * small for row in range(4) for column in range(4)])
+    pictures = film(rng, heap, radius=small)
+    notes = list(map(str, tracker.track(pictures, CAMERA | {"ball_diameter": 2e-3 * small}, detector="discs").notes))
+    assert [note for note in notes if note.startswith("crowd: the objects that are left out cover as much as")]
+
+
+def test_more_objects_than_are_looked_at_have_a_note_with_the_setting():
+    ways = np.concatenate([apart(12), apart(12) + np.array([0.0, 25.0])])
+    settings = {"detection": {"max_objects_per_frame": 3}}
+    result = tracker.track(film(np.random.default_rng(8), ways), CAMERA, detector="discs", settings=settings)
+    assert [note for note in map(str, result.notes) if "12 frames show more than 3 objects" in note]

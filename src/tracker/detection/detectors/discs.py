@@ -33,6 +33,8 @@ from tracker.detection.windows import Index, Region, find_regions
 ContrastArea: TypeAlias = tuple[Region, NDArray[np.float32]]  # a region, and its difference from the background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 
+MIN_CROWD = 3.0  # area of what is refused over that of the balls found, from which on a note tells of a crowd
+
 
 class Discs:
     """Finds regions that differ from the background of their scene, and fits discs to the pixels at their edges.
@@ -56,6 +58,7 @@ class Discs:
         self.box = (5, 5) if self.is_noisy and large else (3, 3)
         self.low = max(self.settings.disc_contrast_sigma * self.noise / self.box[0], self.settings.disc_contrast_counts)
         self.shadows = 0
+        self.cut_frames, self.refused_area = 0, 0.0  # frames with too many objects; of refused objects, in balls
         self.scenes = {
             scene: estimate_still_background(
                 [cv2.blur(frame, self.box) for frame in self._samples(scene)], self.noise * 1.5 / self.box[0]
@@ -99,7 +102,7 @@ class Discs:
         # More discs than this in one frame, in positions that were never seen empty, are parts of a shaking background.
         max_always_there = 4
         refused, parts = dict[int, int](), [Glints.none()]
-        self.shadows = 0
+        self.shadows, self.cut_frames, self.refused_area = 0, 0, 0.0
         for number, frame in frames:
             if number in self.scene_of:
                 ground = self.scenes[self.scene_of[number]]
@@ -111,7 +114,9 @@ class Discs:
                 if others:
                     refused[number] = others
         return Detections(
-            glints=Glints.join(parts), notes=tuple(self._notes(refused)), outline_radius=self._measure_radius()
+            glints=Glints.join(parts),
+            notes=tuple(self._notes(refused, sum(map(len, parts)))),
+            outline_radius=self._measure_radius(),
         )
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
@@ -127,13 +132,27 @@ class Discs:
         spread = 1.4826 * float(np.median(np.abs(radii - np.median(radii))))  # of a normal distribution
         return OutlineRadius(float(np.median(radii)), spread / float(np.sqrt(len(radii))))
 
-    def _notes(self, refused: dict[int, int]) -> Iterator[str]:
-        """Notes for the user on the frames that were searched; `refused`: objects that are not balls, by frame."""
+    def _notes(self, refused: dict[int, int], found: int) -> Iterator[str]:
+        """Notes for the user on the frames that were searched.
+
+        refused: objects that are not balls, by frame; found: positions of balls.
+        """
         yield from self.takes.describe()
         if refused:
             yield (
                 f"{sum(refused.values())} objects in {len(refused)} frames are not balls and are left out (not round, "
                 f"of another size, or always there), frame {min(refused)} first"
+            )
+        if self.refused_area > MIN_CROWD * max(found, 10):
+            yield (
+                f"crowd: the objects that are left out cover as much as {self.refused_area:.0f} balls, and {found} "
+                "balls are found; many balls that touch are not separated"
+            )
+        if self.cut_frames:
+            most = self.settings.max_objects_per_frame
+            yield (
+                f"crowd: {self.cut_frames} frames show more than {most} objects, of which the {most} largest are "
+                f"looked at; a file with `detection: {{max_objects_per_frame: {10 * most}}}` behind --settings has more"
             )
         if self.shadows:
             yield (
@@ -200,6 +219,7 @@ class Discs:
             dark = part.sign < 0 and not self.dark_balls
             fitted = [] if dark else self._in_part(light, ground, part, radius)
             refused += not fitted and part.area > 0.5 * np.pi * radius**2
+            self.refused_area += 0.0 if fitted else part.area / (np.pi * radius**2)
             fits += [(f, flag, radius) for f, flag in fitted]
         return self._glints(fits, light.shape) if fits else Glints.none(), refused
 
@@ -220,6 +240,7 @@ class Discs:
         if self.view.area is not None:
             rough &= self.view.area
         regions = find_regions(rough, least, examine)
+        self.cut_frames += len(regions) > self.settings.max_objects_per_frame
         return [
             (region, np.subtract(light[region.at], ground.level[region.at], dtype=np.float32))
             for region in regions[: self.settings.max_objects_per_frame]
