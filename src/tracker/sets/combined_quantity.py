@@ -18,6 +18,7 @@ from tracker.measurement.random_effects import GeneralisedQ, RandomEffects, fit_
 Floats = NDArray[np.float64]
 WITHOUT_COLLISION = ("drag", "decel")  # that a ball alone shows too
 MIN_VALUES_OF_SLOPE = 4
+OUTLIER_Z = 4.0  # standard errors, with the scatter, from the mean of the others
 INFLUENTIAL = 1.0  # change of a mean, in its errors, by one collision that a note names
 SIGNIFICANT = 0.01  # p-value of a slope, or of a difference between results, that a note tells
 
@@ -154,6 +155,11 @@ def list_warnings(one: CombinedQuantity) -> Iterable[str]:
         which = f"{row['result']}, clip {row['clip']}, collision {row['collision']}"
         whole = format_with_error(mean.coefficients[0], mean.std[0])
         yield f"{one.name}: {which} decides the mean: {row['mean_without']:.4g} without it, {whole} with it"
+    for _, row in one.values[np.abs(one.values["z"]) > OUTLIER_Z].iterrows():
+        which = f"{row['result']}, clip {row['clip']}, collision {row['collision']}"
+        far = f"{abs(row['z']):.1f} standard errors from the others, with the scatter"
+        without = f"without it the mean is {row['mean_without']:.4g} and the scatter {row['scatter_without']:.2g}"
+        yield f"{one.name}: {which} is {far}; {without}"
     if slope is not None and slope.p_value[1] < SIGNIFICANT:
         by = f"by {format_with_error(slope.coefficients[1], slope.std[1])} per m/s (p {slope.p_value[1]:.2g})"
         yield f"{one.name} changes with v_n {by}; the mean is that at {one.speed:.3g} m/s"

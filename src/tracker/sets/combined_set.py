@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,7 +36,7 @@ from tracker.tables.rows import to_csv, tracks_table
 
 Floats = NDArray[np.float64]
 SUFFIXES = {"tied": "", "free": "_free", "local": "_local"}  # of the columns, by the fit that is recommended
-SHARED_QUANTITIES = ("r", "s", "mu_k", "C", "beta", "mass_ratio", "drag", "decel")  # that collisions have in common
+SHARED_QUANTITIES = ("r", "s", "mu_k", "C", "beta", "drag", "decel")  # that collisions have in common
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,7 +158,7 @@ def combine(
     results : sequence of str, Path or Result
         Folders that `tracker track` or `tracker measure` made, or results in memory.
     quantities : sequence of str, optional
-        Columns of estimates.parquet; default: r, s, mu_k, C, beta, mass_ratio, drag and decel, as far as they are
+        Columns of estimates.parquet; default: r, s, mu_k, C, beta, drag and decel, as far as they are
         there.
 
     Returns
@@ -278,8 +279,8 @@ def _choose_quantities(table: pd.DataFrame, asked: Sequence[str] | None) -> list
         return [
             name for name in SHARED_QUANTITIES if any(f"{name}{suffix}_std" in table for suffix in SUFFIXES.values())
         ]
-    measured = {c.removesuffix("_std") for c in table.columns if c.endswith("_std") and c.removesuffix("_std") in table}
-    names = sorted(n for n in measured if not n.endswith(("_free", "_paper", "_local")))
+    measured = {str(column).removesuffix("_std") for column in table.columns if str(column).endswith("_std")}
+    names = sorted({re.sub("_(free|local|paper)$", "", column) for column in measured if column in table})
     for name in asked:
         if name not in names:
             hint = did_you_mean(name, {one: one for one in names})

@@ -164,6 +164,8 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
     elif table.fps > 0:
         whose = "its times are used" if "t_s" in table.rows else "the camera file's is used"
         notes.append(f"fps: {known.fps:g} in the camera file, {table.fps:.4g} in {name}; {whose}")
+    elif not abs((rate := _measure_rate(table.rows)) / known.fps - 1) <= 0.01 and math.isfinite(rate):
+        notes.append(f"fps: {known.fps:g} in the camera file, {rate:.4g} by t_s in {name}; its times are used")
     factor = (metre if metric else known.scale) / (1.0 if up else known.scale)
     rows = (table.scale_lengths(factor, where) if up or metric else table).rows
     clips = split_tracks(rows, where, metric or up)
@@ -290,6 +292,16 @@ def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camer
         if "size" not in keys and isinstance(scale, int | float) and scale > 0:
             keys["size"] = [min(2 * math.ceil(reach / scale) + 2 * 15, 16000)] * 2
     return Camera.from_dict(keys, named)
+
+
+def _measure_rate(rows: pd.DataFrame) -> float:
+    """Frames a second by the column t_s; NaN without it."""
+    if "t_s" not in rows or len(rows) < 2:
+        return math.nan
+    keys = [name for name in ("clip", "particle") if name in rows]
+    steps = rows.sort_values([*keys, "frame"])[["frame", "t_s", *keys]].apply(pd.to_numeric, errors="coerce").diff()
+    forward = steps[(steps[keys] == 0).all(axis=1) & (steps["frame"] > 0) & (steps["t_s"] > 0)]
+    return float((forward["frame"] / forward["t_s"]).median())
 
 
 def _project(tracks: Tracks, camera: Camera) -> Tracks:

@@ -61,6 +61,9 @@ def test_the_recommended_fit_enters(tmp_path):
     assert values["fit"].tolist() == ["tied", "local", "free"]
     assert values["v_n"].iloc[1] == pytest.approx(0.4)
     assert found.left_out == {"misfit": 1, "ok": 2}
+    alone = [{k: v for k, v in one.items() if k not in ("r", "r_std")} for one in rows[:2]]
+    values = tracker.combine(write(tmp_path / "c", alone), quantities=["r"]).quantities["r"].values
+    assert values["value"].tolist() == [0.8]  # of results that have the local estimate alone
     plain = [{k: v for k, v in one.items() if "local" not in k and k != "recommended"} for one in rows]
     values = tracker.combine(write(tmp_path / "b", plain), quantities=["r"]).quantities["r"].values
     assert values["clip"].tolist() == [0, 2, 3]
@@ -79,7 +82,8 @@ def test_a_recording_given_twice_counts_once(tmp_path):
 def test_one_collision_that_decides_and_results_that_differ_are_told(tmp_path):
     rows = [row(k, r, 0.001) for k, r in enumerate((0.900, 0.901, 0.899, 0.9005))]
     found = tracker.combine(write(tmp_path / "a", [*rows, row(4, 0.95, 0.001)]), quantities=["r"])
-    assert found.notes == ()  # a fifth of a mean of five is not more than its error
+    (note,) = found.notes  # a fifth of a mean of five is not more than its error
+    assert "clip 4, collision 0 is 44.6 standard errors from the others, with the scatter; without it the" in note
     precise = [row(0, 0.95, 0.001), *(row(k, 0.9, 0.05) for k in (1, 2, 3))]
     (note,) = tracker.combine(write(tmp_path / "c", precise), quantities=["r"]).notes
     assert note.startswith("r: c, clip 0, collision 0 decides the mean: 0.9 without it, 0.9499")

@@ -20,7 +20,7 @@ from tracker_tables import (
 import synthcam
 import tracker
 from synthcam_shared.errors import InputError
-from tracker.tables.read import read_tracks
+from tracker.tables.read import read_frame, read_tracks
 
 SCENE = synthcam.Scene.read(
     "painter_behringer", camera={"size": list(SIZE), "scale": SCALE}, timing={"frames": 60, "contact_frame": 20}
@@ -284,3 +284,13 @@ def test_wrong_names_of_columns(columns, said, tmp_path, camera):
     with pytest.raises(InputError) as error:
         read_tracks(path, camera, columns)
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize(("rate", "told"), [(240, ["240 by t_s in tracks; its times are used"]), (249, []), (None, [])])
+def test_times_of_a_table_are_checked_against_the_frame_rate(rate, told, camera):
+    rows = pd.DataFrame({"frame": np.arange(30), "particle": 0, "x": np.linspace(20, 150, 30), "y": 50.0})
+    if rate:
+        rows = rows.assign(t_s=np.arange(30) / rate)
+    given = camera | {"fps": 250.0, "exposure": 0.0}
+    notes = [str(note) for note in read_frame(rows, given).notes]
+    assert notes == [f"fps: 250 in the camera file, {text}" for text in told]
