@@ -130,7 +130,7 @@ def test_what_was_read_is_told(rows, camera, tmp_path):
     slow = map(str, tracker.measure(path, camera | {"fps": 240.0, "exposure": 0.0}).notes)
     assert "fps: 240 in the camera file, 250 in tracks.xml; the camera file's is used" in slow
     path.write_text(osp_table(rows))
-    exported = "tracks.xml: read as Tracker (OSP): exported table, lengths in m; --unit if not so"
+    exported = "tracks.xml: read as Tracker (OSP): exported table, lengths in m; argument unit if not so"
     assert exported in map(str, tracker.measure(path, camera).notes)
 
 
