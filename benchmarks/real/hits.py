@@ -1,6 +1,7 @@
 """Local estimates of the hits of other laboratories: yield, and the balance of momentum on hits kept out.
 
 python -m benchmarks.real.hits CLONE [CLONE ...] [--tied] [-o out/real_hits.json]
+make bench-hits CLONES="CLONE ..."
 
 Each CLONE is a clone of one of the repositories that `recordings` reads; its folder's name must contain that of the
 repository. The table gives for each laboratory:
@@ -123,10 +124,12 @@ def run(clones: Sequence[Path], tied: bool) -> dict[str, Any]:
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clones", nargs="+", type=Path)
+    parser.add_argument("clones", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()])
     parser.add_argument("--tied", action="store_true")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_hits.json"))
     given = parser.parse_args()
+    if not given.clones:
+        raise SystemExit(f"expected paths to clones of {', '.join(READERS)}")
     save(given.output, run(given.clones, given.tied))
 
 

@@ -137,19 +137,33 @@ def _nearest(one: pd.DataFrame, two: pd.DataFrame) -> float:
 
 
 def read_pucks(clone: Path, before: int = 90, after: int = 110, step: int = 2) -> list[RecordedHit]:
-    """Read the hits of two pucks of 50 mm, by the middles of three markers on each."""
+    """Read the hits of two pucks of 50 mm, by the middles of three markers on each.
+
+    Their files name the pucks in any order. Particle 0 is the one whose markers are 42.1 mm apart at most, particle 1
+    that of 44.0 mm. The scales say 28.73 and 28.19 g, but not which is which.
+    """
     camera = {"size": [1000, 1000], "fps": 500 / step, "scale": 1e-3, "exposure": 0.0, "ball_diameter": 0.05}
-    camera["ball_masses"] = [0.0287262, 0.0281852]
     hits = []
     for file in _list_files(clone, "src/RAW_DATA/del2/centers"):
         if not re.fullmatch(r".*/centers/Measurement\d+\.tsv\.csv", file):
             continue
         table = pd.read_csv(io.BytesIO(_read_blob(clone, file)))
-        a, b = (table[[f"c_{k}_x", f"c_{k}_y"]].to_numpy(np.float64) for k in "ab")
+        order = "ab" if _longest_side(clone, file) < 43.0 else "ba"
+        a, b = (table[[f"c_{k}_x", f"c_{k}_y"]].to_numpy(np.float64) for k in order)
         rows = _cut_around_contact(a, b, 500.0, before, after, step)
         if rows is not None:
             hits.append(RecordedHit(Path(file).name.split(".")[0], rows, camera))
     return hits
+
+
+def _longest_side(clone: Path, file: str) -> float:
+    """Longest distance of the three markers on puck a of a file, mm: the first marker and the two next to it."""
+    raw = file.replace("/centers", "").removesuffix(".csv")
+    table = pd.read_csv(io.BytesIO(_read_blob(clone, raw)), sep="\t", skiprows=11, nrows=50).replace(0.0, np.nan)
+    markers = [table[[f"New {k:04d} X", f"New {k:04d} Y"]].to_numpy(np.float64) for k in range(6)]
+    near = sorted(range(6), key=lambda k: float(np.hypot(*(markers[k] - markers[0])[0])))[:3]
+    sides = (np.hypot(*(markers[i] - markers[k]).T) for i, k in zip(near, near[1:] + near[:1], strict=True))
+    return max(float(np.nanmedian(side)) for side in sides)
 
 
 def read_discs(clone: Path, series: tuple[int, ...] = (5, 6, 7)) -> list[RecordedHit]:

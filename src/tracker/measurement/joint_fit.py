@@ -27,7 +27,8 @@ MIN_EIGENVALUE = 1e-12  # of a correlation matrix that is positive definite beyo
 def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
     """Fit all clips of estimates.parquet together: the contents of fit.json.
 
-    Misfits do not enter. A clip whose covariance is not positive definite is left out of the sums that need it.
+    Misfits do not enter, nor do tied fits that the local estimate contradicts. A clip whose covariance is not positive
+    definite is left out of the sums that need it.
 
     - chi2: r, mu_k and C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, given v0 and b,
       for any b. Errors follow from its curvature, times sqrt(chi2/dof) where that exceeds one.
@@ -38,6 +39,8 @@ def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
       lessen it.
     """
     ok = estimates[estimates["status"] == "ok"] if len(estimates) else estimates
+    if "recommended" in ok:
+        ok = ok[ok["recommended"] == "tied"]
     roll = estimates[estimates["status"].isin(["ok", "no_collision"])] if len(estimates) else estimates
     scatter = {name: _mean_and_scatter(ok, name) for name in SHARED}
     scatter |= {name: _mean_and_scatter(roll, name) for name in ROLLING}
