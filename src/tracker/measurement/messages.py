@@ -127,8 +127,8 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
     if unequal.any():
         texts.append(
             f"masses: recoil contradicts equal masses in {_count(int(unequal.sum()))}, with a ratio of"
-            f" {np.median(ratio[unequal]):.3g} (median); ball_masses in the camera file gives them. Without it energies"
-            " are those of equal masses"
+            f" {np.median(ratio[unequal]):.3g} (median). Either the masses differ, and ball_masses in the camera file"
+            " gives them, or a ball lifts off or hits something else. Energies are those of equal masses"
         )
     return [Note(NoteKind.FLAG, text) for text in texts]
 
