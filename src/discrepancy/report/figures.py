@@ -81,17 +81,19 @@ def _fits_to_draw(found: SearchOutcome) -> list[tuple[Sequence[MeasuredCollision
 
 
 def _mean_residuals_figure(found: SearchOutcome) -> Figure:
-    figure, axes = make_axes(2, 2, figsize=(8, 4.6), sharex=True)
+    shown = _shown_balls(found)
+    figure, axes = make_axes(len(shown), 2, figsize=(8, 0.2 + 2.2 * len(shown)), sharex=True, squeeze=False)
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
         stage, ball, left = _residuals(clips, fit)
-        for (b, axis), ax in np.ndenumerate(axes):
+        for (row, axis), ax in np.ndenumerate(axes):
+            b = shown[row]
             centres, values = _bin(stage[ball == b], left[ball == b, axis])
             means = [v.mean() for v in values]
             errors = [v.std(ddof=1) / np.sqrt(len(v)) for v in values]
             ax.errorbar(centres + 0.02 * k, means, errors, fmt="o", ms=3, lw=1, color=colour, label=label)
-    for (b, axis), ax in np.ndenumerate(axes):
+    for (row, axis), ax in np.ndenumerate(axes):
         ax.axhline(0, color=NOISE, lw=0.5)
-        _mark_stages(ax, f"ball {b + 1}, {('along', 'across')[axis]}")
+        _mark_stages(ax, f"{_name_ball(found, shown[row])}, {('along', 'across')[axis]}", found.data.is_cut)
     for ax in axes[:, 0]:
         ax.set_ylabel("mean residual (µm)")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
@@ -99,26 +101,36 @@ def _mean_residuals_figure(found: SearchOutcome) -> Figure:
 
 
 def _rms_residuals_figure(found: SearchOutcome) -> Figure:
-    figure, axes = make_axes(1, 2, figsize=(8, 2.8), sharey=True)
+    shown = _shown_balls(found)
+    figure, grid = make_axes(1, len(shown), figsize=(4 * len(shown), 2.8), sharey=True, squeeze=False)
+    axes = grid[0]
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
         stage, ball, left = _residuals(clips, fit)
-        for b, ax in enumerate(axes):
+        for b, ax in zip(shown, axes, strict=True):
             centres, values = _bin(stage[ball == b], np.sqrt((left[ball == b] ** 2).mean(axis=1)))
             sizes = np.array([np.sqrt(np.mean(v**2)) for v in values])
             errors = sizes / np.sqrt([4 * len(v) for v in values])
             ax.errorbar(centres + 0.02 * k, sizes, errors, fmt="o", ms=3, lw=1, color=colour, label=label)
-    for b, ax in enumerate(axes):
+    for b, ax in zip(shown, axes, strict=True):
         ax.axhline(found.gap.floor_um, color=NOISE, lw=1, ls="--", label="noise alone")
-        _mark_stages(ax, f"ball {b + 1}")
+        _mark_stages(ax, _name_ball(found, b), found.data.is_cut)
     axes[0].set(ylabel="rms residual in x and y (µm)", ylim=(0, None))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
-def _mark_stages(ax: Axes, title: str) -> None:
+def _shown_balls(found: SearchOutcome) -> tuple[int, ...]:
+    return (1,) if found.data.is_cut else (0, 1)  # only a "striker" is seen in a stretch
+
+
+def _name_ball(found: SearchOutcome, ball: int) -> str:
+    return "all stretches" if found.data.is_cut else f"ball {ball + 1}"
+
+
+def _mark_stages(ax: Axes, title: str, is_cut: bool) -> None:
     for edge in (0, 1):
         ax.axvline(edge, color=NOISE, lw=0.5, ls=":")
-    ax.set(title=title, xlim=(-1.05, 2.05))
+    ax.set(title=title, xlim=(-0.05 if is_cut else -1.05, 2.05))
     ax.set_xticks([-0.5, 0.5, 1.5], ("before contact", "sliding", "rolling"))
     ax.tick_params(axis="x", length=0)
 
@@ -136,6 +148,8 @@ def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit) -> tuple[Array
         left, out = clip.xy - xy, np.zeros((len(time), 2))
         for b in range(2):
             rows = clip.ball == b
+            if not rows.any():
+                continue
             when = time[rows]
             t_c, over = launch[T_C], max(clip.slide_ends[b], launch[T_C] + 1e-6)
             edges = [min(when[0], t_c - 1e-6), t_c, over, max(when[-1], over + 1e-6)]

@@ -11,6 +11,7 @@ from discrepancy.fitting.base_fit import fit_base_model
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.preparation import prepare
 from discrepancy.search import search
+from discrepancy.validate.residual_map import find_disagreements
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
@@ -50,7 +51,7 @@ def test_a_free_start_follows_any_motion_that_slides_and_then_rolls():
     assert fit.chi2 < 1e-3 * fit.points  # a thousandth of a claimed error, which is 1.6 um
 
 
-def test_an_effect_of_the_plate_is_named_whatever_the_impacts_were(monkeypatch):
+def test_an_effect_of_the_plate_is_named_whatever_the_impacts_were(monkeypatch, tmp_path):
     few = ("plate_tilt", "velocity_restitution", "rolling_quadratic")
     only(monkeypatch, ("rolling_speed",), **{name: library()[name] for name in few})
     true = {"plate_tilt.x": 3e-4, "plate_tilt.y": -1e-4}
@@ -62,6 +63,15 @@ def test_an_effect_of_the_plate_is_named_whatever_the_impacts_were(monkeypatch):
     assert found.gap.after < 1.15
     assert "velocity_restitution" in found.undetectable
     assert "held-out stretches" in found.sentence()
+    page = found.report(tmp_path / "report").read_text()
+    assert "fitted stretches" in page
+
+
+def test_the_phase_that_disagrees_is_found_and_none_without_a_fault():
+    for strength, phase in ((3e-4, "rolling"), (0.0, None)):
+        cut = cut_stretches(noisy(exact(Model().replace({"plate_tilt.x": strength}), 6, 3), 3))
+        largest = find_disagreements(cut, fit_base_model(cut, Model(), SILENT, lambda stage: None), SILENT)[0]
+        assert (largest.phase if largest.sigma > 5 else None) == phase
 
 
 def test_stretches_of_one_recording_are_all_fitted_or_all_held_out():
