@@ -221,14 +221,19 @@ def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
     pairs = BallPairs(pair for clip in clips for pair in clip.paired_stretches())
     if pairs.common_mode_score(noise.own) > current_policy().shared_noise_sigma:
         return replace(pairs.noise(), frame_spacing=noise.frame_spacing)
-    return _exclude_motion(noise, stretches) if noise.is_slow else noise
+    cut = all(clip.is_stretch for clip in clips)
+    return _exclude_motion(noise, stretches, cut) if noise.is_slow else noise
 
 
-def _exclude_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
-    """The noise, or that of short pieces where over whole phases it must contain motion that no cubic follows."""
+def _exclude_motion(noise: Noise, stretches: Sequence[Stretch], cut: bool) -> Noise:
+    """The noise, or that of short pieces where over whole phases it must contain motion that no cubic follows.
+
+    cut: of clips that are free stretches of single balls. These have few positions, so that a cubic takes up nearly all
+    slow noise, and its size is no test.
+    """
     short = replace(noise, own=fit_own_noise(_cut_pieces(stretches)), whole_phase_scale=noise.scale)
     policy, left = current_policy(), np.sqrt(_measure_power(stretches))
-    exceeds = left > policy.min_cubic_residual_ratio * short.scale
+    exceeds = cut or left > policy.min_cubic_residual_ratio * short.scale
     return short if exceeds and noise.scale > policy.max_noise_growth * short.scale else noise
 
 
