@@ -6,6 +6,7 @@ from discrepancy_clips import HIDDEN, collisions, only
 
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.fitting.predict import predict_tracks
+from discrepancy.free_laws.library import free_laws_over
 from discrepancy.search import search
 from synthcam.model import Model
 
@@ -31,6 +32,15 @@ def test_each_forecast_asks_for_the_time():
     with pytest.raises(OutOfTime), Deadline(print, -1.0).limited():
         predict_tracks(Model(), launches, clips)
     predict_tracks(Model(), launches, clips)
+
+
+def test_each_derivative_of_a_free_law_asks_for_the_time():
+    clips = collisions(Model(), 2, 3)
+    launches = np.array([c.launch for c in clips])
+    (law, *_) = (law for law in free_laws_over(Model(), launches, clips) if law.base_name == "friction_speed")
+    law.derivatives(Model(), launches, clips)
+    with pytest.raises(OutOfTime), Deadline(print, -1.0).limited():
+        law.derivatives(Model(), launches, clips)
 
 
 def test_a_search_cut_short_names_nothing(monkeypatch):

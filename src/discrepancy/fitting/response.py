@@ -17,6 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import deadline
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, WITH_SPIN
@@ -85,7 +86,11 @@ def compute_responses(
 
     def of(rows: Ints, own: Sequence[MeasuredCollision]) -> list[Array]:
         parts = [slice(k, k + batch) for k in range(0, len(own), batch)]
-        return [xy for p in parts for xy in _respond_one_rate(model, launches[rows[p]], own[p], changes, size)]
+        found = list[Array]()
+        for part in parts:
+            deadline.check()  # the derivatives by one law of many clips may take minutes
+            found += _respond_one_rate(model, launches[rows[part]], own[part], changes, size)
+        return found
 
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         out = map_by_frame_rate(clips, of)
