@@ -73,7 +73,7 @@ SEARCH_ONLY_LAWS = {  # free laws of a search that a model cannot hold, and why
     **dict.fromkeys(("lag_speed", "warp_place"), "of the instrument; a model holds only laws of motion"),
     "side_spin_clip": "of the launches: `free: [launch.spin]` has it fitted in each, launch.side of a scene makes it",
     **dict.fromkeys(
-        ("restitution_clip", "spin_transfer_clip", "friction_clip", "rolling_clip"),
+        ("restitution_clip", "spin_transfer_clip", "friction_clip", "rolling_clip", "scale_clip", "clock_clip"),
         "another number in each clip; a scene has such as a distribution, as in restitution: {normal: [0.9, 0.01]}",
     ),
 }
