@@ -55,14 +55,16 @@ def prepare(
     removes the parts that the filter has moved instead.
     """
     progress("noise")
-    cleaned, error_notes = remove_frame_shift(remove_outliers(clips))
+    cleaned = remove_outliers(clips)
     fitted, held_out = split_held_out(cleaned)
+    if not stretches and estimate_noise(fitted).is_smoothed:
+        return _prepare_smoothed(cleaned, note_removed_points(clips, cleaned))
+    every, error_notes = remove_frame_shift([*fitted, *held_out], fitted)
+    fitted, held_out = every[: len(fitted)], every[len(fitted) :]
     if stretches:
         fitted, held_out = cut_stretches(fitted), cut_stretches(held_out)
         if not (fitted and held_out):
             raise InputError("no clip has free stretches that are long enough, before or after a contact")
-    elif estimate_noise(fitted).is_smoothed:
-        return _prepare_smoothed(cleaned, note_removed_points(clips, cleaned))
     fitted, held_out = remove_outliers_beside_model(fitted, held_out, model, progress)
     noise = estimate_noise(fitted)
     every, trends = rescale_errors([*fitted, *held_out], fitted, noise)

@@ -137,7 +137,10 @@ def test_the_page_runs_as_it_stands(tmp_path, monkeypatch, capsys):
     assert "named plate_tilt 0.99" in capsys.readouterr().out
     assert {p.name for p in tmp_path.iterdir()} == {"model.yaml", "report"}
     assert abs(names["found"].model.effects[0].x - 1e-3) < 5 * names["found"].named[0].std["plate_tilt.x"]
-    pd.testing.assert_frame_equal(names["again"].estimates, names["result"].estimates)
+    again, result = (
+        names[key].estimates.drop(columns="local") for key in ("again", "result")
+    )  # a text of rounded numbers
+    pd.testing.assert_frame_equal(again, result)
     mpl.pyplot.close("all")
 
 

@@ -24,16 +24,19 @@ Clips = list[MeasuredCollision]
 # --- A shift of every second frame ---
 
 
-def remove_frame_shift(clips: Sequence[MeasuredCollision]) -> tuple[Clips, list[SearchNote]]:
+def remove_frame_shift(
+    clips: Sequence[MeasuredCollision], usual: Sequence[MeasuredCollision]
+) -> tuple[Clips, list[SearchNote]]:
     """Remove what moves every second frame: a displacement that all positions share, or a delay.
 
     Half-frames of an interlaced film and a shutter with two curtains make such shifts. A least-squares fit gives x, y
     and the delay; the scatter of the stretches about it gives their covariance (the sandwich estimate; Liang & Zeger,
     Biometrika 73 (1986) 13), and Hotelling's T^2 their significance.
 
-    Returns the clips, and a note if there is such a shift.
+    usual: the clips to fit, which show the shift; clips: all from which it is removed. Returns those, and a note if
+    there is such a shift.
     """
-    parts = [part for clip in clips for part in _shift_equations(clip)]
+    parts = [part for clip in usual for part in _shift_equations(clip)]
     kept: list[int] = [0, 1, 2]
     while len(parts) > 3 * len(kept):
         shift, covariance = _solve_shift(parts, kept)
@@ -152,7 +155,8 @@ def rescale_errors(
     The logarithm of the variance is linear in columns for each of the four. Their coefficients maximise the gamma
     likelihood of the squared innovations, and their scatter gives the dispersion (McCullagh & Nelder, Generalized
     Linear Models, 1989, chapter 8). A dependence stays if it exceeds `SearchPolicy.noise_trend_sigma` and changes the
-    noise by more than the factor `SearchPolicy.min_noise_trend`. The mean claimed variance stays.
+    noise by more than the factor `SearchPolicy.min_noise_trend`. The mean of the logarithm stays, and no factor
+    exceeds those of the fitted rows.
 
     usual: the clips to fit, whose noise is `noise`; clips: all that are rescaled. Returns those and a note for each
     dependence.
@@ -170,8 +174,15 @@ def rescale_errors(
             s > policy.noise_trend_sigma and r > policy.min_noise_trend for s, r in zip(sigmas, ratios, strict=True)
         ]
         if all(passes):
-            logs = [sum(t.columns(c) @ s for t, s in zip(trends, sizes, strict=True)) for c in clips]
-            level = float(np.mean(np.concatenate([b @ s for b, s in zip(blocks, sizes, strict=True)])))
+            seen = [block @ size for block, size in zip(blocks, sizes, strict=True)]
+            level = float(np.mean(sum(seen)))
+            logs = [
+                sum(  # no further than the fitted rows show
+                    np.clip(t.columns(c) @ s, part.min(), part.max())
+                    for t, s, part in zip(trends, sizes, seen, strict=True)
+                )
+                for c in clips
+            ]
             scaled = [
                 replace(c, covariance=c.covariance * np.exp(log - level)[:, None, None])
                 for c, log in zip(clips, logs, strict=True)

@@ -225,7 +225,7 @@ def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
     return _exclude_motion(noise, stretches, cut) if noise.is_slow else noise
 
 
-def _exclude_motion(noise: Noise, stretches: Sequence[Stretch], cut: bool) -> Noise:
+def _exclude_motion(noise: Noise, stretches: Sequence[Stretch], cut: bool = False) -> Noise:
     """The noise, or that of short pieces where over whole phases it must contain motion that no cubic follows.
 
     cut: of clips that are free stretches of single balls. These have few positions, so that a cubic takes up nearly all

@@ -307,7 +307,9 @@ def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floa
         table = json.loads(text)
         known = {name: index for index, name in enumerate(table["names"])}
         for key, block in table["shared"].items():
-            by_name = next(block[one] for one in (fit, *fits) if one in block)
+            by_name = next((block[one] for one in (fit, *fits) if one in block), None)
+            if by_name is None or fit == "local":  # local estimates contain these errors, but not by key
+                continue
             effect = np.array([by_name[known[name]] if name in known else 0.0 for name in names], dtype=np.float64)
             found.setdefault((key, block["of"]), {})[i] = np.nan_to_num(effect)
     several = [effects for effects in found.values() if len(effects) > 1]

@@ -41,7 +41,7 @@ def kinds(notes):
 def test_noise_that_is_the_same_everywhere_is_left_alone(rho):
     for seed in range(4):
         clips, _ = with_errors(rho=rho, seed=seed)
-        assert remove_frame_shift(clips) == (clips, [])
+        assert remove_frame_shift(clips, clips) == (clips, [])
         assert rescale_errors(clips, clips, Noise(NoiseComponent(1.0, (rho,)))) == (clips, [])
 
 
@@ -66,20 +66,20 @@ def test_errors_become_those_that_were_made(kind, factor):
 def test_a_shift_of_every_second_frame_is_measured_and_removed():
     made = np.array([0.04 * PIXEL, -0.02 * PIXEL])
     clips, _ = with_errors(shift=lambda c: odd(c) * made)
-    cleaned, (note,) = remove_frame_shift(clips)
+    cleaned, (note,) = remove_frame_shift(clips, clips)
     error = STD * 2 / np.sqrt(10 * 160)
     assert [note.values["x_um"], note.values["y_um"]] == pytest.approx(1e6 * made, abs=5e6 * error)
     assert note.values["late_ms"] == 0
-    assert remove_frame_shift(cleaned)[1] == []
+    assert remove_frame_shift(cleaned, cleaned)[1] == []
 
 
 def test_a_delay_of_every_second_frame_is_told_from_a_displacement():
     late = 1e-4
     clips, _ = with_errors(shift=lambda c: odd(c) * late * paths(c))
-    cleaned, (note,) = remove_frame_shift(clips)
+    cleaned, (note,) = remove_frame_shift(clips, clips)
     assert note.values["late_ms"] == pytest.approx(1e3 * late, rel=0.05)
     assert note.values["x_um"] == note.values["y_um"] == 0
-    assert remove_frame_shift(cleaned)[1] == []
+    assert remove_frame_shift(cleaned, cleaned)[1] == []
 
 
 def test_a_search_is_prepared_with_both():

@@ -87,10 +87,10 @@ def _rounded(values: Floats) -> list[float | None]:
 
 
 def apply_errors(row: Mapping[str, Any], errors: LocalErrors, max_relative_error: float = 0.2) -> dict[str, Any]:
-    """Compute the columns of a row with these errors beyond the residuals; a bias is taken out.
+    """Compute the columns of a row with these errors beyond the residuals.
 
-    The bias of the balance is shared among the velocities in proportion to their weight in it. How it is shared is
-    unknown, so the change by it is one more error.
+    A bias of the balance may be an error of a velocity along n, a loss of momentum, or unknown masses. So it counts as
+    an error: that of each velocity in turn, in proportion to its weight in the balance.
     """
     raw = json.loads(row.get("local", "{}"))
     if "value" not in raw:
@@ -99,13 +99,12 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, max_relative_error
     response, by_mass = np.split(np.nan_to_num(np.array(raw["response"], dtype=np.float64)), [8], axis=1)
     size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
     weights = response[LOCAL_NAMES.index("balance_n")] * np.tile([1.0, 0.0], 4)
-    total = float(weights @ weights)
-    shift = -errors.bias_n * raw["vn"] * weights / total if total > 0 else np.zeros(8)
-    moved = response @ shift
-    split = np.where([name in BALANCE for name in LOCAL_NAMES], 0.0, moved)
-    wide = np.sqrt(std**2 + ((response * size) ** 2).sum(axis=1) + split**2)
+    total, moves = float(weights @ weights), weights != 0
+    share = (errors.bias_n * raw["vn"]) ** 2 / total if total > 0 else 0.0
+    biased = share * (response[:, moves] ** 2).sum(axis=1)
+    wide = np.sqrt(std**2 + ((response * size) ** 2).sum(axis=1) + biased)
     role = 1.0 if row.get("particle1", 0) < row.get("particle2", 1) else -1.0
-    value = value + moved + by_mass[:, 0] * role * errors.log_ratio
+    value = value + by_mass[:, 0] * role * errors.log_ratio
     wide, out = np.hypot(wide, by_mass[:, 0] * errors.log_ratio_std), dict[str, Any]()
     if errors.log_ratio_std > 0:
         at = LOCAL_NAMES.index("mass_ratio")
@@ -130,9 +129,9 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     share of the hits may be anything, such as two contacts at once: their balance is off by a third of the speed.
 
     If the masses are unknown, their ratio is fitted too where each of two bodies strikes the other a few times: recoil
-    from either side distinguishes it from a bias.
+    from either side distinguishes it from a bias. It counts if it makes the balances likelier by 3 standard errors.
     """
-    odd_share, odd_size = 0.05, 0.3
+    odd_share, odd_size, least_gain = 0.05, 0.3, 4.5
     usable = [row for row in rows if _is_known(row.get("r_local"))]
     if len(usable) < MIN_HITS:
         return None
@@ -163,13 +162,16 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
 
     levers = np.column_stack([vn, *recoil])
     along, across = fit(0, levers), fit(1, np.zeros((len(v0), 0)))
+    if recoil and price(along, 0, levers) > price(without := fit(0, levers[:, :1]), 0, levers[:, :1]) - least_gain:
+        along, levers, recoil = without, levers[:, :1], []
     errors = LocalErrors(error_n=float(np.exp(along[0])), error_t=float(np.exp(across[0])), hits=len(usable))
     weight = 1 / (std[:, 0] ** 2 + (errors.error_n * spread[:, 0]) ** 2)
     doubt = np.sqrt(np.diag(np.linalg.inv((levers * weight[:, None]).T @ levers)))
     if abs(along[1]) > 2 * doubt[0]:
         errors = replace(errors, bias_n=float(along[1]))
     if recoil:
-        errors = replace(errors, log_ratio=-float(along[2]), log_ratio_std=float(doubt[1]))
+        half = float(np.clip(-along[2] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
+        errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))
     return errors
 
 

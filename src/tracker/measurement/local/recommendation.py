@@ -8,12 +8,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from tracker.measurement.collision.adequacy import MISFIT, TOGETHER
+from tracker.measurement.local.local_estimate import LOCAL_NAMES
 
 TIED, FREE, LOCAL, NONE = "tied", "free", "local", "none"
 SUFFIXES = {TIED: "", FREE: "_free", LOCAL: "_local"}  # of the columns of each estimate
 COMPARED = ("v0", "b", "r", "s")  # quantities in which estimates are compared
 MAX_DIFFERENCE = 3.0  # in standard errors
 MAX_MASS_RATIO = 50.0
+MAX_IMBALANCE = 5.0  # of momentum, in standard errors that a set shows
+MIN_SET_ERROR = 0.002  # of a velocity over that of the hit: smaller errors of a set are those of simulated tracks
 
 
 def recommend(row: Mapping[str, Any]) -> dict[str, str]:
@@ -27,6 +30,8 @@ def recommend(row: Mapping[str, Any]) -> dict[str, str]:
         return _because(TIED, "the balls stay together")
     if row["status"] == "ok" and _is_known(row, "r") and not foreign:
         other, sigmas = _find_difference(row, "")
+        if not other and local and (lacking := _find_unclaimed_error(row)):
+            return _because(LOCAL, f"the set shows errors of velocities by which r is known to {lacking:.2g} only")
         if not other:
             agrees = "agrees with the local estimate" if local else f"has no local estimate beside it ({doubt})"
             return _because(TIED, f"the tied fit describes the tracks and {agrees}")
@@ -38,7 +43,8 @@ def recommend(row: Mapping[str, Any]) -> dict[str, str]:
         reason = foreign
     elif row["status"] not in ("ok", MISFIT):
         reason = f"there is no tied fit ({row['status']})"
-    if _is_known(row, "r_free") and _is_known(row, "r_free_std") and not _find_difference(row, "_free")[0] and local:
+    free = _is_known(row, "r_free") and _is_known(row, "r_free_std") and not row.get("local_hits", 0)
+    if free and local and not _find_difference(row, "_free")[0]:
         return _because(FREE, f"{reason}; the free fit agrees with the local estimate")
     if local:
         return _because(LOCAL, reason)
@@ -60,7 +66,23 @@ def _is_usable(row: Mapping[str, Any]) -> tuple[bool, str]:
         return False, f"its r of {r:.2f} is impossible"
     if not _is_known(row, "mass_ratio") or not 1 / MAX_MASS_RATIO < row["mass_ratio"] < MAX_MASS_RATIO:
         return False, "momentum is not conserved, whatever the masses"
+    if row.get("local_hits", 0) and any(
+        abs(row[name]) > MAX_IMBALANCE * row[f"{name}_std"]
+        for name in ("balance_n_local", "balance_t_local")
+        if _is_known(row, name)
+    ):
+        return False, "momentum is not conserved within the errors of its set"
     return True, ""
+
+
+def _find_unclaimed_error(row: Mapping[str, Any]) -> float:
+    """The error of r by the errors of velocities that a set shows, if the tied fit claims less; else 0."""
+    if not row.get("local_hits", 0) or not row["local_error_n"] > MIN_SET_ERROR:
+        return 0.0
+    raw = json.loads(row["local"])
+    by_residuals = raw["std"][LOCAL_NAMES.index("r")] or 0.0
+    extra = math.sqrt(max(row["r_local_std"] ** 2 - by_residuals**2, 0.0))
+    return extra if extra > row["r_std"] else 0.0
 
 
 def _is_known(row: Mapping[str, Any], column: str) -> bool:

@@ -57,6 +57,23 @@ def test_the_balance_of_momentum_shows_errors_beyond_the_residuals():
     assert 0.55 < np.mean(np.abs(z) < 1) < 0.85
 
 
+def test_a_bias_changes_no_value_and_counts_as_an_error():
+    """Unknown masses that differ look like a bias; r does not depend on them, and must not move."""
+    rows = draw_rows(40, 0.003, 0.003, -0.1)
+    for before, after in zip(rows, calibrate_set(rows), strict=True):
+        assert after["local_bias"] == pytest.approx(-0.1, abs=0.01)
+        for name in ("r_local", "v0_local", "mass_ratio", "balance_n_local"):
+            assert after[name] == before[name]
+        assert after["balance_n_local_std"] > abs(after["balance_n_local"]) / 3
+        assert after["r_local_std"] > 0.05
+
+
+def test_a_hit_whose_momentum_is_off_is_not_recommended():
+    odd, *rest = calibrate_set(draw_rows(1, 0.005, 0.005, 0.15) + draw_rows(40, 0.005, 0.005, 0.0))
+    assert "momentum is not conserved within the errors of its set" in odd["why"]
+    assert sum(row["recommended"] == "local" for row in rest) == 40
+
+
 def test_a_few_odd_hits_do_not_widen_the_errors():
     rows = draw_rows(60, 0.005, 0.005, 0.0)
     odd = draw_rows(3, 0.5, 0.5, 0.0, seed=2)
@@ -72,17 +89,17 @@ def test_a_second_calibration_changes_nothing():
 
 
 def test_the_mass_ratio_of_two_bodies_is_fitted_from_recoil_on_either_side():
-    """Body 1 is heavier by 4 %: the balance by equal masses is off by +-2 % of its kick, whichever of them strikes."""
-    rows = draw_rows(60, 0.003, 0.003, 0.0)
+    """Body 1 is heavier by half: the balance by equal masses is off by its kick times tanh of half the logarithm."""
+    rows, heavier = draw_rows(60, 0.003, 0.003, 0.0), np.log(1.5)
     for k, row in enumerate(rows):
         role = 1 if k % 2 else -1
         raw = json.loads(row["local"])
         for name, change in (("balance_n", 0.9 * raw["v0"]),):
             raw["response"][AT[name]][8] = change
-            raw["value"][AT[name]] -= role * 0.04 * change
+            raw["value"][AT[name]] -= role * 2 * np.tanh(heavier / 2) * change
         row |= {"particle1": 7 if role > 0 else 9, "particle2": 9 if role > 0 else 7, "local": json.dumps(raw)}
     errors = calibrate_rows(rows)
-    assert errors.log_ratio == pytest.approx(0.04, abs=4 * errors.log_ratio_std)
+    assert errors.log_ratio == pytest.approx(heavier, abs=4 * errors.log_ratio_std)
     assert errors.log_ratio_std < 0.002
     assert errors.bias_n == 0
     one, other = (row["mass_ratio"] for row in calibrate_set(rows)[:2])
@@ -98,3 +115,14 @@ def test_few_hits_keep_the_prior():
 
 def test_no_estimate_has_no_columns_to_change():
     assert apply_errors(empty_columns(), LocalErrors(error_n=0.1)) == {}
+
+
+def test_bodies_whose_names_mean_nothing_get_no_ratio():
+    """Ids of a film are arbitrary: the ratio of one clip may be the inverse of another's."""
+    rows = draw_rows(40, 0.003, 0.003, 0.0)
+    for k, row in enumerate(rows):
+        raw = json.loads(row["local"])
+        raw["response"][AT["balance_n"]][8] = 0.9 * raw["v0"]
+        raw["value"][AT["balance_n"]] -= (1 if k % 4 < 2 else -1) * 0.2 * 0.9 * raw["v0"]
+        row |= {"particle1": 7 if k % 2 else 9, "particle2": 9 if k % 2 else 7, "local": json.dumps(raw)}
+    assert calibrate_rows(rows).log_ratio_std == 0

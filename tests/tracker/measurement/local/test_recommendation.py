@@ -1,5 +1,6 @@
 """Which estimate is recommended, from the columns of a row."""
 
+import json
 import math
 
 import pytest
@@ -7,6 +8,8 @@ import pytest
 from tracker.measurement.local.recommendation import recommend, recommended_suffix
 
 KNOWN = {"v0": (0.5, 0.001), "b": (0.1, 0.001), "r": (0.9, 0.01), "s": (math.nan, math.nan)}
+# of a set whose balances of momentum show that r is known to .02 only
+SET = {"local_hits": 20, "local_error_n": 0.01, "r_local_std": 0.02, "local_json": json.dumps({"std": [0.001] * 50})}
 REASON = '{"reason":"too few positions near the contact"}'
 
 
@@ -38,6 +41,9 @@ def make_row(status, tied=True, free=True, local=True, local_json="{}", **change
             "local",
             "equal masses",
         ),
+        (make_row("ok", **SET), "local", "the set shows errors of velocities"),
+        (make_row("ok", **SET | {"local_error_n": 0.001}), "tied", "agrees"),
+        (make_row("misfit", r_std=math.nan, **SET), "local", "the tracks reject the tied fit"),
         (make_row("stay_together", free=False, local=False), "tied", "stay together"),
     ],
 )
