@@ -124,7 +124,8 @@ def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # 
 
 def _weights(cov: Floats) -> Floats:
     """Weights (2,), summing to one, of the best mean of two measurements of one thing."""
-    first = (cov[1, 1] - cov[0, 1]) / _of_difference(cov)
+    with np.errstate(invalid="ignore", divide="ignore"):  # NaN where neither is known
+        first = (cov[1, 1] - cov[0, 1]) / np.float64(_of_difference(cov))
     return np.array([first, 1 - first])
 
 
