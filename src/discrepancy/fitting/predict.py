@@ -107,7 +107,8 @@ def _apply_camera(model: Model, camera: Camera, positions: Array, height: Array 
         scale=float("nan"),
         psf_sigma_px=float("nan"),
     )
-    pixels = replace(model.laws("camera", nominal, {})).project(_spatial(positions, height))
+    flat = positions if camera.warp is None else camera.warp.undo(positions)  # the nominal optics have no warp
+    pixels = replace(model.laws("camera", nominal, {})).project(_spatial(flat, height))
     pixels = model.laws("measure", pixels, measurement_context(camera))
     return np.asarray(camera.unproject(pixels)[0])
 

@@ -34,11 +34,13 @@ def first_difference(camera: Camera, other: Camera, besides: Collection[str] = (
     They may differ in what each clip measures again (exposure from the blur, width of the glints), and in `besides`.
     Numbers that agree to a millionth are equal.
     """
-    keys = ("K", "dist", "R", "t", "size", "fps", "exposure", "line_time", "ball_diameter", "lamp")
+    keys = ("K", "dist", "R", "t", "size", "fps", "exposure", "line_time", "ball_diameter", "lamp", "warp")
     for key in (k for k in keys if k not in besides):
         one, two = (getattr(c, key) for c in (camera, other))
         if key == "lamp":
             one, two = (lamp.position if lamp else () for lamp in (one, two))
+        if key == "warp":
+            one, two = (np.concatenate([w.x, w.y, w.dx.ravel(), w.dy.ravel()]) if w else () for w in (one, two))
         if np.shape(one) != np.shape(two) or not np.allclose(one, two, 1e-6, 1e-12, equal_nan=True):
             return key
     return ""

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
-from discrepancy_clips import FPS, blank, exact
+from discrepancy_clips import CAMERA, FPS, blank, exact
 
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.predict import predict_tracks
@@ -14,6 +14,7 @@ from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.model import Model
 from synthcam.scene.scene import read_scene
 from tracker.camera.camera import Camera
+from tracker.camera.warp import Warp
 
 
 def pixels(clip, xy):
@@ -115,3 +116,17 @@ def test_clips_of_two_frame_rates_are_foretold_as_each_alone():
             assert moves[law.name][k] == pytest.approx(alone, abs=1e-6 * np.abs(alone).max())
     wrong = predict_tracks(Model(), launches[1:2], [dataclasses.replace(clips[1], camera=plain[1].camera)])[0]
     assert np.abs(every[1] - wrong).max() > 1e-4
+
+
+def test_a_correction_of_the_camera_file_does_not_move_what_another_effect_predicts():
+    """Positions are those on the plate: a camera that needs a correction sees the same ones once they are corrected."""
+    knots = np.linspace(-0.05, 0.05, 5)
+    bend = 1e-4 * np.outer(np.ones(5), np.sin(40 * knots))
+    warped = dataclasses.replace(CAMERA, warp=Warp(knots, knots, bend, 0.5 * bend.T))
+    clip = exact(Model(), 1, 3)[0]
+    for values in ({}, {"scale_error.e": 1e-12}):
+        seen = [
+            predict_tracks(Model().replace(values), clip.launch[None], [dataclasses.replace(clip, camera=c)])[0]
+            for c in (CAMERA, warped)
+        ]
+        assert np.abs(seen[0] - seen[1]).max() < 1e-9

@@ -232,6 +232,7 @@ def test_what_is_no_camera_file(tmp_path, text):
         ("ball_diameter", 2.4e-3),
         ("lamp", {"position": [0.05, 1e-4, 0.45], "radius": 0.0}),
         ("lamp", None),
+        ("warp", {"x": [0, 1, 2, 3], "y": [0, 1, 2, 3], "dx": [[1e-5] * 4] * 4, "dy": [[0] * 4] * 4}),
     ],
 )
 def test_another_camera_differs_in_what_locates_a_ball(key, told):
