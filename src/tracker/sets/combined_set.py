@@ -36,7 +36,7 @@ from tracker.tables.rows import to_csv, tracks_table
 
 Floats = NDArray[np.float64]
 SUFFIXES = {"tied": "", "free": "_free", "local": "_local"}  # of the columns, by the fit that is recommended
-SHARED_QUANTITIES = ("r", "s", "mu_k", "C", "beta", "drag", "decel")  # that collisions have in common
+SHARED_QUANTITIES = ("r", "s", "mu_k", "C", "drag", "decel")  # that collisions have in common
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -158,7 +158,7 @@ def combine(
     results : sequence of str, Path or Result
         Folders that `tracker track` or `tracker measure` made, or results in memory.
     quantities : sequence of str, optional
-        Columns of estimates.parquet; default: r, s, mu_k, C, beta, drag and decel, as far as they are
+        Columns of estimates.parquet; default: r, s, mu_k, C, drag and decel, as far as they are
         there.
 
     Returns
