@@ -69,6 +69,7 @@ def local_columns(estimate: LocalEstimate | str, masses_known: bool = False, for
     raw = {
         "value": _rounded(estimate.value),
         "std": _rounded(estimate.std),
+        "r_std": _rounded(estimate.std[[LOCAL_NAMES.index("r")]])[0],
         "response": [_rounded(line) for line in estimate.response],
         "v0": v0,
         "vn": estimate.normal_speed,

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from tracker.measurement.collision.adequacy import MISFIT, TOGETHER
-from tracker.measurement.local.local_estimate import LOCAL_NAMES
 
 TIED, FREE, LOCAL, NONE = "tied", "free", "local", "none"
 SUFFIXES = {TIED: "", FREE: "_free", LOCAL: "_local"}  # of the columns of each estimate
@@ -80,7 +79,7 @@ def _find_unclaimed_error(row: Mapping[str, Any]) -> float:
     if not row.get("local_hits", 0) or not row["local_error_n"] > MIN_SET_ERROR:
         return 0.0
     raw = json.loads(row["local"])
-    by_residuals = raw["std"][LOCAL_NAMES.index("r")] or 0.0
+    by_residuals = raw["r_std"] or 0.0
     extra = math.sqrt(max(row["r_local_std"] ** 2 - by_residuals**2, 0.0))
     return extra if extra > row["r_std"] else 0.0
 

@@ -9,7 +9,7 @@ from tracker.measurement.local.recommendation import recommend, recommended_suff
 
 KNOWN = {"v0": (0.5, 0.001), "b": (0.1, 0.001), "r": (0.9, 0.01), "s": (math.nan, math.nan)}
 # of a set whose balances of momentum show that r is known to .02 only
-SET = {"local_hits": 20, "local_error_n": 0.01, "r_local_std": 0.02, "local_json": json.dumps({"std": [0.001] * 50})}
+SET = {"local_hits": 20, "local_error_n": 0.01, "r_local_std": 0.02, "local_json": json.dumps({"r_std": 0.001})}
 REASON = '{"reason":"too few positions near the contact"}'
 
 
