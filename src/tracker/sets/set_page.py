@@ -225,6 +225,7 @@ def _draw_forest(axes: Axes, one: CombinedQuantity, quantity: Quantity, label: s
         first, last = min(first, low), max(last, high)
     axes.set_xlim(first - 0.08 * (last - first), last + 0.08 * (last - first))
     axes.set(xlabel=label, ylim=(below - 1, len(values)))
+    axes.locator_params(axis="x", nbins=5)
     value = _format(mean.coefficients[0], mean.std[0], quantity)
     axes.set_title(f"mean {value}, {describe_scatter(one, k)}", fontsize=8)
     axes.legend(fontsize=7, loc="best")
@@ -243,6 +244,7 @@ def _draw_funnel(axes: Axes, one: CombinedQuantity, quantity: Quantity, label: s
     axes.axvline(middle, color="0.2", lw=0.9)
     axes.set(xlabel=label, ylabel=f"standard error{f' / ({quantity.unit})' if quantity.unit else ''}")
     axes.set_ylim(grid[-1], 0)
+    axes.locator_params(axis="x", nbins=3)  # long numbers, narrow axes
     axes.set_title("funnel", fontsize=8)
 
 
