@@ -1,4 +1,4 @@
-"""What a search found, as data, from which sentences, pages and `discrepancy.json` are made."""
+"""The outcome of a search, as data, from which sentences, pages and `discrepancy.json` are made."""
 
 from __future__ import annotations
 

@@ -246,7 +246,7 @@ class SearchPolicy(Settings):
     """Sigma beyond which a shift of every second frame is removed. A convention (5 sigma)."""
 
     noise_trend_sigma: Positive = 5.0
-    """Sigma beyond which the size of the noise counts as dependent on speed, place, ball or frame parity.
+    """Sigma beyond which the size of the noise counts as dependent on speed, position, ball or frame parity.
     A convention (5 sigma)."""
 
     min_noise_trend: Positive = 1.2

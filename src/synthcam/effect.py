@@ -184,7 +184,7 @@ class Laws:
                 self._bends[law].append((bend, asks))
 
     def has_effect_on(self, *laws: str) -> bool:
-        """Whether an active effect changes any of these laws."""
+        """Tell whether an active effect changes any of these laws."""
         return any(self._bends[law] for law in laws)
 
     def inputs_of(self, law: str) -> set[str]:
@@ -192,7 +192,7 @@ class Laws:
         return {what for _, asks in self._bends[law] for what in asks}
 
     def needs(self, law: str, what: str) -> bool:
-        """Whether an active effect on `law` needs the input `what`."""
+        """Tell whether an active effect on `law` needs the input `what`."""
         return any(what in asks for _, asks in self._bends[law])
 
     def __call__(self, law: str, value: Any, instant: Mapping[str, Any]) -> Any:

@@ -137,7 +137,7 @@ def _dotted_keys(file: type[BaseModel], below: str = "") -> Iterator[str]:
 
 
 def _expectation(error: ErrorDetails) -> str:
-    """What pydantic expected, in words that need no knowledge of its types."""
+    """Describe what pydantic expected, in words that need no knowledge of its types."""
     limits = error.get("ctx", {})
     kind = error["type"]
     if kind == "value_error":

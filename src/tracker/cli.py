@@ -43,7 +43,7 @@ SettingsFile = Annotated[
 ]
 Select = Annotated[
     str,
-    typer.Option(metavar="AXIS=N", help="Of a stack with channels or planes: which, as C=1 or C=1,Z=0. Default: 0."),
+    typer.Option(metavar="AXIS=N", help="Channel or plane of a stack, as C=1 or C=1,Z=0. Default: 0."),
 ]
 Report = Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")]
 Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")]
@@ -71,7 +71,7 @@ def track(
     ] = "auto",
     select: Select = "",
     fields: Annotated[
-        str, typer.Option(help="Of interlaced video: separate, weave (leave as is), or auto: the film decides.")
+        str, typer.Option(help="Fields of interlaced video: separate, weave (leave as is), or auto: the film decides.")
     ] = "auto",
     ball: Annotated[
         list[str] | None,
@@ -388,7 +388,7 @@ def _typed() -> str:
 
 
 def _wants_pages(pages: bool | None, outcome: ClipOutcome, output: Path) -> bool:
-    """Whether to write pages: as asked, or of a single recording that is not long."""
+    """Tell whether to write pages: as asked, or of a single recording that is not long."""
     if pages is not None or outcome.clips > 1:
         return bool(pages)
     from pyarrow.parquet import read_metadata

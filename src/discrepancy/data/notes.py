@@ -48,7 +48,9 @@ class SearchNoteKind(Enum):
         "{late_ms:.2g} ms late ({sigma:.0f} sigma), as half-frames of an interlaced film are: the search removes it"
     )
     NOISE_BY_SPEED = "the noise changes by a factor of {ratio:.2g} with the speed ({sigma:.0f} sigma): errors rescaled"
-    NOISE_BY_PLACE = "the noise changes by a factor of {ratio:.2g} with the place ({sigma:.0f} sigma): errors rescaled"
+    NOISE_BY_PLACE = (
+        "the noise changes by a factor of {ratio:.2g} with the position ({sigma:.0f} sigma): errors rescaled"
+    )
     NOISE_BY_BALL = "the noise of the two balls differs by a factor of {ratio:.2g} ({sigma:.0f} sigma): errors rescaled"
     NOISE_BY_PARITY = (
         "the noise of odd and of even frames differs by a factor of {ratio:.2g} ({sigma:.0f} sigma): errors rescaled"

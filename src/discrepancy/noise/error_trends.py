@@ -1,4 +1,4 @@
-"""Corrects claimed errors: a shift of every second frame, and noise that depends on speed, place, ball or frame parity.
+"""Corrects claimed errors: a shift of every second frame, and noise that is not the same for all positions.
 
 Both are read from smooth stretches of the tracks, without their cubics, so neither depends on a model of the impact.
 """
@@ -141,7 +141,7 @@ def _motion(clip: MeasuredCollision, window: int = 7) -> Iterator[tuple[Ints, Ar
 
 @dataclass(frozen=True)
 class _Trend:
-    """What the size of the noise may depend on."""
+    """A quantity on which the size of the noise may depend."""
 
     kind: SearchNoteKind
     columns: Callable[[MeasuredCollision], Array]  # (n, k) for the rows of a clip
@@ -150,7 +150,7 @@ class _Trend:
 def rescale_errors(
     clips: Sequence[MeasuredCollision], usual: Sequence[MeasuredCollision], noise: Noise
 ) -> tuple[Clips, list[SearchNote]]:
-    """Rescale the claimed errors where the size of the noise depends on speed, place, ball or frame parity.
+    """Rescale the claimed errors where the size of the noise depends on speed, position, ball or frame parity.
 
     The logarithm of the variance is linear in columns for each of the four. Their coefficients maximise the gamma
     likelihood of the squared innovations, and their scatter gives the dispersion (McCullagh & Nelder, Generalized
@@ -197,7 +197,7 @@ def rescale_errors(
 
 
 def _list_trends(clips: Sequence[MeasuredCollision]) -> list[_Trend]:
-    """What the noise may depend on, with columns that are zero where nothing changes."""
+    """List what the noise may depend on, with columns that are zero where nothing changes."""
     speeds = np.concatenate([_speeds(c) for c in clips])
     knots = np.array([0.0, *np.quantile(speeds[speeds > 0.05 * speeds.max()], (1 / 3, 2 / 3, 0.98))])
     middle = np.mean(np.concatenate([c.xy for c in clips]), axis=0)
@@ -229,7 +229,7 @@ def _speeds(clip: MeasuredCollision) -> Array:
 def _innovations(clips: Sequence[MeasuredCollision], noise: Noise, min_share: float = 0.05) -> tuple[Array, list[Ints]]:
     """Squared innovations (n,), the mean of both axes, with their rows in each clip.
 
-    A track less its cubic is whitened. What remains of each number is divided by its share that the cubic leaves.
+    A track less its cubic is whitened. Each remainder is divided by its share that the cubic leaves.
     A number of which less than `min_share` is left says nothing.
     """
     squares, rows, least = list[Array](), list[Ints](), current_policy().min_short_stretch_positions

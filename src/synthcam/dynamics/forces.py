@@ -149,7 +149,7 @@ class BallStates:
         return (np.arange(len(self.states)) + len(self)) % len(self.states)
 
     def any_of_unit(self, flags: Flags) -> Flags:
-        """Whether the flag of any ball of each unit is set."""
+        """Tell whether the flag of any ball of each unit is set."""
         return np.asarray(flags.reshape(self.each, -1).any(axis=0))
 
     def min_of_unit(self, values: Array) -> Array:

@@ -49,7 +49,7 @@ class Segment(ABC):
 
     @property
     def aloft(self) -> bool:
-        """Whether a ball may be off the plate."""
+        """Tell whether a ball may be off the plate."""
         return False
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""What carries a body in place of the plate: a cushion of air, or a dry plate under a disc.
+"""Supports of a body other than the plate: a cushion of air, or a dry plate under a disc.
 
 A disc that slides and turns on a dry plate: friction force and torque depend on each other.
 

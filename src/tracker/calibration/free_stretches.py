@@ -100,7 +100,7 @@ class FreeStretch:
         return float(self.residual @ self.residual)
 
     def project(self, columns: Floats) -> Floats:
-        """What remains of columns (2n, k), in standard errors, beside the free motion: (2n + e, k)."""
+        """Subtract from columns (2n, k), in standard errors, what the free motion absorbs: (2n + e, k)."""
         whole = np.concatenate([columns, np.zeros((len(self.residual) - len(columns), columns.shape[1]))])
         return np.asarray(whole - self.absorbed @ (self.absorbed.T @ whole))
 

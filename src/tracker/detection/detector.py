@@ -78,7 +78,7 @@ class Detections:
     notes: tuple[str, ...] = ()
     """Sentences for the user."""
     blur: MotionBlurEvidence | None = None
-    """What the glints show of the exposure; None where the detector does not measure their motion blur."""
+    """The exposure that the glints show; None where the detector does not measure their motion blur."""
     outline_radius: OutlineRadius | None = None
     """Of balls that are seen whole."""
 

@@ -30,7 +30,7 @@ def is_outside(name: str) -> bool:
 
 
 def short_name(name: str) -> str:
-    """What files and pages call such a detector: its class or function, else its file."""
+    """Name such a detector for files and pages: by its class or function, else by its file."""
     where, _, attribute = name.rpartition(":") if not name.endswith(".py") else (name, "", "")
     return attribute or Path(where).stem
 

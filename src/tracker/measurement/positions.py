@@ -34,7 +34,7 @@ class BallTrack:
     exposure: float  # s
     fixed: Floats = field(default_factory=lambda: np.empty(0))  # the part of `cov` that a resting ball always has
     width: float = 0.0  # of a glint, m
-    # Of balls that lie partly in their own shadow, and of video encoded with loss: rms of the shift along either axis
+    # For balls that lie partly in their own shadow, and for video encoded with loss: rms of the shift along either axis
     # that `fixed` has in it and that lasts as a ball moves on, m; the way over which it lasts, m.
     drift: tuple[float, float] = (0.0, 0.0)
     has_errors: bool = True  # whether the table of tracks claims errors

@@ -54,7 +54,7 @@ class MatchedDetections:
 
     @property
     def moving(self) -> NDArray[np.bool_]:
-        """Whether the ball of a pair moves along each axis, (n, 2)."""
+        """Tell whether the ball of a pair moves along each axis, (n, 2)."""
         pace = self.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
         return np.asarray(pace.reindex(self.truth.index).to_numpy(float)[self.pairs[:, 0]] > MIN_MOTION_PX)
 
@@ -164,7 +164,7 @@ class PositionSums:
 
     @property
     def are_glints(self) -> bool:
-        """Whether the positions are those of the glints, and not of the centres."""
+        """Tell whether the positions are those of the glints, and not of the centres."""
         return self.n >= MIN_POSITIONS and self.glint_squares < self.squares / 4
 
     def _phase_bias(self) -> float:

@@ -47,12 +47,12 @@ class Content:
 
     @property
     def is_binary(self) -> bool:
-        """Whether the file is a table that is no text: Parquet, Feather, HDF5, Excel."""
+        """Tell whether the file is a table that is no text: Parquet, Feather, HDF5, Excel."""
         return self.data.startswith((PARQUET, FEATHER, HDF5, OLD_EXCEL)) or self.is_excel
 
     @property
     def is_excel(self) -> bool:
-        """Whether the file is a workbook of Excel or LibreOffice; both are archives."""
+        """Tell whether the file is a workbook of Excel or LibreOffice; both are archives."""
         return self.data.startswith(ZIP) and (b"xl/workbook" in self.data or b"opendocument.spreadsheet" in self.data)
 
     @cached_property
@@ -124,7 +124,7 @@ class Content:
 
     @cached_property
     def notes(self) -> list[str]:
-        """What a reader of the numbers has to know."""
+        """Describe what a reader of the numbers has to know."""
         doubt = self.dialect.doubt
         if not doubt:
             return []
@@ -139,7 +139,7 @@ class Content:
 
     @cached_property
     def has_header(self) -> bool:
-        """Whether the first line, or the comment above it, names the columns."""
+        """Tell whether the first line, or the comment above it, names the columns."""
         return bool(self._comment_names) or not self.head or not all(map(is_number, self.head[0]))
 
     @cached_property

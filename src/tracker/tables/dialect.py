@@ -81,7 +81,7 @@ def find_dialect(lines: Sequence[Line], delimiter: str = "", decimal: str = "") 
 
 
 def _mixes_whole_numbers(lines: Sequence[Line], delimiter: str) -> bool:
-    """Whether a column has numbers such as 1,234 and others such as 987.
+    """Tell whether a column has numbers such as 1,234 and others such as 987.
 
     A program that writes three decimals always does; one that drops zeros writes fewer in some numbers too.
     """
@@ -108,7 +108,7 @@ def split_cells(text: str, delimiter: str) -> list[str]:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number or the mark of a missing one, in any dialect."""
+    """Tell whether a cell is a number or the mark of a missing one, in any dialect."""
     return _NUMBER.fullmatch(re.sub(r"(?<=\d)[\s'’](?=\d{3})", "", cell.strip())) is not None
 
 

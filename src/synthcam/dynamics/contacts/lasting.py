@@ -79,7 +79,7 @@ class ContactSpring:
 
 
 @dataclass(frozen=True)
-class LastingContact:
+class SpringContact:
     """One contact: bodies i, the target, and j; what the impact would change; and the number of its event."""
 
     i: int
@@ -109,7 +109,7 @@ class TouchingGroup:
     """
 
     members: tuple[int, ...]
-    contacts: tuple[LastingContact, ...]
+    contacts: tuple[SpringContact, ...]
     t: float
     t1: float
     solution: Any  # of scipy: maps times since t (n,) to (9 m + contacts, n)
@@ -140,7 +140,7 @@ class TouchingBodies:
 
     def __init__(self, model: Model, bodies: Bodies, spring: ContactSpring) -> None:
         self.model, self.bodies, self.spring = model, bodies, spring
-        self.contacts: list[LastingContact] = []
+        self.contacts: list[SpringContact] = []
         self.groups: dict[int, TouchingGroup] = {}
 
     @property
@@ -177,7 +177,7 @@ class TouchingBodies:
         )
         factors = self.spring.stiffness(mass, radius, parting / v_n)
         lasts = self.spring.lasts(mass, factors[0], v_n)
-        self.contacts.append(LastingContact(i, j, factors, lasts, reach, angle, (one, two), impulses, whole, event))
+        self.contacts.append(SpringContact(i, j, factors, lasts, reach, angle, (one, two), impulses, whole, event))
 
     def legs(self, states: dict[int, State], supports: Sequence[Support | None], t: float) -> dict[int, Leg]:
         """Return new legs of those of these bodies that are in contact."""
@@ -198,7 +198,7 @@ class TouchingBodies:
             now = dict(zip((c.event for c in group.contacts), group.impulses(min(t, group.t1)), strict=True))
             self.contacts = [replace(c, given=now.get(c.event, c.given)) for c in self.contacts]
 
-    def finish(self, k: int) -> list[LastingContact]:
+    def finish(self, k: int) -> list[SpringContact]:
         """End the contacts that end when the motion of a body's group does; returns them."""
         group = self.groups[k]
         self._keep_impulses(set(group.members), group.t1)
@@ -211,7 +211,7 @@ class TouchingBodies:
 def follow_contacts(
     model: Model,
     spring: ContactSpring,
-    contacts: Sequence[LastingContact],
+    contacts: Sequence[SpringContact],
     states: dict[int, State],
     bodies: Bodies,
     supports: Sequence[Support | None],
@@ -235,7 +235,7 @@ def follow_contacts(
             out[row, [0, 1, 5]] = ax, ay, turning
         return out
 
-    def press(now: Array, contact: LastingContact) -> tuple[float, float, float]:
+    def press(now: Array, contact: SpringContact) -> tuple[float, float, float]:
         """Return force, overlap and the angle of the normal."""
         x, y, _, vx, vy, *_ = now[rows[contact.i]] - now[rows[contact.j]]
         far = math.hypot(x, y)

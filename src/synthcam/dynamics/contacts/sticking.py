@@ -35,7 +35,7 @@ class StickingBodies:
         return set().union(*(part for part in split(self.bonds, members) if part & set(balls)))
 
     def concerns(self, *balls: int) -> bool:
-        """Whether a hit of these bodies is one of a group, or makes one."""
+        """Tell whether a hit of these bodies is one of a group, or makes one."""
         joins = len(balls) == 2 and max(self.strength[k] for k in balls) > 0
         return joins or any(k in pair for pair in self.bonds for k in balls)
 

@@ -36,7 +36,7 @@ UNREADABLE = RuntimeError, ValueError, TypeError, AttributeError  # that tifffil
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Where the frames of a stack lie: as pages, or one after the other from an offset."""
+    """Layout of the frames of a stack: pages, or one after the other from an offset."""
 
     plane: tuple[int, ...]  # shape of a page
     axes: str  # of a page, of Y, X, S
@@ -93,7 +93,7 @@ def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
 
 
 def choose_colours(page: Any) -> tuple[Callable[[Any], Any] | None, tuple[str, ...]]:
-    """What turns the pixels of a TIFF page into light, where they are not: inverted counts, or entries of a palette."""
+    """Find how pixels of a TIFF page become light, if they are inverted counts or entries of a palette."""
     photometric, bits = int(page.photometric), int(page.bitspersample)
     if photometric == 0:  # MinIsWhite
         top = 2**bits - 1

@@ -332,7 +332,7 @@ class Discs:
     ) -> list[tuple[DiscFit, int]]:
         """The same in a plane of colour, for a region that is not one whole disc: the most discs that fit.
 
-        A ball has the usual contrast. Where balls touch, or a hand or a cue touches a ball, there is less between them.
+        A ball has the usual contrast. Between two balls that touch, or a ball and a hand or a cue, there is less.
         """
         own = part.mask[1:-1, 1:-1]
         at = part.top + 1, part.left + 1

@@ -3,7 +3,7 @@
 Residuals cannot show an error that is smooth over a stretch, such as a bent map of the camera, a marker beside the
 centre of mass, or a body that lifts off. The balance of momentum shows it. Its errors are those of the residuals and,
 for each component of each velocity, an error that is proportional to the speed of the hit; along the line of centres
-there is a bias that is proportional to the normal speed. Of one recording that error is a prior. Of a set it is fitted.
+there is a bias that is proportional to the normal speed. In one recording that error is a prior. In a set it is fitted.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 MIN_OBLIQUENESS = 5.0  # errors of the impact parameter, from which on s is reported
 MIN_HITS = 8  # of a set, from which on its errors are fitted
 MIN_STRIKES = 3  # of each body, from which on the ratio of their masses is fitted
-# Of one recording, over the speed of the hit, if its tracks claim no errors or its residuals are far larger. Sets of
+# For one recording, over the speed of the hit, if its tracks claim no errors or its residuals are far larger. Sets of
 # billiard balls and of pucks on air show .009 and .014 along the line of centres, and .008 and .007 across it.
 PRIOR_ERROR = 0.0125
 # Largest standard errors with which quantities are reported; others have max_relative_error of their value.

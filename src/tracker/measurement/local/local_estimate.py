@@ -21,7 +21,7 @@ from tracker.measurement.local.local_fit import (
     guess_contact,
     weigh_by_residuals,
 )
-from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Motion, Stretch, cut_stretch
+from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -95,7 +95,7 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
     return _read_values(weigh_by_residuals(solution, known), camera, masses, misfit, known)
 
 
-def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[Motion, ...]:
+def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[MotionKind, ...]:
     cloth = (SLIDE, SLIDE_AND_ROLL) if stretch.after else (ROLL, SLIDE, SLIDE_AND_ROLL)
     return cloth if False in glides else (SLIDE,)
 

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import GRAVITY
-from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, Motion, Stretch, evaluate_path
+from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, evaluate_path
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LocalPriors:
-    """What is known beside the positions, and how well."""
+    """Prior values of a fit, with their errors."""
 
     diameter: float  # m
     distance_share: float = 0.016  # error of the distance at which the bodies touch, diameters
@@ -46,7 +46,7 @@ class LocalProblem:
     """The stretches of one hit with their motions; `glide` if the bodies slide on air, where pushes are unlike."""
 
     stretches: tuple[Stretch, ...]
-    motions: tuple[Motion, ...]
+    motions: tuple[MotionKind, ...]
     priors: LocalPriors
     glide: bool
     start: tuple[int, ...] = field(init=False)  # of each stretch in the vector of parameters
@@ -87,7 +87,7 @@ class LocalProblem:
         return self.stretches[k].after and self.motions[k].ends
 
     def place(self, k: int) -> slice:
-        """Where the place of the body of a stretch is in the vector of parameters."""
+        """Find the position of a stretch's body in the vector of parameters."""
         return slice(1, 3) if self.stretches[k].ball == 1 else slice(3, 5)
 
     def residuals(self, x: Floats, roots: Sequence[Floats]) -> tuple[Floats, Floats]:
@@ -252,7 +252,7 @@ class StretchFit:
     speed_std: float  # m/s, error of a component of the velocity at the contact, with that factor
 
 
-def fit_stretch(stretch: Stretch, contact: float, motion: Motion, taus: Floats) -> StretchFit:
+def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) -> StretchFit:
     """Fit one stretch alone, by linear fits over a few times tau."""
     since = stretch.time - contact
     weight = diagonal_roots([stretch])[0]
@@ -300,7 +300,7 @@ def correlation_factor(left: Floats) -> float:
     return (1 + rho) / (1 - rho)
 
 
-def choose_window(stretch: Stretch, contact: float, motions: Sequence[Motion], least: int = 5) -> Stretch:
+def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind], least: int = 5) -> Stretch:
     """Shorten a stretch to the window from which the velocity at the contact has the smallest error.
 
     A cushion, another contact or any force that the motions lack raises the residuals of a window that holds it.
@@ -315,7 +315,7 @@ def choose_window(stretch: Stretch, contact: float, motions: Sequence[Motion], l
         last, part = count, stretch.where(keep)
         taus = np.geomspace(float(ahead[keep].max()) / 40, 1.5 * float(ahead[keep].max()), 12)
         n = max(2 * count, 3)
-        tries = [(fit_stretch(part, contact, m, taus), m) for m in motions if 2 * count > m.size]
+        tries = [(fit_single_stretch(part, contact, m, taus), m) for m in motions if 2 * count > m.size]
         if not tries:
             continue
         noise = max(min(f.cost / max(n - m.size, 1) for f, m in tries), 1e-12)
@@ -348,9 +348,9 @@ def _line(stretch: Stretch, contact: float, most: int = 6) -> tuple[Floats, Floa
     return x.mean(axis=0) - v * t.mean(), v
 
 
-def list_motions(stretches: Sequence[Stretch], rests: bool, glide: bool) -> Iterator[tuple[Motion, ...]]:
+def list_motions(stretches: Sequence[Stretch], rests: bool, glide: bool) -> Iterator[tuple[MotionKind, ...]]:
     """List the motions that the stretches may have, on air (glide) or on a plate."""
-    choices: list[tuple[Motion, ...]] = []
+    choices: list[tuple[MotionKind, ...]] = []
     for s in stretches:
         if s.ball == 1 and not s.after and rests:
             choices.append((REST,))
@@ -380,7 +380,7 @@ def fit_motions(
             places: dict[int, list[Floats]] = {1: [], 2: []}
             for k, (s, motion) in enumerate(zip(stretches, motions, strict=True)):
                 span = float(np.abs(s.time - contact).max())
-                own = fit_stretch(s, contact, motion, np.geomspace(span / 40, 1.5 * span, 12)).values
+                own = fit_single_stretch(s, contact, motion, np.geomspace(span / 40, 1.5 * span, 12)).values
                 if problem.slides_first(k):
                     own[2:4] += own[4:6] * min(float(np.exp(own[6])), problem.spans[k])
                 if problem.rubs(k):

@@ -45,7 +45,7 @@ class Stretch:
         return replace(self, **arrays)
 
 
-class Motion(NamedTuple):
+class MotionKind(NamedTuple):
     """Terms of a path beside its position at the contact."""
 
     moves: bool = True
@@ -59,10 +59,10 @@ class Motion(NamedTuple):
         return 2 + 2 * self.moves + 2 * self.pushed + self.ends + self.rolls
 
 
-REST = Motion(False, False, False, False)
-ROLL = Motion(True, False, False, True)
-SLIDE = Motion(True, True, False, False)
-SLIDE_AND_ROLL = Motion(True, True, True, True)
+REST = MotionKind(False, False, False, False)
+ROLL = MotionKind(True, False, False, True)
+SLIDE = MotionKind(True, True, False, False)
+SLIDE_AND_ROLL = MotionKind(True, True, True, True)
 
 
 def cut_stretch(
@@ -96,7 +96,7 @@ def cut_stretch(
     return replace(whole, time=mean(t), position=joined, std=std, near=mean(near.astype(np.float64)) > 0.5)
 
 
-def evaluate_path(motion: Motion, values: Floats, since: Floats, after: bool) -> tuple[Floats, Floats]:
+def evaluate_path(motion: MotionKind, values: Floats, since: Floats, after: bool) -> tuple[Floats, Floats]:
     """Evaluate the path of a stretch at times since the contact: (n, 2), and derivatives (size + 1, n, 2).
 
     The last derivative is that by the instant of the contact.
