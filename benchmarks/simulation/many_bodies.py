@@ -207,7 +207,7 @@ def draw_cooling(found: dict[str, Any], path: Path) -> None:
     smooth = found[names[1]]
     late = np.array(smooth["t"][1:])
     t0 = smooth["haff_time"]
-    left.loglog(late, smooth["temperature"][0] * (1 + late / t0) ** -2, "r:", label="Haff's law")
+    left.loglog(late, smooth["temperature"][0] * (1 + late / t0) ** -2, "r:", label="Haff's law, no friction")
     left.set(xlabel="time (s)", ylabel="mean square velocity (m²/s²)")
     kinds = {"contact": "contacts", "slide": "sliding", "roll": "rolling"}
     bottom = np.zeros(len(names))
@@ -220,7 +220,7 @@ def draw_cooling(found: dict[str, Any], path: Path) -> None:
     t = [1e3 * r["t"] for r in rows]
     right.semilogy(t, [r["slide_ms"] for r in rows], "ko-", label="sliding at a stretch")
     right.semilogy(t, [r["between_ms"] for r in rows], "ks--", label="between contacts of a ball")
-    right.set(xlabel="time (ms)", ylabel="ms", title=names[0])
+    right.set(xlabel="time (ms)", ylabel="duration (ms)", title=names[0])
     left.legend(fontsize="small", loc="lower left")
     middle.legend(fontsize="small", ncols=4, loc="upper center")
     right.legend(fontsize="small")
