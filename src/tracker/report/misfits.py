@@ -106,9 +106,10 @@ def _draw(
         for at in place(seen[ball]):
             cv2.circle(picture, at.tolist(), 2, colour, -1, cv2.LINE_AA)
     for k, line in enumerate(lines):
-        for shade, thick in ((0, 4), (240, 1)):
-            at, font = (8, 18 * (k + 1)), cv2.FONT_HERSHEY_SIMPLEX
-            cv2.putText(picture, line, at, font, 0.5, (shade, shade, shade), thick, cv2.LINE_AA)
+        (x, y), font = (8, 18 * (k + 1)), cv2.FONT_HERSHEY_SIMPLEX
+        across = cv2.getTextSize(line, font, 0.5, 1)[0][0]
+        cv2.rectangle(picture, (x - 4, y - 14), (x + across + 4, y + 4), (0, 0, 0), -1)
+        cv2.putText(picture, line, (x, y), font, 0.5, (240, 240, 240), 1, cv2.LINE_AA)
     return np.asarray(picture, np.uint8)
 
 
