@@ -107,7 +107,8 @@ LAYERS = {
         "positions track_repair random_effects",
         "collision",
         "camera_errors energy_momentum messages",
-        "joint_fit painter_behringer lone_ball local",
+        "joint_fit painter_behringer lone_ball stretch_cuts",
+        "local",
         "estimate",
     ],
     "tracker.measurement.local": [

@@ -17,24 +17,32 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.first_guess import fit_slide
 from discrepancy.data.launch import GRAZING, T_C
 from discrepancy.policy import current_policy
+from tracker.measurement.stretch_cuts import CUTTER, measure_noise
 
 SLIP_PER_LOSS = 3.5  # a solid ball's slip ends at 7/2 of the deceleration of its centre
 
 
-def cut_stretches(clips: Sequence[MeasuredCollision], margin_frames: float = 1.5) -> list[MeasuredCollision]:
+def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]:
     """Cut each collision into its stretches: the striker before the contact, and both balls after it.
 
-    Positions within `margin_frames` of the contact are left out. A ball that moves by less than a radius, or that is
-    seen in fewer than `SearchPolicy.min_stretch_positions` frames, gives no stretch.
+    `tracker.measurement.stretch_cuts` cuts: positions beside the contact, or beside a kink of the path, are left out. A
+    ball that moves by less than a radius, or that is seen in fewer than
+    `SearchPolicy.min_stretch_positions` frames, gives no stretch.
     """
     stretches = []
     for clip in clips:
-        since = (clip.frame / clip.fps + clip.exposure / 2 - clip.launch[T_C]) * clip.fps
-        for ball, side in ((1, since < -margin_frames), (1, since > margin_frames), (0, since > margin_frames)):
+        time, frame_s = clip.frame / clip.fps + clip.exposure / 2, 1 / clip.fps
+        balls = [np.flatnonzero(clip.ball == ball) for ball in (0, 1)]
+        noise = measure_noise((clip.frame[rows], clip.xy[rows]) for rows in balls)
+        late = time > clip.launch[T_C]
+        for ball, side in ((1, ~late), (1, late), (0, late)):
             rows = np.flatnonzero((clip.ball == ball) & side)
-            moved = np.ptp(clip.xy[rows], axis=0) if len(rows) else np.zeros(2)
-            if len(rows) >= current_policy().min_stretch_positions and np.hypot(*moved) > clip.camera.radius:
-                stretches.append(_build_stretch(clip, rows))
+            rows = rows[~CUTTER.is_beside(time[rows], clip.launch[T_C], clip.launch[T_C], frame_s)]
+            kinks = CUTTER.find_kinks(time[rows], CUTTER.measure_kinks(time[rows], clip.xy[rows], noise))
+            for part in CUTTER.cut(time[rows], clip.frame[rows], kinks, frame_s):
+                moved = np.ptp(clip.xy[rows[part]], axis=0)
+                if len(part) >= current_policy().min_stretch_positions and np.hypot(*moved) > clip.camera.radius:
+                    stretches.append(_build_stretch(clip, rows[part]))
     return stretches
 
 

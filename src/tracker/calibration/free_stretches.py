@@ -11,25 +11,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from tracker.measurement.positions import BallTrack
+from tracker.measurement.stretch_cuts import CUTTER, measure_noise
 
 Floats = NDArray[np.float64]
-MIN_POSITIONS = 10  # of a stretch
-MAX_SECONDS = 1.5  # longer ones are cut: spin, cloth and drag bend a path that lasts
-MAX_GAP_FRAMES = 10
-FRAMES_BESIDE_CONTACT = 1.5  # positions nearer to a contact or a kink do not count
-NEAR_DIAMETERS = 1.15  # distance of centres at which another ball may be touched
-MAX_CHI2 = 30.0  # per degree of freedom, of a stretch; one with more has a contact that was not seen
-MAX_ACCELERATION = 3.5  # m/s^2, of a ball that slides; what changes the velocity faster is a contact
-KINK_POSITIONS = 4  # to either side, from which a velocity is read
-KINK_SIGMA = 6.0  # standard errors by which the velocity changes at a contact
-REST_SIGMA = 5.0  # standard errors of a velocity within which a ball may rest
-SLIDE_GAIN = 9.0  # reduction of chi^2 for which a stretch slides first
-TIMES_OF_SLIDE = 6  # ends of the slide that are tried in a stretch
-MIN_SCATTER_OF_LOSS, MIN_SCATTER_OF_SLIDE = 0.2, 0.04  # of the accelerations of rolling and sliding, relative
-MIN_OF_PRIOR = 5  # stretches that show an acceleration
+
+
+@dataclass(frozen=True)
+class StretchRules:
+    """Which stretches are fitted, and how."""
+
+    min_positions: int = 10  # of a stretch
+    max_seconds: float = 1.5  # longer ones are cut: spin, cloth and drag bend a path that lasts
+    max_chi2: float = 30.0  # per degree of freedom; a stretch with more has a contact that was not seen
+    slide_gain: float = 9.0  # reduction of chi^2 for which a stretch slides first
+    slide_ends: int = 6  # ends of the slide that are tried in a stretch
+    loss_scatter: float = 0.2  # least scatter of the deceleration of rolling, relative
+    slide_scatter: float = 0.04  # least scatter of the acceleration of sliding, relative
+    min_of_prior: int = 5  # stretches that show an acceleration
+
+
+RULES = StretchRules()
 
 
 @dataclass(frozen=True)
@@ -51,14 +54,14 @@ class FrictionPrior:
         sliding = [one for one in stretches if np.isfinite(one.slide)]
         losses, slides = np.array([one.loss for one in rolling]), np.array([one.slide for one in sliding])
         gains = np.array([one.gain for one in sliding])
-        loss, loss_std = _median_and_scatter(losses, np.ones(len(losses)), MIN_SCATTER_OF_LOSS)
-        slide, slide_std = _median_and_scatter(slides, gains, MIN_SCATTER_OF_SLIDE)
+        loss, loss_std = _median_and_scatter(losses, np.ones(len(losses)), RULES.loss_scatter)
+        slide, slide_std = _median_and_scatter(slides, gains, RULES.slide_scatter)
         return FrictionPrior(loss, loss_std, slide, slide_std)
 
 
 def _median_and_scatter(values: Floats, weights: Floats, least: float) -> tuple[float, float]:
     """Weighted median, and weighted median distance from it as a standard deviation."""
-    if len(values) < MIN_OF_PRIOR:
+    if len(values) < RULES.min_of_prior:
         return 0.0, float("inf")
 
     def median(of: Floats) -> float:
@@ -116,100 +119,46 @@ class FreeStretch:
 
 def find_free_stretches(balls: Sequence[BallTrack], diameter: float) -> list[FreeStretch]:
     """Find and fit the free stretches of the balls of one recording; diameter: m, or NaN if unknown."""
-    noise = measure_noise(balls)
-    out = []
+    noise, out = measure_noise((ball.frame, ball.position) for ball in balls), []
     for ball in balls:
-        if len(ball) < MIN_POSITIONS or not np.isfinite(noise):
+        if len(ball) < RULES.min_positions or not np.isfinite(noise):
             continue
-        near = np.array([*find_near_times(ball, balls, diameter)])
-        changes = _measure_kinks(ball, noise)
-        for rows in _cut(ball, near, changes, noise):
-            out += _fit_parts(ball, rows, changes, noise)
+        changes = CUTTER.measure_kinks(ball.time, ball.position, noise)
+        contacts = np.append(CUTTER.find_touches(ball, balls, diameter), CUTTER.find_kinks(ball.time, changes))
+        for rows in CUTTER.cut(ball.time, ball.frame, contacts, float(np.median(np.diff(ball.time)))):
+            for part in _split_long(ball.time, rows):
+                if CUTTER.moves(ball.time[part], ball.position[part], noise):
+                    out += _fit_parts(ball, part, changes, noise)
     return out
+
+
+def _split_long(time: Floats, rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    pieces = max(int(np.ceil((time[rows[-1]] - time[rows[0]]) / RULES.max_seconds)), 1)
+    yield from (part for part in np.array_split(rows, pieces) if len(part) >= RULES.min_positions)
 
 
 def _fit_parts(ball: BallTrack, rows: NDArray[np.int64], changes: Floats, noise: float) -> list[FreeStretch]:
     """Fit the motion of these rows; if it does not describe them, cut them where the velocity changes most."""
-    if len(rows) < MIN_POSITIONS:
+    if len(rows) < RULES.min_positions:
         return []
     found = fit_stretch(ball.time[rows], ball.position[rows], np.full(len(rows), noise))
-    if found.chi2 < MAX_CHI2 * found.dof or len(rows) < 2 * MIN_POSITIONS:
+    if found.chi2 < RULES.max_chi2 * found.dof or len(rows) < 2 * RULES.min_positions:
         return [found]
-    inner = slice(KINK_POSITIONS, len(rows) - KINK_POSITIONS)
-    middle = KINK_POSITIONS + int(np.argmax(changes[rows][inner]))
+    inner = slice(CUTTER.kink_positions, len(rows) - CUTTER.kink_positions)
+    middle = CUTTER.kink_positions + int(np.argmax(changes[rows][inner]))
     parts = rows[: middle - 1], rows[middle + 1 :]
     return [one for part in parts for one in _fit_parts(ball, part, changes, noise)]
-
-
-def measure_noise(balls: Sequence[BallTrack]) -> float:
-    """Standard deviation of positions, m, from third differences, which smooth motion hardly has; NaN without any."""
-    parts = [np.diff(ball.position, 3, axis=0)[np.diff(ball.frame, 3) == 0] for ball in balls if len(ball) > 3]
-    moving = [part[np.abs(part).sum(axis=1) > 0] for part in parts]
-    every = np.concatenate([*moving, np.empty((0, 2))])
-    return float(1.4826 * np.median(np.abs(every)) / np.sqrt(20)) if len(every) else float("nan")
-
-
-def find_near_times(ball: BallTrack, balls: Sequence[BallTrack], diameter: float) -> Iterator[float]:
-    """Iterate over the times at which another ball is so near that it may touch this one."""
-    for other in balls if np.isfinite(diameter) else ():
-        if other is ball:
-            continue
-        _, mine, its = np.intersect1d(ball.frame, other.frame, return_indices=True)
-        apart = np.hypot(*(ball.position[mine] - other.position[its]).T)
-        step = np.abs(np.diff(apart, prepend=apart[:1]))
-        yield from ball.time[mine][apart < NEAR_DIAMETERS * diameter + step].tolist()
-
-
-def _measure_kinks(ball: BallTrack, noise: float) -> Floats:
-    """Changes of the velocity before each position (n,), over those that friction and noise can make."""
-    k, time, out = KINK_POSITIONS, ball.time, np.zeros(len(ball))
-    for i in range(k, len(time) - k + 1):
-        before, after = slice(i - k, i), slice(i, i + k)
-        (v, s), (w, q) = (_velocity(time[part], ball.position[part]) for part in (before, after))
-        between = time[after].mean() - time[before].mean()
-        out[min(i, len(out) - 1)] = np.hypot(*(w - v)) / (
-            MAX_ACCELERATION * between + KINK_SIGMA * noise * np.hypot(s, q)
-        )
-    return out
-
-
-def _velocity(time: Floats, position: Floats) -> tuple[Floats, float]:
-    """Velocity of a straight line, and its standard error per standard error of a position."""
-    since = time - time.mean()
-    spread = float(since @ since)
-    return since @ position / spread, spread**-0.5
-
-
-def _cut(ball: BallTrack, near: Floats, changes: Floats, noise: float) -> Iterator[NDArray[np.int64]]:
-    """Iterate over the rows of the stretches between contacts, gaps and rests."""
-    time, frame_time = ball.time, float(np.median(np.diff(ball.time)))
-    kinks = np.flatnonzero((changes > 1) & (changes == maximum_filter1d(changes, 2 * KINK_POSITIONS - 1)))
-    contacts = np.append(near, (time[kinks - 1] + time[kinks]) / 2)
-    free = np.ones(len(time), dtype=bool)
-    for at in contacts:
-        free &= np.abs(time - at) > FRAMES_BESIDE_CONTACT * frame_time
-    cuts = np.flatnonzero(~free[1:] | ~free[:-1] | (np.diff(ball.frame) > MAX_GAP_FRAMES)) + 1
-    for part in np.split(np.arange(len(time)), cuts):
-        if len(part) < MIN_POSITIONS or not free[part].all():
-            continue
-        pieces = max(int(np.ceil((time[part[-1]] - time[part[0]]) / MAX_SECONDS)), 1)
-        for rows in np.array_split(part, pieces):
-            if len(rows) < MIN_POSITIONS:
-                continue
-            velocity, error = _velocity(time[rows], ball.position[rows])
-            if np.hypot(*velocity) > REST_SIGMA * noise * error:
-                yield rows
 
 
 def fit_stretch(time: Floats, position: Floats, std: Floats, prior: FrictionPrior | None = None) -> FreeStretch:
     """Fit a motion that rolls all along, and one that slides first; take the latter if it is much better."""
     duration = float(time[-1] - time[0])
     rolling = _fit(time, position, std, 0.0, prior)
-    tried = [duration * (k + 1) / TIMES_OF_SLIDE for k in range(TIMES_OF_SLIDE)]
+    tried = [duration * (k + 1) / RULES.slide_ends for k in range(RULES.slide_ends)]
     first = min(tried, key=lambda end: _fit(time, position, std, end, steps=1).chi2)
     sliding = _fit(time, position, std, first, prior)
     gain = rolling.chi2 - sliding.chi2
-    return replace(sliding, gain=gain) if gain > SLIDE_GAIN else rolling
+    return replace(sliding, gain=gain) if gain > RULES.slide_gain else rolling
 
 
 def _fit(
@@ -219,7 +168,7 @@ def _fit(
     n, since = len(time), time - time[0]
     weight, target, loss = np.tile(1 / std, 2)[:, None], position.T.ravel(), 0.0
     acceleration: Floats = np.zeros(2)
-    along, slides = _unit(_velocity(since, position)[0]), end > 0
+    along, slides = _unit((since - since.mean()) @ position), end > 0
     for step in range(steps):
         late = np.maximum(since - end, 0.0)
         rolls, turns = bool(late[-1] > 0), bool(late[-1] > 0) and slides and step > 0

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 WINDOW_S = 0.5  # longest stretch on either side of a contact
-NEAR_FRAMES = 1.5  # of the contact, within which positions count less
 MIN_POSITIONS = 3  # of each stretch
 SLIDE_END_SIGMA = 10.0  # errors of a position by which a slide that does not end would pass the last one
 MASS_STEP = 1e-4  # of the logarithm of the mass ratio, for derivatives
@@ -131,13 +130,8 @@ def _cut_stretches(contact: Contact, camera: Camera, instant: float) -> list[Str
     """The four stretches in the order of SIDES, without the frames of a contact that lasts."""
     tracks, frame_s = dict(contact.pair.balls), 1 / camera.fps
     half = (contact.end - contact.start + 1) / 2 * frame_s if contact.end > contact.start else 0.0
-    early, late = instant - half, instant + half
-    return [
-        cut_stretch(tracks[1], 1, False, early - WINDOW_S, early, early, NEAR_FRAMES * frame_s),
-        cut_stretch(tracks[2], 2, False, early - WINDOW_S, early, early, NEAR_FRAMES * frame_s),
-        cut_stretch(tracks[1], 1, True, late, late + WINDOW_S, late, NEAR_FRAMES * frame_s),
-        cut_stretch(tracks[2], 2, True, late, late + WINDOW_S, late, NEAR_FRAMES * frame_s),
-    ]
+    span = instant - half, instant + half
+    return [cut_stretch(tracks[ball], ball, after, WINDOW_S, span, frame_s) for ball, after in SIDES]
 
 
 def _read_values(

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.positions import BallTrack
+from tracker.measurement.stretch_cuts import CUTTER, measure_noise
 
 Floats = NDArray[np.float64]
 MAX_POSITIONS = 45  # of a stretch; more are averaged in groups
@@ -66,19 +67,20 @@ SLIDE_AND_ROLL = MotionKind(True, True, True, True)
 
 
 def cut_stretch(
-    track: BallTrack, ball: int, after: bool, first: float, last: float, contact: float, near_s: float
+    track: BallTrack, ball: int, after: bool, window_s: float, contact: tuple[float, float], frame_s: float
 ) -> Stretch:
-    """Cut the positions of a body from `first` to `last`, s, without the exposures that hold the contact.
+    """Cut the positions of a body up to `window_s` from a contact, without the exposures that hold it.
 
-    More positions than MAX_POSITIONS are averaged in groups of neighbours. `near_s`: from the contact, within which
-    positions count as near.
+    contact: its first and last instant, s. A body that moves is followed to the next contact only. More positions than
+    MAX_POSITIONS are averaged in groups of neighbours.
     """
-    half = track.exposure / 2
-    rows = (track.time >= first) & (track.time <= last)
-    rows &= (track.time - half > contact) if after else (track.time + half < contact)
-    t, x = track.time[rows], track.position[rows]
+    (first, last), half = contact, track.exposure / 2
+    mine = (track.time - half > last) if after else (track.time + half < first)
+    rows = np.flatnonzero(mine & (track.time >= first - window_s) & (track.time <= last + window_s))
+    near = CUTTER.is_beside(track.time, first, last, frame_s)
+    rows = _end_at_contact(track, rows, near[rows], after, frame_s)
+    t, x, near = track.time[rows], track.position[rows], near[rows]
     std = np.sqrt(np.trace(track.cov[rows], axis1=1, axis2=2) / 2)
-    near = np.abs(t - contact) < near_s
     whole = Stretch(ball=ball, after=after, time=t, position=x, std=std, near=near)
     order = np.arange(len(t)) if after else np.arange(len(t))[::-1]
     size = -(-(len(t) - KEPT_POSITIONS) // (MAX_POSITIONS - KEPT_POSITIONS))
@@ -94,6 +96,25 @@ def cut_stretch(
     joined = np.column_stack([mean(x[:, 0]), mean(x[:, 1])])
     std = np.sqrt(mean(std**2) / count)
     return replace(whole, time=mean(t), position=joined, std=std, near=mean(near.astype(np.float64)) > 0.5)
+
+
+def _end_at_contact(
+    track: BallTrack, rows: NDArray[np.int64], near: NDArray[np.bool_], after: bool, frame_s: float
+) -> NDArray[np.int64]:
+    """The rows up to the next contact, or back to the one before."""
+    free = rows[~near]
+    if len(free) < 2:
+        return rows
+    time, position = track.time[free], track.position[free]
+    noise = measure_noise([(track.frame, track.position)])
+    if not np.isfinite(noise) or not CUTTER.moves(time, position, noise):
+        return rows
+    kinks = CUTTER.find_kinks(time, CUTTER.measure_kinks(time, position, noise))
+    parts = list(CUTTER.cut(time, track.frame[free], kinks, frame_s))
+    if not parts:
+        return rows
+    ends = free[parts[0][-1]] if after else free[parts[-1][0]]
+    return rows[rows <= ends] if after else rows[rows >= ends]
 
 
 def evaluate_path(motion: MotionKind, values: Floats, since: Floats, after: bool) -> tuple[Floats, Floats]:

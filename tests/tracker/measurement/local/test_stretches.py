@@ -54,7 +54,7 @@ def test_many_positions_are_averaged_far_from_the_contact_alone(after):
     cov = np.tile(np.eye(2) * 4e-6, (400, 1, 1))
     track = BallTrack(particle=1, frame=np.arange(400), start=time, position=position, cov=cov, exposure=0.0)
     contact = time[0] - 1e-3 if after else time[-1] + 1e-3
-    stretch = cut_stretch(track, 1, after, -1.0, 1.0, contact, 1.5e-3)
+    stretch = cut_stretch(track, 1, after, 1.0, (contact, contact), 1e-3)
     near = slice(0, KEPT_POSITIONS) if after else slice(-KEPT_POSITIONS, None)
     assert KEPT_POSITIONS < len(stretch) <= MAX_POSITIONS
     assert stretch.time[near] == pytest.approx(time[near])

@@ -1,0 +1,109 @@
+"""The rule by which all commands cut tracks into stretches of free motion: what is a contact, and what lies beside it.
+
+The local estimate, `tracker warp` and `discrepancy find --stretches` cut by it.
+
+- A contact is one that the tracker measured, a position at which another ball may be touched, or a kink.
+- A kink is a change of the velocity that neither friction nor noise makes. The noise is the scatter of third
+  differences.
+- A position within the margin of a contact, before or after it, is beside it. Trackers and bodies are less regular
+  there, so stretches leave it out. The local estimate has few positions, and gives those larger errors instead.
+- A ball that was not seen for many frames may have hit something.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+from tracker.measurement.positions import BallTrack
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class StretchCutter:
+    """Finds contacts in tracks and cuts them there."""
+
+    margin_frames: float = 1.5  # from a contact, within which positions are beside it
+    max_gap_frames: int = 10
+    near_diameters: float = 1.15  # distance of centres at which another ball may be touched
+    max_acceleration: float = 3.5  # m/s^2, of a ball that slides; what changes the velocity faster is a contact
+    kink_positions: int = 4  # to either side, from which a velocity is read
+    kink_sigma: float = 6.0  # standard errors by which the velocity changes at a contact
+    rest_sigma: float = 5.0  # standard errors of a velocity within which a ball may rest
+
+    def is_beside(self, time: Floats, first: float, last: float, frame_s: float) -> NDArray[np.bool_]:
+        """Tell which positions (n,) are beside a contact that lasts from `first` to `last`, s."""
+        margin = self.margin_frames * frame_s * (1 + 1e-9)
+        return np.asarray((time >= first - margin) & (time <= last + margin))
+
+    def cut(self, time: Floats, frame: Rows, contacts: Floats, frame_s: float) -> Iterator[Rows]:
+        """Iterate over the rows of the stretches between contacts and gaps; positions beside contacts are left out."""
+        free = np.ones(len(time), dtype=bool)
+        for at in contacts:
+            free &= ~self.is_beside(time, at, at, frame_s)
+        ends = ~free[1:] | ~free[:-1] | (np.diff(frame) > self.max_gap_frames)
+        for part in np.split(np.arange(len(time)), np.flatnonzero(ends) + 1):
+            if len(part) and free[part].all():
+                yield part
+
+    def find_touches(self, ball: BallTrack, balls: Sequence[BallTrack], diameter: float) -> Floats:
+        """Find the times at which another ball is so near that it may touch this one; diameter: m, or NaN."""
+        found = [np.empty(0)]
+        for other in balls if np.isfinite(diameter) else ():
+            if other is ball:
+                continue
+            _, mine, its = np.intersect1d(ball.frame, other.frame, return_indices=True)
+            apart = np.hypot(*(ball.position[mine] - other.position[its]).T)
+            step = np.abs(np.diff(apart, prepend=apart[:1]))
+            found.append(ball.time[mine][apart < self.near_diameters * diameter + step])
+        return np.concatenate(found)
+
+    def measure_kinks(self, time: Floats, position: Floats, noise: float) -> Floats:
+        """Measure the change of the velocity before each position (n,), over what friction and noise can make."""
+        k, out = self.kink_positions, np.zeros(len(time))
+        if len(time) < 2 * k or not np.isfinite(noise):
+            return out
+        slide = np.lib.stride_tricks.sliding_window_view
+        when, where = slide(time, k), slide(position, k, axis=0)  # (n - k + 1, k), (n - k + 1, 2, k)
+        middle = when.mean(axis=1)
+        since = when - middle[:, None]
+        spread = (since**2).sum(axis=1)
+        velocity = (where @ since[:, :, None])[..., 0] / spread[:, None]
+        change = np.hypot(*(velocity[k:] - velocity[:-k]).T)
+        error = noise * np.sqrt(1 / spread[k:] + 1 / spread[:-k])
+        out[k : len(time) - k + 1] = change / (
+            self.max_acceleration * (middle[k:] - middle[:-k]) + self.kink_sigma * error
+        )
+        return out
+
+    def find_kinks(self, time: Floats, changes: Floats) -> Floats:
+        """Find the times of the kinks, from their sizes (n,)."""
+        largest = maximum_filter1d(changes, 2 * self.kink_positions - 1) if len(changes) else changes
+        at = np.flatnonzero((changes > 1) & (changes == largest))
+        return np.asarray((time[at - 1] + time[at]) / 2)
+
+    def moves(self, time: Floats, position: Floats, noise: float) -> bool:
+        """Decide whether a ball moves, by a straight line through its positions."""
+        since = time - time.mean()
+        spread = float(since @ since)
+        return bool(np.hypot(*(since @ position)) > self.rest_sigma * noise * np.sqrt(spread))
+
+
+CUTTER = StretchCutter()
+
+
+def measure_noise(paths: Iterable[tuple[Rows, Floats]]) -> float:
+    """Standard deviation of positions, m, from third differences, which smooth motion hardly has; NaN without any.
+
+    paths: frames (n,) and positions (n, 2) of each ball.
+    """
+    parts = [np.diff(xy, 3, axis=0)[np.diff(frame, 3) == 0] for frame, xy in paths if len(frame) > 3]
+    moving = [part[np.abs(part).sum(axis=1) > 0] for part in parts]
+    every = np.concatenate([*moving, np.empty((0, 2))])
+    return float(1.4826 * np.median(np.abs(every)) / np.sqrt(20)) if len(every) else float("nan")

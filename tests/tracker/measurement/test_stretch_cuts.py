@@ -1,0 +1,43 @@
+"""Cuts of tracks at contacts: a kink is found, and all commands leave out the same positions."""
+
+import numpy as np
+import pytest
+
+from tracker.measurement.local.stretches import cut_stretch
+from tracker.measurement.positions import BallTrack
+from tracker.measurement.stretch_cuts import CUTTER, measure_noise
+
+FPS, NOISE = 50, 2e-4
+
+
+def bounce(at, angle=np.pi, frames=60, slide=0.0):
+    """A ball that turns by `angle` at the time `at`; slide: its acceleration, m/s^2."""
+    rng, time = np.random.default_rng(1), np.arange(frames) / FPS
+    turned = 1.2 * np.array([np.cos(angle), np.sin(angle)])
+    path = np.outer(np.minimum(time, at), [1.2, 0]) + np.outer(np.maximum(time - at, 0), turned)
+    path = path + np.outer(time**2 / 2, [0, slide]) + rng.normal(0, NOISE, path.shape)
+    return BallTrack(0, np.arange(frames), time, path, np.tile(np.eye(2) * NOISE**2, (frames, 1, 1)), 0.0)
+
+
+@pytest.mark.parametrize(("angle", "slide", "found"), [(np.pi, 0.0, 1), (0.3, 0.0, 1), (0.0, 0.0, 0), (0.0, 2.5, 0)])
+def test_a_kink_is_what_neither_friction_nor_noise_makes(angle, slide, found):
+    ball = bounce(0.61, angle, slide=slide)
+    noise = measure_noise([(ball.frame, ball.position)])
+    assert noise == pytest.approx(NOISE, rel=0.3)
+    kinks = CUTTER.find_kinks(ball.time, CUTTER.measure_kinks(ball.time, ball.position, noise))
+    assert len(kinks) == found
+    assert np.abs(kinks - 0.61).max(initial=0.0) <= 1 / FPS
+    parts = list(CUTTER.cut(ball.time, ball.frame, np.append(kinks, 0.2), 1 / FPS))
+    assert len(parts) == found + 2
+    assert np.abs(ball.time[np.concatenate(parts)][:, None] - np.append(kinks, 0.2)).min() >= 1.5 / FPS - 1e-12
+
+
+@pytest.mark.parametrize("after", [False, True])
+def test_the_local_estimate_follows_a_ball_to_the_next_contact_only(after):
+    """From a hit at .2 s on, or back from one at 1 s, to the bounce at .61 s."""
+    ball = bounce(0.61)
+    hit = 0.2 if after else 1.0
+    stretch = cut_stretch(ball, 2, after, 0.8, (hit, hit), 1 / FPS)
+    assert 0.02 < np.abs(stretch.time - 0.61).min() < 0.06
+    assert ((stretch.time < 0.61) == after).all()
+    assert 1 <= stretch.near.sum() <= 2
