@@ -113,8 +113,8 @@ def _end_at_contact(
     parts = list(CUTTER.cut(time, track.frame[free], kinks, frame_s))
     if not parts:
         return rows
-    ends = free[parts[0][-1]] if after else free[parts[-1][0]]
-    return rows[rows <= ends] if after else rows[rows >= ends]
+    ends = int(free[parts[0][-1] if after else parts[-1][0]])
+    return np.asarray(rows[rows <= ends] if after else rows[rows >= ends])
 
 
 def evaluate_path(motion: MotionKind, values: Floats, since: Floats, after: bool) -> tuple[Floats, Floats]:
