@@ -32,9 +32,21 @@ def rows_as_dicts(estimates: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def order_methods(row: Mapping[str, Any]) -> dict[str, str]:
-    """Give METHODS with the recommended one first."""
+    """Give the METHODS to show, the recommended one first.
+
+    A fit that the tracks reject has values without errors. They are not shown beside a recommended estimate.
+    """
     first = recommended_suffix(row)
-    return {first: METHODS[first]} | METHODS
+    shown = {first: METHODS[first]} | METHODS
+    if _has_recommended_values(row):
+        shown = {s: method for s, method in shown.items() if s == first or not _is_rejected(row, s)}
+    return shown
+
+
+def _is_rejected(row: Mapping[str, Any], suffix: str) -> bool:
+    """Decide whether the tracks reject a fit so that none of its values has an error."""
+    values = [name for name in QUANTITY_NAMES if _is_known(row, f"{name}{suffix}")]
+    return row["status"] == MISFIT and bool(values) and not any(_is_known(row, f"{n}{suffix}_std") for n in values)
 
 
 def has_values(row: Mapping[str, Any]) -> bool:
@@ -166,7 +178,9 @@ def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES
     local = [_is_known(row, f"{n}_local") for n in names]
     if any(local) and not all(local):
         reasons.append("local estimate: the positions near the contact do not show it")
-    if row["status"] == MISFIT and bare:
+    if "" not in order_methods(row):
+        reasons.append("tied fit: not shown, because the tracks reject it; its values are in the table of estimates")
+    elif row["status"] == MISFIT and bare:
         reasons.append("no error: the tracks reject the fit")
     shown = [n for n in names if any(_is_known(row, f"{n}{s}") for s in METHODS)]
     if any(not _is_known(row, f"{n}_paper") for n in shown):
@@ -205,7 +219,7 @@ def describe_fit(row: Mapping[str, Any]) -> str:
     """Give χ² and p of the tied fit; "" where there is no fit."""
     if row["status"] not in MEASURED or not row["dof"]:
         return ""
-    return f"χ²/dof {row['chi2'] / row['dof']:.3g}, dof {int(row['dof'])}, p {row['adequate']:.2g}"
+    return f"tied fit: χ²/dof {row['chi2'] / row['dof']:.3g}, dof {int(row['dof'])}, p {row['adequate']:.2g}"
 
 
 def format_for_terminal(estimates: pd.DataFrame, max_collisions: int = 6) -> Iterator[str]:
@@ -244,7 +258,7 @@ def _format_row(row: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
         texts = [f"{value}{mark}" for value, mark in zip(line.values, marks, strict=False)]
         values = "".join(f" {text:>{18 if is_measured else 15}}" for text in texts)
         yield f"  {line.quantity.plain_symbol:<8}{values}  {line.quantity.unit:<6}{line.quantity.meaning}".rstrip()
-    if any(is_extrapolated(row, line.name, "") for line in lines):
+    if "" in methods and any(is_extrapolated(row, line.name, "") for line in lines):
         yield "  * extrapolated: a ball slides for longer than it is seen."
     if lines and any(value == NOT_KNOWN for line in lines for value in line.values[: len(methods)]):
         for reason in explain_dashes(row, names):

@@ -147,12 +147,13 @@ class RecordingPage:
         if not rows:
             return []
         reasons = [f"– {reason}." for reason in explain_dashes(row)]
+        methods = order_methods(row)
         late = [n for n in QUANTITIES if f"{n}_std" in row and is_extrapolated(row, n, "")]
-        if late:
+        if late and "" in methods:
             reasons.append(
                 f"Extrapolated in the tied fit, because a ball slides for longer than it is seen: {', '.join(late)}."
             )
-        table = PageTable(["symbol", "quantity", "unit", *order_methods(row).values(), "column"], rows, title)
+        table = PageTable(["symbol", "quantity", "unit", *methods.values(), "column"], rows, title)
         return [table, *([" ".join(reasons)] if reasons else [])]
 
     def _film(self, folder: Path, views: Sequence[CollisionView | None]) -> str:

@@ -12,8 +12,10 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.estimates_text import (
     METHODS,
     describe_status,
+    explain_dashes,
     format_for_terminal,
     list_quantities,
+    order_methods,
 )
 from tracker.report.quantities import QUANTITIES
 
@@ -25,7 +27,7 @@ def row(status="ok", **values):
     for name in QUANTITY_NAMES:
         for kind in METHODS:
             one |= {f"{name}{kind}": 1.0, f"{name}{kind}_std": 0.01}
-    return one | values
+    return one | {"flags": ""} | values
 
 
 @pytest.mark.parametrize(
@@ -63,6 +65,16 @@ def test_one_collision_is_printed_whole_and_many_as_medians():
     assert "median of 9 hits" in many
     assert "0.84" in many
     assert list(format_for_terminal(pd.DataFrame([row("no_collision")] * 9))) == []
+
+
+def test_a_rejected_fit_is_not_shown_beside_a_recommended_estimate():
+    bare = {f"{name}_std": np.nan for name in QUANTITY_NAMES}
+    rejected = row("misfit", recommended="local", why="the tracks reject the tied fit", **bare)
+    assert list(order_methods(rejected)) == ["_local", "_free", "_paper"]
+    assert len(list_quantities(rejected)[0].values) == 3
+    assert "not shown, because the tracks reject it" in " ".join(explain_dashes(rejected))
+    assert "" in order_methods(rejected | {"recommended": "none"})
+    assert "" in order_methods(rejected | {"r_std": 0.1})
 
 
 def test_what_was_not_measured_is_said():
