@@ -16,7 +16,7 @@ from discrepancy.free_laws.library import library as free_laws
 from discrepancy.free_laws.shapes import CONSTANT, LawShape, Term, iterate_shapes
 from synthcam.library import check_name
 from synthcam.model import Model, read_model, settings_of, to_yaml
-from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TURN, TableKind, TabulatedLaw, kind_of
+from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TableKind, TabulatedLaw, kind_of
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
@@ -131,7 +131,7 @@ def _find_shape(law: str, kind: TableKind, entry: Mapping[str, Any], parts: Mapp
     if search is None or len(entry["axes"]) != 1 or kind.parts != 1:
         return None
     x = np.array(entry["x"], dtype=float)
-    axis = Axis("x", kind.x_unit, float(x[0]), float(x[-1]), 50, "circle" if kind.axis == TURN else "line", "x")
+    axis = Axis("x", kind.x_unit, float(x[0]), float(x[-1]), 50, "circle" if kind.axis == "turn" else "line", "x")
     for shape in iterate_shapes(replace(search, axes=(axis,)), [axis.grid(50)]):
         named = [t.name for t in shape.terms(*(t[0] for t in shape.tries))]
         if shape.name == parts["shape"] and set(named) == set(parts["factors"]):

@@ -36,7 +36,6 @@ EffectsDir = Annotated[
     list[Path] | None,
     typer.Option("--effects", metavar="DIR", help="Folder with your own effects, NAME.py; may be repeated."),
 ]
-LIMITED_STAGES = ("free laws", "search")  # of a search, which --minutes limits; the others take seconds
 ADDED = "# written by discrepancy add"  # the first line of its model files
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
@@ -50,6 +49,7 @@ def show_stages(names: Sequence[str], limit_s: float = math.inf) -> Iterator[Cal
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    limited_stages = ("free laws", "search")  # of a search, which --minutes limits; the others take seconds
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         task, passed, turn = bar.add_task(names[0], total=len(names)), 0, 1
         began = printed = time.monotonic()
@@ -63,7 +63,7 @@ def show_stages(names: Sequence[str], limit_s: float = math.inf) -> Iterator[Cal
             passed = max(passed, at)
             text = stage + (f", round {turn}" if turn > 1 else "")
             now = time.monotonic()
-            limited = stage in LIMITED_STAGES and limit_s < math.inf
+            limited = stage in limited_stages and limit_s < math.inf
             left = f", at most {max(limit_s - (now - began), 0) / 60:.1f} min left" if limited else ""
             bar.update(task, completed=passed, description=text + left)
             if bar.disable and now - printed >= PROGRESS_INTERVAL_S:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from discrepancy.free_laws.shapes import Term
 from synthcam.effect import VECTOR_INPUTS
-from synthcam.tabulated_law import LINE, PLACE, REFERENCE_SPEED_M_S, TURN, TableKind, TabulatedLaw, kind_of
+from synthcam.tabulated_law import REFERENCE_SPEED_M_S, TableKind, TabulatedLaw, kind_of
 
 MAX_WIDTH = 110  # characters of a line
 ARGUMENT_NAMES = {"friction": "mu", "restitution": "r", "spin_transfer": "c", "rolling": "loss", "push": "acceleration"}
@@ -61,7 +61,7 @@ def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, flo
     """
     kind, ball = kind_of(held.law)
     plain, x, old = held.to_settings(numbers), _argument_code(kind), ARGUMENT_NAMES[kind.law]
-    value = f"CURVE({f'{kind.what}[..., 0], {kind.what}[..., 1]' if kind.axis == PLACE else x})"
+    value = f"CURVE({f'{kind.what}[..., 0], {kind.what}[..., 1]' if kind.axis == 'place' else x})"
     if _has_speed_part(kind):
         value = f"({value} * np.stack([np.ones_like(speed), speed / {REFERENCE_SPEED_M_S:g}], axis=-1)).sum(axis=-1)"
     base = [f"{numbers[n]!r}" + (f" * {x}" if power else "") for n, power in kind.owners]
@@ -69,10 +69,10 @@ def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, flo
     tables = [
         f"X = {_render_tuple(plain['x'])}",
         f"Y = {_render_tuple(plain['y'])}",
-        f"CURVE = SmoothTable(X, Y{', turn=True' if kind.axis == TURN else ''})",
+        f"CURVE = SmoothTable(X, Y{', turn=True' if kind.axis == 'turn' else ''})",
     ]
     stands = " and ".join(f"{n} {v:.6g}" for n, v in numbers.items())
-    where = f"{kind.what}, {kind.x_unit}" if kind.axis == PLACE else _describe_argument(kind, x)
+    where = f"{kind.what}, {kind.x_unit}" if kind.axis == "place" else _describe_argument(kind, x)
     doc = [
         f"{old} as in the table Y, {kind.unit}, where share is 1: X {where}.{_ball_sentence(ball)}"
         + (f" Share 0 is a base model of {stands}." if stands else ""),
@@ -110,12 +110,12 @@ def _render_method(kind: TableKind, ball: str, added: Sequence[str], relative: b
     asks = [kind.what, *["speed"] * _has_speed_part(kind), *["of_a"] * bool(ball)]
     whose = {"a": "of_a", "b": "(1 - of_a)", "": ""}[ball]
     sized = [f"speed = np.hypot({kind.what}[..., 0], {kind.what}[..., 1])"] if _is_vector_size(kind) else []
-    if kind.law == "push" and kind.axis == LINE:
+    if kind.law == "push" and kind.axis == "line":
         lines = [
             f"force = {whose} * ({sum_})" if whose else f"force = {sum_}",
             f"return np.asarray({old} + (force / np.maximum(speed, 1e-9))[..., None] * velocity)",
         ]
-    elif kind.law == "push" and kind.axis == TURN:
+    elif kind.law == "push" and kind.axis == "turn":
         lines = [
             f"force = {sum_}",
             "across = np.stack([-velocity[..., 1], velocity[..., 0]], axis=-1)",
@@ -149,18 +149,18 @@ def _ball_sentence(ball: str) -> str:
 
 def _argument_code(kind: TableKind) -> str:
     """Code of x."""
-    if kind.axis == TURN:
+    if kind.axis == "turn":
         return f"np.arctan2({kind.what}[..., 1], {kind.what}[..., 0])"
     return "speed" if _is_vector_size(kind) else kind.what
 
 
 def _is_vector_size(kind: TableKind) -> bool:
     """True if x is the length of a vector."""
-    return kind.axis == LINE and kind.what in VECTOR_INPUTS
+    return kind.axis == "line" and kind.what in VECTOR_INPUTS
 
 
 def _describe_argument(kind: TableKind, x: str) -> str:
-    if kind.axis == TURN:
+    if kind.axis == "turn":
         return f"th the direction of the {kind.what.replace('_', ' ')}, rad"
     return x if kind.x_unit == "1" else f"{x} in {kind.x_unit}"
 

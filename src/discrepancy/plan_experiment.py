@@ -192,17 +192,8 @@ def plan(
 
     found = _typical_limits(given, clips, noise, seed, tick)
     before, after = limits_with_changes(designed.experiment, tick) if changes else (found, ())
-    gains = sorted((compute_gain(before, t, chosen) for t in after), key=lambda g: -g.naming)
-
-    def limit_at(strength: str, count: int) -> float:
-        there = _typical_limits(given, count, noise, seed, only=[strength.partition(".")[0]])
-        tick()
-        return _limit_of(there, strength).limit
-
-    wanted = [
-        count_collisions_needed(one, size, _limit_of(found, one), clips, partial(limit_at, one))
-        for one, size in wished.items()
-    ]
+    repeat = partial(_typical_limits, given, noise=noise, seed=seed)
+    wanted = _count_wanted_collisions(wished, found, clips, repeat, tick)
     progress(total, total)
     return Plan(
         PlanResult(
@@ -212,8 +203,8 @@ def plan(
             pairs=_pairs_with_advice(found, before, after, chosen, designed),
             before=before,
             tried=after,
-            gains=tuple(gains),
-            wanted=tuple(wanted),
+            gains=tuple(sorted((compute_gain(before, t, chosen) for t in after), key=lambda g: -g.naming)),
+            wanted=wanted,
         )
     )
 
@@ -232,6 +223,26 @@ def _typical_limits(
         draws.append(Signatures.of(design_experiment(scene, count, noise, seed + k).experiment, only).limits())
         tick()
     return median_limits(draws)
+
+
+def _count_wanted_collisions(
+    wished: Mapping[str, float],
+    found: Sequence[Limit],
+    clips: int,
+    repeat: Callable[..., Sequence[Limit]],
+    tick: Callable[[], None],
+) -> tuple[CollisionsNeeded, ...]:
+    """For each wished strength, how many collisions it takes. repeat: the limits of so many collisions as `count`."""
+
+    def limit_at(strength: str, count: int) -> float:
+        there = repeat(count=count, only=[strength.partition(".")[0]])
+        tick()
+        return _limit_of(there, strength).limit
+
+    return tuple(
+        count_collisions_needed(one, size, _limit_of(found, one), clips, partial(limit_at, one))
+        for one, size in wished.items()
+    )
 
 
 def _limit_of(limits: Sequence[Limit], strength: str) -> Limit:

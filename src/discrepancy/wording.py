@@ -22,8 +22,6 @@ from discrepancy.verdict import Verdict
 from synthcam.library import library
 from synthcam.model import Model
 
-NO_EFFECT_NAMED_WHEN_SMOOTHED = "The search names no effect for smoothed tracks"
-
 
 def describe_search(found: SearchOutcome) -> str:
     """Describe the outcome of a search in a few sentences, the most important first.
@@ -53,9 +51,10 @@ def _describe_search(found: SearchOutcome) -> str:
     worst = f"{describe_disagreement(remaining[0])} ({remaining[0].sigma:.0f} sigma)" if is_left else ""
     if found.interrupted:
         return describe_interruption(found.interrupted, found.base_fit)
+    unnamed = "The search names no effect for smoothed tracks"
     if found.data.is_smoothed:
         largest = "" if found.verdict is Verdict.NONE else f" The largest disagreement: {worst}."
-        return f"{NO_EFFECT_NAMED_WHEN_SMOOTHED}: {SearchNote(SearchNoteKind.SMOOTHED)}.{largest}{slow}"
+        return f"{unnamed}: {SearchNote(SearchNoteKind.SMOOTHED)}.{largest}{slow}"
     if found.verdict is Verdict.NONE:
         return f"Nothing is missing: model and measurement agree to within the noise.{rejected}{slow}"
     if found.verdict is Verdict.INADEQUATE:

@@ -17,10 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-MAX_POINTS, MAX_POINTS_PER_AXIS = 10_000, 1000
 RELATIVE_TOLERANCE = 1e-9  # closer values, or edges of pieces, are the same
 GAUSSIAN_WIDTH = 0.75  # over the mean spacing: curve and straight lines differ little
-LEVEL_SHARE = 0.05  # of the range: so far beyond its ends the curve is level
 GAUSSIAN_REACH = 9.0  # standard deviations: beyond, a Gaussian is zero in double precision
 
 
@@ -42,8 +40,9 @@ class SmoothTable:
     turn: bool = False  # x is an angle, rad, within one turn; a point a whole turn after the first must have its value
 
     def __post_init__(self) -> None:
-        if not 2 <= len(self.x) <= MAX_POINTS:
-            raise ValueError(f"x: expected 2 to {MAX_POINTS} points, found {len(self.x)}")
+        max_points, max_points_per_axis = 10_000, 1000
+        if not 2 <= len(self.x) <= max_points:
+            raise ValueError(f"x: expected 2 to {max_points} points, found {len(self.x)}")
         if len(self.y) != len(self.x):
             raise ValueError(f"y: expected a value for each of {len(self.x)} points, found {len(self.y)}")
         for name, values in (("x", self.x), ("y", self.y)):
@@ -57,8 +56,8 @@ class SmoothTable:
         elif len(set(self.x)) != len(self.x) or math.prod(map(len, self._sides)) != len(self.x):
             raise ValueError("x: expected pairs that form a whole grid, each once")
         sides = [len(side) for side in self._sides] if self.plane else [len(self.x)]
-        if max(sides) > MAX_POINTS_PER_AXIS:
-            raise ValueError(f"x: expected at most {MAX_POINTS_PER_AXIS} points along an axis, found {max(sides)}")
+        if max(sides) > max_points_per_axis:
+            raise ValueError(f"x: expected at most {max_points_per_axis} points along an axis, found {max(sides)}")
         if min(sides) < 2 + self.turn:
             raise ValueError(f"x: expected {2 + self.turn} points or more along each axis")
         if self.turn and self._is_closed and np.abs(np.subtract(self.y[0], self.y[-1])).max() > self._negligible:
@@ -141,7 +140,8 @@ class _RoundedLines:
     def of(cls, x: Array, period: float = 0.0) -> _RoundedLines:
         if period:
             return cls._make_periodic(x, period)
-        gap, reach = np.diff(x), LEVEL_SHARE * (x[-1] - x[0])
+        level_share = 0.05  # of the range: so far beyond its ends the curve is level
+        gap, reach = np.diff(x), level_share * (x[-1] - x[0])
         slope = _slopes(gap, np.arange(len(x)), len(x))
         bend = np.concatenate([slope[:1], np.diff(slope, axis=0), -slope[-1:]])
         width = np.concatenate(

@@ -11,7 +11,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Owners = tuple[tuple[str, int], ...]
 
 REFERENCE_SPEED_M_S = 0.1  # at which the proportional part of a rolling loss is given
-LINE, TURN, PLACE = "line", "turn", "place"
+TableAxis = Literal["line", "turn", "place"]  # over a number, the direction of a vector in rad, or the plate
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class TableKind:
     law: str  # of `LAWS`
     what: str  # the input that it depends on
     owners: Owners = ()  # the base model's numbers that it replaces, each times x to a power; none: it adds to the law
-    axis: str = LINE  # of a vector: its size; TURN: the direction of a vector, rad; PLACE: a map over both components
+    axis: TableAxis = "line"  # of a vector over its size; "place": a map over both components
     unit: str = "1"
     x_unit: str = "m/s"
     # 2: of a force its parts along x and y, or, over an angle, along the motion and across it, over the speed; of a
@@ -53,21 +53,21 @@ _LOSS: Owners = (("rolling_decel", 0), ("rolling_drag", 1))
 TABLE_KINDS: dict[str, TableKind] = {
     "friction_speed": _friction("slip_speed", one_ball=True),
     "friction_ball_speed": _friction("velocity"),
-    "friction_heading": _friction("slip", axis=TURN, x_unit="rad"),
-    "friction_place": _friction("position", axis=PLACE, x_unit="m"),
+    "friction_heading": _friction("slip", axis="turn", x_unit="rad"),
+    "friction_place": _friction("position", axis="place", x_unit="m"),
     "restitution_speed": _restitution("normal_speed"),
-    "restitution_heading": _restitution("heading", axis=TURN, x_unit="rad"),
+    "restitution_heading": _restitution("heading", axis="turn", x_unit="rad"),
     "restitution_obliqueness": _restitution("obliqueness", x_unit="1"),
     "spin_transfer_speed": _spin_transfer("contact_speed"),
-    "spin_transfer_heading": _spin_transfer("heading", axis=TURN, x_unit="rad"),
+    "spin_transfer_heading": _spin_transfer("heading", axis="turn", x_unit="rad"),
     "spin_transfer_obliqueness": _spin_transfer("obliqueness", x_unit="1"),
     "rolling_speed": _rolling("speed", owners=_LOSS, low=0.0, one_ball=True),
-    "rolling_heading": _rolling("velocity", axis=TURN, x_unit="rad", parts=2),
-    "rolling_place": _rolling("position", axis=PLACE, x_unit="m", parts=2),
+    "rolling_heading": _rolling("velocity", axis="turn", x_unit="rad", parts=2),
+    "rolling_place": _rolling("position", axis="place", x_unit="m", parts=2),
     "force_speed": _force("velocity", one_ball=True),
-    "force_velocity": _force("velocity", axis=PLACE, parts=2, one_ball=True),
-    "force_heading": _force("velocity", axis=TURN, unit="1/s", x_unit="rad", parts=2),
-    "force_place": _force("position", axis=PLACE, x_unit="m", parts=2, one_ball=True),
+    "force_velocity": _force("velocity", axis="place", parts=2, one_ball=True),
+    "force_heading": _force("velocity", axis="turn", unit="1/s", x_unit="rad", parts=2),
+    "force_place": _force("position", axis="place", x_unit="m", parts=2, one_ball=True),
 }
 SEARCH_ONLY_LAWS = {  # free laws of a search that a model cannot hold, and why
     **dict.fromkeys(("lag_speed", "warp_place"), "of the instrument; a model holds only laws of motion"),
@@ -153,9 +153,9 @@ class TabulatedLaw(AddedLaw):
     def of(cls, law: str, x: Any, y: Any, numbers: Mapping[str, float]) -> TabulatedLaw:
         """Make the law beside these numbers of the base model. Raises ValueError with what was expected."""
         kind, _ = kind_of(law)
-        table = SmoothTable(to_tuples(x), to_tuples(y), kind.axis == TURN)
-        if table.plane != (kind.axis == PLACE):
-            raise ValueError(f"x: expected {'pairs' if kind.axis == PLACE else 'numbers'}, {kind.x_unit}")
+        table = SmoothTable(to_tuples(x), to_tuples(y), kind.axis == "turn")
+        if table.plane != (kind.axis == "place"):
+            raise ValueError(f"x: expected {'pairs' if kind.axis == 'place' else 'numbers'}, {kind.x_unit}")
         if table.parts != kind.parts:
             raise ValueError(f"y: expected {'pairs' if kind.parts == 2 else 'numbers'}, {kind.unit}")
         low, high = float(np.min(table.y)), float(np.max(table.y))
@@ -191,9 +191,9 @@ class TabulatedLaw(AddedLaw):
     def _addition(self, what: Any, speed: Any) -> Array:
         kind = self.kind
         what = np.asarray(what)
-        if kind.axis == PLACE:
+        if kind.axis == "place":
             out = self.beyond(what[..., 0], what[..., 1])
-        elif kind.axis == TURN:
+        elif kind.axis == "turn":
             out = self.beyond(np.arctan2(what[..., 1], what[..., 0]))
         elif kind.law == "push":
             size = np.hypot(what[..., 0], what[..., 1])
@@ -202,7 +202,7 @@ class TabulatedLaw(AddedLaw):
             out = self.beyond(np.hypot(what[..., 0], what[..., 1]) if kind.what in VECTOR_INPUTS else what)
         if kind.law == "rolling" and kind.parts == 2:
             return np.asarray(out[..., 0] + out[..., 1] * (speed / REFERENCE_SPEED_M_S))
-        if kind.law == "push" and kind.axis == TURN:
+        if kind.law == "push" and kind.axis == "turn":
             return np.asarray(out[..., :1] * what + out[..., 1:] * np.stack([-what[..., 1], what[..., 0]], axis=-1))
         return out
 

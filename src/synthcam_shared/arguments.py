@@ -14,16 +14,6 @@ from synthcam_shared.errors import CALLED_BY_COMMAND, InputError
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
-_KINDS = {
-    "str": str,
-    "int": Integral,
-    "float": Real,
-    "bool": (bool, Integral),
-    "Path": os.PathLike,
-    "None": type(None),
-    "Sequence[str]": (list, tuple),
-}
-_OPTION = re.compile(r"(?<![\w-])--([a-z]+)")
 
 
 def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
@@ -57,15 +47,25 @@ def name_arguments(text: str) -> str:
     if CALLED_BY_COMMAND.get():
         return text
     parts = re.sub(r"^--([a-z]+):", r"\1:", text).split("`")
-    return "`".join(part if k % 2 else _OPTION.sub(r"argument \1", part) for k, part in enumerate(parts))
+    option = re.compile(r"(?<![\w-])--([a-z]+)")
+    return "`".join(part if k % 2 else option.sub(r"argument \1", part) for k, part in enumerate(parts))
 
 
 def _kinds(annotation: str, function: Callable[..., Any]) -> tuple[Any, ...]:
     """The classes of an annotation such as `str | Path | None`; none where it has parts of another form."""
     names: dict[str, Any] = getattr(function, "__globals__", {})
     found: list[Any] = []
+    known = {
+        "str": str,
+        "int": Integral,
+        "float": Real,
+        "bool": (bool, Integral),
+        "Path": os.PathLike,
+        "None": type(None),
+        "Sequence[str]": (list, tuple),
+    }
     for part in annotation.split(" | "):
-        kind = _KINDS.get(part, names.get(part))
+        kind = known.get(part, names.get(part))
         if part == "pd.DataFrame":
             kind = getattr(names.get("pd"), "DataFrame", None)
         if kind is Any or not isinstance(kind, type | tuple):

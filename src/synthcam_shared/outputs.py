@@ -11,7 +11,6 @@ from pathlib import Path
 
 from synthcam_shared.errors import InputError
 
-MADE_BY = ".made_by"  # in a folder that the same command may go on with or overwrite: which command that is
 RESUMES = "; the same command continues where it stopped"
 
 
@@ -120,11 +119,12 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def open_resumable(folder: Path, maker: str, expected: str) -> Iterator[None]:
-    """Work in a locked folder that is new, empty, or begun by an earlier run of `maker`, whose name `MADE_BY` holds.
+    """Work in a locked folder that is new, empty, or begun by an earlier run of `maker`, whose name `.made_by` holds.
 
     Raises InputError if it holds something else; `expected` ends the message.
     """
-    mark = folder / MADE_BY
+    made_by_file = ".made_by"  # which command may go on with the folder or overwrite it
+    mark = folder / made_by_file
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         own = mark.is_file() and mark.read_text(errors="replace").strip() == maker
         if not own:

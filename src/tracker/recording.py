@@ -53,10 +53,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Film = NDArray[Any] | Iterable[NDArray[Any]] | str | Path
-PRINTED_UNITS = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
-UNITS = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
-    "rad/s": "w1n w1t w2n w2t"
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,11 +119,12 @@ class Result:
         balls = len(np.unique(self.found.particle))
         seen = f" in {self.frames} frames" if self.frames else ""
         lines = [f"Clip {self.number}: {balls} ball{'s' * (balls != 1)} tracked{seen}"]
+        units = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
         for row in self.rows:
             best = recommended_suffix(row)
             values = (
                 f"{name} {format_with_error(row[f'{name}{best}'], row[f'{name}{best}_std'])} {unit}".strip()
-                for name, unit in PRINTED_UNITS.items()
+                for name, unit in units.items()
             )
             known = row["status"] in MEASURED or best
             measured_values = f": {', '.join(values)}" if known else ""
@@ -136,7 +133,10 @@ class Result:
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        units = {name: unit for unit, names in UNITS.items() for name in names.split()}
+        of_unit = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
+            "rad/s": "w1n w1t w2n w2t"
+        }
+        units = {name: unit for unit, names in of_unit.items() for name in names.split()}
         parts = [f"<p>{repr(self).partition(chr(10))[0]}</p>"]
         for row in self.rows:
             title = f"collision {row['collision']}: {row['status']}"

@@ -31,7 +31,6 @@ from tracker.tables.content import Content
 from tracker.tables.rows import check_columns, to_csv, to_tracks, tracks_table
 
 RUN = "run.json"
-TEXT_COLUMNS = ("cov", "status", "striker", "noise", "flags", "motion_local", "local", "recommended", "why")
 SEEN = "exposure_seen_s"  # by clip, where the motion blur is not as long as the camera file's exposure makes it, s
 
 
@@ -129,8 +128,9 @@ def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
 def estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Estimates as the columns of estimates.parquet, one row a collision; None of JSON stands for NaN."""
     table = pd.DataFrame([finite(row) for row in rows])
+    text_columns = ("cov", "status", "striker", "noise", "flags", "motion_local", "local", "recommended", "why")
     for name in table.columns:
-        if table[name].dtype == object and name not in TEXT_COLUMNS:
+        if table[name].dtype == object and name not in text_columns:
             table[name] = table[name].astype(float)
     return table
 

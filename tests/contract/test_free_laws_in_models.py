@@ -10,17 +10,17 @@ from discrepancy.free_laws.law_kinds import SeriesEffect
 from discrepancy.free_laws.library import library
 from synthcam.effect import LAWS, VECTOR_INPUTS
 from synthcam.model import BASE_PARAMETERS, Model
-from synthcam.tabulated_law import LINE, PLACE, SEARCH_ONLY_LAWS, TABLE_KINDS, TURN, TabulatedLaw
+from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TABLE_KINDS, TabulatedLaw
 
 COUNT = 5
-PLACES = {LINE: 121, TURN: 121, PLACE: 61}  # of a table, a side
+PLACES = {"line": 121, "turn": 121, "place": 61}  # of a table, a side
 BY_NAME = {law.base_name: law for law in library()}
 
 
 def axes_of(kind):
-    if kind.axis == TURN:
+    if kind.axis == "turn":
         return (Axis("heading", "rad", -np.pi, np.pi, COUNT, "circle"),)
-    return tuple(Axis(name, kind.x_unit, 0.0, 0.5, COUNT) for name in ("x", "y")[: 2 if kind.axis == PLACE else 1])
+    return tuple(Axis(name, kind.x_unit, 0.0, 0.5, COUNT) for name in ("x", "y")[: 2 if kind.axis == "place" else 1])
 
 
 def test_each_is_there_or_said_to_be_none():

@@ -24,10 +24,10 @@ from synthcam.effect import LAWS, VECTOR_INPUTS
 from synthcam.library import add_effects, library
 from synthcam.model import BASE_PARAMETERS, Model, read_model
 from synthcam.scene.scene import read_scene
-from synthcam.tabulated_law import LINE, PLACE, TABLE_KINDS, TURN, TabulatedLaw, table_names
+from synthcam.tabulated_law import TABLE_KINDS, TabulatedLaw, table_names
 from synthcam_shared.errors import InputError
 
-CURVES = [n for n, k in TABLE_KINDS.items() if k.axis != PLACE and k.parts == 1]
+CURVES = [n for n, k in TABLE_KINDS.items() if k.axis != "place" and k.parts == 1]
 RANGE = (0.05, 0.45)
 
 
@@ -54,7 +54,7 @@ def instant(kind, rng):
 
 def argument(kind, known):
     what = known[kind.what]
-    if kind.axis == TURN:
+    if kind.axis == "turn":
         return np.arctan2(what[..., 1], what[..., 0])
     return np.hypot(what[..., 0], what[..., 1]) if kind.what in VECTOR_INPUTS else what
 
@@ -70,7 +70,7 @@ def test_every_shape_as_an_effect_is_what_was_drawn(law, ball, own):
     x = argument(kind, known)
     order = np.argsort(x.ravel())
     search = next(k for k in free_laws() if k.base_name == law)
-    circle = kind.axis == TURN
+    circle = kind.axis == "turn"
     axis = Axis("x", kind.x_unit, *((-np.pi, np.pi) if circle else RANGE), 9, "circle" if circle else "line", "x")
     tried = 0
     for k, shape in enumerate(iterate_shapes(dataclasses.replace(search, axes=(axis,)), [x.ravel()[order]])):
@@ -107,7 +107,7 @@ def test_every_shape_as_an_effect_is_what_was_drawn(law, ball, own):
 def test_every_table_as_an_effect_is_the_table(law, own):
     own_kind = TABLE_KINDS.get(law) or TABLE_KINDS[law[:-2]]
     rng = np.random.default_rng(5)
-    x = {LINE: np.linspace(*RANGE, 9), TURN: np.linspace(-np.pi, np.pi, 9)[:-1]}.get(own_kind.axis)
+    x = {"line": np.linspace(*RANGE, 9), "turn": np.linspace(-np.pi, np.pi, 9)[:-1]}.get(own_kind.axis)
     if x is None:
         side = np.linspace(0, 0.5, 4)
         x = np.stack([s.ravel() for s in np.meshgrid(side, side)], axis=1)

@@ -19,8 +19,6 @@ from discrepancy.data.launch import GRAZING, T_C
 from discrepancy.policy import current_policy
 from tracker.measurement.stretch_cuts import CUTTER, measure_noise
 
-SLIP_PER_LOSS = 3.5  # a solid ball's slip ends at 7/2 of the deceleration of its centre
-
 
 def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]:
     """Cut each collision into its stretches: the striker before the contact, and both balls after it.
@@ -67,7 +65,8 @@ def _guess_start(times: Array, xy: Array, radius: float, start: float) -> tuple[
     speed, heading = float(np.hypot(*velocity)), float(np.arctan2(velocity[1], velocity[0]))
     ahead = velocity / speed
     left = np.array([-ahead[1], ahead[0]])
-    slip = -SLIP_PER_LOSS * end * pull if slides else np.zeros(2)
+    slip_per_loss = 3.5  # a solid ball's slip ends at 7/2 of the deceleration of its centre
+    slip = -slip_per_loss * end * pull if slides else np.zeros(2)
     b = GRAZING if slip @ left <= 0 else -GRAZING  # the other ball is on the side from which the slide bends away
     beside = place - radius * b * left
     return np.array([*beside, start, speed, heading, b, slip @ ahead, slip @ left, 0.0]), start + end

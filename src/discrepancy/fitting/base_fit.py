@@ -22,7 +22,6 @@ from synthcam_shared.errors import InputError
 from tracker.camera.views import first_difference
 
 CLAIMED_NOISE = Noise(NoiseComponent(1.0))  # white noise of the claimed size
-IMPACT_PARAMETERS = ("restitution", "spin_transfer")  # free stretches do not show them
 Progress = Callable[[str], None]
 
 
@@ -70,8 +69,9 @@ def fit_base_model(
     progress: called with "fit" at each step. Raises InputError where the model has no motion for these collisions.
     """
     names = names_to_fit(model)
+    impact_parameters = ("restitution", "spin_transfer")  # free stretches do not show them
     if all(clip.is_stretch for clip in clips):
-        names = tuple(name for name in names if name not in IMPACT_PARAMETERS)
+        names = tuple(name for name in names if name not in impact_parameters)
     try:
         found = fit_model(clips, model, names, noise, progress=lambda: progress("fit"))
     except ValueError as e:

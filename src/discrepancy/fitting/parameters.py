@@ -15,7 +15,6 @@ from synthcam.effect import Effect, Parameter
 from synthcam.library import library
 from synthcam.model import LAUNCH_SPIN, Model
 
-_UNLIMITED = {"gravity": 1e-4, "sliding_friction": 1e-5, "rolling_drag": 1e-4, "rolling_decel": 1e-5}  # their steps
 _LIMITED = {"restitution": (1e-5, 1.0), "spin_transfer": (1e-5, 5 / 7)}
 BASE_PARAMETERS = ("restitution", "sliding_friction", "spin_transfer", "rolling_drag", "rolling_decel")
 
@@ -121,15 +120,13 @@ def names_to_fit(model: Model) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*(n for n in BASE_PARAMETERS if model.value(n) != 0), *named]))
 
 
-_UNITS = {"rolling_drag": "1/s", "rolling_decel": "m/s^2"}  # the other base parameters are pure numbers
-
-
 def find_parameter(model: Model, name: str) -> Parameter:
     """A parameter with unit, size and limits: of the base model by its name, of an effect as "effect.parameter"."""
     effect, dot, own = name.rpartition(".")
+    units = {"rolling_drag": "1/s", "rolling_decel": "m/s^2"}  # the other base parameters are pure numbers
     if not dot:
         high = _LIMITED[name][1] if name in _LIMITED else math.inf
-        unit = _UNITS.get(name, "1")
+        unit = units.get(name, "1")
         typical = scale_to_ball(getattr(Model(), name), unit, model.ball.diameter)
         return Parameter(name, unit, typical, 0.0, high, fixed=False, default=0.0)
     kind = next((type(e) for e in model.effects if e.name() == effect), None) or library()[effect]
@@ -143,8 +140,9 @@ def is_known(name: str) -> bool:
 
 def difference_step(model: Model, name: str) -> float:
     """The step of a parameter for central differences, in its unit."""
+    steps = {"gravity": 1e-4, "sliding_friction": 1e-5, "rolling_drag": 1e-4, "rolling_decel": 1e-5}  # their steps
     if "." not in name:
-        return _LIMITED[name][0] if name in _LIMITED else _UNLIMITED[name]
+        return _LIMITED[name][0] if name in _LIMITED else steps[name]
     p = find_parameter(model, name)
     apart = min((b - a for a, b in itertools.pairwise(p.tries)), default=0.0)  # a law may jump between them
     return 1e-2 * (apart or p.typical or min(p.high - p.low, 1.0) / 10)

@@ -32,8 +32,6 @@ NoiseOrder = tuple[int, bool]  # order of an autoregression; whether there is wh
 Pair = tuple[Array, Array, Array, Array, Ints]  # positions (n, 2) of both balls, claimed std (n,) of both, frames (n,)
 
 CUBIC_COEFFICIENTS = 4
-OWN_ORDERS: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
-SHARED_ORDERS: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False))  # of the noise of both balls
 MAX_PARTIAL_AUTOCORRELATION = 0.999  # beyond it a clip cannot distinguish it from 1
 SHARED_NOISE_CORRELATIONS = (0.0, 0.7, 0.97)  # from frame to frame, at which shared noise is tested
 MIN_WHITE_SHARE, MAX_WHITE_SHARE = 1e-9, 0.99
@@ -287,8 +285,9 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
             raise ValueError("positions show no noise from frame to frame")
         return logs + freedom * np.log(squares / freedom), squares / freedom
 
+    orders: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
     unit = select_order(
-        OWN_ORDERS, lambda shape, x: component_from_numbers(shape, 1.0, x), lambda c: profile(c)[0], np.log(freedom)
+        orders, lambda shape, x: component_from_numbers(shape, 1.0, x), lambda c: profile(c)[0], np.log(freedom)
     )
     return replace(unit, variance=profile(unit)[1])
 
@@ -479,6 +478,7 @@ class BallPairs:
         shared = 0.5 * alone.variance * float(np.mean([np.square(p[2:4]) for p in self.pairs]))
         start = np.array([np.log(alone.variance), *numbers_from_component(alone), np.log(shared), np.log(shared)])
         freedom = 2 * sum(d.freedom for d in self.differences)
+        orders: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False))  # of the noise of both balls
         return select_order(
-            SHARED_ORDERS, lambda common, x: noise_from_numbers(shape, common, x), self.cost, np.log(freedom), start
+            orders, lambda common, x: noise_from_numbers(shape, common, x), self.cost, np.log(freedom), start
         )

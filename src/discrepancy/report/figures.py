@@ -21,7 +21,7 @@ from discrepancy.validate.gap import Gap
 from synthcam_shared.report.page import PageFigure, make_axes
 
 # colours of the base model, of the best model, of noise alone, and of all else
-BASE, BEST, NOISE, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
+COLOURS = {"base": "#b2182b", "best": "#2166ac", "noise": "#4d4d4d", "other": "#bdbdbd"}  # by what is drawn
 MAX_RANKED_EFFECTS = 20  # in the chart of candidates
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 
@@ -77,7 +77,7 @@ def _fits_to_draw(found: SearchOutcome) -> list[tuple[Sequence[MeasuredCollision
     """Clips, fit, colour and label of the base model and, where anything was found, of the best one."""
     best_clips = found.free_law.evidence.clips if found.free_law else found.data.clips
     clips, fits = (found.data.clips, tuple(best_clips)), (found.base_fit, found.best_fit)
-    return list(zip(clips, fits, (BASE, BEST), list_models(found), strict=False))
+    return list(zip(clips, fits, (COLOURS["base"], COLOURS["best"]), list_models(found), strict=False))
 
 
 def _mean_residuals_figure(found: SearchOutcome) -> Figure:
@@ -92,7 +92,7 @@ def _mean_residuals_figure(found: SearchOutcome) -> Figure:
             errors = [v.std(ddof=1) / np.sqrt(len(v)) for v in values]
             ax.errorbar(centres + 0.02 * k, means, errors, fmt="o", ms=3, lw=1, color=colour, label=label)
     for (row, axis), ax in np.ndenumerate(axes):
-        ax.axhline(0, color=NOISE, lw=0.5)
+        ax.axhline(0, color=COLOURS["noise"], lw=0.5)
         _mark_stages(ax, f"{_name_ball(found, shown[row])}, {('along', 'across')[axis]}", found.data.is_cut)
     for ax in axes[:, 0]:
         ax.set_ylabel("mean residual (µm)")
@@ -112,7 +112,7 @@ def _rms_residuals_figure(found: SearchOutcome) -> Figure:
             errors = sizes / np.sqrt([4 * len(v) for v in values])
             ax.errorbar(centres + 0.02 * k, sizes, errors, fmt="o", ms=3, lw=1, color=colour, label=label)
     for b, ax in zip(shown, axes, strict=True):
-        ax.axhline(found.gap.floor_um, color=NOISE, lw=1, ls="--", label="noise alone")
+        ax.axhline(found.gap.floor_um, color=COLOURS["noise"], lw=1, ls="--", label="noise alone")
         _mark_stages(ax, _name_ball(found, b), found.data.is_cut)
     axes[0].set(ylabel="rms residual in x and y (µm)", ylim=(0, None))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
@@ -129,7 +129,7 @@ def _name_ball(found: SearchOutcome, ball: int) -> str:
 
 def _mark_stages(ax: Axes, title: str, is_cut: bool) -> None:
     for edge in (0, 1):
-        ax.axvline(edge, color=NOISE, lw=0.5, ls=":")
+        ax.axvline(edge, color=COLOURS["noise"], lw=0.5, ls=":")
     ax.set(title=title, xlim=(-0.05 if is_cut else -1.05, 2.05))
     ax.set_xticks([-0.5, 0.5, 1.5], ("before contact", "sliding", "rolling"))
     ax.tick_params(axis="x", length=0)
@@ -179,7 +179,7 @@ def _law_figure(answer: LawSummary) -> Figure:
         return _law_map_figure(answer)
     figure, ax = make_axes(figsize=(6, 3.2))
     axis, x = law.axes[0], answer.x[0]
-    for part, (word, colour) in enumerate(zip(law.part_names, (BEST, BASE), strict=False)):
+    for part, (word, colour) in enumerate(zip(law.part_names, (COLOURS["best"], COLOURS["base"]), strict=False)):
         y = answer.curve[:, part]
         if law.is_per_clip:
             ax.errorbar(x, y, np.abs(answer.bands["band"][:, part].T - y), fmt="o", ms=3, lw=1, color=colour)
@@ -223,10 +223,13 @@ def _ranking_figure(found: SearchOutcome) -> Figure:
     figure, ax = make_axes(figsize=(6, 0.6 + 0.25 * len(ranking)))
     claimed = {n.effect for n in found.claims}
     rivals = {a for n in found.claims for a in n.aliases} - claimed
-    colours = [BEST if c.effect in claimed else "#92c5de" if c.effect in rivals else OTHER for c in ranking]
+    colours = [
+        COLOURS["best"] if c.effect in claimed else "#92c5de" if c.effect in rivals else COLOURS["other"]
+        for c in ranking
+    ]
     ax.barh([c.effect for c in ranking], [c.sigma for c in ranking], color=colours)
     claim = found.required_sigma
-    ax.axvline(claim, color=BASE, lw=1, ls="--", label=f"required for a claim: {claim:.1f}")
+    ax.axvline(claim, color=COLOURS["base"], lw=1, ls="--", label=f"required for a claim: {claim:.1f}")
     ax.set(xlabel="significance (sigma)")
     if max(c.sigma for c in ranking) > 50:
         ax.set_xscale("symlog", linthresh=10)
@@ -250,7 +253,10 @@ def _draw_gap_bars(ax: Axes, gap: Gap, ending: str, models: list[str]) -> None:
     ending: "" for χ² per point, "_um" for rms in µm.
     """
     parts = {**gap.by_phase, "all": gap}
-    kinds = [*zip(("before", "after"), (BASE, BEST), models, strict=False), ("floor", NOISE, "noise alone")]
+    kinds = [
+        *zip(("before", "after"), (COLOURS["base"], COLOURS["best"]), models, strict=False),
+        ("floor", COLOURS["noise"], "noise alone"),
+    ]
     width = 0.81 / len(kinds)
     for k, (key, colour, label) in enumerate(kinds):
         values = [getattr(part, key + ending) for part in parts.values()]
@@ -264,14 +270,16 @@ def _gap_by_clip_figure(found: SearchOutcome) -> Figure:
     figure, ax = make_axes(figsize=(6, 3))
     speeds = np.array([float(c.launch[V0]) for c in found.data.held_out])
     models = list_models(found)
-    fits = zip((found.gap_fits.before, found.gap_fits.after), (BASE, BEST), "os", models, strict=False)
+    fits = zip(
+        (found.gap_fits.before, found.gap_fits.after), (COLOURS["base"], COLOURS["best"]), "os", models, strict=False
+    )
     for k, (fit, colour, marker, label) in enumerate(fits):
         points = np.array([len(r) for r in fit.residuals])
         chi2 = np.array([r @ r for r in fit.residuals]) / points
         at = speeds + 0.006 * np.ptp(speeds) * (2 * k - len(models) + 1)  # side by side: neither hides the other
         errors = chi2 * np.sqrt(2 / points)
         ax.errorbar(at, chi2, errors, fmt=marker, ms=4, lw=1, color=colour, mfc="white", label=label)
-    ax.axhline(found.gap.floor, color=NOISE, lw=1, ls="--", label="noise alone")
+    ax.axhline(found.gap.floor, color=COLOURS["noise"], lw=1, ls="--", label="noise alone")
     _scale_log_if_wide(ax, found.gap)
     ax.set(xlabel="speed before the contact (m/s)", ylabel="χ² per point, held-out collisions")
     ax.legend()

@@ -17,7 +17,7 @@ from discrepancy.planning.limits import Limit
 from discrepancy.planning.plan_result import PlanResult
 from discrepancy.policy import current_policy
 from discrepancy.report.document import to_json_values
-from discrepancy.report.figures import BASE, BEST, NOISE, OTHER, STYLE
+from discrepancy.report.figures import COLOURS, STYLE
 from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, make_axes, write_page
 
 FILES = ("plan.json", "index.html")
@@ -174,10 +174,10 @@ def _limits_figure(shown: tuple[Limit, ...]) -> Figure:
         np.array([getattr(x, key) for x in shown]) / sizes for key in ("limit", "naming_limit", "best", "worst")
     )
     finite = np.isfinite(naming)
-    ax.hlines(place, best, worst, color=OTHER, lw=1)
-    ax.plot(limit, place, "o", ms=5, color=BEST, label="detection limit")
-    ax.plot(naming[finite], place[finite], "D", ms=4, mfc="none", color=BASE, label="naming limit")
-    ax.axvline(1, color=NOISE, ls="--", lw=1)
+    ax.hlines(place, best, worst, color=COLOURS["other"], lw=1)
+    ax.plot(limit, place, "o", ms=5, color=COLOURS["best"], label="detection limit")
+    ax.plot(naming[finite], place[finite], "D", ms=4, mfc="none", color=COLOURS["base"], label="naming limit")
+    ax.axvline(1, color=COLOURS["noise"], ls="--", lw=1)
     ax.set_xscale("log")
     ax.set_yticks(place, [x.strength for x in shown])
     ax.set(ylim=(len(shown) - 0.5, -0.5), xlabel="strength over its realistic size")
@@ -189,10 +189,12 @@ def _limits_figure(shown: tuple[Limit, ...]) -> Figure:
 def _changes_figure(found: PlanResult) -> Figure:
     figure, ax = make_axes(figsize=(8, 1.1 + 0.28 * len(found.gains)))
     place = np.arange(len(found.gains))
-    for k, (key, label, colour) in enumerate((("limit", "detection", BEST), ("naming", "naming", BASE))):
+    for k, (key, label, colour) in enumerate(
+        (("limit", "detection", COLOURS["best"]), ("naming", "naming", COLOURS["base"]))
+    ):
         values = [getattr(g, key) - 1 for g in found.gains]
         ax.barh(place + 0.38 * (k - 0.5), values, 0.36, left=1, color=colour, label=f"{label} limits")
-    ax.axvline(1, color=NOISE, lw=1)
+    ax.axvline(1, color=COLOURS["noise"], lw=1)
     ax.set_xscale("log")
     ends = [t for g in found.gains for t in (g.limit, g.naming)]
     ticks = [t for t in (0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 10) if min(ends) / 1.1 < t < max(ends) * 1.1]

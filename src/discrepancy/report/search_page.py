@@ -28,13 +28,6 @@ from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number
 from synthcam_shared.report.page import Block, PageList, PageTable, Section, write_page
 
-DEFINITIONS = (
-    "Ball 1 is struck, ball 2 strikes. The impact parameter b is in units of the sum of the radii.",
-    "The fitted collisions determine the shared parameters. The held-out collisions enter no fit of shared parameters; "
-    "only their launches are fitted.",
-    "χ² per point: noise alone gives slightly less than 1, because the launches are fitted.",
-)
-STRETCHES = "A stretch is the motion of one ball between two contacts. It has its own start; the impact is no evidence."
 FILES = ("discrepancy.json", "index.html", "model.yaml")
 
 
@@ -46,9 +39,18 @@ def write(found: SearchOutcome, folder: Path) -> None:
     write_model(found.model, folder / "model.yaml")
     figures = draw_figures(found)
     named, base = _named_table(found), found.base_disagreements
+    definitions = (
+        "Ball 1 is struck, ball 2 strikes. The impact parameter b is in units of the sum of the radii.",
+        "The fitted collisions determine the shared parameters. The held-out collisions enter no fit of shared "
+        "parameters; only their launches are fitted.",
+        "χ² per point: noise alone gives slightly less than 1, because the launches are fitted.",
+    )
+    about_stretches = (
+        "A stretch is the motion of one ball between two contacts. It has its own start; the impact is no evidence."
+    )
     sections = [
         Section("Effects that the model lacks", [named, *_describe_similar(found)] if named else []),
-        Section("How to read this page", [PageList([*([STRETCHES] if found.data.is_cut else []), *DEFINITIONS])]),
+        Section("How to read this page", [PageList([*([about_stretches] if found.data.is_cut else []), *definitions])]),
         Section("Course of the search", [PageList(write_story(found), ordered=True)]),
         Section("Experiment that would distinguish the candidates", [found.experiment] if found.experiment else []),
         *(Section(figure.title, [figure]) for figure in figures),

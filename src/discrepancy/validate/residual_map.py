@@ -76,11 +76,6 @@ PHASE_TESTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
         2,
     ),
 }
-# The same for a free stretch. Its start absorbs an offset and a drift, so that these are no terms.
-STRETCH_TESTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
-    "sliding": (("slide's bend", "slide's twist"), ("roll's offset", "roll's drift", "roll's bend"), 2),
-    "rolling": (("roll's offset", "roll's drift", "roll's bend", "roll's twist"), ("slide's bend",), 0),
-}
 
 
 def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> tuple[Disagreement, ...]:
@@ -135,7 +130,12 @@ def _phase_amplitudes(
     white, size = ClipWhitener.of(clip, noise), np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
     unit = 1 / np.where(size > 0, size, 1)
     roller = (1, "before 1")  # the launch absorbs a roller's drift
-    tests = STRETCH_TESTS if clip.is_stretch else PHASE_TESTS
+    # The same for a free stretch. Its start absorbs an offset and a drift, so that these are no terms.
+    stretch_tests: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
+        "sliding": (("slide's bend", "slide's twist"), ("roll's offset", "roll's drift", "roll's bend"), 2),
+        "rolling": (("roll's offset", "roll's drift", "roll's bend", "roll's twist"), ("slide's bend",), 0),
+    }
+    tests = stretch_tests if clip.is_stretch else PHASE_TESTS
     for phase, (names, beside, powers) in tests.items():
         tested = [(name, b, a) for b in range(2) for a in range(2) for name in names if (b, name) != roller]
         terms = [(name, b, a) for b in range(2) for a in range(2) for name in beside]

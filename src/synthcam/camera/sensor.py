@@ -19,7 +19,6 @@ Float32 = NDArray[np.float32]
 Part = slice | NDArray[np.intp]
 Counts = NDArray[np.unsignedinteger[Any]]  # uint8 or uint16
 
-PATTERN_STREAM, NOISE_STREAM, HOT_STREAM = 0, 1, 2  # of random numbers
 CELLS_OF_TABLE = 1 << 16  # one for each 16-bit random number
 MAX_TABLES = 96  # kept, .8 MB each: mains light at 250 frames/s shows 5 to 25 different plates
 
@@ -50,12 +49,12 @@ class Chip:
     def __init__(self, sensor: Sensor, size: tuple[int, int], exposure: float, root_seed: int) -> None:
         self.sensor, self.exposure, self.root_seed = sensor, exposure, root_seed
         w, h = size
-        rng = _generator(root_seed, (PATTERN_STREAM,))
+        rng = _generator(root_seed, (0,))
         self.response = 1 + sensor.prnu * rng.standard_normal((h, w))
         self.offset = sensor.dsnu * rng.standard_normal((h, w))
         self.hot = np.zeros(0, np.intp)
         if sensor.hot_pixels:
-            rng = _generator(root_seed, (HOT_STREAM,))
+            rng = _generator(root_seed, (2,))
             self.hot = np.flatnonzero(rng.random((h, w)) < sensor.hot_pixels)
             self.leak = np.zeros((h, w))
             self.leak.flat[self.hot] = sensor.hot_dark * rng.exponential(size=len(self.hot))
@@ -67,7 +66,7 @@ class Chip:
         The noise depends on (root_seed, clip, frame) only. A bare array of picture values is exposed pixel by pixel,
         which is slower.
         """
-        rng = _generator(self.root_seed, (clip, NOISE_STREAM, frame))
+        rng = _generator(self.root_seed, (clip, 1, frame))
         counts: Counts
         if not isinstance(picture, Picture):
             return self._exact(np.asarray(picture), slice(None), slice(None), rng)
@@ -219,4 +218,5 @@ def noise_tables(mean: float, read_noise: float) -> tuple[Array, Array]:
 
 
 def _generator(root_seed: int, key: tuple[int, ...]) -> np.random.Generator:
+    """Random numbers. key: (0,) of the fixed pattern, (2,) of hot pixels, (clip, 1, frame) of the noise."""
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(root_seed, spawn_key=key)))

@@ -17,9 +17,6 @@ from synthcam.dataset.video import VIDEO_FILES
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 
-FILES_OF_CLIP = VIDEO_FILES | {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "truth/events.parquet"}
-KEYS_OF_SHARD = {"shard", "clips", "gl", "machine", "drawn_by"}  # in which two shards of a dataset may differ
-
 
 class _Machine(BaseModel):
     """The machine that drew, and its OpenGL; empty without video."""
@@ -103,8 +100,9 @@ def _check_complete(shards: list[Path], abouts: list[dict[str, Any]]) -> None:
     here = version("synthcam")
     if first["version"] != here:
         raise InputError(f"{shards[0]}: made by synthcam {first['version']}; merge it with that version, not {here}")
+    keys_of_shard = {"shard", "clips", "gl", "machine", "drawn_by"}  # in which two shards of a dataset may differ
     for shard, about in zip(shards, abouts, strict=True):
-        for key in sorted({*first, *about} - KEYS_OF_SHARD):
+        for key in sorted({*first, *about} - keys_of_shard):
             if about.get(key) != first.get(key):
                 raise InputError(f"{shard}: a shard of another dataset than {shards[0]} (another {key})")
         which, of = about["shard"]
@@ -132,7 +130,14 @@ def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: PartialData
     files = [f for f in sums if f.startswith(name)]
     if not files:
         raise InputError(f"{shard}: clip {number} is missing in its SHA256SUMS")
-    if strange := next((f for f in files if f.removeprefix(name) not in FILES_OF_CLIP), None):
+    files_of_clip = VIDEO_FILES | {
+        VIDEO,
+        "camera.json",
+        "truth/scene.json",
+        "truth/tracks.parquet",
+        "truth/events.parquet",
+    }
+    if strange := next((f for f in files if f.removeprefix(name) not in files_of_clip), None):
         raise InputError(f"{shard}: {strange}: not a file of a clip")
     final, truth = made.clip(number)
     with place_clip(final, truth if made.withheld else None) as (folder, secret):

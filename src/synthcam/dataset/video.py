@@ -28,7 +28,6 @@ from synthcam_shared.settings import parse_yaml, to_input_error
 
 Frames = Iterator[NDArray[Any]]
 VIDEO_FILES = {"frames.mp4", "frames.avi", "frames.mov"}
-ENCODER_OF_CODEC = {"h264": "libx264", "mjpeg": "mjpeg", "ffv1": "ffv1"}
 
 
 class VideoWriter:
@@ -79,7 +78,8 @@ class VideoWriter:
 
     def _begin(self, colour: bool) -> Any:
         codec = self._how["codec"]
-        stream: Any = self._file.add_stream(ENCODER_OF_CODEC[codec], rate=self._rate)
+        encoder_of_codec = {"h264": "libx264", "mjpeg": "mjpeg", "ffv1": "ffv1"}
+        stream: Any = self._file.add_stream(encoder_of_codec[codec], rate=self._rate)
         stream.width, stream.height = self._size
         stream.codec_context.time_base = 1 / self._rate
         stream.thread_count = 1

@@ -8,9 +8,6 @@ from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
 
-AIR_DENSITY_KG_M3 = 1.204  # dry, 20 C
-AIR_VISCOSITY_M2_S = 1.516e-5  # kinematic, likewise
-
 
 @dataclass(frozen=True)
 class AirDrag(Effect):
@@ -25,7 +22,8 @@ class AirDrag(Effect):
 
     def push(self, acceleration: Any, velocity: Any, radius: Any, mass: Any) -> NDArray[np.float64]:
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
-        reynolds = np.maximum(2 * radius * speed / AIR_VISCOSITY_M2_S, 1e-6)  # a ball at rest has no drag
+        density, viscosity = 1.204, 1.516e-5  # kg/m^3; kinematic, m^2/s; of dry air at 20 C
+        reynolds = np.maximum(2 * radius * speed / viscosity, 1e-6)  # a ball at rest has no drag
         drag = 24 / reynolds * (1 + 0.15 * reynolds**0.687)
-        rate = 0.5 * AIR_DENSITY_KG_M3 * np.pi * radius**2 * drag * speed / mass
+        rate = 0.5 * density * np.pi * radius**2 * drag * speed / mass
         return np.asarray(acceleration - self.share * rate[..., None] * velocity)

@@ -7,9 +7,6 @@ import numpy as np
 
 from synthcam.effect import Effect, parameter
 
-FORCE_SERIES = (1.0, 0.4, 0.105, 1.844, -4.654, 3 * np.pi / 8 + 1.305)  # F in rising powers of y; sum 3 pi/8
-TORQUE_SERIES = (0.2, 0.01, 2.003, -10.752, 25.74, -25.326, 3 * np.pi / 16 + 8.125)  # M likewise; sum 3 pi/16
-
 
 @dataclass(frozen=True)
 class DrillingSpin(Effect):
@@ -37,11 +34,21 @@ class DrillingSpin(Effect):
         force = self._force(slip_speed, spin)
         whole = friction / np.where(force > 0, force, 1.0)  # mu with all other effects on it
         turning, y = self._shares(spin * self.a, slip_speed, spin)
-        return twist - 2.5 * whole * load * self.a / radius**2 * turning * _sum_series(TORQUE_SERIES, y)
+        series = (
+            0.2,
+            0.01,
+            2.003,
+            -10.752,
+            25.74,
+            -25.326,
+            3 * np.pi / 16 + 8.125,
+        )  # M in rising powers of y; sum 3 pi/16
+        return twist - 2.5 * whole * load * self.a / radius**2 * turning * _sum_series(series, y)
 
     def _force(self, slip_speed: Any, spin: Any) -> Any:
         sliding, y = self._shares(slip_speed, slip_speed, spin)
-        return sliding * _sum_series(FORCE_SERIES, y)
+        series = (1.0, 0.4, 0.105, 1.844, -4.654, 3 * np.pi / 8 + 1.305)  # F in rising powers of y; sum 3 pi/8
+        return sliding * _sum_series(series, y)
 
     def _shares(self, part: Any, slip_speed: Any, spin: Any) -> tuple[Any, Any]:
         """Return part/h, and y."""

@@ -24,13 +24,6 @@ REFLECTANCE_OF_COLOUR = {  # of red, green and blue light, over that of the brig
     "brown": (0.35, 0.18, 0.08),
     "pink": (1.0, 0.45, 0.5),
 }
-REFLECTANCE_OF_PLATE = {  # of the brightest channel, and of red, green and blue over it
-    "black": (0.04, (1.0, 1.0, 1.0)),
-    "plain": (0.5, (1.0, 1.0, 1.0)),
-    "cloth": (0.3, (0.13, 1.0, 0.35)),
-    "wood": (0.5, (1.0, 0.62, 0.33)),
-    "paper": (0.8, (1.0, 0.99, 0.96)),
-}
 ColourName = Literal["white", "grey", "black", "red", "orange", "yellow", "green", "blue", "brown", "pink"]
 ColourSetting = ColourName | Annotated[list[Fraction], Field(min_length=3, max_length=3)]
 
@@ -87,7 +80,14 @@ def build_finish(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> 
     colour = bool(drawn["camera"].get("colour"))
     matte = surface.get("ball") == "matte"
     plate: Any = surface.get("plate", "black")
-    albedo, tint = REFLECTANCE_OF_PLATE[plate]
+    of_plate = {  # of the brightest channel, and of red, green and blue over it
+        "black": (0.04, (1.0, 1.0, 1.0)),
+        "plain": (0.5, (1.0, 1.0, 1.0)),
+        "cloth": (0.3, (0.13, 1.0, 0.35)),
+        "wood": (0.5, (1.0, 0.62, 0.33)),
+        "paper": (0.8, (1.0, 0.99, 0.96)),
+    }
+    albedo, tint = of_plate[plate]
     return SurfaceFinish(
         balls=tuple(
             _build_ball_finish(surface | surface.get("b", {}) if k == "b" else surface, matte, colour) for k in labels

@@ -285,17 +285,15 @@ def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:
     return {k: v for k, v in settings.items() if k not in ManyBodiesSettings.model_fields}
 
 
-MAX_DEPTH = 8  # of a key under others; scenes have 2
-
-
 def _apply_override(settings: dict[str, Any], text: str) -> None:
     key, equals, value = text.partition("=")
     if not equals or not key:
         raise InputError(f"--set {text}: expected key=value, as in launch.v0=0.2")
     *parents, last = key.split(".")
     text = text if len(text) <= 80 else f"{text[:80]}..."
-    if len(parents) > MAX_DEPTH:
-        raise InputError(f"--set {text}: {len(parents) + 1} keys deep, expected at most {MAX_DEPTH + 1}")
+    max_depth = 8  # of a key under others; scenes have 2
+    if len(parents) > max_depth:
+        raise InputError(f"--set {text}: {len(parents) + 1} keys deep, expected at most {max_depth + 1}")
     last = SYMBOLS.get(last, last) if parents == ["model"] else last
     here = settings
     for parent in parents:

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 TWO_BALLS = ("#2166ac", "#b2182b")
-PAIR_MARKS = {"contact": "k*", "together": "kD", "apart": "kd"}
-BALL_MARKS = {"slide_end": "o", "stop": "s", "start": "^", "land": "v", "launch": ">", "release": "<"}
-MARKS = PAIR_MARKS | {"wall": "kx"} | BALL_MARKS
-MAX_MARKED_EVENTS = 60  # more would hide the paths
-MAX_LEGEND_BODIES = 6
 
 
 def choose_colours(count: int) -> list[Any]:
@@ -46,25 +41,33 @@ def draw_walls(ax: Axes, walls: Sequence[Wall]) -> None:
         ax.plot(1e3 * x, 1e3 * y, color="0.35", lw=1.5, zorder=0)
 
 
-def draw_paths(ax: Axes, motion: Trajectory, walls: Sequence[Wall]) -> None:
-    """Draw the paths of all bodies, the walls, and the events unless they are too many, in mm."""
+def draw_paths(
+    ax: Axes, motion: Trajectory, walls: Sequence[Wall], *, max_marked_events: int = 60, max_legend_bodies: int = 6
+) -> None:
+    """Draw the paths of all bodies, the walls, and the events unless they are too many, in mm.
+
+    max_marked_events: more would hide the paths.
+    """
     breaks = [e.t for e in motion.events]
     times = np.unique(np.concatenate([np.linspace(motion.t0, motion.t1, 400), np.clip(breaks, motion.t0, motion.t1)]))
     places, colours = 1e3 * motion.at(times)[..., :2], choose_colours(len(motion.legs))
     draw_walls(ax, walls)
-    few = len(places) <= MAX_LEGEND_BODIES
+    few = len(places) <= max_legend_bodies
     for ball, (path, colour) in enumerate(zip(places, colours, strict=True)):
         ax.plot(*path.T, color=colour, label=f"ball {ball + 1}" if few else None, zorder=1)
         if len(places) > len(TWO_BALLS):
             ax.plot(*path[-1], "o", color=colour, ms=4, zorder=2)
-    marked = [e for e in motion.events if e.kind in MARKS]
-    for event in marked if len(marked) <= MAX_MARKED_EVENTS else ():
+    pair_marks = {"contact": "k*", "together": "kD", "apart": "kd"}
+    ball_marks = {"slide_end": "o", "stop": "s", "start": "^", "land": "v", "launch": ">", "release": "<"}
+    marks = pair_marks | {"wall": "kx"} | ball_marks
+    marked = [e for e in motion.events if e.kind in marks]
+    for event in marked if len(marked) <= max_marked_events else ():
         label, at = event.kind.replace("_", " "), np.searchsorted(times, event.t)
-        for ball in {event.i, event.j if event.kind in PAIR_MARKS else event.i} - {-1}:
+        for ball in {event.i, event.j if event.kind in pair_marks else event.i} - {-1}:
             known = ax.get_legend_handles_labels()[1]
-            alone = event.kind in BALL_MARKS
+            alone = event.kind in ball_marks
             style: dict[str, Any] = {"color": colours[ball], "mfc": "white"} if alone else {}
-            mark = MARKS[event.kind]
+            mark = marks[event.kind]
             ax.plot(*places[ball, at], mark, label=None if label in known else label, ms=6, zorder=2, **style)
     ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     if ax.get_legend_handles_labels()[1]:

@@ -6,18 +6,19 @@ import numpy as np
 
 from synthcam.scene.scene import Scene
 
-MIN_FRAMES_IN_PICTURE = 5  # of a ball; fewer say little about its path
 
+def describe_unseen_balls(scene: Scene, number: int = 0, seed: int = 0, *, min_frames: int = 5) -> str:
+    """Describe, in one line, a ball that hardly any frame of a clip shows; "" if its film shows all balls.
 
-def describe_unseen_balls(scene: Scene, number: int = 0, seed: int = 0) -> str:
-    """Describe, in one line, a ball that hardly any frame of a clip shows; "" if its film shows all balls."""
+    min_frames: of a ball in the picture; fewer say little about its path.
+    """
     try:
         clip = scene.draw(number, seed)
         view = clip.view
     except ValueError:  # its maker reports a clip that cannot be made
         return ""
     centres = view.at(view.spans(clip.frames).mean(axis=1))[..., :3]
-    size, least = np.array(clip.camera.size), min(MIN_FRAMES_IN_PICTURE, -(-clip.frames // 2))
+    size, least = np.array(clip.camera.size), min(min_frames, -(-clip.frames // 2))
     for ball, path in enumerate(centres):
         px = clip.camera.project(path)
         shown = int(((px > -0.5) & (px < size - 0.5)).all(axis=1).sum())

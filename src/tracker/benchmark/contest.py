@@ -20,7 +20,6 @@ from tracker.benchmark.trackers import RUN_HERE, Entrant, describe, entrants, ru
 from tracker.results import load_json
 
 RESULTS, SUITE = "results", "suite"
-MAKER = "tracker benchmark"  # of reports, to which both `run` and `submit` add
 
 
 def run_contest(
@@ -67,7 +66,8 @@ def publish(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
 
 def open_report(report: Path) -> AbstractContextManager[None]:
     """Lock the folder of a report. Raises InputError where it holds other files."""
-    return open_resumable(report, MAKER, "a new folder for the report")
+    maker = "tracker benchmark"  # both `run` and `submit` add to it
+    return open_resumable(report, maker, "a new folder for the report")
 
 
 def _has_score(report: Path, suite: Suite, name: str) -> bool:

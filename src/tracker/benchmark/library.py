@@ -29,8 +29,6 @@ from tracker.recording import track_and_measure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FIGURES = "ratio rmse_px bound_px found false phase_bias_px z jsc mota idf1 hota clips".split()
-QUANTITIES = "n bias rmse bound ratio z_mean z_std cover68 cover95 published published_std".split()
 Finder = Callable[[NDArray[Any]], ArrayLike]
 
 
@@ -63,21 +61,23 @@ class TrackerRun:
         balls in view), false (detections of nothing), phase_bias_px, z (error over claimed error), jsc, mota, idf1,
         hota, clips.
         """
-        rows = {name: {key: part[key] for key in FIGURES} for name, part in self.entry["parts"].items()}
-        table = pd.DataFrame.from_dict(rows, orient="index", columns=FIGURES, dtype=float)
+        figures = "ratio rmse_px bound_px found false phase_bias_px z jsc mota idf1 hota clips".split()
+        rows = {name: {key: part[key] for key in figures} for name, part in self.entry["parts"].items()}
+        table = pd.DataFrame.from_dict(rows, orient="index", columns=figures, dtype=float)
         return table.rename_axis("part")
 
     @cached_property
     def quantities(self) -> pd.DataFrame:
         """Errors of measured quantities (SI), a row for each part and quantity."""
+        quantities = "n bias rmse bound ratio z_mean z_std cover68 cover95 published published_std".split()
         rows = {
-            (part, name): {key: figures.get(key) for key in QUANTITIES}
+            (part, name): {key: figures.get(key) for key in quantities}
             for part, found in self.entry["quantities"].items()
             for name, figures in found.items()
             if isinstance(figures, Mapping)
         }
         index = pd.MultiIndex.from_tuples(list(rows), names=["part", "quantity"])
-        return pd.DataFrame(list(rows.values()), index=index, columns=QUANTITIES, dtype=float)
+        return pd.DataFrame(list(rows.values()), index=index, columns=quantities, dtype=float)
 
     def __repr__(self) -> str:
         lost = self.table["found"] < 1

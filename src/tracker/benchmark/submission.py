@@ -26,7 +26,6 @@ from tracker.recording import Result, measure_tracks
 from tracker.results import load_json
 from tracker.tables.read import read_tracks
 
-KEYS = ("name", "authors", "url", "version", "licence", "point", "ms_per_frame", "machine", "notes")
 TABLES = (".csv", ".parquet", ".txt", ".xml")
 
 
@@ -57,10 +56,11 @@ def read_form(folder: Path) -> dict[str, Any]:
         raise InputError(f"{path}: name: expected the tracker's name")
     if len(about["name"]) > 60 or not about["name"].isprintable():
         raise InputError(f"{path}: name: expected one line of at most 60 characters")
+    keys = ("name", "authors", "url", "version", "licence", "point", "ms_per_frame", "machine", "notes")
     for key, value in about.items():
-        if key not in KEYS:
-            near = did_you_mean(key, {k: k for k in KEYS})
-            raise InputError(f"{path}: {key}: unknown, expected one of {', '.join(KEYS)}{near}")
+        if key not in keys:
+            near = did_you_mean(key, {k: k for k in keys})
+            raise InputError(f"{path}: {key}: unknown, expected one of {', '.join(keys)}{near}")
         number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value > 0
         if key == "ms_per_frame" and not (value is None or number):
             raise InputError(f"{path}: ms_per_frame: expected a number over 0, not {value!r}")

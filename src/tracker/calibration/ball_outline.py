@@ -21,7 +21,6 @@ from tracker.detection.detector import OutlineRadius
 from tracker.detection.glints import Glints
 
 HALF_WINDOW_PX = 36  # px, of the mean picture
-FIRST_RADII_PX = (2.5, 4, 5.5, 7.5, 10, 14, 19, 25)  # px, first guesses of the radius
 
 
 def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, sigma: float) -> OutlineRadius | None:
@@ -31,7 +30,8 @@ def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, si
         return None
     picture, weight = stack
     blur = math.sqrt(sigma**2 + 1.0 / 12.0)  # windows are centred on the nearest pixel
-    fits = [_fit(picture, weight, blur, float(size)) for size in FIRST_RADII_PX]
+    first_radii_px = (2.5, 4, 5.5, 7.5, 10, 14, 19, 25)  # first guesses of the radius
+    fits = [_fit(picture, weight, blur, float(size)) for size in first_radii_px]
     best = min(fits, key=lambda fit: float(fit.cost))
     freedom = max(int(np.count_nonzero(weight)) - 6, 1)
     try:
@@ -40,7 +40,7 @@ def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, si
         return None
     radius = math.exp(best.x[0])
     std = radius * math.sqrt(max(float(cov[0, 0]), 0.0))
-    inside = FIRST_RADII_PX[0] < radius < 0.8 * HALF_WINDOW_PX and math.hypot(*best.x[1:]) < 0.4 * radius
+    inside = first_radii_px[0] < radius < 0.8 * HALF_WINDOW_PX and math.hypot(*best.x[1:]) < 0.4 * radius
     # With the glint over most of the ball, a small disc and the rim of a larger ball's bowl can look the same.
     # fits whose radius differs by more than 10 % are rivals
     rivals = [fit.cost for fit in fits if abs(fit.x[0] - best.x[0]) > 0.1]

@@ -20,7 +20,6 @@ from tracker.tables.rows import to_numbers
 
 POINT_COLUMNS = ("x_px", "y_px", "x", "y")
 MIN_POINTS = 4
-BOARD_SYNTAX = "expected COLUMNSxROWS,square=M[,marker=M,dict=4X4_50], or marker=M[,dict=4X4_50]"
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ def size_of(source: Path) -> tuple[int, int]:
 def find_board(source: Path, board: str) -> PlatePoints:
     """The corners of a board that lies on the plate, in the first picture, of a film too, in which it is found.
 
-    board: as BOARD_SYNTAX says, a chessboard, a ChArUco board, or one ArUco marker. Raises InputError.
+    board: a chessboard, a ChArUco board, or one ArUco marker. Raises InputError.
     """
     kind, sizes = _board(board)
     for picture in _pictures(source):
@@ -85,6 +84,7 @@ def _eight_bits(picture: Any) -> Any:
 def _board(board: str) -> tuple[str, dict[str, Any]]:
     """chessboard, charuco or marker, and its sizes: columns, rows, square, marker, dict."""
     sizes: dict[str, Any] = {"dict": "4X4_50"}
+    syntax = "expected COLUMNSxROWS,square=M[,marker=M,dict=4X4_50], or marker=M[,dict=4X4_50]"
     for part in board.split(","):
         key, _, value = part.strip().partition("=")
         if (grid := re.fullmatch(r"(\d{1,3})x(\d{1,3})", part.strip())) is not None:
@@ -94,7 +94,7 @@ def _board(board: str) -> tuple[str, dict[str, Any]]:
         elif key == "dict" and value:
             sizes["dict"] = value.upper().removeprefix("DICT_")
         else:
-            raise InputError(f"--board: {format_value(part)}: {BOARD_SYNTAX}")
+            raise InputError(f"--board: {format_value(part)}: {syntax}")
     names = {n.lower(): n for n in (n.removeprefix("DICT_") for n in dir(cv2.aruco) if n.startswith("DICT_"))}
     if sizes["dict"] not in names.values():
         hint = did_you_mean(sizes["dict"], names)
@@ -105,7 +105,7 @@ def _board(board: str) -> tuple[str, dict[str, Any]]:
     kinds = {"chessboard": {"columns", "rows", "square"}, "charuco": {"columns", "rows", "square", "marker"}}
     kind = next((kind for kind, keys in {**kinds, "marker": {"marker"}}.items() if keys == given), None)
     if kind is None or (kind != "marker" and not min(sizes["columns"], sizes["rows"]) > 2):
-        raise InputError(f"--board: {format_value(board)}: {BOARD_SYNTAX}, of at least 3x3")
+        raise InputError(f"--board: {format_value(board)}: {syntax}, of at least 3x3")
     if kind == "charuco" and sizes["marker"] >= sizes["square"]:
         raise InputError(f"--board: marker {sizes['marker']:g}: expected less than the square, {sizes['square']:g}")
     return kind, sizes

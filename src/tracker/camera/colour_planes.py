@@ -23,65 +23,74 @@ from tracker.camera.camera_keys import CHANNELS, PLANES
 
 Colours = NDArray[Any]  # (h, w, 3): red, green, blue
 Shares = NDArray[np.float32]  # (h, w, 3): of the sum of the three
-DIFFERENCES = {"red-green": (0, 1), "red-blue": (0, 2), "green-blue": (1, 2)}
 DISTANCE = "colour"
-HEX_COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
-DARK = 0.15  # of white, added to each colour of a difference: the encoder smears colours into dark pixels
-DARK_IN_DISTANCE = 0.03  # the same of a distance, which shadows must not reach
-LEAST_SPREAD = 0.008  # of a share, the noise of an encoder
-SATURATION_SPREADS = 4.0  # distance, in standard deviations of the shares, from which a pixel is another colour
-TOP = 200.0  # counts
 
 
 def is_plane(name: str) -> bool:
     """Tell whether a name stands for one of these planes."""
-    return name in PLANES or HEX_COLOUR.fullmatch(name) is not None
+    return name in PLANES or re.fullmatch(r"#[0-9a-fA-F]{6}", name) is not None
 
 
-def find_shares(picture: Colours, white: float) -> Shares:
-    """The shares of red, green and blue of their sum, darkened a little towards 0 in dark pixels."""
+def find_shares(picture: Colours, white: float, *, dark: float = 0.03) -> Shares:
+    """The shares of red, green and blue of their sum, darkened a little towards 0 in dark pixels.
+
+    dark: of white, added to each colour; so small that shadows do not reach it.
+    """
     light = picture[..., :3].astype(np.float32)
-    total = light.sum(axis=2) + np.float32(3 * DARK_IN_DISTANCE * white)
+    total = light.sum(axis=2) + np.float32(3 * dark * white)
     return np.asarray(light / total[..., None], np.float32)
 
 
-def read_plane(name: str, sample: Callable[[], Sequence[Colours]], white: float) -> Callable[[Colours], Any]:
+def read_plane(
+    name: str,
+    sample: Callable[[], Sequence[Colours]],
+    white: float,
+    *,
+    dark: float = 0.15,
+    least_spread: float = 0.008,
+    saturation_spreads: float = 4.0,
+) -> Callable[[Colours], Any]:
     """A function from red, green and blue to one of them, or to a plane of this name.
 
     sample: gives pictures spread over the film, for planes that depend on its colours; white: the largest count.
+    dark: of white, added to each colour of a difference; the encoder smears colours into dark pixels.
+    least_spread: of a share, the noise of an encoder.
+    saturation_spreads: distance from which a pixel has another colour, in standard deviations of the shares.
     """
     if name in CHANNELS:
         layer = CHANNELS.index(name) - 1
         return lambda picture: np.ascontiguousarray(picture[..., layer])
-    if name in DIFFERENCES:
-        one, two = DIFFERENCES[name]
+    differences = {"red-green": (0, 1), "red-blue": (0, 2), "green-blue": (1, 2)}
+    if name in differences:
+        one, two = differences[name]
 
         def difference(picture: Colours) -> Any:
             light = np.ascontiguousarray(picture[..., :3], dtype=np.float32)
             pair: Any = cv2.transform(light, np.array([np.eye(3)[one] - np.eye(3)[two], np.ones(3)]))
-            pair[..., 1] += 3 * DARK * white
+            pair[..., 1] += 3 * dark * white
             return np.rint(128 + 127 * (pair[..., 0] / pair[..., 1])).astype(np.uint8)
 
         return difference
     shares = [find_shares(picture, white) for picture in sample()]
     usual: Any = np.median(shares, axis=0).astype(np.float32)
+    top = 200.0  # counts
     if name == DISTANCE:
         spread = 1.4826 * np.median([np.sqrt(((s - usual) ** 2).sum(axis=2)) for s in shares], axis=0)
         wide = 2 * round(max(usual.shape[:2]) / 100) + 3  # px, of a neighbourhood with one noise
         calm = cv2.blur(spread.astype(np.float32), (wide, wide))
-        scale = 1 / (SATURATION_SPREADS * np.clip(calm, LEAST_SPREAD, 4 * LEAST_SPREAD)) ** 2
+        scale = 1 / (saturation_spreads * np.clip(calm, least_spread, 4 * least_spread)) ** 2
 
         def distance(picture: Colours) -> Any:
             far = ((find_shares(picture, white) - usual) ** 2).sum(axis=2) * scale
-            return np.rint(TOP * (1 - np.exp(-far / 2))).astype(np.uint8)
+            return np.rint(top * (1 - np.exp(-far / 2))).astype(np.uint8)
 
         return distance
     wanted = find_shares(hex_to_rgb(name)[None, None] * (white / 255), white)[0, 0]
-    reach = max(float(np.sqrt(((wanted - np.median(usual, axis=(0, 1))) ** 2).sum())), 3 * LEAST_SPREAD)
+    reach = max(float(np.sqrt(((wanted - np.median(usual, axis=(0, 1))) ** 2).sum())), 3 * least_spread)
 
     def nearness(picture: Colours) -> Any:
         far = np.sqrt(((find_shares(picture, white) - wanted) ** 2).sum(axis=2))
-        return np.rint(TOP * np.clip(1 - far / reach, 0, 1)).astype(np.uint8)
+        return np.rint(top * np.clip(1 - far / reach, 0, 1)).astype(np.uint8)
 
     return nearness
 

@@ -16,10 +16,6 @@ from numpy.typing import NDArray
 
 from tracker.camera.frames import Frames
 
-MIN_COMB = 1.2  # squared steps to the next lines over those to the lines after: .1 to .9 of whole frames, noise 1
-MIN_COMB_PIXELS = 200  # that change, over all frames that are compared
-LEAST_CHANGE_COUNTS = 16.0  # of 255, of a pixel that counts, and five standard deviations of the noise
-
 
 @dataclass
 class FieldOrder:
@@ -36,8 +32,11 @@ class FieldOrder:
     far: float = 0.0
     pixels: int = 0
 
-    def add(self, before: NDArray[Any], after: NDArray[Any]) -> None:
-        """Compares two frames; an odd last line is left out."""
+    def add(self, before: NDArray[Any], after: NDArray[Any], *, least_change_counts: float = 16.0) -> None:
+        """Compares two frames; an odd last line is left out.
+
+        least_change_counts: of 255, of a pixel that counts, and at least five standard deviations of the noise.
+        """
         height = len(after) // 2 * 2
         top, bottom, top_next, bottom_next = before[:height:2], before[1:height:2], after[:height:2], after[1:height:2]
         self.inside += cv2.norm(top_next, bottom_next, cv2.NORM_L2SQR)
@@ -46,7 +45,7 @@ class FieldOrder:
         if self.flagged or height < 6:
             return
         size: Any = cv2.absdiff(before, after)
-        changed = size > max(LEAST_CHANGE_COUNTS, 5 * 1.5 * float(np.median(size[::7, ::7])))
+        changed = size > max(least_change_counts, 5 * 1.5 * float(np.median(size[::7, ::7])))
         rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
         if not len(rows):
             return
@@ -59,7 +58,10 @@ class FieldOrder:
     @property
     def is_combed(self) -> bool:
         """True if what moves looks like a comb."""
-        return self.pixels >= MIN_COMB_PIXELS and self.near > MIN_COMB * self.far
+        # squared steps to the next lines over those to the lines after: .1 to .9 of whole frames, noise 1
+        min_comb = 1.2
+        min_pixels = 200  # that change, over all frames that are compared
+        return self.pixels >= min_pixels and self.near > min_comb * self.far
 
     def find_first(self) -> int | None:
         """The field that is exposed first, 0 for the top; None where both show one instant."""

@@ -14,10 +14,6 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 
-TIMES = ("auto", "file", "even")
-FIELDS = ("auto", "separate", "weave")
-AXES = "CZSPAHEVRQI"  # letters of tifffile and OME: channel, focal plane, sample, position, ...
-SPAN = re.compile(r"(\d*):(\d*)")
 NUMBER = r"\d+(?:\.\d+)?"
 BALL = re.compile(rf"({NUMBER}),({NUMBER})(?:,({NUMBER}))?@(\d+)")
 
@@ -34,7 +30,8 @@ class BallExample:
 
 def parse_frames(text: str) -> tuple[int, int | None]:
     """The first frame and the one after the last, None for the end, of "A:B". Raises InputError."""
-    match = SPAN.fullmatch(text.replace(" ", ""))
+    span = re.compile(r"(\d*):(\d*)")
+    match = span.fullmatch(text.replace(" ", ""))
     if match is None or (match[1] and match[2] and int(match[1]) >= int(match[2])):
         raise InputError(f"--frames {text!r}: expected A:B, the first frame and the one after the last, such as 20:80")
     return int(match[1] or 0), int(match[2]) if match[2] else None
@@ -123,7 +120,9 @@ class FilmOptions:
     ball: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for option, value, known in (("--times", self.times, TIMES), ("--fields", self.fields, FIELDS)):
+        times = ("auto", "file", "even")
+        fields = ("auto", "separate", "weave")
+        for option, value, known in (("--times", self.times, times), ("--fields", self.fields, fields)):
             if value not in known:
                 raise InputError(f"{option}: expected one of {', '.join(known)}, not {value!r}")
         self.indices()
@@ -140,9 +139,10 @@ class FilmOptions:
     def indices(self) -> dict[str, int]:
         """The entry of each axis that is selected. Raises InputError."""
         found = {}
+        letters = "CZSPAHEVRQI"  # of tifffile and OME: channel, focal plane, sample, position, ...
         for part in filter(None, self.select.replace(" ", "").split(",")):
             axis, _, index = part.partition("=")
-            if axis.upper() not in AXES or len(axis) != 1 or not index.isdecimal():
+            if axis.upper() not in letters or len(axis) != 1 or not index.isdecimal():
                 raise InputError(f"--select: {part!r}: expected AXIS=NUMBER, such as C=1 or Z=0, joined by commas")
             found[axis.upper()] = int(index)
         return found

@@ -12,9 +12,6 @@ from scipy.interpolate import RectBivariateSpline
 
 from tracker.camera.lens import Array
 
-MIN_KNOTS, MAX_KNOTS = 4, 64  # along an axis
-MAX_SLOPE = 0.2  # change of a displacement along a way, over this way
-
 
 @dataclass(frozen=True, eq=False)
 class Warp:
@@ -38,15 +35,17 @@ class Warp:
             x, y, dx, dy = (np.array(given[key], dtype=np.float64) for key in ("x", "y", "dx", "dy"))
         except (ValueError, TypeError):
             raise ValueError("numbers in x, y, dx and dy") from None
+        min_knots, max_knots = 4, 64  # along an axis
         for name, knots in (("x", x), ("y", y)):
-            if not (knots.ndim == 1 and MIN_KNOTS <= len(knots) <= MAX_KNOTS and (np.diff(knots) > 0).all()):
-                raise ValueError(f"{MIN_KNOTS} to {MAX_KNOTS} knots {name} in increasing order, m")
+            if not (knots.ndim == 1 and min_knots <= len(knots) <= max_knots and (np.diff(knots) > 0).all()):
+                raise ValueError(f"{min_knots} to {max_knots} knots {name} in increasing order, m")
         if not (dx.shape == dy.shape == (len(y), len(x)) and np.isfinite([dx, dy]).all()):
             raise ValueError(f"dx and dy of {len(y)} rows of {len(x)} numbers, one for each knot")
         warp = Warp(x, y, dx, dy)
         at = np.stack(np.meshgrid(np.linspace(x[0], x[-1], 4 * len(x)), np.linspace(y[0], y[-1], 4 * len(y))), axis=-1)
-        if not np.abs(warp.displace(at)[1]).max() < MAX_SLOPE:
-            raise ValueError(f"displacements that change by less than {MAX_SLOPE:g} m over a metre")
+        max_slope = 0.2  # change of a displacement along a way, over this way
+        if not np.abs(warp.displace(at)[1]).max() < max_slope:
+            raise ValueError(f"displacements that change by less than {max_slope:g} m over a metre")
         return warp
 
     def to_dict(self) -> dict[str, Any]:
@@ -72,7 +71,7 @@ class Warp:
     def undo(self, at: Array) -> Array:
         """Find the positions that are displaced to `at` (..., 2)."""
         before = at.copy()
-        for _ in range(60):  # contracts by MAX_SLOPE or better
+        for _ in range(60):  # contracts by the largest slope or better
             fresh = at - self.displace(before)[0]
             moved = float(np.max(np.abs(fresh - before), initial=0.0))
             before = fresh

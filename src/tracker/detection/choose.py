@@ -27,19 +27,7 @@ from tracker.settings import DetectionSettings
 
 GLINTS, DISCS, CENTROIDS = "maximum_likelihood", "discs", "centroid"
 MIN_BODY_AREA_PX = 28  # of a ball seen whole, 6 px across
-MAX_REGIONS = 40  # of a frame that are examined, the largest first
-MIN_ROUNDNESS = 0.6  # area over that of the circle around a region
-MAX_GLINT_RATIO = (
-    4.0  # contrast of the brightest spot over that of the body halfway out; of steel only the glint shines
-)
-MIN_STEEPNESS = 0.4  # pixels over 4/5 of the contrast among those over 1/5: discs have edges, glints fade
-MIN_RADIUS_PX = 4.0  # where no radius is expected: a clipped glint looks like a small disc
-LONGEST_SIDE_OF_CHOICE_PX = 960  # of the pictures in which the channel is chosen
-MAX_THRESHOLD_OF_CHOICE = 120  # counts; balls of more contrast show at a lower one too
-MIN_SCORE = 3.0  # bodies in 15 frames that only another channel than grey shows
-MORE_BODIES = 1.3  # one of four balls is hidden otherwise
 CORE_PX = 2.5  # radius of what surely belongs to a ball that the user points at
-SIZE_LIMITS = 0.8, 1.25  # of the radius over the expected one; a glint out of focus is smaller than its ball
 
 
 def select_detector(clip: Recording) -> tuple[str, str]:
@@ -99,20 +87,26 @@ def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float)
     )
 
 
-def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
+def choose_channel(
+    frames: Frames, camera: Camera, *, longest_side_px: int = 960, min_score: float = 3.0, more_bodies: float = 1.3
+) -> tuple[str, str]:
     """Choose the plane of a film in colour in which it shows its balls best, from 15 frames spread over it.
 
     A red ball on green cloth may be as grey as the cloth, and a moving shadow may hide a ball in grey. Each plane has a
     score: the number of round bodies of one size, times the share of the changed pixels that they cover. Shadows, hands
     and cues cover the rest. Grey is kept unless another plane has 1.5 times its score, or 1.2 times where bodies cover
     less than half of what changes in grey. That may still hide a ball. A plane in which shadows hardly show replaces it
-    if it has `MORE_BODIES` times as many bodies, less the changes of their number. If the camera knows the diameter of
+    if it has `more_bodies` times as many bodies, less the changes of their number. If the camera knows the diameter of
     its balls, only bodies of about that size count. The second result is a note with the reason; '' for grey.
+
+    longest_side_px: of the pictures that are compared.
+    min_score: least bodies in the 15 frames that another channel than grey has to show.
+    more_bodies: at 1.3 or more, grey hides at least one of four balls.
     """
     if frames.colours is None:
         return GREY, ""
     picks = sorted({*spread_frames(frames, 15)})
-    shrink = min(1.0, LONGEST_SIDE_OF_CHOICE_PX / max(frames.shape[1:]))
+    shrink = min(1.0, longest_side_px / max(frames.shape[1:]))
     expected = shrink * camera.diameter_px / 2 if camera.knows_diameter else None
     colours = [_shrink(frames.colours(k), shrink) for k in picks]
     found = {GREY: _rate_plane([_shrink(frames[k], shrink) for k in picks], expected)}
@@ -122,9 +116,9 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
         found[name] = _rate_plane([make(picture) for picture in colours], expected)
     most = max(rating.score for rating in found.values())
     best = next(name for name, rating in found.items() if rating.score >= 0.9 * most)  # the plainest of equals
-    if most < MIN_SCORE or most < (1.5 if found[GREY].share > 0.5 else 1.2) * found[GREY].score:
+    if most < min_score or most < (1.5 if found[GREY].share > 0.5 else 1.2) * found[GREY].score:
         best = GREY
-    least = max(MORE_BODIES * found[best].bodies, MIN_SCORE)
+    least = max(more_bodies * found[best].bodies, min_score)
     more = [name for name in PLANES if found[name].bodies - found[name].changes >= least]
     best = max(more, key=lambda name: found[name].score, default=best)
     if best == GREY:
@@ -152,13 +146,16 @@ class _Rating:
         return f"{self.bodies} round bodies ({100 * self.share:.0f} % of what changes)"
 
 
-def _rate_plane(pictures: list[NDArray[Any]], expected: float | None) -> _Rating:
-    """Rate a plane by its pictures, at the threshold that suits it best: 1, 2, 4 or 8 times the least contrast."""
+def _rate_plane(pictures: list[NDArray[Any]], expected: float | None, *, max_threshold_counts: int = 120) -> _Rating:
+    """Rate a plane by its pictures, at the threshold that suits it best: 1, 2, 4 or 8 times the least contrast.
+
+    max_threshold_counts: balls of more contrast show at a lower threshold too.
+    """
     noise = estimate_noise(pictures)
     ground = estimate_still_background(pictures, noise)
     level, best = ground.level.astype(np.float32), _Rating(0, 0.0)
     for least in (_least_contrast(noise) * times for times in (1, 2, 4, 8)):
-        if least > MAX_THRESHOLD_OF_CHOICE:
+        if least > max_threshold_counts:
             break
         found, changed = [np.empty((0, 3))], 0
         for picture in pictures:
@@ -324,37 +321,65 @@ def _shows_large_region(frame: NDArray[Any], level: NDArray[Any], least: float, 
     return bool(find_regions(cv2.absdiff(frame, level) > math.floor(least), smallest))
 
 
-def find_round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, expected: float | None) -> Array:
+def find_round_bodies(
+    frame: NDArray[Any],
+    level: NDArray[Any],
+    least: float,
+    expected: float | None,
+    *,
+    max_regions: int = 40,
+    min_radius_px: float = 4.0,
+    size_limits: tuple[float, float] = (0.8, 1.25),
+) -> Array:
     """Radius, x and y (n, 3), px, of the round bodies that differ from the background by `least` counts in one frame.
 
     `expected` is the radius of the balls, px, where the camera file gives it.
+
+    max_regions: the largest regions that are examined.
+    min_radius_px: the least radius where none is expected; a clipped glint looks like a small disc.
+    size_limits: of the radius over the expected one; a glint out of focus is smaller than its ball.
     """
     rounding = 0.5  # counts, of the level
     rough = cv2.absdiff(frame, np.rint(level).astype(frame.dtype)) > math.floor(least - rounding)
     found = []
     for region in find_regions(
         rough, MIN_BODY_AREA_PX - 1, lambda at: np.abs(np.subtract(frame[at], level[at], dtype=np.float32)) > least
-    )[:MAX_REGIONS]:
+    )[:max_regions]:
         whole = np.subtract(frame[region.at], level[region.at], dtype=np.float32)
         for own in _separate_discs(region.own):
             radius, x, y = _measure_body(whole, own, least)
-            low, high = SIZE_LIMITS
-            if radius > MIN_RADIUS_PX if expected is None else low < radius / expected < high:
+            low, high = size_limits
+            if radius > min_radius_px if expected is None else low < radius / expected < high:
                 found.append((radius, region.left + x, region.top + y))
     return np.array(found).reshape(-1, 3)
 
 
-def _separate_discs(own: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
-    """The pixels of the discs in a region (h, w): several that touch, itself if it is round, or none."""
+def _separate_discs(own: NDArray[np.bool_], *, min_roundness: float = 0.6) -> list[NDArray[np.bool_]]:
+    """The pixels of the discs in a region (h, w): several that touch, itself if it is round, or none.
+
+    min_roundness: least area of a round region over that of the circle around it.
+    """
     radius, centres = find_touching_discs(own)
     if not centres:
-        return [own] if own.sum() >= MIN_ROUNDNESS * np.pi / 4 * max(own.shape) ** 2 else []
+        return [own] if own.sum() >= min_roundness * np.pi / 4 * max(own.shape) ** 2 else []
     y, x = np.ogrid[: own.shape[0], : own.shape[1]]
     return [own & (np.hypot(x - column, y - row) <= radius) for column, row in centres]
 
 
-def _measure_body(whole: NDArray[np.float32], own: NDArray[np.bool_], least: float) -> tuple[float, float, float]:
-    """Radius and middle (x, y), px, of a body from differences from the background (h, w); radius 0 of a glint."""
+def _measure_body(
+    whole: NDArray[np.float32],
+    own: NDArray[np.bool_],
+    least: float,
+    *,
+    max_glint_ratio: float = 4.0,
+    min_steepness: float = 0.4,
+) -> tuple[float, float, float]:
+    """Radius and middle (x, y), px, of a body from differences from the background (h, w); radius 0 of a glint.
+
+    max_glint_ratio: contrast of the brightest spot over that of the body halfway out; of steel only the glint is
+    bright.
+    min_steepness: pixels over 4/5 of the contrast among those over 1/5; discs have edges, glints fade.
+    """
     area, (rows, columns) = int(own.sum()), np.nonzero(own)
     y, x = np.ogrid[: own.shape[0], : own.shape[1]]
     away = np.hypot(x - columns.mean(), y - rows.mean()) / np.sqrt(area / np.pi)
@@ -364,7 +389,7 @@ def _measure_body(whole: NDArray[np.float32], own: NDArray[np.bool_], least: flo
     body = float(np.median(ring))
     steep = (np.abs(over) > 0.8 * abs(body)).sum() / (np.abs(over) > 0.2 * abs(body)).sum()
     spot = float(whole[away < 0.9].max())
-    glint = spot > max(least, abs(body) * MAX_GLINT_RATIO) or (body < 0 and spot > least)
-    solid = not glint and steep > MIN_STEEPNESS
+    glint = spot > max(least, abs(body) * max_glint_ratio) or (body < 0 and spot > least)
+    solid = not glint and steep > min_steepness
     radius = np.sqrt((np.abs(over) > abs(body) / 2).sum() / np.pi) if solid else 0.0
     return float(radius), float(columns.mean()), float(rows.mean())

@@ -35,7 +35,6 @@ DetectorChoice: TypeAlias = str | DetectorClass | Callable[[NDArray[Any]], Any]
 """A detector: its name, FILE.py or MODULE:NAME, with +LINKER of another program, or the class or function itself."""
 Linker: TypeAlias = Callable[[Glints], NDArray[np.int64]]
 
-ENTRY_POINT_GROUP = "tracker.detectors"
 DEFAULT = "maximum_likelihood"
 
 
@@ -44,7 +43,8 @@ def list_detectors() -> dict[str, DetectorClass]:
     found: dict[str, DetectorClass] = {}
     for module in pkgutil.iter_modules(detector_files.__path__):
         found[module.name] = _load_file(module.name)
-    for point in entry_points(group=ENTRY_POINT_GROUP):
+    group = "tracker.detectors"
+    for point in entry_points(group=group):
         found.setdefault(point.name, point.load())
     return found
 

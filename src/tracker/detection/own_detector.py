@@ -21,8 +21,6 @@ from synthcam_shared.errors import InputError, PluginError
 from tracker.detection.detector import DetectorClass, FrameDetector, View
 from tracker.detection.glints import Glints
 
-UNSAID = 0.1  # px, of positions without an error; the fits find out from the tracks how large it is
-
 
 def is_outside(name: str) -> bool:
     """Tell whether a name stands for a file, FILE.py or FILE.py:NAME, or for MODULE:NAME."""
@@ -71,6 +69,8 @@ def as_detector(given: Any, point: str = "") -> DetectorClass:
 def _ask(function: Callable[[NDArray[Any]], Any], what: str) -> DetectorClass:
     name = str(getattr(function, "__name__", type(function).__name__))
 
+    unknown_error_px = 0.1  # of positions without an error; the fits find out from the tracks how large it is
+
     class Asked:
         point = what
 
@@ -94,7 +94,7 @@ def _ask(function: Callable[[NDArray[Any]], Any], what: str) -> DetectorClass:
                     f"detector {name}: returned an array {table.shape}, expected positions (n, 2), x and y in px, or "
                     "(n, 3) with a standard error"
                 )
-            std = table[:, 2] if table.shape[1] == 3 else UNSAID
+            std = table[:, 2] if table.shape[1] == 3 else unknown_error_px
             return Glints.at(table[:, 0], table[:, 1], std, self.area)
 
     Asked.__name__ = Asked.__qualname__ = name

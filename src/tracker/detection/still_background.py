@@ -15,7 +15,6 @@ from tracker.camera.lens import Array
 from tracker.detection.candidates import spread_frames
 
 SURROUNDINGS_PX = (11, 31, 91, 271)  # widths of the neighbourhoods that are averaged, the smallest first
-STRIP_PIXELS = 1 << 15  # of each picture; all strips of 31 pictures fit into a cache of 1 to 2 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,15 +174,17 @@ def _average_surroundings(middle: NDArray[np.float32], rested: NDArray[np.uint8]
 
 
 def sort_strips(
-    pictures: Sequence[NDArray[Any]], ranks: Sequence[int]
+    pictures: Sequence[NDArray[Any]], ranks: Sequence[int], *, strip_pixels: int = 1 << 15
 ) -> Iterator[tuple[slice, list[NDArray[np.float32]]]]:
     """Sort pictures (h, w) of one type pixel by pixel, and yield strips of rows: which, and the values of these ranks.
 
     Rank 0 is the least value. Pixels are uint8, uint16 or float32.
+
+    strip_pixels: of each picture; all strips of 31 pictures fit into a cache of 1 to 2 MB.
     """
     height, width = pictures[0].shape
     network = _make_network(len(pictures), tuple(ranks))
-    rows = max(STRIP_PIXELS // width, 1)
+    rows = max(strip_pixels // width, 1)
     for top in range(0, height, rows):
         at = slice(top, top + rows)
         sheets = [np.array(picture[at]) for picture in pictures]

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 DERIVATIVE_STEP = 1e-3  # of a standard error, for derivatives: t_c must not leave the exposure in which it lies
-HARD_CONTACT_S = 3e-4  # of steel, glass and billiard balls, which take .02 to .3 ms
-KEYS_WITH_ERRORS = ("scale", "fps", "ball_diameter")
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,8 @@ class LampError(CameraError):
 
 def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
     """The standard errors that the camera file gives."""
-    given = [(key, getattr(camera, key), getattr(camera, f"{key}_std")) for key in KEYS_WITH_ERRORS]
+    keys = ("scale", "fps", "ball_diameter")
+    given = [(key, getattr(camera, key), getattr(camera, f"{key}_std")) for key in keys]
     known = [CameraError(key, value, std / value) for key, value, std in given if std > 0]
     views = (ViewError.of(camera, number) for number in range(len(camera.view_errors)))
     lamp = camera.lamp if camera.corrects_glint and not camera.matte else None
@@ -188,19 +187,26 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
 
 
 def add_contact_errors(
-    fit: CollisionFit, values: DerivedValues, tied: bool, camera: Camera, distance: tuple[float, float]
+    fit: CollisionFit,
+    values: DerivedValues,
+    tied: bool,
+    camera: Camera,
+    distance: tuple[float, float],
+    *,
+    hard_contact_s: float = 3e-4,
 ) -> DerivedValues:
     """Add the changes by a contact that is too short to be seen to the errors of a fit of an impact.
 
     distance: of the centres at the contact, as `measure_contact_distance` gives it. The longest contact that it leaves
     open lets the paths cross within one diameter, and plate friction presses the balls together while it lasts. A
-    contact under `HARD_CONTACT_S` adds nothing.
+    contact under `hard_contact_s` adds nothing.
+    hard_contact_s: steel, glass and billiard balls touch for .02 to .3 ms.
     """
     value = dict(zip(QUANTITY_NAMES, values.value, strict=True))
     nearer = (max(1 - distance[0], 0.0) + distance[1]) * fit.pair.diameter  # m, by which the paths may cross within
     closing = value["v0"] * np.sqrt(max(1 - value["b"] ** 2, 0.1))
     longest = nearer * (1 + 1 / min(max(value["r"], 0.1), 1.0)) / max(closing, 1e-9)
-    if not longest > HARD_CONTACT_S:
+    if not longest > hard_contact_s:
         return values
     unit = CameraError("ball_diameter", camera.ball_diameter, -nearer / fit.pair.diameter)
     index, residual, rows, disturbed = _disturb(fit, tied, [unit], camera)

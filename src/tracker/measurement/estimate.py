@@ -84,14 +84,6 @@ Floats = NDArray[np.float64]
 # Largest standard errors that are reported of quantities that may be zero, in their own units; see `largest_error`.
 _LARGEST_ERRORS = {"b": 0.05, "t_c": np.inf, "s": 0.1, "r": 0.05, "C": 0.05, "final_angle": 0.1}
 _LARGEST_ERRORS |= {"energy_fraction": 0.05, "momentum_fraction": 0.05, "drag": 2.0, "decel": 0.2}
-NOTHING_KNOWN = "the positions show no quantity well enough; check their unit, the scale and fps"
-DOUBTFUL_SIGMA = 3.0  # instead of MIN_SIGNIFICANCE, where the tracks reject an instantaneous contact
-MIN_FRAMES_WITHIN = 3  # in which balls are clearly within a diameter, from which on a contact that lasts is tried first
-_SEEN_THROUGH_A_CODEC = ("v0", "b", "t_c", "r")  # what a free fit of a lossy film claims although it is rejected
-# By how much errors of outlined balls in lossy video exceed those that residuals show, because a fit absorbs a part of
-# what the codec moves: rms z of mu_k in 40 drawn films of eight codecs was 1.58 +- .12 without it, that of v0 1.29.
-ENCODED_OUTLINES = 1.5
-MAX_MASS_DIFFERENCE = 0.002  # relative, of balls that count as equal
 _SPINS_FROM_LAWS = ("w1n", "w1t", "w2n", "w2t")  # the free fit infers spins by laws that a misfit puts in doubt
 
 
@@ -271,9 +263,10 @@ def _measure_collision(
     row |= painter_behringer.paper_columns(contact, camera, read.lasting)
     if read.tied_is_straight:  # differences of noise
         row |= {f"{name}_paper{kind}": np.nan for name in AFTER_SLIDES for kind in ("", "_std")}
+    nothing_known = "the positions show no quantity well enough; check their unit, the scale and fps"
     if not read.is_misfit:
         known = any(np.isfinite(row[f"{name}{kind}"]) for name in QUANTITY_NAMES for kind in ("", "_free"))
-        return row | {"status": "ok" if known else NOTHING_KNOWN}, _earlier_hits(read, earlier)
+        return row | {"status": "ok" if known else nothing_known}, _earlier_hits(read, earlier)
     # differences show these quantities whatever the balls do after the hit
     lost = [name for name in QUANTITY_NAMES if name not in ("t_c", "v0", "b", "r", "s")]
     if read.contact.pair.striker.encoded:
@@ -304,9 +297,12 @@ def _name_balls(contact: Contact, camera: Camera, letters: dict[int, str]) -> No
     letters.setdefault(one, other[letters[two]])
 
 
-def _why_foreign(masses: tuple[float, float], camera: Camera, flags: str) -> str:
-    """Say why the tied fit, of equal balls that roll, is not one of these bodies; "" if it is."""
-    if abs(masses[0] / masses[1] - 1) > MAX_MASS_DIFFERENCE:
+def _why_foreign(masses: tuple[float, float], camera: Camera, flags: str, *, max_mass_difference: float = 0.002) -> str:
+    """Say why the tied fit, of equal balls that roll, is not one of these bodies; "" if it is.
+
+    max_mass_difference: relative, of balls that count as equal.
+    """
+    if abs(masses[0] / masses[1] - 1) > max_mass_difference:
         return "the tied fit is that of equal masses"
     glides = camera.support in ("air", "sliding") or camera.body != BODIES["ball"]
     if glides and Flag.STRAIGHT not in flags.split("|"):
@@ -320,15 +316,22 @@ def _fit(
     earlier: dict[int, EarlierHit],
     camera: Camera,
     settings: FitSettings,
+    *,
+    doubtful_sigma: float = 3.0,
+    min_frames_within: int = 3,
 ) -> tuple[CollisionFits | str, list[Flag]]:
     """The fits of a collision with the camera's errors, or why there are none; flags of the contact's distance.
 
     A contact that lasts is tried first if balls are clearly within a diameter in some frames, and otherwise if an
     instantaneous one is doubtful.
+
+    doubtful_sigma: replaces the least significance of a contact that lasts.
+    min_frames_within: frames with the balls clearly within a diameter, from which on a contact that lasts is tried
+    first.
     """
     tries = partial(fit_lasting_collision, candidate, camera.ball_diameter, earlier, settings)
     lasting: CollisionFits | str | None = None
-    if is_wide := count_frames_within(candidate, camera.ball_diameter) >= MIN_FRAMES_WITHIN:
+    if is_wide := count_frames_within(candidate, camera.ball_diameter) >= min_frames_within:
         lasting = tries()
         if isinstance(lasting, CollisionFits) and lasting.lasting is not None:
             return add_camera_errors_to_lasting(lasting, camera), []
@@ -346,7 +349,7 @@ def _fit(
         flags = flag_contact_distance(*by_free, settings)
         nearer = max((1 - distance) / std for distance, std in (by_free, by_tied))
     if isinstance(read, str) or _may_last(read, nearer):
-        lasting = tries(DOUBTFUL_SIGMA if isinstance(read, str) or read.is_misfit else MIN_SIGNIFICANCE)
+        lasting = tries(doubtful_sigma if isinstance(read, str) or read.is_misfit else MIN_SIGNIFICANCE)
         if isinstance(lasting, CollisionFits):
             return add_camera_errors_to_lasting(lasting, camera), []
         if isinstance(lasting, str) and (is_wide or lasting != TOO_FEW):
@@ -404,10 +407,14 @@ def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[i
     }
 
 
-def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
+def select_claims(read: CollisionFits, *, encoded_outlines: float = 1.5) -> tuple[DerivedValues, DerivedValues]:
     """Select what each fit, tied and free, may claim.
 
     A value is NaN where the clip does not show it; it has no error where the data reject the fit.
+
+    encoded_outlines: by how much errors of outlined balls in lossy video exceed those that residuals show, because a
+    fit absorbs part of what the codec moves. Without it, rms z of mu_k in 40 drawn films of eight codecs was 1.58 +-
+    .12, that of v0 1.29.
     """
     settings = read.settings
     # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed
@@ -435,11 +442,12 @@ def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
     if read.is_misfit:
         tied, free = tied.without_errors(QUANTITY_NAMES), free.without_errors(("C", *_SPINS_FROM_LAWS))
     encoded, outlined = read.contact.pair.striker.encoded, read.contact.pair.striker.outlined
+    through_a_codec = ("v0", "b", "t_c", "r")  # what a free fit of a lossy film claims although it is rejected
     if encoded and read.is_misfit:  # the residuals show what the codec does to the paths near the contact
         wider = replace(free, cov=free.cov * variance_of_residuals(read.free))
-        return tied, wider.without_errors([name for name in QUANTITY_NAMES if name not in _SEEN_THROUGH_A_CODEC])
+        return tied, wider.without_errors([name for name in QUANTITY_NAMES if name not in through_a_codec])
     if encoded and outlined:
-        tied, free = (replace(values, cov=values.cov * ENCODED_OUTLINES**2) for values in (tied, free))
+        tied, free = (replace(values, cov=values.cov * encoded_outlines**2) for values in (tied, free))
     return tied, free if read.is_free_accepted else free.without_errors(QUANTITY_NAMES)
 
 

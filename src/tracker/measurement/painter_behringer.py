@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from tracker.measurement.collision.lasting_contact import LastingContact
 
 Floats = NDArray[np.float64]
-TIME_STD_FRAMES = float(np.sqrt(2 / 12))  # frames; std of a time between two instants, each known to one frame
 
 
 def paper_columns(contact: Contact, camera: Camera, lasting: LastingContact | None = None) -> dict[str, float]:
@@ -69,11 +68,16 @@ def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, flo
     moved = np.concatenate([sample[None], sample + steps.reshape(-1, *sample.shape)])
     value, *others = _read(moved, taus, diameter, fps, contact.pair.target_moves)
     spread = np.nansum((np.array(others) - value) ** 2, axis=0)
-    table = {name: (float(v), float(s)) for name, v, s in zip(_READ, value, np.sqrt(spread), strict=True)}
+    names = (
+        *("v0", "b", "r", "s", "mu_k", "C", "v1f", "v2f", "energy_fraction", "momentum_fraction", "final_angle"),
+        *("w1n", "w1t", "w2n", "w2t"),
+    )
+    table = {name: (float(v), float(s)) for name, v, s in zip(names, value, np.sqrt(spread), strict=True)}
+    time_std_frames = float(np.sqrt(2 / 12))  # of a time between two instants, each known to one frame
     for name, tau in zip(("tau1", "tau2"), taus, strict=True):
-        table[name] = (float(tau), TIME_STD_FRAMES / fps if np.isfinite(tau) else np.nan)
+        table[name] = (float(tau), time_std_frames / fps if np.isfinite(tau) else np.nan)
     mu, mu_std = table["mu_k"]
-    table["mu_k"] = (mu, float(np.hypot(mu_std, mu * TIME_STD_FRAMES / fps / np.mean(taus))))
+    table["mu_k"] = (mu, float(np.hypot(mu_std, mu * time_std_frames / fps / np.mean(taus))))
     instant = balls[0].time[balls[0].frame == contact.frame]
     table["t_c"] = (float(instant[0]) if len(instant) else np.nan, 1 / fps / np.sqrt(12))
     table["drag"], table["decel"] = rolling_loss(balls, contact.start, ends, fps)
@@ -133,14 +137,8 @@ def _sample(track: BallTrack, contact: Contact, end: int | None) -> tuple[Floats
     return position, cov
 
 
-_READ = (
-    *("v0", "b", "r", "s", "mu_k", "C", "v1f", "v2f", "energy_fraction", "momentum_fraction", "final_angle"),
-    *("w1n", "w1t", "w2n", "w2t"),
-)
-
-
 def _read(sample: Floats, taus: Floats, diameter: float, fps: float, moving: bool) -> Floats:
-    """The quantities of _READ (k, 15) from positions (k, 2, 7, 2); moving: whether ball 1 was, before the hit."""
+    """The quantities (k, 15) from positions (k, 2, 7, 2); moving: true if ball 1 moved before the hit."""
     before, after, final = ((sample[:, :, i] - sample[:, :, j]) * fps / 2 for i, j in ((1, 0), (4, 3), (6, 5)))
     apart = sample[:, 0, 2] - sample[:, 1, 2]
     launch = before[:, 1] - before[:, 0]

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 UNKNOWN_ERROR_PX = 0.1  # of a position, where a table gives no errors and is too short to show them
-DEFAULT_GLINT_WIDTH_PX = 1.0  # width of a glint where the camera file does not have it
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +81,13 @@ class BallTrack:
         return replace(self, **arrays)
 
 
-def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
+def to_ball_tracks(tracks: Tracks, camera: Camera, *, default_glint_width_px: float = 1.0) -> list[BallTrack]:
     """Convert tracks from pixels to positions on the plate, one BallTrack for each particle in order of its number.
 
     Rows without a finite position are left out. If not every row has a covariance, all get that of the tracks' own
     scatter about smooth motion.
+
+    default_glint_width_px: where the camera file has none.
     """
     xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
     keep = np.isfinite(xy).all(axis=1)
@@ -99,7 +100,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
     time = np.asarray(tracks.time, dtype=np.float64)[keep]
     taken = np.where(np.isfinite(time), time, frame / camera.fps)
-    start, width = taken + camera.line_time * xy[:, 1], (camera.sigma or DEFAULT_GLINT_WIDTH_PX) * camera.scale
+    start, width = taken + camera.line_time * xy[:, 1], (camera.sigma or default_glint_width_px) * camera.scale
     apart = np.hypot(tracks.x - tracks.glint_x, tracks.y - tracks.glint_y)[keep]  # NaN or 0 where no glint was seen
     shaded = np.array([PositionFlag.SHADED.word in words for words in tracks.flags[keep]], dtype=bool)
     shadow_drift = SHADED_POSITION_ERROR_RADII * camera.ball_diameter / 2, camera.ball_diameter

@@ -22,7 +22,6 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, norm, t
 
 Floats = NDArray[np.float64]
-LEVEL = 0.95  # of all intervals
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ class GeneralisedQ:
 
 
 def fit_random_effects(
-    value: Floats, std: Floats, shared: Floats | None = None, design: Floats | None = None
+    value: Floats, std: Floats, shared: Floats | None = None, design: Floats | None = None, *, level: float = 0.95
 ) -> RandomEffects:
     """Fit a random-effects mean, or a regression on the columns of a design.
 
@@ -119,13 +118,15 @@ def fit_random_effects(
         Change of each value by one standard error of each shared error.
     design : (n, p) array, optional
         Columns of the regression, of rank p <= n; default: a column of ones.
+
+    level: of all intervals.
     """
     n = len(value)
     design = np.ones((n, 1)) if design is None else design
     alone = np.zeros((n, 0))
     problem = GeneralisedQ(value, std**2, alone if shared is None else shared, design)
     own = GeneralisedQ(value, std**2, alone, design)
-    dof, tail, q = n - design.shape[1], (1 - LEVEL) / 2, problem.fit(0.0)[2]
+    dof, tail, q = n - design.shape[1], (1 - level) / 2, problem.fit(0.0)[2]
     variance = problem.find_variance(dof)
     coefficients, whole, left = problem.fit(variance)
     factor = left / dof if dof else 1.0

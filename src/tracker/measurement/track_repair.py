@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-MAX_GAP_FRAMES = 3  # frames between two sightings that can show an exchange
-MAX_CERTAIN_STEP_DIAMETERS = 1.75  # of a ball between two sightings, beyond which an exchange is not certain
-MIN_PATH_POSITIONS = 5  # positions that make a path of their own
 NEAR_STEPS = 5  # steps on either side that show how fast a ball moves
 
 
@@ -80,15 +77,20 @@ def repair_tracks(tracks: Tracks, camera: Camera, clip: int | None = None) -> Re
     return RepairedTracks(tracks, tuple(notes))
 
 
-def undo_exchanges(tracks: Tracks, diameter: float) -> tuple[Ints, list[int], list[int]]:
+def undo_exchanges(
+    tracks: Tracks, diameter: float, *, max_gap_frames: int = 3, max_step_diameters: float = 1.75
+) -> tuple[Ints, list[int], list[int]]:
     """Numbers of particles with exchanges undone, their frames, and the frames of exchanges that are not certain.
 
     Balls are assigned to their last positions so that all move least. Two balls that touch are a diameter apart, so
     that numbers exchanged even at a hit cost two diameters more.
+
+    max_gap_frames: frames between two sightings that can show an exchange.
+    max_step_diameters: of a ball between two sightings; beyond it an exchange is not certain.
     """
     particle, frame, xy = np.array(tracks.particle, dtype=np.int64), np.asarray(tracks.frame), tracks.xy
     renamed = particle.copy()
-    follows = np.flatnonzero((np.diff(particle) == 0) & (np.diff(frame) <= MAX_GAP_FRAMES)) + 1
+    follows = np.flatnonzero((np.diff(particle) == 0) & (np.diff(frame) <= max_gap_frames)) + 1
     far = follows[np.hypot(*(xy[follows] - xy[follows - 1]).T) > diameter / 4]
     follows = follows[np.argsort(frame[follows], kind="stable")]
     names = {int(p): int(p) for p in np.unique(particle[far])}  # the true number by the table's
@@ -103,7 +105,7 @@ def undo_exchanges(tracks: Tracks, diameter: float) -> tuple[Ints, list[int], li
             if sum(cost[k, k] - cost[k, found[k]] for k in cycle) <= diameter / 2:
                 continue
             # paths of balls that move by more can cross within a frame
-            if max(_slowest(tracks, int(rows[k])) for k in cycle) > MAX_CERTAIN_STEP_DIAMETERS * diameter:
+            if max(_slowest(tracks, int(rows[k])) for k in cycle) > max_step_diameters * diameter:
                 unsure.append(now)
                 continue
             frames.append(now)
@@ -138,8 +140,11 @@ def _cycles(found: NDArray[np.intp]) -> Iterator[list[int]]:
             yield cycle
 
 
-def find_unreachable(tracks: Tracks, diameter: float) -> tuple[Ints, NDArray[np.bool_]]:
-    """Numbers of particles, new ones for paths far from a ball's own, and the rows of lost points."""
+def find_unreachable(tracks: Tracks, diameter: float, *, min_path_positions: int = 5) -> tuple[Ints, NDArray[np.bool_]]:
+    """Numbers of particles, new ones for paths far from a ball's own, and the rows of lost points.
+
+    min_path_positions: positions that make a path of their own.
+    """
     xy = tracks.xy
     renumbered, gone = np.array(tracks.particle, dtype=np.int64), np.zeros(len(tracks), dtype=bool)
     following = int(renumbered.max(initial=-1)) + 1
@@ -156,7 +161,7 @@ def find_unreachable(tracks: Tracks, diameter: float) -> tuple[Ints, NDArray[np.
         while moving:
             chain = _longest_chain(moving, tracks.frame[rows], xy[rows], diameter)
             every = np.concatenate([moving[k] for k in chain])
-            if not own and len(every) < MIN_PATH_POSITIONS:
+            if not own and len(every) < min_path_positions:
                 break
             if not own:
                 renumbered[rows[every]] = following

@@ -20,14 +20,6 @@ if TYPE_CHECKING:
     from tracker.detection.link import Tracks
 
 MISFITS = "misfit.png"  # beside the tracks of a clip
-NEAR_CONTACT_FRAMES = 3
-LONGEST_SIDE_PX = 1000
-COLOURS = {1: (255, 160, 60), 2: (90, 190, 255)}  # of the struck ball and the striker
-CAUSES = {  # by where the residuals are largest
-    "before the contact": "the striker may slide, spin, or hit something before",
-    "at the contact": "check ball_diameter and scale in the camera file; rubber and springs push for several frames",
-    "after the contact": "a tilted plate, unequal balls or another hit may bend the paths",
-}
 
 
 def is_misfit(rows: Sequence[Mapping[str, Any]]) -> bool:
@@ -59,17 +51,24 @@ def draw_misfit(
     off = np.concatenate([np.hypot(*(seen[ball] - fitted[ball]).T) for ball in (1, 2)])
     variance = np.concatenate([np.trace(view.balls[ball].cov, axis1=1, axis2=2) / 2 for ball in (1, 2)])
     sigmas = off * camera.scale / np.sqrt(variance)
-    near = np.abs(frame - contact) <= NEAR_CONTACT_FRAMES
+    near_contact_frames = 3
+    near = np.abs(frame - contact) <= near_contact_frames
     parts = (~near & (frame < contact), near, ~near & (frame > contact))
     sizes = [float(np.mean(sigmas[part] ** 2)) if part.any() else 0.0 for part in parts]
     largest = int(np.argmax(sizes))
-    where, worst = list(CAUSES)[largest], int(np.argmax(np.where(parts[largest], sigmas, -1)))
+    causes = {  # by where the residuals are largest
+        "before the contact": "the striker may slide, spin, or hit something before",
+        "at the contact": "check ball_diameter and scale in the camera file; rubber and springs push for several "
+        "frames",
+        "after the contact": "a tilted plate, unequal balls or another hit may bend the paths",
+    }
+    where, worst = list(causes)[largest], int(np.argmax(np.where(parts[largest], sigmas, -1)))
     enlarged = _round_down(2 * camera.diameter_px / max(float(np.quantile(off, 0.9)), 1e-9))
     text = f"{what}; the contact lasts, so that it shows no residuals; {change}"
     if view.is_instantaneous:
         text = (
             f"{what} and the residuals of the misfit, {enlarged:g} times enlarged; they are largest {where} (up to "
-            f"{off[worst]:.2g} px, {sigmas[worst]:.0f} errors, in frame {frame[worst]}): {CAUSES[where]}; {change}"
+            f"{off[worst]:.2g} px, {sigmas[worst]:.0f} errors, in frame {frame[worst]}): {causes[where]}; {change}"
         )
     ground = paint_frame(frames, shown) if frames is not None else np.full((*camera.size[::-1], 3), 40, np.uint8)
     lines = ["orange: struck ball", "blue: striker"]
@@ -91,14 +90,16 @@ def _draw(
     height, width = ground.shape[:2]
     left, top = np.clip(np.floor(every.min(axis=0) - margin), 0, [width - 2, height - 2]).astype(int)
     right, low = np.clip(np.ceil(every.max(axis=0) + margin), [left + 2, top + 2], [width, height]).astype(int)
-    times = float(np.clip(LONGEST_SIDE_PX / max(right - left, low - top), 0.25, 16))
+    longest_side_px = 1000
+    times = float(np.clip(longest_side_px / max(right - left, low - top), 0.25, 16))
     picture: Any = (0.6 * ground[top:low, left:right]).astype(np.uint8)  # darker than what is drawn on it
     picture = cv2.resize(np.ascontiguousarray(picture), None, fx=times, fy=times, interpolation=cv2.INTER_AREA)
 
     def place(points: Any) -> Any:
         return np.rint((points - [left, top] + 0.5) * times).astype(int)
 
-    for ball, colour in COLOURS.items():
+    colours = {1: (255, 160, 60), 2: (90, 190, 255)}  # of the struck ball and the striker
+    for ball, colour in colours.items():
         cv2.polylines(picture, [place(fitted[ball])], False, (200, 200, 200), 1, cv2.LINE_AA)
         tips = fitted[ball] + enlarged * (seen[ball] - fitted[ball])
         for at, tip in zip(place(fitted[ball]), place(tips), strict=True):

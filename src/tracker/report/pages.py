@@ -71,11 +71,6 @@ MODELS = (
     "The tied fit uses one physical model of impact, sliding and rolling. The free fit assumes no law for the impact. "
     "The local estimate assumes no law of the impact either, and no more than free motion near the contact."
 )
-HOW_TO_READ = (
-    "0.9027(12) means 0.9027 ± 0.0012, one standard error. A value without brackets claims no error. {models} Finite "
-    "differences take velocities from neighbouring frames. χ²/dof near 1 means that the residuals of the tied fit are "
-    "as large as the errors of the positions; p is the probability of a χ² at least as large."
-)
 
 
 @dataclass(frozen=True)
@@ -124,7 +119,12 @@ class RecordingPage:
         which = f" of collision {', '.join(straight)}" if len(self.rows) > 1 else ""
         lines = f"Both fits{which} are straight lines after the contact, without a law of friction." if straight else ""
         models = MODELS if len(straight) < len(self.collisions) or not straight else ""
-        return HOW_TO_READ.format(models=" ".join(filter(None, [models, lines])))
+        models = " ".join(filter(None, [models, lines]))
+        return (
+            f"0.9027(12) means 0.9027 ± 0.0012, one standard error. A value without brackets claims no error. {models} "
+            "Finite differences take velocities from neighbouring frames. χ²/dof near 1 means that the residuals of "
+            "the tied fit are as large as the errors of the positions; p is the probability of a χ² at least as large."
+        )
 
     def _describe(self, row: Mapping[str, Any]) -> str:
         number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 REFUSALS = "refused.png"  # beside the tracks of a clip, and beside its page
 MOST = 12  # things that are named, the largest first
-LEAST_AREA_PX = 28
-FOUND, REFUSED = (60, 220, 60), (255, 80, 60)
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ def is_failure(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
     return len(tracks) == 0 or not any(state in (*MEASURED, NO_SCALE, ONE_BALL) for state in states)
 
 
-def draw_refusals(clip: Recording, tracks: Tracks) -> NotedPicture:
+def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28) -> NotedPicture:
     """Draw the frame, of nine that are spread over the film, in which most things are refused."""
     picks = sorted({*spread_frames(clip.frames)})
     sample = [np.asarray(clip.frames[k]) for k in spread_frames(clip.frames)]
@@ -50,7 +48,7 @@ def draw_refusals(clip: Recording, tracks: Tracks) -> NotedPicture:
     shots = {}
     for k in picks:
         frame: Any = np.asarray(clip.frames[k])
-        regions = find_regions(cv2.absdiff(frame, level) > least, LEAST_AREA_PX - 1)[:MOST]
+        regions = find_regions(cv2.absdiff(frame, level) > least, min_area_px - 1)[:MOST]
         shots[k] = [(region, _explain(region, clip, tracks, k, frame, level)) for region in regions]
     shown = max(picks, key=lambda k: (sum(bool(why) for _, why in shots[k]), len(shots[k])))
     number = int(clip.frames.numbers[shown])
@@ -108,14 +106,15 @@ def _draw(
     picture: Any = paint_frame(clip.frames, k)
     times = float(np.clip(900 / max(picture.shape[:2]), 0.25, 4))
     picture = cv2.resize(picture, None, fx=times, fy=times, interpolation=cv2.INTER_AREA)
+    green, red = (60, 220, 60), (255, 80, 60)  # of what was found, and of what was refused
     for x, y in (balls + 0.5) * times:
-        cv2.circle(picture, (round(x), round(y)), max(round(times * clip.camera.diameter_px / 2), 8), FOUND, 2)
+        cv2.circle(picture, (round(x), round(y)), max(round(times * clip.camera.diameter_px / 2), 8), green, 2)
     for region, why in refused:
         height, width = region.own.shape
         corner = round(region.left * times), round(region.top * times)
         other = round((region.left + width) * times), round((region.top + height) * times)
-        cv2.rectangle(picture, corner, other, REFUSED, 2)
+        cv2.rectangle(picture, corner, other, red, 2)
         across = cv2.getTextSize(why, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)[0][0]
         at = max(min(corner[0], picture.shape[1] - across), 0), max(corner[1] - 5, 12)
-        cv2.putText(picture, why, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, REFUSED, 1, cv2.LINE_AA)
+        cv2.putText(picture, why, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, red, 1, cv2.LINE_AA)
     return np.asarray(picture, np.uint8)

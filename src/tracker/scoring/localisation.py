@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-MIN_POSITIONS = 20  # from which on the kind of a position is judged
-MIN_MOTION_PX = 0.05  # per frame; a ball at rest always has the same sub-pixel phase
 
 
 @dataclass(frozen=True)
@@ -55,8 +53,9 @@ class MatchedDetections:
     @property
     def moving(self) -> NDArray[np.bool_]:
         """Tell whether the ball of a pair moves along each axis, (n, 2)."""
+        min_motion_px = 0.05  # per frame; a ball at rest always has the same sub-pixel phase
         pace = self.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
-        return np.asarray(pace.reindex(self.truth.index).to_numpy(float)[self.pairs[:, 0]] > MIN_MOTION_PX)
+        return np.asarray(pace.reindex(self.truth.index).to_numpy(float)[self.pairs[:, 0]] > min_motion_px)
 
 
 def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> MatchedDetections:
@@ -165,7 +164,8 @@ class PositionSums:
     @property
     def are_glints(self) -> bool:
         """Tell whether the positions are those of the glints, and not of the centres."""
-        return self.n >= MIN_POSITIONS and self.glint_squares < self.squares / 4
+        min_positions = 20  # from which on the kind of a position is judged
+        return self.n >= min_positions and self.glint_squares < self.squares / 4
 
     def _phase_bias(self) -> float:
         worst = np.nan

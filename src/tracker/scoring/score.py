@@ -24,12 +24,6 @@ NO_TRACKS = pd.DataFrame({"frame": [], "particle": [], "x": [], "y": []}).astype
 ClipSums = tuple[PositionSums, TrackingCounts, dict[str, float]]  # of one clip; the last: bounds of its quantities
 
 
-GLINTS_NOT_CENTRES = (
-    "the positions are those of the glints, not of the balls' centres;"
-    " measure and score such a table with --point glint"
-)
-
-
 @dataclass(frozen=True)
 class DetectorScore:
     """Scores of one set of results.
@@ -92,6 +86,10 @@ def score(
         positions, tracking = positions + errors, tracking + counts
         limits.append(bounds)
     table = join_truth(scalars, estimates, pd.DataFrame(limits).assign(clip=numbers))
+    glints_not_centres = (
+        "the positions are those of the glints, not of the balls' centres;"
+        " measure and score such a table with --point glint"
+    )
     return DetectorScore(
         suite="+".join(sorted(scalars["scene"].astype(str).unique())) if "scene" in scalars else "",
         detector=detector,
@@ -101,7 +99,7 @@ def score(
         statuses={"n": len(scalars)} | {str(k): int(v) for k, v in table["status"].value_counts().items()},
         ms_per_frame=ms_per_frame,
         table=table,
-        note=GLINTS_NOT_CENTRES if positions.are_glints else "",
+        note=glints_not_centres if positions.are_glints else "",
     )
 
 

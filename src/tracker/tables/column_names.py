@@ -21,7 +21,6 @@ _ALIASES = {
     "y": "y pos_y position_y y_pos y_position y_center y_centre center_y centre_y centroid_y y_centroid cy yc",
     "t": "t time seconds timestamp",
 }
-_MEANING = {alias: name for name, aliases in _ALIASES.items() for alias in aliases.split()}
 _UNITS = {word: unit for unit, (_, names) in LENGTH_UNITS.items() for word in names.split()}
 _TIMES = ("s", "sec", "second", "seconds")
 
@@ -42,11 +41,12 @@ def find_columns(names: Iterable[str], wanted: Iterable[str]) -> tuple[dict[str,
     """
     every = [str(name) for name in names]
     found, units = dict[str, str](), set[str]()
+    meaning = {alias: name for name, aliases in _ALIASES.items() for alias in aliases.split()}
     for key in wanted:
         if key in every:
             found[key] = key
             continue
-        fit = [name for name in every if _MEANING.get(split_unit(name)[0]) == key]
+        fit = [name for name in every if meaning.get(split_unit(name)[0]) == key]
         exact = [name for name in fit if split_unit(name)[0] == key]
         for choice in (fit, exact):
             if len(choice) == 1:

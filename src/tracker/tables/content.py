@@ -19,9 +19,6 @@ from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line, format_value
 from tracker.tables.dialect import LINE, MISSING_MARKS, Dialect, Line, find_dialect, is_number, split_cells, split_lines
 
-PARQUET, FEATHER, HDF5, ZIP, OLD_EXCEL = b"PAR1", b"ARROW1", b"\x89HDF", b"PK\3\4", b"\xd0\xcf\x11\xe0"
-MAX_HEAD_LINES = 4  # lines, at most, before the numbers
-
 
 @dataclass(frozen=True)
 class Content:
@@ -48,12 +45,19 @@ class Content:
     @property
     def is_binary(self) -> bool:
         """Tell whether the file is a table that is no text: Parquet, Feather, HDF5, Excel."""
-        return self.data.startswith((PARQUET, FEATHER, HDF5, OLD_EXCEL)) or self.is_excel
+        return self.archive not in ("", "zip") or self.is_excel
+
+    @cached_property
+    def archive(self) -> str:
+        """The kind of binary file, by its first bytes; "" for any other."""
+        marks = {b"PAR1": "parquet", b"ARROW1": "feather", b"\x89HDF": "hdf5", b"PK\3\4": "zip"}
+        marks |= {b"\xd0\xcf\x11\xe0": "old excel"}
+        return next((kind for mark, kind in marks.items() if self.data.startswith(mark)), "")
 
     @property
     def is_excel(self) -> bool:
         """Tell whether the file is a workbook of Excel or LibreOffice; both are archives."""
-        return self.data.startswith(ZIP) and (b"xl/workbook" in self.data or b"opendocument.spreadsheet" in self.data)
+        return self.archive == "zip" and (b"xl/workbook" in self.data or b"opendocument.spreadsheet" in self.data)
 
     @cached_property
     def text(self) -> str:
@@ -135,7 +139,8 @@ class Content:
     @cached_property
     def head(self) -> list[list[str]]:
         """The cells of the first lines."""
-        return [self.dialect.split(line.text) for line in self.lines[: MAX_HEAD_LINES + 1]]
+        max_head_lines = 4  # above the numbers
+        return [self.dialect.split(line.text) for line in self.lines[: max_head_lines + 1]]
 
     @cached_property
     def has_header(self) -> bool:
@@ -244,14 +249,14 @@ class Content:
         """A table of Parquet, Feather, HDF5 or Excel."""
         need, source = "", BytesIO(self.data)
         try:
-            if self.data.startswith(PARQUET):
+            if self.archive == "parquet":
                 return pd.read_parquet(source)
-            if self.data.startswith(FEATHER):
+            if self.archive == "feather":
                 return pd.read_feather(source)
-            if self.data.startswith(HDF5):
+            if self.archive == "hdf5":
                 need = "tables"
                 return _read_hdf5(self.data)
-            need = "xlrd" if self.data.startswith(OLD_EXCEL) else "openpyxl" if b"xl/workbook" in self.data else "odfpy"
+            need = "xlrd" if self.archive == "old excel" else "openpyxl" if b"xl/workbook" in self.data else "odfpy"
             return pd.read_excel(source)
         except ImportError:
             package = "'synthcam[tables]'" if need == "openpyxl" else need

@@ -9,14 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 LINE = "line"  # name of the index of a table whose rows have numbers of lines
-COMMENT_MARKS = ("#", "%", "//")
-DELIMITERS = ("\t", ";", "|", ",", " ")  # " ": any run of blanks
-DELIMITER_NAMES = {"\t": "tab", " ": "blank"}
 MISSING_MARKS = ("-", "--", "?", ".", "*", "none", "n.a.", "NaN ", "NAN")  # beside those that pandas knows
 _NUMBER = re.compile(r"[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)|-*|[?.*]|none|null|na|n/a", re.IGNORECASE)
-_DOTTED = r"(?<![\d.,])[-+]?\d{1,3}(?:(?:\.\d{3})+,\d|(?:\.\d{3}){2,}(?![\d.]))"
-_GROUPED = r"(?<![\d.,])[-+]?\d{1,3}(?:,\d{3}){2,}(?![\d,])|(?<![\d.,])[-+]?\d{1,3}(?:,\d{3})+\.\d"
-_DECIMAL = r"(?<![\d.,])[-+]?(?:\d+,(?:\d{1,2}|\d{4,})|0\d*,\d+|\d{4,},\d+)(?![\d.,])"
 _EITHER = r"(?<![\d.,])[-+]?\d{1,3},\d{3}(?![\d.,])"
 
 
@@ -45,12 +39,13 @@ class Dialect:
 def split_lines(text: str) -> tuple[list[Line], str, str]:
     """The lines of a table, the delimiter that a first line `sep=` names, and the last comment line above the table."""
     lines, delimiter, comment = list[Line](), "", ""
+    comment_marks = ("#", "%", "//")
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():
             continue
         if not lines and not delimiter and (named := re.fullmatch(r'\s*"?sep=(.)"?\s*', line, re.IGNORECASE)):
             delimiter = named[1]
-        elif line.lstrip().startswith(COMMENT_MARKS):
+        elif line.lstrip().startswith(comment_marks):
             comment = comment if lines else line.lstrip().lstrip("#%/").strip()
         else:
             lines.append(Line(number, line))
@@ -66,13 +61,16 @@ def find_dialect(lines: Sequence[Line], delimiter: str = "", decimal: str = "") 
     if decimal:
         other = "." if decimal == "," else ","
         return Dialect(delimiter, decimal, other if other in text else "")
-    if re.search(_DOTTED, text):
+    dotted = r"(?<![\d.,])[-+]?\d{1,3}(?:(?:\.\d{3})+,\d|(?:\.\d{3}){2,}(?![\d.]))"
+    if re.search(dotted, text):
         return Dialect(delimiter, ",", ".")
     if "," not in text:
         return Dialect(delimiter)
-    if re.search(_DECIMAL, text):
+    decimal_comma = r"(?<![\d.,])[-+]?(?:\d+,(?:\d{1,2}|\d{4,})|0\d*,\d+|\d{4,},\d+)(?![\d.,])"
+    if re.search(decimal_comma, text):
         return Dialect(delimiter, ",")
-    if re.search(_GROUPED, text):
+    grouped = r"(?<![\d.,])[-+]?\d{1,3}(?:,\d{3}){2,}(?![\d,])|(?<![\d.,])[-+]?\d{1,3}(?:,\d{3})+\.\d"
+    if re.search(grouped, text):
         return Dialect(delimiter, ".", ",")
     doubt = re.search(_EITHER, text)
     if doubt and _mixes_whole_numbers(lines, delimiter):
@@ -118,7 +116,8 @@ def _find_delimiter(lines: Sequence[Line]) -> str:
     sample = [line.text for line in (*lines[:60], *lines[60 :: max(len(lines) // 40, 1)])]
     sample = sample[4:] if len(sample) > 8 else sample[1:] or sample
     best, score = "", 0.0
-    for mark in DELIMITERS:
+    delimiters = ("\t", ";", "|", ",", " ")  # " " stands for any run of blanks
+    for mark in delimiters:
         rows = [split_cells(text, mark) for text in sample]
         cells, many = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
         if cells < 2:
@@ -128,4 +127,4 @@ def _find_delimiter(lines: Sequence[Line]) -> str:
         if good > score + 1e-9:
             best, score = mark, good
     first = "\n".join(line.text for line in lines[:4])
-    return best or next((mark for mark in DELIMITERS[:-1] if mark in first), " " if " " in first.strip() else ",")
+    return best or next((mark for mark in delimiters[:-1] if mark in first), " " if " " in first.strip() else ",")

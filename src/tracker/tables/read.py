@@ -22,7 +22,7 @@ from tracker.detection.link import Tracks
 from tracker.notes import Note, NoteKind, note_all
 from tracker.tables import formats as format_files
 from tracker.tables.column_names import read_named_columns
-from tracker.tables.content import ZIP, Content
+from tracker.tables.content import Content
 from tracker.tables.rows import REQUIRED_COLUMNS, check_columns, split_tracks, to_numbers
 from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
 
@@ -30,11 +30,6 @@ NO_STRIKER = (
     "no column striker, so that ball {} counts as the striker of every clip; if the balls change roles, add a column"
     " striker (a or b, the same in all rows of a clip): without it no effect of one ball alone can be found"
 )
-ROLES_CHANGE = (
-    "particle {} strikes in {} clips and particle {} in {}. If a number is the same ball in all clips, write a and b"
-    " in the column particle: it then says who strikes"
-)
-OPTIONAL_COLUMNS = "t clip striker x_std y_std cov_xy ep".split()
 
 
 @dataclass(frozen=True)
@@ -60,7 +55,7 @@ def read_tracks(path: Path, camera: CameraSource, columns: str = "", unit: str =
     says, or px; decimal: mark of numbers, "," or ".", "" for what they show.
     """
     content = Content.of(path, decimal)
-    if content.data.startswith(ZIP) and not content.is_excel:
+    if content.archive == "zip" and not content.is_excel:
         if path.suffix.lower() in (".xlsx", ".xlsm", ".ods"):
             raise content.wrong("not a workbook that can be read, expected a table of tracks; save it as CSV")
         raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
@@ -99,7 +94,8 @@ def recognise_format(content: Content) -> TrackTable:
 def _pick_columns(rows: pd.DataFrame, columns: str, where: str, notes: Iterable[str] = ()) -> TrackTable:
     """A table whose columns the user names."""
     pairs = dict(part.partition("=")[::2] for part in columns.split(","))
-    known = {name: name for name in (*REQUIRED_COLUMNS, "track", *OPTIONAL_COLUMNS)}
+    optional = "t clip striker x_std y_std cov_xy ep".split()
+    known = {name: name for name in (*REQUIRED_COLUMNS, "track", *optional)}
     for key, name in pairs.items():
         if key not in known or not name:
             hint = did_you_mean(key, known)
@@ -196,9 +192,13 @@ def _infer_strikers(
         text = f"no column striker; by who moves first {roles}"
         return {n: (tracks, strikers[n]) for n, (tracks, _) in clips.items()}, Note(NoteKind.TABLE, text)
     text = NO_STRIKER.format(default)
+    roles_change = (
+        "particle {} strikes in {} clips and particle {} in {}. If a number is the same ball in all clips, write a and"
+        " b in the column particle: it then says who strikes"
+    )
     if len(particles) == 2 and all(counts[p] for p in particles):
         one, other = particles
-        text += f". {ROLES_CHANGE.format(one, counts[one], other, counts[other])}"
+        text += f". {roles_change.format(one, counts[one], other, counts[other])}"
     return clips, Note(NoteKind.STRIKER, text)
 
 

@@ -17,8 +17,6 @@ from tracker.camera.camera_keys import format_value
 from tracker.detection.link import Tracks
 from tracker.tables.dialect import LINE
 
-MAX_WHOLE_NUMBER = (1 << 31) - 1  # frames, particles, clips
-MAX_POSITION_PX = 1e6  # px, of a position, or of its standard deviation
 REQUIRED_COLUMNS = ("frame", "particle", "x", "y")
 
 
@@ -99,9 +97,10 @@ def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
     """Rows of one clip as tracks."""
     frame, particle = (to_whole_numbers(table[name], name, where) for name in ("frame", "particle"))
     x, y = to_numbers(table["x"], "x", where), to_numbers(table["y"], "y", where)
+    max_px = 1e6  # of a position, or of its standard deviation
     for name, values in (("x", x), ("y", y)):
-        if len(far := values[np.abs(values) > MAX_POSITION_PX]):
-            row = _row_of(table[name], int(np.argmax(np.abs(values) > MAX_POSITION_PX)))
+        if len(far := values[np.abs(values) > max_px]):
+            row = _row_of(table[name], int(np.argmax(np.abs(values) > max_px)))
             raise InputError(f"{where}: {row}{name}: expected positions in px, not {far[0]:g}; --unit says the unit")
     kept = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     kept = kept[np.lexsort((frame[kept], particle[kept]))]
@@ -122,14 +121,12 @@ def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
         cov = np.empty((len(kept), 2, 2))
         for axis, name in enumerate((x_std, y_std)):
             std = column(name, default)
-            if np.any((std < 0) | (std > MAX_POSITION_PX)):
-                raise InputError(f"{where}: {name}: expected standard errors from 0 to {MAX_POSITION_PX:g} px")
+            if np.any((std < 0) | (std > max_px)):
+                raise InputError(f"{where}: {name}: expected standard errors from 0 to {max_px:g} px")
             cov[:, axis, axis] = std**2
         cov[:, 0, 1] = cov[:, 1, 0] = column(cov_xy, 0.0)
-        if np.any(np.abs(cov[:, 0, 1]) > MAX_POSITION_PX**2):
-            raise InputError(
-                f"{where}: {cov_xy}: expected covariances from {-(MAX_POSITION_PX**2):g} to {MAX_POSITION_PX**2:g} px^2"
-            )
+        if np.any(np.abs(cov[:, 0, 1]) > max_px**2):
+            raise InputError(f"{where}: {cov_xy}: expected covariances from {-(max_px**2):g} to {max_px**2:g} px^2")
         return cov
 
     said = table["flags"].astype(object).fillna("") if "flags" in table else pd.Series("", index=table.index)
@@ -182,14 +179,14 @@ def _row_of(values: Any, at: int) -> str:
     return f"row {at}, "
 
 
-def to_whole_numbers(values: Any, name: str, where: str) -> Any:
+def to_whole_numbers(values: Any, name: str, where: str, *, max_number: int = (1 << 31) - 1) -> Any:
     """A column as whole numbers from 0 on."""
     numbers = to_numbers(values, name, where)
-    wrong = ~((numbers >= 0) & (numbers <= MAX_WHOLE_NUMBER) & (numbers == np.round(numbers)))  # NaN too
+    wrong = ~((numbers >= 0) & (numbers <= max_number) & (numbers == np.round(numbers)))  # NaN too
     if wrong.any():
         at = int(np.argmax(wrong))
         value = "a missing value" if np.isnan(numbers[at]) else f"{numbers[at]:.10g}"
         raise InputError(
-            f"{where}: {_row_of(values, at)}{name}: expected whole numbers from 0 to {MAX_WHOLE_NUMBER}, not {value}"
+            f"{where}: {_row_of(values, at)}{name}: expected whole numbers from 0 to {max_number}, not {value}"
         )
     return numbers.astype(np.int64)

@@ -23,9 +23,6 @@ LENGTH_UNITS = {  # what one of a unit is in m, and what it is called; "px" has 
     "nm": (1e-9, "nm nanometre nanometres nanometer nanometers"),
     "in": (0.0254, "in inch inches"),
 }
-UNKNOWN_UNITS = ("", "unit", "units", "a.u.", "au", "arb. unit", "arb. units", "none", "null", "-")  # say nothing
-LENGTH_COLUMNS = ("x", "y", "glint_x", "glint_y", "x_std", "y_std", "x_fixed_std", "y_fixed_std")
-AREA_COLUMNS = ("cov_xy", "cov_xy_fixed")
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,9 @@ class TrackTable:
 
     def find_unit(self, where: str) -> str:
         """The unit of lengths, a key of LENGTH_UNITS; "" where nothing says it. Raises InputError."""
-        return "" if self.unit.strip().strip("()").lower() in UNKNOWN_UNITS else unit_of(self.unit, where)
+        # names that stand for no unit
+        unknown = ("", "unit", "units", "a.u.", "au", "arb. unit", "arb. units", "none", "null", "-")
+        return "" if self.unit.strip().strip("()").lower() in unknown else unit_of(self.unit, where)
 
     def number_names(self, name: str) -> TrackTable:
         """The same with numbers for names of particles and of clips, in the order of the alphabet.
@@ -87,7 +86,9 @@ class TrackTable:
     def scale_lengths(self, factor: float, where: str) -> TrackTable:
         """The same with lengths of another unit."""
         rows = self.rows.copy()
-        for names, by in ((LENGTH_COLUMNS, factor), (AREA_COLUMNS, factor**2)):
+        lengths = ("x", "y", "glint_x", "glint_y", "x_std", "y_std", "x_fixed_std", "y_fixed_std")
+        areas = ("cov_xy", "cov_xy_fixed")
+        for names, by in ((lengths, factor), (areas, factor**2)):
             for name in (n for n in names if n in rows):
                 rows[name] = to_numbers(rows[name], name, where) * by
         return replace(self, rows=rows)

@@ -8,7 +8,7 @@ from tracker_discs import CAMERA, apart
 import tracker
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import PLANES
-from tracker.camera.colour_planes import DARK, read_plane
+from tracker.camera.colour_planes import read_plane
 from tracker.camera.film_in_memory import wrap_frames
 
 
@@ -24,9 +24,9 @@ def count(result, ways, gate=1.5):
 
 
 @pytest.mark.parametrize(("name", "expected"), [
-    ("red-green", 128 + 127 * (235 - 150) / (415 + 3 * DARK * 255)),
-    ("red-blue", 128 + 127 * (235 - 30) / (415 + 3 * DARK * 255)),
-    ("green-blue", 128 + 127 * (150 - 30) / (415 + 3 * DARK * 255)),
+    ("red-green", 128 + 127 * (235 - 150) / (415 + 3 * 0.15 * 255)),
+    ("red-blue", 128 + 127 * (235 - 30) / (415 + 3 * 0.15 * 255)),
+    ("green-blue", 128 + 127 * (150 - 30) / (415 + 3 * 0.15 * 255)),
     ("red", 235), ("blue", 30), ("#eb961e", 200), ("#1c7d62", 0),
 ])  # fmt: skip
 def test_a_plane_has_the_counts_of_its_formula(name, expected):

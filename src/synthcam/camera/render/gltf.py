@@ -18,9 +18,6 @@ Array = NDArray[np.float64]
 untyped: Any = trimesh
 material: Any = untyped.visual.material.PBRMaterial
 
-UPRIGHT = np.eye(3)
-LAMP_MATERIAL = material(name="lamp", baseColorFactor=[0.0, 0.0, 0.0, 1.0], emissiveFactor=[1.0, 1.0, 1.0])
-
 
 @dataclass(frozen=True)
 class BallMotion:
@@ -104,7 +101,9 @@ def _scene(
     scene = untyped.Scene(base_frame="scene")
     scene.graph.update(frame_from="scene", frame_to="table")
 
-    def add(name: str, mesh: Any, position: ArrayLike, made_of: Any, axes: ArrayLike = UPRIGHT) -> None:
+    upright = np.eye(3)
+
+    def add(name: str, mesh: Any, position: ArrayLike, made_of: Any, axes: ArrayLike = upright) -> None:
         if made_of:
             mesh.visual = untyped.visual.TextureVisuals(material=made_of)
         scene.add_geometry(
@@ -129,8 +128,9 @@ def _scene(
             opaque = np.pad(shown, ((0, 0), (0, 1)), constant_values=255)
             sphere.visual = untyped.visual.ColorVisuals(sphere, vertex_colors=opaque)
         add(f"ball{k}", sphere, ball.positions[0], None if ball.paint else steel)
+    lamp_material = material(name="lamp", baseColorFactor=[0.0, 0.0, 0.0, 1.0], emissiveFactor=[1.0, 1.0, 1.0])
     for name, (lamp, _) in lights.items():
-        add(name.replace("light", "lamp"), _shape(lamp), lamp.position, LAMP_MATERIAL, lamp.axes * [1, 1, -1])
+        add(name.replace("light", "lamp"), _shape(lamp), lamp.position, lamp_material, lamp.axes * [1, 1, -1])
     for name in (*lights, "camera"):
         scene.graph.update(frame_from="table", frame_to=name)
     return scene

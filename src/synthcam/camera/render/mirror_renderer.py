@@ -5,6 +5,7 @@ bright; they are added from their exact positions, fluxes and second moments.
 """
 
 from collections.abc import Iterator, Sequence
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +33,15 @@ from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
 
 FINENESS = 3  # samples of a ball per pixel, along rows and along columns
 EXPOSURES_PER_BATCH = 128
-BALLS, ON_PLATE, SHADES, PLATE_ALONE = 0, 1, 2, 3  # what the shader draws, by its SCENE
+
+
+class Drawn(IntEnum):
+    """What the shader draws, by its SCENE."""
+
+    BALLS = 0
+    ON_PLATE = 1  # balls, with their images in the plate
+    SHADES = 2  # the light that they take from the plate
+    PLATE_ALONE = 3
 
 
 class MirrorRenderer(Renderer):
@@ -119,7 +128,7 @@ class MirrorRenderer(Renderer):
         jobs[0, 0, 2:] = middle
         jobs[0, 3] = 0, np.maximum(middle, [w, h] - middle).max() + 1, 0, BLACK_PLATE_RADIANCE * self.room
         uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
-        plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms, SCENE=PLATE_ALONE)
+        plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms, SCENE=Drawn.PLATE_ALONE)
         return plate.copy() if self._vignette is None else plate * self._vignette
 
     def _compute_plate(self) -> Float32:
@@ -210,11 +219,13 @@ class MirrorRenderer(Renderer):
             room_for = max(1, BUFFER_SIDE // tile) ** 2
             for first in range(0, len(same), room_for):
                 selected = same[first : first + room_for]
-                images = self._draw_balls(centres, coarse, patches, selected, BALLS if self._plain else ON_PLATE)
+                images = self._draw_balls(
+                    centres, coarse, patches, selected, Drawn.BALLS if self._plain else Drawn.ON_PLATE
+                )
                 self._add_glints(images, glints, moments, patches, selected)
                 drawn |= zip(selected.tolist(), self.psf.spread(images), strict=True)
                 if not self._plain:
-                    shade = self._draw_balls(centres, coarse, patches, selected, SHADES)
+                    shade = self._draw_balls(centres, coarse, patches, selected, Drawn.SHADES)
                     shades |= zip(selected.tolist(), self.psf.spread(shade), strict=True)
         for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
             (plate,) = self._plates_in(bright)
@@ -247,11 +258,11 @@ class MirrorRenderer(Renderer):
         return [place_sub_exposures(bounds, weights, frames, path, wave) for path in (travel, travel / 4)]
 
     def _draw_balls(
-        self, centres: Centres, moments: SubExposures, patches: PixelPatches, selected: Index, scene: int
+        self, centres: Centres, moments: SubExposures, patches: PixelPatches, selected: Index, scene: Drawn
     ) -> Float32:
         """Draw blurred balls minus the plate behind them: (n, width, width) for n patches of one width.
 
-        scene: BALLS; ON_PLATE, with their images in the plate; or SHADES, the light that they take from the plate.
+        scene: not PLATE_ALONE.
         """
         positions = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(positions)
@@ -267,8 +278,8 @@ class MirrorRenderer(Renderer):
         jobs[:, 0, 2:] = (position - patches.origins[selected[rank]] - margin + 0.5) * FINENESS
         jobs[:, 2, 3] = (moments.weights * self.lamp.light(moments.times))[moment]
         jobs[:, 3, 1] = extent[moment, ball] * FINENESS
-        others = self._neighbours(jobs, positions, moment, ball, ordered=scene == SHADES)
-        if scene != BALLS:
+        others = self._neighbours(jobs, positions, moment, ball, ordered=scene == Drawn.SHADES)
+        if scene != Drawn.BALLS:
             others = self._with_notes(jobs, others, positions[moment, ball], ball, scene)
         rows = -(-len(selected) // across)
         defines = {"SCENE": scene} | self._defines
@@ -300,7 +311,7 @@ class MirrorRenderer(Renderer):
     def _with_notes(self, jobs: Float32, others: Float32, positions: Array, ball: Index, scene: int) -> Float32:
         """Append the depth of the plate and the lamps to the neighbours, as the shader reads them."""
         radii, count, camera = self.radii[ball], jobs[:, 3, 0].astype(int), self.camera
-        casting = self.surface.plate_shadow and scene == SHADES
+        casting = self.surface.plate_shadow and scene == Drawn.SHADES
         discs = [shadow_casters(self.lamp, p * [1, 1, 0]) if casting else np.zeros((0, 5)) for p in positions]
         notes = np.zeros((len(jobs), 1 + 2 * max(len(d) for d in discs), 4), np.float32)
         notes[:, 0, 0] = positions[:, 2] / radii

@@ -1,6 +1,7 @@
 """Finish of matte surfaces: the colours and patterns of balls, the plate and its texture, ambient light."""
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -13,8 +14,7 @@ PlateTexture = Literal["plain", "cloth", "wood", "paper"]
 
 STRIPE_HALF_WIDTH = 0.5  # over the radius
 SPOT_COSINE = np.cos(0.36)  # of the angular radius of a spot
-CUBE_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3)
-SPOT_CENTRES = np.concatenate([np.eye(3), -np.eye(3), CUBE_CORNERS])
+SPOT_CENTRES = np.concatenate([np.eye(3), -np.eye(3), np.array([*product((-1, 1), repeat=3)]) / np.sqrt(3)])
 GREY_WEIGHTS = np.array([0.299, 0.587, 0.114])  # of red, green and blue in a grey camera: ITU-R BT.601
 
 

@@ -14,8 +14,6 @@ from synthcam.camera.room.view_factors import dot, form_factor, mean_cosine_abov
 
 Array = NDArray[np.float64]
 
-RINGS_OF_PLATE, BELTS_OF_BALL, SECTORS = 48, 24, 32  # cells of the tables
-PLATE_RADIUS = 200.0  # of the rings, in radii of the ball
 EXCHANGE_CELLS = 14, 12  # of a ball: outwards from the line of centres, and around it
 EXCHANGE_ANGLE = 2.2  # from the line of centres, rad: a large ball is seen from behind the equator too
 UP = np.array([0.0, 0.0, 1.0])
@@ -70,18 +68,20 @@ def solve_plate_exchange(
 
     sources: points (n, 3) on the plate -> the lamps as they are seen there. Six reflections are followed.
     """
-    turn = (np.arange(SECTORS) + 0.5) / SECTORS * 2 * np.pi
+    rings_of_plate, belts_of_ball, sectors = 48, 24, 32  # cells of the tables
+    turn = (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    up = (np.arange(BELTS_OF_BALL) + 0.5) / BELTS_OF_BALL * 2 - 1
+    up = (np.arange(belts_of_ball) + 0.5) / belts_of_ball * 2 - 1
     normals = np.concatenate(
-        [np.sqrt(1 - up * up)[:, None, None] * ring, np.broadcast_to(up[:, None, None], (BELTS_OF_BALL, SECTORS, 1))],
+        [np.sqrt(1 - up * up)[:, None, None] * ring, np.broadcast_to(up[:, None, None], (belts_of_ball, sectors, 1))],
         axis=-1,
     ).reshape(-1, 3)
-    edges = np.arange(RINGS_OF_PLATE + 1) / RINGS_OF_PLATE * PLATE_RADIUS / (1 + PLATE_RADIUS)
+    plate_radius = 200.0  # of the rings, in radii of the ball
+    edges = np.arange(rings_of_plate + 1) / rings_of_plate * plate_radius / (1 + plate_radius)
     edges, middle = edges / (1 - edges), (edges[1:] + edges[:-1]) / 2
     middle = middle / (1 - middle)
     spots = np.pad((middle[:, None, None] * ring).reshape(-1, 2), ((0, 0), (0, 1)))
-    areas = np.repeat(np.pi * np.diff(edges**2) / SECTORS, SECTORS)
+    areas = np.repeat(np.pi * np.diff(edges**2) / sectors, sectors)
     to_plate, to_ball = _exchange(normals, spots, areas)
 
     to_centre = UP - spots
@@ -98,10 +98,10 @@ def solve_plate_exchange(
     for _ in range(6):
         glow = to_ball @ (ball * (on_ball + below))
         below = to_plate @ (plate * (on_plate + glow))
-    beyond = max(1, round(RINGS_OF_PLATE / PLATE_RADIUS))  # rows of zeros from r = PLATE_RADIUS to r/(1 + r) = 1
+    beyond = max(1, round(rings_of_plate / plate_radius))  # rows of zeros from r = plate_radius to r/(1 + r) = 1
     return PlateExchange(
-        ReflectionTable(below.reshape(BELTS_OF_BALL, SECTORS, -1)),
-        ReflectionTable(np.pad(glow.reshape(RINGS_OF_PLATE, SECTORS, -1), ((0, beyond), (0, 0), (0, 0)))),
+        ReflectionTable(below.reshape(belts_of_ball, sectors, -1)),
+        ReflectionTable(np.pad(glow.reshape(rings_of_plate, sectors, -1), ((0, beyond), (0, 0), (0, 0)))),
     )
 
 

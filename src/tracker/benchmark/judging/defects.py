@@ -28,7 +28,6 @@ from tracker.tables.rows import to_tracks
 
 Floats = NDArray[np.float64]
 TrueTracks = tuple[pd.DataFrame, Camera, Mapping[str, Any]]  # tracks, camera, and what is measured in these tracks
-QUANTITIES = ("r", "tau1", "energy_fraction")
 DEFECTS = ("locking", "glint", "lost")
 
 
@@ -122,7 +121,8 @@ def _drop_lost(table: pd.DataFrame, lost: pd.DataFrame | None) -> pd.DataFrame:
 def _shifts(rows: Mapping[int, Mapping[str, Any]], base: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
     known = [clip for clip in rows if base[clip]]
     out: dict[str, Any] = {"unmeasured": sum(not rows[clip] for clip in known), "clips": len(known)}
-    for name in (f"{quantity}{kind}" for quantity in QUANTITIES for kind in ("", "_free")):
+    quantities = ("r", "tau1", "energy_fraction")
+    for name in (f"{quantity}{kind}" for quantity in quantities for kind in ("", "_free")):
         pairs = [(rows[c].get(name, np.nan), base[c][name], base[c][f"{name}_std"]) for c in known if rows[c]]
         values = np.array(pairs, dtype=np.float64).reshape(-1, 3)
         values = values[np.isfinite(values).all(axis=1)]

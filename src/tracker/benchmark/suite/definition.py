@@ -13,7 +13,6 @@ import yaml
 from synthcam_shared.errors import InputError
 
 KEYS = "name version seed licence films axes headline near phase measured physics trackers sampled".split()
-FILM_KEYS = "clips small scene scenes encoded small_encoded".split()
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,8 @@ def parse_definition(text: str, size: str, where: str) -> SuiteDefinition:
 
 
 def _film(name: str, given: Any, size: str, where: str) -> SuiteFilm:
-    _check(given, FILM_KEYS[:1], f"{where}: films.{name}", "a film", extra=FILM_KEYS)
+    known = "clips small scene scenes encoded small_encoded".split()
+    _check(given, known[:1], f"{where}: films.{name}", "a film", extra=known)
     less = given.get("small", {}) if size == "small" else {}
     chosen = less.get("scenes", list(given["scenes"]))
     scenes = {scene: merge_settings(given.get("scene", {}), given["scenes"][scene]) for scene in chosen}

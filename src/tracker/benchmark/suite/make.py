@@ -20,8 +20,6 @@ from tracker.benchmark.suite.definition import SuiteDefinition, SuiteFilm
 from tracker.benchmark.suite.folder import DEFINITION, FILMS, SUITE, TRUTH, Suite, open_suite, truth_digest, with_truth
 from tracker.results import load_json, write_json
 
-SEED = "seed.json"  # with the truth
-
 
 def make(
     output: Path,
@@ -90,7 +88,8 @@ def _reopen(output: Path, truth: Path, definition: SuiteDefinition, seed: int | 
 
 def _seed(truth: Path, definition: SuiteDefinition, seed: int | None, withheld: bool) -> int:
     """Choose the seed and keep it with the truth, for the same call after an interruption."""
-    known = truth / SEED
+    seed_file = "seed.json"  # with the truth
+    known = truth / seed_file
     if known.is_file():
         return int(load_json(known)["seed"])
     chosen = seed if seed is not None else secrets.randbits(48) if withheld else int(definition.data["seed"])

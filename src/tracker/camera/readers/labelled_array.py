@@ -24,22 +24,9 @@ from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, ma
 from tracker.camera.readers.film_axes import choose_entries
 
 HDF5 = (".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".cdf", ".netcdf")
-ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")
-LETTERS = {  # of an axis, by its names
-    "T": ("t", "time", "frame", "frames"),
-    "Y": ("y", "height", "row", "rows"),
-    "X": ("x", "width", "col", "cols", "column", "columns"),
-    "S": ("s", "sample", "samples", "rgb", "rgba", "band", "bands"),
-    "C": ("c", "channel", "channels", "ch", "colour", "color"),
-    "Z": ("z", "depth", "plane", "focus", "level"),
-    "P": ("p", "position", "clip", "scene"),
-}
-OTHER_LETTERS = "QIHEVRA"
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 UNITS |= {"sec": 1.0, "second": 1.0, "millisecond": 1e-3, "microsecond": 1e-6, "nanosecond": 1e-9, "minute": 60.0}
 UNITS |= {"hour": 3600.0, "day": 86400.0, "msec": 1e-3, "usec": 1e-6}
-MAX_BLOCK_BYTES = 256 << 20  # of the chunks that are read at once and kept
-MAX_CLASSIC_BYTES = 1 << 30  # of a classic NetCDF file, which is read whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +62,17 @@ class LabelledArray:
 
 def is_zarr(path: Path) -> bool:
     """Test whether a folder is a Zarr store."""
-    return path.is_dir() and any((path / name).is_file() for name in ZARR_FILES)
+    names = ("zarr.json", ".zarray", ".zgroup")
+    return path.is_dir() and any((path / name).is_file() for name in names)
 
 
-def read_labelled_array(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
-    """Frames of the largest array of whole numbers. Raises InputError, which names the library that is missing."""
+def read_labelled_array(
+    path: Path, options: FilmOptions = DEFAULT_OPTIONS, *, max_block_bytes: int = 256 << 20
+) -> Frames:
+    """Frames of the largest array of whole numbers. Raises InputError, which names the library that is missing.
+
+    max_block_bytes: of the chunks that are read at once and kept.
+    """
     try:
         arrays = _open(path)
     except InputError:
@@ -107,7 +100,7 @@ def read_labelled_array(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> F
     check_frame_size(path, plane)
     count = lengths.get(time, 1)
     bytes_of_frame = math.prod(film.shape[k] for k in picture) * film.dtype.itemsize
-    step = max(1, min(film.chunks[at] if time else 1, MAX_BLOCK_BYTES // bytes_of_frame))
+    step = max(1, min(film.chunks[at] if time else 1, max_block_bytes // bytes_of_frame))
     kept: dict[int, NDArray[Any]] = {}
 
     def fetch(k: int) -> Any:
@@ -140,7 +133,16 @@ def read_labelled_array(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> F
 def name_axes(array: LabelledArray) -> str:
     """A letter for each axis, each another: T, Y, X, C, Z, S, P, and Q, I, ... for those that are none of these."""
     letters = [""] * len(array.shape)
-    for letter, names in LETTERS.items():
+    names_of_letter = {  # the names of axes that a letter stands for
+        "T": ("t", "time", "frame", "frames"),
+        "Y": ("y", "height", "row", "rows"),
+        "X": ("x", "width", "col", "cols", "column", "columns"),
+        "S": ("s", "sample", "samples", "rgb", "rgba", "band", "bands"),
+        "C": ("c", "channel", "channels", "ch", "colour", "color"),
+        "Z": ("z", "depth", "plane", "focus", "level"),
+        "P": ("p", "position", "clip", "scene"),
+    }
+    for letter, names in names_of_letter.items():
         found = [k for k, name in enumerate(array.axes) if name is not None and name.lower() in names]
         if found:
             letters[found[0]] = letter
@@ -151,7 +153,8 @@ def name_axes(array: LabelledArray) -> str:
     for letter in "XY":
         if letter not in letters:
             letters[max(k for k, known in enumerate(letters) if not known)] = letter
-    rest = iter(letter for letter in OTHER_LETTERS if letter not in letters)
+    other_letters = "QIHEVRA"
+    rest = iter(letter for letter in other_letters if letter not in letters)
     free = [k for k, letter in enumerate(letters) if not letter]
     if "T" not in letters and len(free) == 1 and not any(array.axes):
         letters[free[0]], free = "T", []
@@ -261,11 +264,11 @@ def _name_hdf5_axis(node: Any, axis: int) -> str | None:
     return str(name) or None
 
 
-def _list_classic(path: Path) -> Iterator[LabelledArray]:
+def _list_classic(path: Path, *, max_bytes: int = 1 << 30) -> Iterator[LabelledArray]:
     """Arrays of a NetCDF file of version 3, which is read whole."""
     from scipy.io import netcdf_file
 
-    if path.stat().st_size > MAX_CLASSIC_BYTES:
+    if path.stat().st_size > max_bytes:
         raise InputError(f"{path}: a NetCDF 3 file above 1 GiB; convert it: nccopy -k netCDF-4 {path.name} film.nc")
     with netcdf_file(path, "r", mmap=False) as file:
         variables = dict(file.variables)

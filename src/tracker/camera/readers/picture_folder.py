@@ -20,12 +20,12 @@ from tracker.camera.readers.tiff_stack import choose_colours
 
 TIFF = (".tif", ".tiff")
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
-IGNORED = ("thumbs.db", "desktop.ini", "ehthumbs.db")
 
 
 def is_hidden(path: Path) -> bool:
     """Test whether a file is one of an operating system's own: ``._`` files, other hidden files, Thumbs.db."""
-    return path.name.startswith(".") or path.name.lower() in IGNORED
+    ignored = ("thumbs.db", "desktop.ini", "ehthumbs.db")
+    return path.name.startswith(".") or path.name.lower() in ignored
 
 
 def list_pictures(folder: Path) -> list[Path]:

@@ -31,7 +31,6 @@ from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, ma
 from tracker.camera.readers.film_axes import choose_entries, choose_entry
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its warnings name lines of source code
-UNREADABLE = RuntimeError, ValueError, TypeError, AttributeError  # that tifffile raises at damaged tags
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +49,7 @@ class _Layout:
 
 def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
     """Frames of a TIFF stack. Raises InputError if it is damaged."""
+    unreadable = RuntimeError, ValueError, TypeError, AttributeError  # that tifffile raises at damaged tags
     try:
         with _raise_logged_errors(path), tifffile.TiffFile(path) as tif:
             layout = _read_layout(path, tif, options)
@@ -58,7 +58,7 @@ def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
             clock = _read_times(tif, layout) if options.times != "even" else None
     except InputError:
         raise
-    except (tifffile.TiffFileError, OSError, LookupError, ArithmeticError, struct.error, *UNREADABLE) as error:
+    except (tifffile.TiffFileError, OSError, LookupError, ArithmeticError, struct.error, *unreadable) as error:
         raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({first_line(error)})") from None
     if 0 in layout.plane:
         raise InputError(f"{path}: expected a stack of pictures, not an array of {layout.plane}")

@@ -32,9 +32,6 @@ from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import agree, drop_repeated, read_clock
 from tracker.camera.frames import Frames, check_frame_size, make_grey_frames
 
-LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
-LUMA_FIRST = re.compile(r"(yuvj?4\d\dp|yuva4\d\dp|gray)(\d+le|8)?|nv(12|16|21|24)")  # the first plane is the luma
-HDR_CURVES = {16: "PQ", 18: "HLG"}  # by FFmpeg's number of a transfer curve
 av.logging.set_libav_level(av.logging.PANIC)  # a note reports what is wrong with a film, once
 
 
@@ -71,7 +68,8 @@ def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
         found = None
     if found is None:
         raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
-    lossy = found.codec not in LOSSLESS
+    lossless = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
+    lossy = found.codec not in lossless
     grey, deep, coloured = _choose_conversion(found.first, lossy)
     first = grey(found.first)
     dtype = np.dtype(np.uint16 if deep else np.uint8)
@@ -196,7 +194,8 @@ def _describe_faults(found: _VideoContents) -> Iterator[str]:
         yield f"truncated or damaged: {count} of the {promised} frames that the file promises can be decoded"
     if found.damaged:
         yield f"damaged: {len(found.damaged)} frames could not be decoded whole, the first at frame {found.damaged[0]}"
-    if curve := HDR_CURVES.get(int(getattr(found.first, "color_trc", 0) or 0)):
+    hdr_curves = {16: "PQ", 18: "HLG"}  # by FFmpeg's number of a transfer curve
+    if curve := hdr_curves.get(int(getattr(found.first, "color_trc", 0) or 0)):
         yield (
             f"the film has the HDR curve {curve}: counts are not in proportion to light. Centres of outlines hold; "
             "errors of glints may not, and sensor.gamma does not describe it"
@@ -281,7 +280,8 @@ def _choose_conversion(first: VideoFrame, lossy: bool) -> tuple[Callable[[VideoF
     if layout.is_rgb or layout.has_palette or layout.is_bayer:
         deep = bits > 8 and not lossy
         return _make_rgb_reader(first, deep), deep, False
-    other = "" if LUMA_FIRST.fullmatch(layout.name) else "yuv444p16le" if bits > 8 else "yuv444p"
+    luma_first = re.compile(r"(yuvj?4\d\dp|yuva4\d\dp|gray)(\d+le|8)?|nv(12|16|21|24)")  # the first plane is the luma
+    other = "" if luma_first.fullmatch(layout.name) else "yuv444p16le" if bits > 8 else "yuv444p"
     bits = 16 if other == "yuv444p16le" else bits
     full = first.color_range == ColorRange.JPEG or layout.name.startswith("yuvj")
     if layout.name.startswith("gray"):

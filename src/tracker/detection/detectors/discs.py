@@ -33,8 +33,6 @@ from tracker.detection.windows import Index, Region, find_regions
 ContrastArea: TypeAlias = tuple[Region, NDArray[np.float32]]  # a region, and its difference from the background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 
-MIN_CROWD = 3.0  # area of what is refused over that of the balls found, from which on a note tells of a crowd
-
 
 class Discs:
     """Finds regions that differ from the background of their scene, and fits discs to the pixels at their edges.
@@ -132,10 +130,11 @@ class Discs:
         spread = 1.4826 * float(np.median(np.abs(radii - np.median(radii))))  # of a normal distribution
         return OutlineRadius(float(np.median(radii)), spread / float(np.sqrt(len(radii))))
 
-    def _notes(self, refused: dict[int, int], found: int) -> Iterator[str]:
+    def _notes(self, refused: dict[int, int], found: int, *, min_crowd: float = 3.0) -> Iterator[str]:
         """Notes for the user on the frames that were searched.
 
         refused: objects that are not balls, by frame; found: positions of balls.
+        min_crowd: area of what is refused, over that of the balls found, from which on a note reports a crowd.
         """
         yield from self.takes.describe()
         if refused:
@@ -143,7 +142,7 @@ class Discs:
                 f"{sum(refused.values())} objects in {len(refused)} frames are not balls and are left out (not round, "
                 f"of another size, or always there), frame {min(refused)} first"
             )
-        if self.refused_area > MIN_CROWD * max(found, 10):
+        if self.refused_area > min_crowd * max(found, 10):
             yield (
                 f"crowd: the objects that are left out cover as much as {self.refused_area:.0f} balls, and {found} "
                 "balls are found; many balls that touch are not separated"

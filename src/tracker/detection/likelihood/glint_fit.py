@@ -22,8 +22,6 @@ from tracker.detection.glints import RowArrays
 from tracker.detection.likelihood.ball_profile import POWERS, BallProfile
 from tracker.detection.likelihood.cramer_rao import ROOT_TWO_PI, fisher, glint_shape, information, pixel_noise
 
-MAX_STEPS = 30  # of Fisher scoring
-LOG_FLUX_LIMITS = (-5.0, 18.0)  # within which runaway fits are kept
 MAX_COUNTS = 1e6  # the same of the background's parameters
 
 
@@ -66,15 +64,19 @@ def fit_glints(
     sensor: SensorSpec,
     profile: BallProfile | None = None,
     tolerance: float = 0.003,
+    *,
+    max_steps: int = 30,
 ) -> GlintFit:
     """Fit a glint of width `sigma`, px, to each window, on a ball profile of known shape or on a bowl of its own.
 
     A step below `tolerance`, px and log flux, is the last one: the next would be a hundredth of it.
+
+    max_steps: of Fisher scoring.
     """
     theta = _clip_parameters(_start(windows, sigma, sensor, profile), windows.half)
     active, part, limit = np.arange(len(windows)), windows, _step_limits(sigma)
     ended, fits = [], []
-    for number in range(MAX_STEPS):
+    for number in range(max_steps):
         seen = _compare(part, *_model(theta[active], part, sigma, profile), sensor)
         step = np.asarray(np.linalg.solve(seen.info, seen.slope[..., None])[..., 0], dtype=np.float64)
         step[:, :3] = np.clip(step[:, :3], -limit, limit)
@@ -82,7 +84,7 @@ def fit_glints(
             step *= 0.5
         theta[active] = _clip_parameters(theta[active] + step, windows.half)
         still = np.max(np.abs(step[:, :3]), axis=1) > tolerance
-        ends = np.full(len(active), True) if number == MAX_STEPS - 1 else ~still
+        ends = np.full(len(active), True) if number == max_steps - 1 else ~still
         if ends.any():
             ended.append(active[ends])
             fits.append(
@@ -100,10 +102,13 @@ def _step_limits(sigma: float) -> Array:
     return 0.7 * np.array([sigma, sigma, 1.0])
 
 
-def _clip_parameters(theta: Array, half: int) -> Array:
-    """Keep runaway fits where they can still be computed; they never converge."""
-    low = [-half, -half, LOG_FLUX_LIMITS[0]] + [-MAX_COUNTS] * (theta.shape[1] - 3)
-    high = [half, half, LOG_FLUX_LIMITS[1]] + [MAX_COUNTS] * (theta.shape[1] - 3)
+def _clip_parameters(theta: Array, half: int, *, log_flux_limits: tuple[float, float] = (-5.0, 18.0)) -> Array:
+    """Keep runaway fits where they can still be computed; they never converge.
+
+    log_flux_limits: fits that run away are kept within them.
+    """
+    low = [-half, -half, log_flux_limits[0]] + [-MAX_COUNTS] * (theta.shape[1] - 3)
+    high = [half, half, log_flux_limits[1]] + [MAX_COUNTS] * (theta.shape[1] - 3)
     return np.clip(theta, low, high)
 
 

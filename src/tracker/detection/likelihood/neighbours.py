@@ -17,7 +17,6 @@ from tracker.camera.mirror_images import locate_secondary_glints, secondary_flux
 from tracker.detection.glints import Glints
 
 Ints = NDArray[np.int64]
-MAX_BALLS = 12  # in a frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class Neighbours:
 
 
 def find_neighbours(glints: Glints, good: NDArray[np.bool_], camera: Camera) -> Neighbours:
-    """Find the neighbours of the good ones of the glints (n,) among `MAX_BALLS` in their frames."""
+    """Find the neighbours of the good ones of the glints (n,) among `max_balls` in their frames."""
     distance, other = np.full(len(glints), np.inf), np.zeros((len(glints), 2))
     rows = np.flatnonzero(good)
     order = rows[np.argsort(glints.frame[rows], kind="stable")]
@@ -56,10 +55,13 @@ def find_isolated(frame: Ints, position: Array, distance: float) -> NDArray[np.b
     return _find_nearest(frame, position)[0] >= distance
 
 
-def _find_nearest(frame: Ints, xy: Array) -> tuple[Array, Ints]:
-    """Distance (n,), px, of the nearest other detection in the frame, and its row; infinity and -1 without one."""
+def _find_nearest(frame: Ints, xy: Array, *, max_balls: int = 12) -> tuple[Array, Ints]:
+    """Distance (n,), px, of the nearest other detection in the frame, and its row; infinity and -1 without one.
+
+    max_balls: of a frame.
+    """
     distance, nearest = np.full(len(frame), np.inf), np.full(len(frame), -1)
-    for lag in range(1, min(len(frame), MAX_BALLS)):
+    for lag in range(1, min(len(frame), max_balls)):
         pairs = np.flatnonzero(frame[lag:] == frame[:-lag])
         if len(pairs) == 0:
             break

@@ -49,12 +49,7 @@ MIN_FRAMES = 4  # outside the contact, before and after it
 MIN_SIGNIFICANCE = 4.0  # standard errors by which the lines cross at less than one diameter
 STRAIGHT_CHI2 = 16.0  # rise of chi^2 up to which straight lines describe the balls after the hit
 STRAIGHT = (*FREE[:8], "v1x", "v1y", "v2x", "v2y", *FREE[-2:])  # free motions without a slide
-MIN_DURATION_FRAMES = 0.25  # below which a contact is as good as instantaneous
-BEND_SIGNIFICANCE = 3.5  # standard errors by which the paths bend in a contact that lasts
 _TAU = [FREE.index("log_tau1"), FREE.index("log_tau2")]
-DELAY_ERROR = 1.5  # share of `delay_of_slides`, over the laws of the force
-FRICTION_SHIFT = (0.2, 0.12)  # of mu_k over (T/tau)^2, and its spread over the laws of the force
-_SHORT_SLIDE = np.log(1e-4)  # log s
 
 
 class LastingResiduals:
@@ -92,10 +87,11 @@ class LastingResiduals:
             return advance_slides(tied_to_free(whole, self.pair.spin), before - delay)
         free = np.zeros((*x.shape[:-1], len(FREE)), dtype=x.dtype)
         free[..., :8], free[..., -2:] = whole[..., :8], whole[..., -2:]
+        short_slide = np.log(1e-4)  # log s
         for ball, at in AFTER.items():
             velocity = whole[..., 6 + 2 * ball : 8 + 2 * ball]
             free[..., at : at + 2] = free[..., at + 2 : at + 4] = velocity
-            free[..., at + 4] = _SHORT_SLIDE
+            free[..., at + 4] = short_slide
         return free
 
     def predict(self, x: Floats, ball: NDArray[np.int64], start: Floats) -> tuple[Floats, Floats]:
@@ -154,7 +150,7 @@ def delay_of_slides(
 
     closing, m/s; before: s from the touch to t_c. Until then friction is 2/7 of the push, so that half of this time
     counts. That is 7/2 mu g T^2/(pi^2 J) for a half sine. A push that rises straight from the start reaches the limit
-    earlier, one of Hertz later. Three quarters of it are taken, uncertain by `DELAY_ERROR` of themselves.
+    earlier, one of Hertz later. Three quarters of it are taken, uncertain by the `delay_error` of `_effect_of_slides`.
     """
     lasts = before * (1 + r) / np.where(r.real > 0.1, r, 0.1)
     impulse = (1 + r) / 2 * closing
@@ -327,27 +323,32 @@ class LastingFit:
             cov += np.outer(effect, effect)
         return replace(found, value=value, cov=cov)
 
-    def _effect_of_slides(self) -> tuple[Floats, Floats]:
+    def _effect_of_slides(
+        self, *, delay_error: float = 1.5, friction_shift: tuple[float, float] = (0.2, 0.12)
+    ) -> tuple[Floats, Floats]:
         """Shift of the quantities (20,) of a tied fit by slides that begin in the contact, and its error.
 
         The fit gives too much friction, by a share of (T/tau)^2, T the duration and tau the slide time of a head-on
-        hit. `FRICTION_SHIFT` is that share and its spread, read from seven simulated clips of five laws of the force.
+        hit. `friction_shift` is that share and its spread, read from seven simulated clips of five laws of the force.
+
+        delay_error: share of `delay_of_slides`, over the laws of the force.
+        friction_shift: of mu_k over (T/tau)^2, and its spread over the laws of the force.
         """
         whole = np.zeros(self.problem.size)
         whole[self.problem.index] = self.x[:-2]
         before, after, _ = self.times(self.x)
         closing, mu = whole[5] * np.cos(whole[4]), np.exp(whole[9])
-        late = DELAY_ERROR * delay_of_slides(closing, whole[8], whole[9], before)
+        late = delay_error * delay_of_slides(closing, whole[8], whole[9], before)
         slide = (1 + whole[8]) / 2 * whole[5] / (SLIP_RATE * mu * GRAVITY)
         square = min((before + after) / slide, 1.0) ** 2
         shift, effect = np.zeros(len(QUANTITY_NAMES)), np.zeros(len(QUANTITY_NAMES))
         at = QUANTITY_NAMES.index
         shift[at("mu_k")], effect[at("mu_k")] = (
-            share * square * mu for share in (-FRICTION_SHIFT[0], -FRICTION_SHIFT[1])
+            share * square * mu for share in (-friction_shift[0], -friction_shift[1])
         )
         effect[at("r")] = 2 * mu * GRAVITY * late / closing
         for ball, name in enumerate(("tau1", "tau2")):
-            effect[at(name)] = FRICTION_SHIFT[0] * square * np.exp(self.free[_TAU[ball]])
+            effect[at(name)] = friction_shift[0] * square * np.exp(self.free[_TAU[ball]])
         return shift, effect
 
     def predict_left_out(self, rows: BallTrack, ball: int) -> tuple[Floats, Floats]:
@@ -375,12 +376,18 @@ def fit_lasting_contact(
     earlier: Mapping[int, EarlierHit],
     settings: FitSettings,
     least_sigma: float = MIN_SIGNIFICANCE,
+    *,
+    min_duration_frames: float = 0.25,
+    bend_significance: float = 3.5,
 ) -> LastingFits | str | None:
     """Fit a contact that lasts by the frames outside it, or an instantaneous one of balls that move straight after it.
 
     diameter in m, earlier as for `prepare_contact`. The contact lasts if the paths cross within one diameter by
     `least_sigma` standard errors. None if it does not and the balls slide after it, or if it is no collision. A reason
     if too few frames remain.
+
+    min_duration_frames: a shorter contact is as good as instantaneous.
+    bend_significance: standard errors by which the paths bend in a contact that lasts.
     """
     window, fit = _frames_within(candidate, diameter), None
     contact = prepare_contact(replace(candidate, frame=window[0]), diameter, earlier, settings)
@@ -414,14 +421,14 @@ def fit_lasting_contact(
         sigmas.append(_sigmas_within(tied))
     lasting = None
     step = float(np.median(np.diff(pair.striker.start)))
-    if max(sigmas) > least_sigma and fit.times(fit.x)[:2].sum() > MIN_DURATION_FRAMES * step:
+    if max(sigmas) > least_sigma and fit.times(fit.x)[:2].sum() > min_duration_frames * step:
         best = (fit, tied)[int(np.argmax(sigmas))]
         before, after, _ = best.times(best.x)
         both = best.slopes(best.times)[:2].sum(axis=0)
         own = float(both @ best.cov @ both) * max(1.0, best.chi2 / best.dof)
         _, friction, _ = best.restitution(best.x)
         duration_std = float(np.hypot(np.sqrt(own), 0.15 * friction * (before + after)))
-        certain = _bend(best, pair, window) > BEND_SIGNIFICANCE
+        certain = _bend(best, pair, window) > bend_significance
         lasting = LastingContact(*window, float(before + after), duration_std, certain)
     elif not is_straight or abs(max(sigmas)) > least_sigma:
         return None if is_straight or _knows_friction(tied, settings) else _find_straight_alternative(fit, pair, level)

@@ -13,10 +13,6 @@ from tracker.measurement.positions import BallTrack
 
 Floats = NDArray[np.float64]
 MAX_DISTANCE = 1.02  # diameters
-MAX_SPEED_SHARE = 0.03  # of the closing speed, at which balls that stay together may move apart
-MIN_FRAMES = 10  # together
-APPROACH_FRAMES = 8  # from which the closing speed is read
-SMOOTHED_FRAMES = 5  # over which the separation is averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +32,23 @@ class Stay:
     bounces: bool  # whether they part first, so that this is no restitution
 
 
-def find_stays(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[Stay]:
-    """Find where two balls meet and then keep their distance of about a diameter (m)."""
+def find_stays(
+    a: BallTrack,
+    b: BallTrack,
+    diameter: float,
+    *,
+    max_speed_share: float = 0.03,
+    min_frames: int = 10,
+    approach_frames: int = 8,
+) -> Iterator[Stay]:
+    """Find where two balls meet and then keep their distance of about a diameter (m).
+
+    max_speed_share: speed at which balls that stay together may move apart, over the closing speed.
+    min_frames: for which they stay together.
+    approach_frames: frames before the touch that give the closing speed.
+    """
     frames, one, two = np.intersect1d(a.frame, b.frame, return_indices=True)
-    if len(frames) < MIN_FRAMES:
+    if len(frames) < min_frames:
         return
     way = a.position[one] - b.position[two]
     time, apart = a.time[one], np.hypot(way[:, 0], way[:, 1])
@@ -48,13 +57,13 @@ def find_stays(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[Stay]:
     near = apart < diameter + depth + 3 * noise
     edges = np.flatnonzero(np.diff(np.concatenate([[0], near.astype(np.int8), [0]])))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        early = np.arange(max(begin - APPROACH_FRAMES, 0), begin)
-        if end - begin < MIN_FRAMES or len(early) < 3:
+        early = np.arange(max(begin - approach_frames, 0), begin)
+        if end - begin < min_frames or len(early) < 3:
             continue
         closing, closing_std = _slope(time[early], apart[early], noise)
         late = np.arange((begin + end) // 2, end)
         parts = [_slope(time[rows], apart[rows], noise) for rows in (late, late[len(late) // 2 :])]
-        limit = MAX_SPEED_SHARE * abs(closing)
+        limit = max_speed_share * abs(closing)
         if closing > -5 * closing_std or any(std > limit or abs(v) > max(3 * std, limit) for v, std in parts):
             continue
         inside = begin + int(np.argmax(apart[begin:end] < diameter))
@@ -80,24 +89,26 @@ def find_stays(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[Stay]:
         )
 
 
-def bounces_first(excess: Floats, noise: float) -> bool:
+def bounces_first(excess: Floats, noise: float, *, smoothed_frames: int = 5) -> bool:
     """Decide whether two balls part before they end up side by side, as rolling ones of r near .4 do.
 
     Tape swings out for as long as the balls were nearer than a diameter. Plate friction takes longer to stop balls that
     part, and their separation grows all the while. excess: of the separation over the diameter from the touch on, m.
+
+    smoothed_frames: over which the separation is averaged.
     """
     mean = np.convolve(excess, np.ones(3) / 3, "valid")
     within = int(np.argmax(mean > 0)) if (mean > 0).any() else len(mean)
     outside = excess[within:]
-    if len(outside) < SMOOTHED_FRAMES:
+    if len(outside) < smoothed_frames:
         return False
-    smooth = np.convolve(outside, np.ones(SMOOTHED_FRAMES) / SMOOTHED_FRAMES, "valid")
+    smooth = np.convolve(outside, np.ones(smoothed_frames) / smoothed_frames, "valid")
     swing = int(np.argmax(smooth < 0)) if (smooth < 0).any() else len(outside)
     first = max(3, within)
     if swing <= 2 * within + 3 or len(outside) <= first:
         return False
     rise = float(smooth[: max(swing, 1)].max() - outside[:first].mean())
-    return bool(rise > 4 * noise * np.sqrt(1 / SMOOTHED_FRAMES + 1 / first))
+    return bool(rise > 4 * noise * np.sqrt(1 / smoothed_frames + 1 / first))
 
 
 def _approach(track: BallTrack, frames: NDArray[np.int64]) -> tuple[Floats, Floats, float]:

@@ -9,7 +9,6 @@ from tracker.tables.rows import to_numbers
 from tracker.tables.table import TrackTable
 
 NAME = "DeepLabCut's table"
-MIN_LIKELIHOOD = 0.6  # DeepLabCut's own default, `pcutoff`: below it a point counts as not seen
 
 
 def read(content: Content) -> TrackTable | None:
@@ -25,14 +24,15 @@ def read(content: Content) -> TrackTable | None:
         if k:
             columns.setdefault(name, {})[kind] = f"{k}"
     parts, low = [], 0
+    min_likelihood = 0.6  # DeepLabCut's own default, `pcutoff`: below it a point counts as not seen
     for ball, (name, own) in enumerate(columns.items()):
         if not {"x", "y"} <= set(own):
             raise content.wrong(f"{NAME}: {name} without x, y; expected them of each")
         part = pd.DataFrame({"frame": cells["0"], "particle": ball, "x": cells[own["x"]], "y": cells[own["y"]]})
         if "likelihood" in own:
-            seen = to_numbers(cells[own["likelihood"]], f"likelihood of {name}", content.where) >= MIN_LIKELIHOOD
+            seen = to_numbers(cells[own["likelihood"]], f"likelihood of {name}", content.where) >= min_likelihood
             low += int((~seen & part["x"].notna()).sum())
             part = part[seen]
         parts.append(part)
-    note = f"{Path(content.where).name}: {low} points have a likelihood under {MIN_LIKELIHOOD:g} and are left out"
+    note = f"{Path(content.where).name}: {low} points have a likelihood under {min_likelihood:g} and are left out"
     return TrackTable(pd.concat(parts), NAME, "px", notes=(note,) if low else ())

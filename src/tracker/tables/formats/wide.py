@@ -12,7 +12,6 @@ from tracker.tables.rows import REQUIRED_COLUMNS, to_numbers
 from tracker.tables.table import TrackTable, frames_from_times
 
 NAME = "a wide table (idtracker.ai)"
-FRAMES, TIMES = ("frame", "frames", "frame_number", "frame_no"), ("seconds", "time", "t", "timestamp")
 
 
 def read(content: Content) -> TrackTable | None:
@@ -49,8 +48,8 @@ def find_pairs(plain: dict[str, str]) -> list[tuple[str, str]]:
 def find_frames(table: pd.DataFrame, plain: dict[str, str], where: str) -> tuple[object, object, float]:
     """Frames, times or None, and the frame rate of a table with a row for each frame."""
     by_name = {name: column for column, name in reversed(plain.items())}
-    frames = next((by_name[name] for name in FRAMES if name in by_name), None)
-    times = next((by_name[name] for name in TIMES if name in by_name), None)
+    frames = next((by_name[name] for name in ("frame", "frames", "frame_number", "frame_no") if name in by_name), None)
+    times = next((by_name[name] for name in ("seconds", "time", "t", "timestamp") if name in by_name), None)
     if times is not None:
         frame, time, fps = frames_from_times(to_numbers(table[times], times, where), where)
         return (frame if frames is None else table[frames]), time, fps

@@ -9,7 +9,6 @@ from tracker.tables.content import Content
 from tracker.tables.table import TrackTable
 
 NAME = "columns without a header"
-MAX_PARTICLES = 1000  # whole numbers of more kinds are no particles
 
 
 def read(content: Content) -> TrackTable | None:
@@ -56,10 +55,13 @@ def _counts(values: pd.Series) -> bool:
     return bool(np.isfinite(numbers).all() and (numbers == np.round(numbers)).all() and (numbers >= 0).all())
 
 
-def _is_frame_and_particle(frame: pd.Series, particle: pd.Series) -> bool:
-    """Frames come in a row, particles are few and each is in many frames, and no pair comes twice."""
+def _is_frame_and_particle(frame: pd.Series, particle: pd.Series, *, max_particles: int = 1000) -> bool:
+    """Frames come in a row, particles are few and each is in many frames, and no pair comes twice.
+
+    max_particles: whole numbers of more kinds are no particles.
+    """
     frames, particles = np.unique(frame), np.unique(particle)
-    few = len(particles) <= min(MAX_PARTICLES, len(frame) // 2) and len(particles) < len(frames)
+    few = len(particles) <= min(max_particles, len(frame) // 2) and len(particles) < len(frames)
     dense = len(frames) >= 0.5 * (frames[-1] - frames[0] + 1)
     once = not pd.DataFrame({"f": frame.to_numpy(), "p": particle.to_numpy()}).duplicated().any()
     # a number of the row counts up by itself and so is in no frame twice
