@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -19,7 +19,7 @@ from tracker import results
 from tracker.camera.camera import Camera, CameraSource
 from tracker.camera.camera_notes import describe_camera_gaps, describe_exposure
 from tracker.camera.film_in_memory import FILM, wrap_frames
-from tracker.camera.film_options import FilmOptions
+from tracker.camera.film_options import FilmKeywords, FilmOptions
 from tracker.camera.recordings import Recording, make_recording, open_frames, open_source
 from tracker.detection.choose import DISCS, GLINTS, name_channel, select_channel, select_detector
 from tracker.detection.detect import (
@@ -184,16 +184,10 @@ def track(
     *,
     detector: DetectorChoice | None = None,
     channel: str | None = None,
+    colour: str = "",
     number: int | None = None,
     settings: SettingsSource | None = None,
-    times: str = "auto",
-    select: str = "",
-    fields: str = "auto",
-    ball: Sequence[str] = (),
-    colour: str = "",
-    region: str = "",
-    mask: str | Path = "",
-    frames: str = "",
+    **reading: Unpack[FilmKeywords],
 ) -> Result:
     """Find, follow and measure the balls of one recording. An InputError says why a film or a camera cannot be used.
 
@@ -211,27 +205,24 @@ def track(
         ``detectors/`` hold. Default: what the film asks for.
     channel : {"grey", "red", "green", "blue", "red-green", "red-blue", "green-blue", "colour"} or "#rrggbb", optional
         Of a film in colour; default: grey, unless another shows its balls better.
+    colour : str
+        Of the balls, as "orange" or "#ff8000"; in place of `channel`.
     number : int, optional
         Of the clip; default: its folder's, else 0.
     settings : TrackerSettings, dict, str or Path, optional
         Thresholds that differ from the defaults: an object, its keys, or a YAML file of them.
-    times : {"auto", "file", "even"}
-        "auto": missing frames and uneven times from the film, its rate from the camera. "file": the rate too from the
-        film. "even": frames are evenly spaced, whatever the film says.
-    select : str
-        Of a stack with channels or focal planes: which, as "C=1" or "C=1,Z=0"; default: the first.
-    fields : {"auto", "separate", "weave"}
-        Of interlaced video: whether its fields become frames of their own; "auto": the film decides.
-    ball : sequence of str
-        Examples of balls that you point at, each "X,Y@FRAME" or "X,Y,R@FRAME" in px.
-    colour : str
-        Of the balls, as "orange" or "#ff8000"; in place of `channel`.
-    region : str
-        Where balls are looked for, "X0,Y0,X1,Y1" in px.
-    mask : str or Path
-        A picture as large as the film that is white where balls are looked for.
-    frames : str
-        Which frames are read, "A:B" without B; they keep their numbers.
+    **reading
+        How the film is read, and which part of it:
+
+        - frames, "A:B": the first frame and the one after the last; they keep their numbers
+        - region, "X0,Y0,X1,Y1" in px: where balls are searched for
+        - mask, a path: a picture as large as the film that is white where balls are searched for
+        - ball, a sequence of "X,Y@FRAME" or "X,Y,R@FRAME" in px: balls that you point at
+        - select, "C=1" or "C=1,Z=0": the entry of each axis of a stack that is not time; default: the first
+        - times, "auto": missing frames and uneven times from the film, its rate from the camera; "file": the rate too
+          from the film; "even": frames are evenly spaced, whatever the film says
+        - fields, "separate": the fields of interlaced video become frames of their own; "weave": they do not; "auto":
+          the film decides
 
     Returns
     -------
@@ -251,8 +242,7 @@ def track(
     chosen = TrackerSettings.of(settings)
     if detector is not None:
         load_detector(detector)  # an unknown one is reported before a film is read
-    options = FilmOptions(times, select, fields, frames, region, str(mask), tuple(ball))
-    clip, why = select_channel(_open(film, camera, options), name_channel(channel, colour))
+    clip, why = select_channel(_open(film, camera, FilmOptions.of(reading)), name_channel(channel, colour))
     result = track_and_measure(clip if number is None else replace(clip, number=number), detector, chosen)
     return replace(result, notes=_name_arguments(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
 

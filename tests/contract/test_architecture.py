@@ -152,8 +152,8 @@ LAYERS = {
     ],
     "tracker.detection": [
         "candidates motion_blur",
-        "glints takes",
-        "detector",
+        "glints background",
+        "detector outlines",
         "own_detector",
         "likelihood",
         "link autocalibrate",

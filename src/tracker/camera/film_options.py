@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import cv2
 import numpy as np
@@ -90,6 +91,18 @@ def read_area(region: str, mask: str, shape: tuple[int, int]) -> NDArray[np.bool
     return area
 
 
+class FilmKeywords(TypedDict, total=False):
+    """The fields of `FilmOptions`, as keywords of a function."""
+
+    times: str
+    select: str
+    fields: str
+    frames: str
+    region: str
+    mask: str | Path
+    ball: Sequence[str]
+
+
 @dataclass(frozen=True)
 class FilmOptions:
     """Options of reading a film.
@@ -118,6 +131,18 @@ class FilmOptions:
     region: str = ""
     mask: str = ""
     ball: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(given: FilmKeywords) -> FilmOptions:
+        """Make the options of keywords. Raises InputError for a value of another type."""
+        for name, value in given.items():
+            wanted = {"ball": ("Sequence[str]", (list, tuple)), "mask": ("str | Path", (str, Path))}
+            expected, kinds = wanted.get(name, ("str", str))
+            if not isinstance(value, kinds):
+                raise InputError(f"{name}: of type {type(value).__name__}, expected {expected}")
+        values: dict[str, Any] = {**given}
+        values |= {"mask": str(given.get("mask", "")), "ball": tuple(given.get("ball", ()))}
+        return FilmOptions(**values)
 
     def __post_init__(self) -> None:
         times = ("auto", "file", "even")

@@ -19,10 +19,10 @@ from tracker.camera.film_options import BallExample, parse_colour
 from tracker.camera.frames import GREY, Frames
 from tracker.camera.lens import Array
 from tracker.camera.recordings import Recording
+from tracker.detection.background.still_background import StillBackground, estimate_still_background
+from tracker.detection.background.windows import find_regions
 from tracker.detection.candidates import estimate_noise, median_of_nine, spread_frames
-from tracker.detection.contrast_regions import find_touching_discs
-from tracker.detection.still_background import StillBackground, estimate_still_background
-from tracker.detection.windows import find_regions
+from tracker.detection.outlines.contrast_regions import find_touching_discs
 from tracker.settings import DetectionSettings
 
 GLINTS, DISCS, CENTROIDS = "maximum_likelihood", "discs", "centroid"

@@ -23,12 +23,12 @@ from tracker.camera.recordings import Recording
 from tracker.detection import detectors as detector_files
 from tracker.detection import linkers as linker_files
 from tracker.detection.autocalibrate import estimate_unknown_settings
+from tracker.detection.background.takes import find_takes
 from tracker.detection.candidates import EmptyPlate, estimate_empty_plate, median_of_nine, spread_frames
 from tracker.detection.choose import find_radius
 from tracker.detection.detector import AnyDetector, ClipDetector, Detections, DetectorClass, Point, View
 from tracker.detection.glints import Glints
 from tracker.detection.own_detector import as_detector, describe_fault, is_outside, load_outside, short_name
-from tracker.detection.takes import find_takes
 from tracker.settings import LinkSettings, TrackerSettings
 
 DetectorChoice: TypeAlias = str | DetectorClass | Callable[[NDArray[Any]], Any]

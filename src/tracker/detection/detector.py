@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera
 from tracker.camera.frames import GREY
+from tracker.detection.background.takes import Takes
 from tracker.detection.candidates import EmptyPlate
 from tracker.detection.glints import Glints
 from tracker.detection.motion_blur import MotionBlurEvidence
-from tracker.detection.takes import Takes
 from tracker.settings import TrackerSettings
 
 Point: TypeAlias = Literal["glint", "centre"]

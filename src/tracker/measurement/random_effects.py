@@ -118,8 +118,8 @@ def fit_random_effects(
         Change of each value by one standard error of each shared error.
     design : (n, p) array, optional
         Columns of the regression, of rank p <= n; default: a column of ones.
-
-    level: of all intervals.
+    level : float
+        Probability of all intervals.
     """
     n = len(value)
     design = np.ones((n, 1)) if design is None else design

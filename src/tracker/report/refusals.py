@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.detection.background.windows import Region, find_regions
 from tracker.detection.candidates import estimate_noise, median_of_nine, spread_frames
-from tracker.detection.windows import Region, find_regions
 from tracker.measurement.collision.adequacy import MEASURED, NO_SCALE, ONE_BALL
 from tracker.notes import Note, NoteKind
 

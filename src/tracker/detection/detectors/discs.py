@@ -13,8 +13,13 @@ from numpy.typing import NDArray
 
 from tracker.camera.colour_planes import is_plane
 from tracker.camera.lens import Array
+from tracker.detection.background.still_background import StillBackground, average_uncovered, estimate_still_background
+from tracker.detection.background.takes import find_takes
+from tracker.detection.background.windows import Index, Region, find_regions
 from tracker.detection.candidates import spread_frames
-from tracker.detection.contrast_regions import (
+from tracker.detection.detector import Detections, OutlineRadius, View
+from tracker.detection.glints import Glints, PositionFlag
+from tracker.detection.outlines.contrast_regions import (
     MIN_STREAK_FULLNESS,
     ContrastRegion,
     casts_shadow,
@@ -22,13 +27,8 @@ from tracker.detection.contrast_regions import (
     find_touching_discs,
     split_region,
 )
-from tracker.detection.detector import Detections, OutlineRadius, View
-from tracker.detection.disc_fit import DiscAppearance, DiscFit, fit_disc
-from tracker.detection.glints import Glints, PositionFlag
-from tracker.detection.outline import fit_outline_circle
-from tracker.detection.still_background import StillBackground, average_uncovered, estimate_still_background
-from tracker.detection.takes import find_takes
-from tracker.detection.windows import Index, Region, find_regions
+from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, fit_disc
+from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
 ContrastArea: TypeAlias = tuple[Region, NDArray[np.float32]]  # a region, and its difference from the background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest

@@ -7,11 +7,11 @@ from tracker_discs import CAMERA, SIZE, R, collision, disc, film, lit_film, plat
 import tracker
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
+from tracker.detection.background.still_background import estimate_still_background
 from tracker.detection.detect import detect, make_view
 from tracker.detection.detectors.discs import Discs
-from tracker.detection.disc_fit import DiscAppearance, fit_disc
 from tracker.detection.glints import PositionFlag
-from tracker.detection.still_background import estimate_still_background
+from tracker.detection.outlines.disc_fit import DiscAppearance, fit_disc
 
 
 def bound(ball, ground, noise):
@@ -150,7 +150,7 @@ def test_the_coarse_search_finds_what_the_search_of_whole_frames_finds(monkeypat
         return detect(clip, make_view(clip, "discs"), "discs").glints
 
     coarse = locate()
-    monkeypatch.setattr("tracker.detection.windows.TILE_PX", 240)  # one tile is the whole frame
+    monkeypatch.setattr("tracker.detection.background.windows.TILE_PX", 240)  # one tile is the whole frame
     whole = locate()
     assert len(coarse) == len(whole) > 24
     std = np.sqrt(np.diagonal(whole.cov, axis1=1, axis2=2))

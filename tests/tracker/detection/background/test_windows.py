@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tracker.detection.still_background import average_uncovered, estimate_still_background, sort_strips
-from tracker.detection.windows import find_regions
+from tracker.detection.background.still_background import average_uncovered, estimate_still_background, sort_strips
+from tracker.detection.background.windows import find_regions
 
 
 def whole_search(mask, least):

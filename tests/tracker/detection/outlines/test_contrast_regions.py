@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.detection.contrast_regions import find_touching_discs
+from tracker.detection.outlines.contrast_regions import find_touching_discs
 
 ROWS, COLUMNS = np.mgrid[:90, :120].astype(float)
 

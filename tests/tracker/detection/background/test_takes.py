@@ -7,7 +7,7 @@ from tracker_discs import CAMERA, R, apart, collision, film, plate
 
 import tracker
 from tracker.camera.film_in_memory import wrap_frames
-from tracker.detection.takes import find_takes
+from tracker.detection.background.takes import find_takes
 
 pytestmark = pytest.mark.usefixtures("unfitted")
 

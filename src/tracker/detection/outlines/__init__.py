@@ -1,0 +1,1 @@
+"""Balls that are seen whole: which regions are discs, and where their centres are."""
