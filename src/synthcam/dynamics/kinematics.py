@@ -45,11 +45,20 @@ def after_sliding(state: State, radius: Real, slowing: Real, t: Real, inertia: R
 
     `slowing` is mu times the load over the mass, m/s^2. The slip must not be zero.
     """
-    x, y, z, vx, vy, vz, wx, wy, wz = state
+    return after_slowing(state, *find_slowing(state, radius, slowing), 1 / inertia / radius, t)
+
+
+def find_slowing(state: State, radius: Real, slowing: Real) -> tuple[Real, Real]:
+    """Return the acceleration of a ball that slides."""
     ux, uy = slip_velocity(state, radius)
     rate = -slowing / (ux * ux + uy * uy) ** 0.5
-    ax, ay = rate * ux, rate * uy
-    turn = 1 / inertia / radius * t  # I dw/dt = -R z x F
+    return rate * ux, rate * uy
+
+
+def after_slowing(state: State, ax: Real, ay: Real, turn: Real, t: Real) -> State:
+    """Slide for the time t with the acceleration (ax, ay), which spins the ball `turn` = 1/(k R) as fast."""
+    x, y, z, vx, vy, vz, wx, wy, wz = state
+    turn = turn * t  # I dw/dt = -R z x F
     half = 0.5 * t * t
     out = (x + vx * t + ax * half, y + vy * t + ay * half, z)
     return (*out, vx + ax * t, vy + ay * t, vz, wx + turn * ay, wy - turn * ax, wz)

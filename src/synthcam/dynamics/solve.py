@@ -464,7 +464,7 @@ class _EventLoop:
                 self.events[contact.event] = filled
                 self.events.append(Event(self.t, "contact_end", *pair, before=after, after=after))
         elif isinstance(self.joint, StickingBodies):
-            before, states = states, self.joint.stop(states)
+            before, states = states, self.joint.stop(states, self.supports)
             for ball in states if all(s[8] == 0 for s in states.values()) else ():
                 early, late = (np.array([s[ball]]) for s in (before, states))
                 self.events.append(Event(self.t, "stop", ball, before=early, after=late))

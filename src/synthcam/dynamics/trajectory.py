@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
@@ -98,7 +99,11 @@ class Slide(Leg):
         return kinematics.slide(np.array(self.state), self.radius, self.slowing, t - self.time, self.inertia)
 
     def now(self, t: float) -> State:
-        return kinematics.after_sliding(self.state, self.radius, self.slowing, t - self.time, self.inertia)
+        return kinematics.after_slowing(self.state, *self._rates, t - self.time)
+
+    @cached_property
+    def _rates(self) -> tuple[float, float, float]:
+        return *kinematics.find_slowing(self.state, self.radius, self.slowing), 1 / self.inertia / self.radius
 
     def bound(self, t: float) -> float:
         return self.slowing

@@ -66,7 +66,7 @@ class BodySettings(Settings):
     - inertia: I/(m R^2); default: the shape's
     - label: a or b, the ball that effects such as mass_mismatch act on, or not
     - support: default: the scene's
-    - sticks: on air, the impulse, N s, of a later hit that parts it from a body that it has hit; 0: it does not stick
+    - sticks: of discs, the impulse, N s, of a later hit that parts it from a body that it has hit; 0: it does not stick
     """
 
     diameter: Positive | None = None
@@ -223,8 +223,11 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
         if flat:  # discs touch with their rims, so all centres are at one height
             states[k, 2], states[k, 6:8] = model.ball.radius, 0.0
     sticks, force = tuple(float(kind["sticks"]) for kind in kinds), drawn.get("contact_force")
-    if any(sticks) and not all(isinstance(support, Air) for support in supports):
-        raise InputError(f"{where}: bodies: only bodies on air stick; expected support: air for all, or sticks: 0")
+    if any(sticks) and {type(support) for support in supports} not in ({Air}, {DryPlate}):
+        raise InputError(
+            f"{where}: bodies: bodies stick on air, and discs on a dry plate; "
+            "expected support: air for all, or dry for all, or sticks: 0"
+        )
     if any(sticks) and force:
         raise InputError(f"{where}: contact_force: of bodies that do not stick; expected sticks: 0 with it")
     if force and model.laws.has_effect_on("loft"):

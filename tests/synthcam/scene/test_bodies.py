@@ -119,7 +119,7 @@ def test_a_ball_starts_in_the_air_or_without_rolling():
             lambda s: s["launches"][0].update(push={"until": 0.1, "acceleration": [1, 0]}, rise=0.2),
             "launches.0: push: of a",
         ),
-        (lambda s: s.update(bodies={"sticks": 1e-3}), "bodies: only bodies on air stick"),
+        (lambda s: s.update(bodies={"sticks": 1e-3}), "bodies: bodies stick on air, and discs on a dry plate"),
         (lambda s: s.update(contact_force={"law": "hertz", "duration": 1e-3}), "contact_force: expected law: linear"),
         (
             lambda s: s.update(contact_force={"duration": 1e-3}, effects={"hop": {"share": 1.0}}),

@@ -14,11 +14,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from synthcam.dynamics.contacts.cells import Box, NeighbourCells
 from synthcam.dynamics.contacts.contact_time import OVERLAP_TOLERANCE, find_contact, find_wall_contact
 from synthcam.dynamics.contacts.walls import Wall
+from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.trajectory import Leg, Rest, Roll
 
-MAX_NEIGHBOURS = 12  # that a ball may come near while it looks ahead
+WITHOUT_CELLS = 13  # balls: so few look at all others
+MAX_NEIGHBOURS, MAX_CELLS = 8, 16  # that a ball may come near while it looks ahead
 MAX_LOOK_S = 10.0
 Kind = Literal["contact", "wall", "end", "launch", "renewal", "look"]
 
@@ -81,13 +84,13 @@ class Calendar:
         self.heap: list[Due] = []
         self.version, self.known, self.look = [0] * count, [0.0] * count, [MAX_LOOK_S] * count
         self.until, self.renewals = math.inf, 0
-        self.sparse = count <= MAX_NEIGHBOURS + 1
-        self.low, self.high = np.full((2, count), np.inf), np.full((2, count), -np.inf)  # of the balls' boxes, m
+        self.cells: NeighbourCells | None = None  # few balls do without
+        self.wall_boxes = [Box(*wall.box) for wall in walls]
 
     def renew(self, legs: list[Leg], changed: Iterable[int], t: float, until: float) -> None:
         """Take new legs of some balls at the time t, s; all legs are to be renewed at `until`."""
-        if not self.legs and not self.sparse:
-            self._guess_looks(legs, t)
+        if not self.legs and len(legs) > WITHOUT_CELLS:
+            self.cells = self._make_cells(legs, t)
         self.legs, self.until, changed = legs, until, list(changed)
         if until < math.inf:
             self.renewals += 1
@@ -134,25 +137,25 @@ class Calendar:
     def _look_ahead(self, balls: Sequence[int], t: float) -> None:
         """Find the contacts of these balls with all others, as far ahead as each looks."""
         latest = min(self.until, self.end if t < self.end else math.inf)
+        waiting = set(balls)  # these will find the pairs that they make with those before them
         for k in balls:
-            self.known[k] = min(self._choose_horizon(k, t), latest)
-        done = set[int]()
-        for k in balls:
-            leg, known = self.legs[k], self.known[k]
+            waiting.remove(k)
+            leg, radius = self.legs[k], self.radius[k]
             still, first = isinstance(leg, Rest), leg.now(t)
-            for j in self._neighbours(k):
+            horizon, near = self._choose_horizon(k, t, first)
+            known = self.known[k] = min(horizon, latest)
+            for j in near:
                 other = self.legs[j]
-                if j == k or j in done or (still and isinstance(other, Rest)):
+                if j == k or j in waiting or (still and isinstance(other, Rest)):
                     continue
                 if self.joined and (min(k, j), max(k, j)) in self.joined:
                     continue
-                horizon, reach = min(known, self.known[j]), self.radius[k] + self.radius[j]
+                horizon, reach = min(known, self.known[j]), radius + self.radius[j]
                 if self.distances:
                     reach = min(reach * self.distances.draw(k, j), math.dist(first[:3], other.now(t)[:3]))
                 when = find_contact(leg, other, t, horizon, reach, first)
                 if when is not None:
                     self._add(when, 0, "contact", min(k, j), max(k, j))
-            done.add(k)
             if not still:
                 self._add_walls(k, leg, t, known)
             if known < min(leg.t1, self.until):
@@ -161,49 +164,61 @@ class Calendar:
     def _add_walls(self, k: int, leg: Leg, t: float, known: float) -> None:
         """Find the first wall that a ball touches."""
         first, number = known, -1
+        box = self.cells and self.cells.boxes[k]
         for w, wall in enumerate(self.walls):
+            if box and not box.meets(self.wall_boxes[w]):
+                continue
             when = find_wall_contact(leg, wall, t, first, self.radius[k])
             if when is not None and (when < first or number < 0):
                 first, number = when, w
         if number >= 0:
             self._add(first, 1, "wall", k, number)
 
-    def _choose_horizon(self, k: int, t: float) -> float:
-        """Choose how far a ball looks ahead, so that it comes near few others; sets the box that it keeps within."""
+    def _choose_horizon(self, k: int, t: float, first: State) -> tuple[float, Sequence[int]]:
+        """Choose how far a ball looks ahead, so that it comes near few others; also return which. first: its state."""
         leg, look = self.legs[k], min(2 * self.look[k], MAX_LOOK_S)
-        if self.sparse:
-            return min(t + MAX_LOOK_S, leg.t1) if not isinstance(leg, Rest) else leg.t1
+        if self.cells is None:
+            return leg.t1 if isinstance(leg, Rest) else min(t + MAX_LOOK_S, leg.t1), range(len(self.radius))
+        if isinstance(leg, Rest):
+            box, _ = self._bound_path(k, leg, t, t, first)
+            self.cells.put(k, box)
+            return leg.t1, self.cells.find_near(box)
         while True:
-            horizon = leg.t1 if isinstance(leg, Rest) else min(t + look, leg.t1)
-            small = self._set_box(k, leg, t, horizon) < self.radius[k]  # to shrink it more would change little
-            if small or isinstance(leg, Rest) or len(self._neighbours(k)) <= MAX_NEIGHBOURS:
-                break
+            horizon = min(t + look, leg.t1)
+            box, widens = self._bound_path(k, leg, t, horizon, first)
+            small = widens < self.radius[k]  # to shrink it more would change little
+            x0, y0, x1, y1 = self.cells.cover(box)
+            if small or (x1 - x0 + 1) * (y1 - y0 + 1) <= MAX_CELLS:
+                near = self.cells.find_near(box)
+                if small or len(near) <= MAX_NEIGHBOURS:
+                    break
             look = (horizon - t) / 2
         self.look[k] = look
-        return horizon
+        self.cells.put(k, box)
+        return horizon, near
 
-    def _set_box(self, k: int, leg: Leg, t: float, horizon: float) -> float:
-        """Set the box that a ball keeps within until the horizon; returns by how much the path widens it, m."""
-        one, two = leg.now(t), leg.now(horizon) if horizon < math.inf else leg.now(t)
-        margin = self.radius[k] * (1 + self.margin)
+    def _bound_path(self, k: int, leg: Leg, t: float, horizon: float, first: State) -> tuple[Box, float]:
+        """Return the box that a ball keeps within until the horizon, and by how much the path widens it, m."""
+        x, y = first[:2]
+        there_x, there_y, *_ = leg.now(horizon) if horizon > t else first
+        wide = margin = self.radius[k] * (1 + self.margin)
         if not isinstance(leg, Rest | Roll):  # these paths are straight
             margin += leg.bound(t) * (horizon - t) ** 2 / 8
-        for axis in (0, 1):
-            self.low[axis, k] = min(one[axis], two[axis]) - margin
-            self.high[axis, k] = max(one[axis], two[axis]) + margin
-        return float(max(abs(one[0] - two[0]), abs(one[1] - two[1])) + margin - self.radius[k])
+        low_x, high_x = (x, there_x) if x < there_x else (there_x, x)
+        low_y, high_y = (y, there_y) if y < there_y else (there_y, y)
+        box = Box(low_x - margin, low_y - margin, high_x + margin, high_y + margin)
+        return box, max(high_x - low_x, high_y - low_y) + margin - wide
 
-    def _neighbours(self, k: int) -> Sequence[int]:
-        """Return the balls whose boxes overlap with that of ball k, itself among them."""
-        if self.sparse:
-            return range(len(self.radius))
-        (lx, ly), (hx, hy) = self.low, self.high
-        near = (lx <= hx[k]) & (hx >= lx[k]) & (ly <= hy[k]) & (hy >= ly[k])
-        return [int(j) for j in np.flatnonzero(near)]
+    def _make_cells(self, legs: Sequence[Leg], t: float) -> NeighbourCells:
+        """Make cells as wide as balls are apart, with all balls where they are; guess how far they look at first."""
+        from scipy.spatial import cKDTree  # here alone: slow to load
 
-    def _guess_looks(self, legs: Sequence[Leg], t: float) -> None:
-        """Guess how far balls look ahead at first: twice their mean distance."""
         states = np.array([leg.now(t)[:5] for leg in legs])
-        wide = np.ptp(states[:, :2], axis=0) + 2 * max(self.radius)
-        apart = 2 * math.sqrt(wide[0] * wide[1] / len(legs))
-        self.look = np.minimum(apart / np.maximum(np.hypot(states[:, 3], states[:, 4]), 1e-9), MAX_LOOK_S).tolist()
+        nearest, _ = cKDTree(states[:, :2]).query(states[:, :2], 2)
+        side = 2 * max(float(np.median(nearest[:, 1])), 2 * float(np.median(self.radius)))
+        self.look = np.minimum(side / np.maximum(np.hypot(states[:, 3], states[:, 4]), 1e-9), MAX_LOOK_S).tolist()
+        cells = NeighbourCells(side)
+        for k, (x, y) in enumerate(states[:, :2].tolist()):
+            wide = self.radius[k] * (1 + self.margin)
+            cells.put(k, Box(x - wide, y - wide, x + wide, y + wide))
+        return cells

@@ -1,4 +1,4 @@
-"""Bodies on air that stick together: they move as one rigid body until a hit parts them.
+"""Bodies that stick together, on air or on a dry plate: they move as one rigid body until a hit parts them.
 
 A hit on one of them acts at the point of contact. With the directions n and t = z x n, and
 
@@ -14,8 +14,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
+from synthcam.dynamics.dry_discs import Disc, DryBody
 from synthcam.dynamics.kinematics import State
-from synthcam.dynamics.supports import Air
+from synthcam.dynamics.supports import Air, DryPlate
 from synthcam.dynamics.trajectory import Carried, Leg
 
 Vector = tuple[float, float]
@@ -79,7 +80,16 @@ class RigidGroup:
             out[k] = (*place, *self.velocity_at(place), 0.0, 0.0, 0.0, self.spin)
         return out
 
-    def legs(self, air: Air, t: float) -> dict[int, Leg]:
+    def slide(self, plate: DryPlate, bodies: Mapping[int, tuple[float, float, float]], t: float) -> dict[int, Leg]:
+        """Return the legs of discs of these radii and masses on a dry plate from the time t, s."""
+        discs = [
+            Disc(x - self.centre[0], y - self.centre[1], z, bodies[k][1], bodies[k][0])
+            for k, (x, y, z) in self.places.items()
+        ]
+        legs = DryBody(discs, plate.slowing).legs((*self.centre, *self.velocity, self.spin), t)
+        return dict(zip(self.places, legs, strict=True))
+
+    def glide(self, air: Air, t: float) -> dict[int, Leg]:
         """Return the legs of the bodies from the time t, s: the centre of mass glides as one body on this air does."""
         state = (*self.centre, 0.0, *self.velocity, 0.0, 0.0, 0.0, self.spin)
         centre = air.leg(state, 0.0, t)

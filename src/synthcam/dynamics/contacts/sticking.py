@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -12,7 +13,7 @@ from synthcam.dynamics.contacts.impact import ContactChange, find_contact_coeffi
 from synthcam.dynamics.contacts.rigid_group import RigidGroup, Vector, find_slip, hit, split
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.kinematics import State
-from synthcam.dynamics.supports import Air, Support
+from synthcam.dynamics.supports import Air, DryPlate, Support
 from synthcam.dynamics.trajectory import Event, Leg
 from synthcam.model import Bodies, Model
 
@@ -46,18 +47,22 @@ class StickingBodies:
         return {pair for part in parts for pair in combinations(sorted(part), 2)}
 
     def legs(self, states: Mapping[int, State], supports: Sequence[Support | None], t: float) -> dict[int, Leg]:
-        """Return the legs of those of these bodies that move as one with others. The first of them has the air."""
+        """Return the legs of those of these bodies that move as one with others, on the support of the first."""
         out: dict[int, Leg] = {}
         for part in split(self.bonds, {k for pair in self.bonds for k in pair} & set(states)):
-            air = supports[min(part)]
-            assert isinstance(air, Air)
-            out |= self._join({k: states[k] for k in part}).legs(air, t)
+            support, group = supports[min(part)], self._join({k: states[k] for k in part})
+            if isinstance(support, DryPlate):
+                out |= group.slide(support, self.bodies, t)
+            else:
+                assert isinstance(support, Air)
+                out |= group.glide(support, t)
         return out
 
-    def stop(self, states: Mapping[int, State]) -> dict[int, State]:
-        """Let the centre of mass of a group rest; its spin stays."""
+    def stop(self, states: Mapping[int, State], supports: Sequence[Support | None]) -> dict[int, State]:
+        """Let the centre of mass of a group rest; on air its spin stays."""
         group = self._join(states)
-        return group.push(group.centre, tuple(-group.mass * v for v in group.velocity)).states()  # type: ignore[arg-type]
+        spin = group.spin if isinstance(supports[min(states)], Air) else 0.0
+        return replace(group, velocity=(0.0, 0.0), spin=spin).states()
 
     def part(self, t: float, broken: Iterable[tuple[int, int]]) -> list[Event]:
         """Part pairs; returns the events."""

@@ -36,6 +36,11 @@ class Wall(ABC):
     height: float | None = None
     cushion: Literal["han", "mathavan"] = "han"
 
+    @property
+    @abstractmethod
+    def box(self) -> tuple[float, float, float, float]:
+        """Low x, low y, high x and high y, m, of a rectangle that a body must touch to touch the wall."""
+
     @abstractmethod
     def distance(self, x: float, y: float) -> tuple[float, float, float]:
         """Return how far a point is from the wall, m, and the unit vector (nx, ny) from the wall to it."""
@@ -73,6 +78,11 @@ class StraightWall(Wall):
     start: tuple[float, float] = (0.0, 0.0)
     end: tuple[float, float] = (1.0, 0.0)
 
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        (ax, ay), (bx, by) = self.start, self.end
+        return min(ax, bx), min(ay, by), max(ax, bx), max(ay, by)
+
     def distance(self, x: float, y: float) -> tuple[float, float, float]:
         (ax, ay), (bx, by) = self.start, self.end
         dx, dy = bx - ax, by - ay
@@ -88,6 +98,11 @@ class Rim(Wall):
     centre: tuple[float, float] = (0.0, 0.0)
     radius: float = 1.0
     inside: bool = True
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        (x, y), far = self.centre, math.inf if self.inside else self.radius
+        return x - far, y - far, x + far, y + far
 
     def distance(self, x: float, y: float) -> tuple[float, float, float]:
         far, nx, ny = _from_point(x - self.centre[0], y - self.centre[1])

@@ -5,12 +5,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from synthcam.dynamics.contacts.walls import StraightWall
 from synthcam.dynamics.kinematics import stop_time
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.dynamics.supports import Air
+from synthcam.dynamics.supports import Air, DryPlate
 from synthcam.dynamics.table import Table
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.model import Bodies, Model
@@ -100,6 +101,47 @@ def test_a_third_disc_pushes_a_pair_or_parts_it():
             apart = motion.first("apart")
             assert (apart.t, apart.i, apart.j) == (third.t, 0, 1)
             assert third.impulse_n == pytest.approx(1.8 * M / 2, rel=2e-3)  # as of one disc alone
+
+
+@pytest.mark.parametrize("mass", [[M, M], [M, 3 * M]])
+def test_two_discs_with_tape_slide_on_a_dry_plate(mass):
+    """Against Newton's equations in time, with dry friction at many points under each disc; then both rest."""
+    slowing, b = 2.0, 0.4
+    motion, bodies = run(
+        start([0, 0, 0, 0, 0], [-0.2, 2 * R * b, 1.2, 0, 0]), (1.0, 0.0), 2.0, air=DryPlate(slowing), mass=mass
+    )
+    assert [e.kind for e in motion.events] == ["contact", "together", "stop", "stop"]
+    hit, stop = motion.events[1].t, motion.events[2].t
+    first, m = motion.at(hit)[:, 0], bodies.mass
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    r, angle = (nodes[:, None] + 1) / 2 * R, 2 * np.pi * (np.arange(64) + 0.5) / 64
+    under = np.stack([r * np.cos(angle), r * np.sin(angle)]).reshape(2, -1)  # points of a disc
+    share = (weights[:, None] * (nodes[:, None] + 1) / 2 / 64 * np.ones(64)).ravel()  # of its mass
+    centre = (m[:, None] * first[:, :2]).sum(axis=0) / m.sum()
+    points = np.concatenate([under + (s[:2] - centre)[:, None] for s in first], axis=1)
+    masses = np.concatenate([one * share for one in m])
+    inertia = (masses * (points**2).sum(axis=0)).sum()
+
+    def law(t, y):
+        c, s = np.cos(y[2]), np.sin(y[2])
+        x, y_ = c * points[0] - s * points[1], s * points[0] + c * points[1]
+        u = np.array([y[3] - y[5] * y_, y[4] + y[5] * x])
+        force = -slowing * masses * u / np.hypot(*u)
+        return [*y[3:], *(force.sum(axis=1) / m.sum()), (x * force[1] - y_ * force[0]).sum() / inertia]
+
+    whole = [*centre, 0.0, *((m[:, None] * first[:, 3:5]).sum(axis=0) / m.sum()), first[0, 8]]
+    times = np.array([0.3, 0.9]) * (stop - hit)
+    exact = solve_ivp(law, (0, times[-1]), whole, method="RK45", rtol=1e-7, atol=1e-9, t_eval=times).y
+    for t, (x, y, turned, vx, vy, spin) in zip(times, exact.T, strict=True):
+        now = motion.at(hit + t)[:, 0]
+        np.testing.assert_allclose((m[:, None] * now[:, :2]).sum(axis=0) / m.sum(), [x, y], rtol=0, atol=2e-6)
+        np.testing.assert_allclose((m[:, None] * now[:, 3:5]).sum(axis=0) / m.sum(), [vx, vy], rtol=0, atol=2e-5)
+        np.testing.assert_allclose(now[:, 8], spin, rtol=0, atol=1e-3)
+        was, is_ = (math.atan2(*(s[0, [1, 0]] - s[1, [1, 0]])) for s in (first, now))
+        assert is_ - was == pytest.approx(turned, abs=1e-4)
+    assert math.dist(*motion.at(stop)[:, 0, :2]) == pytest.approx(2 * R, rel=1e-9)
+    assert not motion.at(stop + 0.01)[..., 3:].any()
+    assert motion.motion(stop + 0.01).tolist() == [["rest"], ["rest"]]
 
 
 @pytest.mark.parametrize("restitution", [0.3, 1.0])

@@ -1,0 +1,70 @@
+"""Neighbour cells: which bodies come near a body, found without a look at all the others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+
+class Box(NamedTuple):
+    """A rectangle along the axes, m."""
+
+    low_x: float
+    low_y: float
+    high_x: float
+    high_y: float
+
+    def meets(self, other: Box) -> bool:
+        ax, ay, bx, by = other
+        return self.low_x <= bx and self.high_x >= ax and self.low_y <= by and self.high_y >= ay
+
+
+Cells = tuple[int, int, int, int]  # numbers of the first and the last, along x and y
+
+
+class NeighbourCells:
+    """Boxes of bodies, each listed in all square cells of a grid that it covers. side: of a cell, m."""
+
+    def __init__(self, side: float) -> None:
+        self.side = side
+        self.boxes: dict[int, Box] = {}
+        self.covered: dict[int, Cells] = {}
+        self.bodies: dict[tuple[int, int], set[int]] = {}  # in each cell
+
+    def cover(self, box: Box) -> Cells:
+        """Return the cells that a box covers."""
+        side = self.side
+        low_x, low_y, high_x, high_y = box
+        return math.floor(low_x / side), math.floor(low_y / side), math.floor(high_x / side), math.floor(high_y / side)
+
+    def find_near(self, box: Box) -> list[int]:
+        """Return the bodies whose boxes meet a box."""
+        near, boxes = set[int](), self.boxes
+        for cell in _list_cells(self.cover(box)):
+            near.update(self.bodies.get(cell, ()))
+        low_x, low_y, high_x, high_y = box
+        return [
+            k
+            for k in near
+            if (own := boxes[k])[0] <= high_x and own[2] >= low_x and own[1] <= high_y and own[3] >= low_y
+        ]
+
+    def put(self, k: int, box: Box) -> None:
+        """Put a body into the cells that its new box covers."""
+        cells, before = self.cover(box), self.covered.get(k)
+        self.boxes[k] = box
+        if cells == before:
+            return
+        for cell in _list_cells(before) if before else ():
+            self.bodies[cell].remove(k)
+            if not self.bodies[cell]:
+                del self.bodies[cell]
+        for cell in _list_cells(cells):
+            self.bodies.setdefault(cell, set()).add(k)
+        self.covered[k] = cells
+
+
+def _list_cells(cells: Cells) -> Iterator[tuple[int, int]]:
+    x0, y0, x1, y1 = cells
+    return ((x, y) for x in range(x0, x1 + 1) for y in range(y0, y1 + 1))
