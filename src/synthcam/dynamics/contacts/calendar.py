@@ -214,7 +214,7 @@ class Calendar:
         from scipy.spatial import cKDTree  # here alone: slow to load
 
         states = np.array([leg.now(t)[:5] for leg in legs])
-        nearest, _ = cKDTree(states[:, :2]).query(states[:, :2], 2)
+        nearest = np.asarray(cKDTree(states[:, :2]).query(states[:, :2], 2)[0])
         side = 2 * max(float(np.median(nearest[:, 1])), 2 * float(np.median(self.radius)))
         self.look = np.minimum(side / np.maximum(np.hypot(states[:, 3], states[:, 4]), 1e-9), MAX_LOOK_S).tolist()
         cells = NeighbourCells(side)
