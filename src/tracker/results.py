@@ -128,7 +128,7 @@ def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
 def estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Estimates as the columns of estimates.parquet, one row a collision; None of JSON stands for NaN."""
     table = pd.DataFrame([finite(row) for row in rows])
-    text_columns = ("cov", "status", "striker", "noise", "flags", "motion_local", "local", "recommended", "why")
+    text_columns = "cov status striker noise flags motion_local local local_shared recommended why".split()
     for name in table.columns:
         if table[name].dtype == object and name not in text_columns:
             table[name] = table[name].astype(float)

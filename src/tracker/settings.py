@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import Field
 
-from synthcam_shared.settings import Fraction, Positive, Settings, build_settings, read_settings
+from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings, build_settings, read_settings
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -130,6 +130,25 @@ class FitSettings(Settings):
     max_relative_error: Positive = 0.2
     """Largest standard error of a quantity, relative to it, that is reported. Beyond it errors of first order no
     longer describe the estimate. Quantities that may be zero have limits of their own."""
+
+    local_window_s: Positive = 0.5
+    """Longest stretch on either side of a contact from which the local estimate is made, s."""
+
+    local_friction: Positive = 0.2
+    """Prior of the friction coefficient of the plate in the local estimate, known within a factor of 2. Cloth, glass
+    and steel have 0.1 to 0.35."""
+
+    local_rolling_loss_m_s2: Positive = 0.05
+    """Prior of the deceleration of a rolling ball in the local estimate, m/s^2, with a standard error of the same size.
+    Cloth has 0.03 to 0.12."""
+
+    local_velocity_error: NotNegative = 0.0125
+    """Error of each component of a local velocity beyond its residuals, over v0, in a recording alone whose tracks
+    claim no errors. Sets of billiard balls and of pucks show 0.007 to 0.014."""
+
+    min_local_velocity_error: NotNegative = 0.003
+    """The same where the residuals are as large as the claimed errors. The best of three sets of real tracks shows
+    0.003. Zero is right for simulated tracks."""
 
     contact_distance_tolerance: Positive = 0.03
     """Deviation from one diameter, in diameters, at which balls that touch are not yet flagged."""

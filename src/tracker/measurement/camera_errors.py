@@ -8,7 +8,7 @@ does not average out.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -303,27 +303,40 @@ def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floa
 
     They are per standard error, and 0 in rows that do not have that error. Rows share an error where the file's value
     is the same to the last digit. The fit that a column `fit` names, else the first of `fits` that is in a row's `cov`,
-    gives its effects.
+    gives its effects. Local estimates also share the bias and the mass ratio of their set.
     """
     found: dict[tuple[str, float], dict[int, Floats]] = {}
-    preferred = rows.get("fit", [""] * len(rows))
-    for i, (text, fit) in enumerate(zip(rows.get("cov", ()), preferred, strict=False)):
-        if not isinstance(text, str) or '"shared"' not in text:
-            continue
-        table = json.loads(text)
-        known = {name: index for index, name in enumerate(table["names"])}
-        for key, block in table["shared"].items():
-            by_name = next((block[one] for one in (fit, *fits) if one in block), None)
-            if by_name is None or fit == "local":  # local estimates contain these errors, but not by key
-                continue
-            effect = np.array([by_name[known[name]] if name in known else 0.0 for name in names], dtype=np.float64)
-            found.setdefault((key, block["of"]), {})[i] = np.nan_to_num(effect)
+    columns = (rows.get(name, [""] * len(rows)) for name in ("cov", "local_shared", "fit"))
+    for i, (cov, local, fit) in enumerate(zip(*columns, strict=True)):
+        for key, of, by_name in _list_local(local) if fit == "local" else _list_shared(cov, (fit, *fits)):
+            effect = np.array([by_name.get(name, 0.0) for name in names], dtype=np.float64)
+            found.setdefault((key, of), {})[i] = np.nan_to_num(effect)
     several = [effects for effects in found.values() if len(effects) > 1]
     out = np.zeros((len(rows), len(names), len(several)))
     for k, effects in enumerate(several):
         for i, effect in effects.items():
             out[i, :, k] = effect
     return out
+
+
+SharedError = tuple[str, float, dict[str, float | None]]  # key, its value, and the effect on each quantity
+
+
+def _list_shared(cov: Any, fits: Sequence[str]) -> Iterator[SharedError]:
+    """Iterate over the errors of the camera file in `cov`, for the first of these fits that it has."""
+    if not isinstance(cov, str) or '"shared"' not in cov:
+        return
+    table = json.loads(cov)
+    for key, block in table["shared"].items():
+        effects = next((block[one] for one in fits if one in block), None)
+        if effects is not None:
+            yield key, block["of"], dict(zip(table["names"], effects, strict=True))
+
+
+def _list_local(text: Any) -> Iterator[SharedError]:
+    """Iterate over the errors in `local_shared`."""
+    for key, block in json.loads(text).items() if isinstance(text, str) and text else ():
+        yield key, block["of"], block["effect"]
 
 
 def covariance_of_shared(effects: Floats) -> Floats:

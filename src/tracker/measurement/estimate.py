@@ -253,7 +253,7 @@ def _measure_collision(
     masses = _masses_of(contact, camera, letters)
     straight = "" if isinstance(read, str) else "|".join(read.flags)
     local = _estimate_locally(seen, masses, camera)
-    row |= local_columns(local, camera.mass_ratio is not None, _why_foreign(masses, camera, straight))
+    row |= local_columns(local, camera.mass_ratio is not None, _why_foreign(masses, camera, straight), settings)
     if isinstance(read, str):
         return row | {"status": read}, unknown
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)

@@ -19,14 +19,14 @@ from scipy.optimize import minimize
 
 from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, VELOCITIES, LocalEstimate
 from tracker.measurement.local.recommendation import recommend
+from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
 MIN_OBLIQUENESS = 5.0  # errors of the impact parameter, from which on s is reported
 MIN_HITS = 8  # of a set, from which on its errors are fitted
 MIN_STRIKES = 3  # of each body, from which on the ratio of their masses is fitted
-# For one recording, over the speed of the hit, if its tracks claim no errors or its residuals are far larger. Sets of
-# billiard balls and of pucks on air show .009 and .014 along the line of centres, and .008 and .007 across it.
-PRIOR_ERROR = 0.0125
+LEAST_PRIOR = 1e-4  # error of a velocity over that of the hit, where a setting says that there is none
+PRIOR_WIDTH = 1.0  # of the logarithm of the errors of a set, about those of its recordings alone
 # Largest standard errors with which quantities are reported; others have max_relative_error of their value.
 _LARGEST_ERRORS = {"b": 0.05, "s": 0.3, "r": 0.2, "C": 0.1, "final_angle": 0.1, "impact_energy": 0.1}
 _LARGEST_ERRORS |= {"energy_fraction": 0.1, "momentum_fraction": 0.1, "mass_ratio": np.inf}
@@ -39,8 +39,8 @@ class LocalErrors:
     """Errors of velocities beyond their residuals."""
 
     bias_n: float = 0.0  # of the balance along n, over the normal speed of approach
-    error_n: float = 0.0  # of each component along n, over the relative speed
-    error_t: float = 0.0  # of each component along t, over the relative speed
+    error_n: float = 0.0  # of each component along n, over v0
+    error_t: float = 0.0  # of each component along t, over v0
     log_ratio: float = 0.0  # logarithm of the mass of the first particle over that of the second, beyond what is given
     log_ratio_std: float = 0.0
     hits: int = 0  # from which these are fitted; 0: a prior
@@ -51,34 +51,42 @@ def empty_columns() -> dict[str, Any]:
     row: dict[str, Any] = {}
     for column in COLUMNS:
         row[column] = row[f"{column}_std"] = np.nan
-    row |= {"chi2_local": np.nan, "dof_local": np.nan, "motion_local": "", "local": "{}"}
+    row |= {"chi2_local": np.nan, "dof_local": np.nan, "misfit_local": False, "motion_local": "", "local": "{}"}
     row |= {"local_bias": np.nan, "local_error_n": np.nan, "local_error_t": np.nan, "local_hits": 0}
-    return row | {"recommended": "none", "why": ""}
+    return row | {"local_shared": "{}", "recommended": "none", "why": ""}
 
 
-def local_columns(estimate: LocalEstimate | str, masses_known: bool = False, foreign: str = "") -> dict[str, Any]:
+def local_columns(
+    estimate: LocalEstimate | str, masses_known: bool = False, foreign: str = "", settings: FitSettings | None = None
+) -> dict[str, Any]:
     """Write an estimate as columns; its errors beyond the residuals are the prior of one recording.
 
     A text is the reason why there is none. foreign: why the tied fit is not one of these bodies, "" if it is.
     """
     if isinstance(estimate, str):
         return empty_columns() | {"local": json.dumps({"reason": estimate, "foreign": foreign}, separators=(",", ":"))}
-    v0 = float(estimate.value[LOCAL_NAMES.index("v0")])
-    excess = max(estimate.misfit - 1 - 3 * np.sqrt(2 / max(estimate.dof, 1.0)), 0.0)
-    prior = PRIOR_ERROR * (min(1.0, float(np.sqrt(excess))) if estimate.errors_known else 1.0)
+    settings = settings or FitSettings()
+    excess = max(estimate.chi2 / estimate.dof - 1 - 3 * np.sqrt(2 / max(estimate.dof, 1.0)), 0.0)
+    prior = settings.local_velocity_error
+    if estimate.errors_known:
+        prior = max(prior * min(1.0, float(np.sqrt(excess))), settings.min_local_velocity_error)
     raw = {
         "value": _rounded(estimate.value),
         "std": _rounded(estimate.std),
         "r_std": _rounded(estimate.std[[LOCAL_NAMES.index("r")]])[0],
         "response": [_rounded(line) for line in estimate.response],
-        "v0": v0,
+        "shared": dict(_name_effects(key, of, effect) for key, (of, effect) in estimate.shared.items()),
+        "v0": float(estimate.value[LOCAL_NAMES.index("v0")]),
         "vn": estimate.normal_speed,
+        "prior": prior,
+        "max_relative_error": settings.max_relative_error,
         "unseen": sorted(estimate.unseen),
         "masses_known": masses_known,
         "foreign": foreign,
     }
     row = empty_columns() | {"local": json.dumps(raw, separators=(",", ":"))}
     row |= {"chi2_local": estimate.chi2, "dof_local": estimate.dof}
+    row["misfit_local"] = bool(estimate.adequate < settings.rejection_level)
     row["motion_local"] = "glide" if estimate.glides else "slide and roll"
     return row | apply_errors(row, LocalErrors(error_n=prior, error_t=prior))
 
@@ -87,7 +95,11 @@ def _rounded(values: Floats) -> list[float | None]:
     return [float(f"{v:.9g}") if np.isfinite(v) else None for v in values]
 
 
-def apply_errors(row: Mapping[str, Any], errors: LocalErrors, max_relative_error: float = 0.2) -> dict[str, Any]:
+def _name_effects(key: str, of: float, effect: Floats) -> tuple[str, dict[str, Any]]:
+    return key, {"of": of, "effect": {n: v for n, v in zip(LOCAL_NAMES, _rounded(effect), strict=True) if v}}
+
+
+def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     """Compute the columns of a row with these errors beyond the residuals.
 
     A bias of the balance may be an error of a velocity along n, a loss of momentum, or unknown masses. So it counts as
@@ -99,14 +111,10 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, max_relative_error
     value, std = (np.array(raw[key], dtype=np.float64) for key in ("value", "std"))
     response, by_mass = np.split(np.nan_to_num(np.array(raw["response"], dtype=np.float64)), [8], axis=1)
     size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
-    weights = response[LOCAL_NAMES.index("balance_n")] * np.tile([1.0, 0.0], 4)
-    total, moves = float(weights @ weights), weights != 0
-    share = (errors.bias_n * raw["vn"]) ** 2 / total if total > 0 else 0.0
-    biased = share * (response[:, moves] ** 2).sum(axis=1)
-    wide = np.sqrt(std**2 + ((response * size) ** 2).sum(axis=1) + biased)
-    role = 1.0 if row.get("particle1", 0) < row.get("particle2", 1) else -1.0
+    common = _list_common_errors(row, errors, response, by_mass[:, 0])
+    wide = np.sqrt(std**2 + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, _, effect in common))
+    role = _role(row)
     value = value + by_mass[:, 0] * role * errors.log_ratio
-    wide, out = np.hypot(wide, by_mass[:, 0] * errors.log_ratio_std), dict[str, Any]()
     if errors.log_ratio_std > 0:
         at = LOCAL_NAMES.index("mass_ratio")
         value[at] = np.exp(role * errors.log_ratio)
@@ -114,20 +122,45 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, max_relative_error
     b, s = (LOCAL_NAMES.index(name) for name in "bs")
     if not abs(value[b]) > MIN_OBLIQUENESS * wide[b]:  # s is a ratio by b
         value[s] = np.nan
+    out = dict[str, Any]()
     for k, (name, column) in enumerate(zip(LOCAL_NAMES, COLUMNS, strict=True)):
-        limit = _LARGEST_ERRORS.get(name, max_relative_error * abs(value[k]))
+        limit = _LARGEST_ERRORS.get(name, raw["max_relative_error"] * abs(value[k]))
         folded = name == "final_angle" and value[k] < 3 * wide[k]
         known = name not in raw["unseen"] and np.isfinite(value[k]) and wide[k] <= limit and not folded
         out[column], out[f"{column}_std"] = (float(value[k]), float(wide[k])) if known else (np.nan, np.nan)
     out |= {"local_bias": errors.bias_n, "local_error_n": errors.error_n, "local_error_t": errors.error_t}
-    return out | {"local_hits": errors.hits}
+    shared = raw["shared"] | dict(_name_effects(*one) for one in common)
+    return out | {"local_hits": errors.hits, "local_shared": json.dumps(shared, separators=(",", ":"))}
+
+
+def _list_common_errors(
+    row: Mapping[str, Any], errors: LocalErrors, response: Floats, by_mass: Floats
+) -> list[tuple[str, float, Floats]]:
+    """List the errors that all hits of a set have in common: key, value, and effect (n,) of one standard error.
+
+    They are the bias, which may be that of each velocity along n, and the ratio of the masses.
+    """
+    weights = response[LOCAL_NAMES.index("balance_n")] * np.tile([1.0, 0.0], 4)
+    total, out = float(weights @ weights), []
+    if errors.bias_n and total > 0:
+        unit = errors.bias_n * json.loads(row["local"])["vn"] / np.sqrt(total)
+        out = [(f"bias_{VELOCITIES[at][:3]}", errors.bias_n, response[:, at] * unit) for at in np.flatnonzero(weights)]
+    if errors.log_ratio_std > 0:
+        out.append(("mass_ratio", errors.log_ratio, by_mass * _role(row) * errors.log_ratio_std))
+    return out
+
+
+def _role(row: Mapping[str, Any]) -> float:
+    """1 if the first of two particles, by their numbers, is the struck ball, else -1."""
+    return 1.0 if row.get("particle1", 0) < row.get("particle2", 1) else -1.0
 
 
 def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     """Fit the errors beyond the residuals to the balance of momentum of all hits of a set; None of too few hits.
 
-    The fit maximises the likelihood of the balances, each with the variance of its residuals and of these errors. A
-    share of the hits may be anything, such as two contacts at once: their balance is off by a third of the speed.
+    The fit maximises the likelihood of the balances, each with the variance of its residuals and of these errors, and
+    a wide prior about the errors of one recording, which counts where the residuals hide them. A share of the hits may
+    be anything, such as two contacts at once: their balance is off by a third of the speed.
 
     If the masses are unknown, their ratio is fitted too where each of two bodies strikes the other a few times: recoil
     from either side distinguishes it from a bias. It counts if it makes the balances likelier by 3 standard errors.
@@ -144,12 +177,14 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     sizes = (response[:, axis, axis:8:2] for axis in (0, 1))
     spread = np.stack([np.sqrt((part**2).sum(-1)) for part in sizes], -1) * v0[:, None]
     recoil = _recoil_by_mass(usable, found, response[:, 0, 8])
+    usual = float(np.log(max(np.median([raw["prior"] for raw in found]), LEAST_PRIOR)))
 
     def price(p: Floats, axis: int, levers: Floats) -> float:
         var = std[:, axis] ** 2 + (np.exp(p[0]) * spread[:, axis]) ** 2
         square = (off[:, axis] - levers @ p[1:]) ** 2
-        usual, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * v0) ** 2))
-        return -float(np.logaddexp(np.log(1 - odd_share) + usual, np.log(odd_share) + unusual).sum())
+        well, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * v0) ** 2))
+        likelihood = np.logaddexp(np.log(1 - odd_share) + well, np.log(odd_share) + unusual).sum()
+        return float(0.5 * ((p[0] - usual) / PRIOR_WIDTH) ** 2 - likelihood)
 
     def fit(axis: int, levers: Floats) -> Floats:
         starts = [np.append(np.log(error), np.zeros(levers.shape[1])) for error in (0.003, 0.03)]
@@ -165,11 +200,14 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     along, across = fit(0, levers), fit(1, np.zeros((len(v0), 0)))
     if recoil and price(along, 0, levers) > price(without := fit(0, levers[:, :1]), 0, levers[:, :1]) - least_gain:
         along, levers, recoil = without, levers[:, :1], []
-    errors = LocalErrors(error_n=float(np.exp(along[0])), error_t=float(np.exp(across[0])), hits=len(usable))
-    weight = 1 / (std[:, 0] ** 2 + (errors.error_n * spread[:, 0]) ** 2)
+    weight = 1 / (std[:, 0] ** 2 + (np.exp(along[0]) * spread[:, 0]) ** 2)
     doubt = np.sqrt(np.diag(np.linalg.inv((levers * weight[:, None]).T @ levers)))
-    if abs(along[1]) > 2 * doubt[0]:
-        errors = replace(errors, bias_n=float(along[1]))
+    if abs(along[1]) > doubt[0]:
+        bias = float(along[1])
+    else:  # the errors have to hold without it
+        levers, bias = levers[:, 1:], 0.0
+        along = np.insert(fit(0, levers), 1, 0.0)
+    errors = LocalErrors(bias, float(np.exp(along[0])), float(np.exp(across[0])), hits=len(usable))
     if recoil:
         half = float(np.clip(-along[2] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
         errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))

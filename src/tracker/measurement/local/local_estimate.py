@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.camera_errors import camera_errors
+from tracker.measurement.collision.adequacy import p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
 from tracker.measurement.collision.contacts import Contact, guess_launch
 from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, mean_of_balls
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
 
 Floats = NDArray[np.float64]
-WINDOW_S = 0.5  # longest stretch on either side of a contact
 MIN_POSITIONS = 3  # of each stretch
 SLIDE_END_SIGMA = 10.0  # errors of a position by which a slide that does not end would pass the last one
 MASS_STEP = 1e-4  # of the logarithm of the mass ratio, for derivatives
@@ -45,19 +45,22 @@ class LocalEstimate:
 
     response: derivative of each value by the velocities of SIDES along n and t, and by the logarithm of the mass of
     ball 1 over that of ball 2, (n, 9).
-    misfit: chi^2 per degree of freedom by the claimed errors, or by the scatter from frame to frame.
+    chi2, dof, adequate: of the positions by the errors before the residuals widen them, and the p-value. Without
+    claimed errors these are those of the scatter from frame to frame.
+    shared: by key of the camera file that has an error, its value, and the effect (n,) of one standard error.
     """
 
     value: Floats
     cov: Floats
     response: Floats
     normal_speed: float  # of approach, m/s
-    misfit: float
     chi2: float
     dof: float
+    adequate: float
     glides: bool
     unseen: frozenset[str]
     errors_known: bool  # whether the tracks claim errors of positions that their scatter does not contradict
+    shared: dict[str, tuple[float, Floats]] = field(default_factory=dict)
 
     @property
     def std(self) -> Floats:
@@ -73,6 +76,8 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
     rests = not contact.pair.target_moves
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
     lasts = contact.end > contact.start
+    settings = contact.pair.settings
+    known = LocalPriors(contact.pair.diameter, friction=settings.local_friction, loss=settings.local_rolling_loss_m_s2)
     instant = _guess_instant(contact, camera)
     for turn in range(3):
         whole = _cut_stretches(contact, camera, instant)
@@ -82,16 +87,14 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
             s if rests and (s.ball, s.after) == (1, False) else choose_window(s, instant, _simple_motions(s, glides))
             for s in whole
         ]
-        priors = _allow_for_duration(LocalPriors(contact.pair.diameter), stretches, contact, camera)
+        priors = _allow_for_duration(known, stretches, contact, camera)
         solution = fit_motions(stretches, instant, rests, glides, priors)
         late, instant = float(solution.x[0]) - instant, float(solution.x[0])
         again = _cut_stretches(contact, camera, instant)
         same = all(len(a) == len(b) for a, b in zip(whole, again, strict=True))
         if turn == 2 or lasts or same or abs(late) > 3 / camera.fps:
             break
-    misfit = solution.chi2 / solution.dof
-    known = bool(np.isinf(contact.pair.striker.noise_dof))
-    return _read_values(weigh_by_residuals(solution, known), camera, masses, misfit, known)
+    return _read_values(solution, contact, camera, masses)
 
 
 def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[MotionKind, ...]:
@@ -131,12 +134,16 @@ def _cut_stretches(contact: Contact, camera: Camera, instant: float) -> list[Str
     tracks, frame_s = dict(contact.pair.balls), 1 / camera.fps
     half = (contact.end - contact.start + 1) / 2 * frame_s if contact.end > contact.start else 0.0
     span = instant - half, instant + half
-    return [cut_stretch(tracks[ball], ball, after, WINDOW_S, span, frame_s) for ball, after in SIDES]
+    window_s = contact.pair.settings.local_window_s
+    return [cut_stretch(tracks[ball], ball, after, window_s, span, frame_s) for ball, after in SIDES]
 
 
 def _read_values(
-    solution: LocalSolution, camera: Camera, masses: tuple[float, float], misfit: float, known: bool
+    claimed: LocalSolution, contact: Contact, camera: Camera, masses: tuple[float, float]
 ) -> LocalEstimate:
+    """The estimate by a solution with the claimed errors, widened to the size of the residuals."""
+    noise_dof = contact.pair.striker.noise_dof
+    solution = weigh_by_residuals(claimed, bool(np.isinf(noise_dof)))
     problem, x = solution.problem, solution.x
     own = {(s.ball, s.after): k for k, s in enumerate(problem.stretches)}
     std = np.sqrt(np.maximum(np.diag(solution.cov), 0.0))
@@ -154,7 +161,6 @@ def _read_values(
         for axis, unit in enumerate(axes):
             if problem.motions[own[side]].moves:
                 shifts[at + 2 : at + 4, 2 * i + axis] = unit
-    camera_shifts = _camera_shifts(solution, camera)
     heavier = _quantities(solution, x[None], (masses[0] * np.exp(MASS_STEP), masses[1]))[0]
     by_mass = (heavier - value) / MASS_STEP
     unknown = ~(np.isfinite(value) & np.isfinite(slope).all(axis=1))
@@ -163,21 +169,23 @@ def _read_values(
     by_mass = merge @ np.where(unknown, 0.0, by_mass)
     slope, value = merge @ slope, merge @ np.where(unknown, 0.0, value)
     value[merge[:, unknown].any(axis=1)] = np.nan
-    shared = slope @ camera_shifts
+    shared = {key: (value, slope @ shift) for key, value, shift in _camera_shifts(solution, camera)}
+    by_camera = np.array([effect for _, effect in shared.values()]).reshape(-1, len(slope))
     v = [_velocity(solution, x[None], side)[0] for side in SIDES]
     response = slope @ shifts
     hidden = response * np.repeat([_hidden_change(solution, own[side]) for side in SIDES], 2)
     return LocalEstimate(
         value=value,
-        cov=slope @ solution.cov @ slope.T + shared @ shared.T + hidden @ hidden.T,
+        cov=slope @ solution.cov @ slope.T + by_camera.T @ by_camera + hidden @ hidden.T,
         response=np.column_stack([response, by_mass]),
         normal_speed=float((v[1] - v[0]) @ normal),
-        misfit=misfit,
-        chi2=solution.chi2,
-        dof=solution.dof,
+        chi2=claimed.chi2,
+        dof=claimed.dof,
+        adequate=p_value(claimed.chi2, claimed.dof, noise_dof),
         glides=problem.glide,
         unseen=frozenset(_list_unseen(solution)),
-        errors_known=known,
+        errors_known=bool(np.isinf(noise_dof)),
+        shared=shared,
     )
 
 
@@ -194,22 +202,22 @@ def _hidden_change(solution: LocalSolution, k: int, least: int = 4, share: float
     return share * float(tau * np.hypot(*pull)) if seen.sum() < least else 0.0
 
 
-def _camera_shifts(solution: LocalSolution, camera: Camera) -> Floats:
-    """Change of the parameters by one standard error of the scale and of the frame rate, (n, k)."""
-    errors = camera_errors(camera)
-    scale = float(np.linalg.norm([e.share for e in errors if e.key not in ("fps", "ball_diameter")]))
-    rate = float(np.linalg.norm([e.share for e in errors if e.key == "fps"]))
-    out = np.zeros((len(solution.x), 2))
+def _camera_shifts(solution: LocalSolution, camera: Camera) -> Iterator[tuple[str, float, Floats]]:
+    """Iterate over the errors of the camera file: key, value, and change (n,) of the parameters by one error."""
+    x = solution.x
+    scale, rate = np.zeros(len(x)), np.zeros(len(x))
     for k, motion in enumerate(solution.problem.motions):
         at = solution.problem.start[k]
         if motion.moves:
-            out[at + 2 : at + 4] = np.outer(solution.x[at + 2 : at + 4], [scale, rate])
+            scale[at + 2 : at + 4] = rate[at + 2 : at + 4] = x[at + 2 : at + 4]
         if motion.pushed and solution.problem.glide:
-            out[at + 4 : at + 6] = np.outer(solution.x[at + 4 : at + 6], [scale, 2 * rate])
+            scale[at + 4 : at + 6], rate[at + 4 : at + 6] = x[at + 4 : at + 6], 2 * x[at + 4 : at + 6]
         if motion.ends:
-            out[at + 6] = 0.0, -rate
-    out[0, 1], out[5] = -solution.x[0] * rate, (scale, 2 * rate)
-    return out
+            rate[at + 6] = -1.0
+    scale[5], rate[5], rate[0] = 1.0, 2.0, -x[0]
+    for error in camera_errors(camera):
+        if error.key != "ball_diameter":
+            yield error.key, error.value, error.share * (rate if error.key == "fps" else scale)
 
 
 def _list_unseen(solution: LocalSolution) -> list[str]:
@@ -222,7 +230,9 @@ def _list_unseen(solution: LocalSolution) -> list[str]:
             at, ball = problem.start[k] + 6, stretch.ball
             rest = float(stretch.time[-1] - solution.x[0] - np.exp(solution.x[at]))
             size = float(np.exp(solution.x[5] + solution.x[at - 2])) * GRAVITY
-            off = size * max(rest, 0.0) ** 2 / 2 * float(np.median(solution.roots[k]))  # of a slide that goes on
+            off = (
+                size * max(rest, 0.0) ** 2 / 2 / float(np.median(stretch.std) * solution.sizes[k])
+            )  # of a slide that goes on
             if off < SLIDE_END_SIGMA or not solution.cov[at, at] < 0.04:
                 out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *_AFTER_SLIDES]
         elif stretch.ball == 2 and motion.pushed:

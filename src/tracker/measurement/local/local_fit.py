@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -20,6 +21,7 @@ from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, evaluate_path
 
 Floats = NDArray[np.float64]
+MAX_RESIDUAL = 2.0  # rms residual of a window, in errors
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,7 @@ class LocalPriors:
     turn: float = 0.5  # rad, of friction from the direction in which a ball that did not slide is slowed or sped up
     slide_s: float = 0.1  # duration of a slide
     slide_factor: float = 3.0  # error of its logarithm
-    loss: float = 0.05  # of rolling, m/s^2
-    loss_std: float = 0.05
+    loss: float = 0.05  # of rolling, m/s^2; its error is as large
     loss_scatter: float = 0.03  # from stretch to stretch, m/s^2: balls of steel lose more the faster they roll
     push: float = 1.0  # acceleration of bodies that glide, m/s^2
 
@@ -90,16 +91,20 @@ class LocalProblem:
         """Find the position of a stretch's body in the vector of parameters."""
         return slice(1, 3) if self.stretches[k].ball == 1 else slice(3, 5)
 
-    def residuals(self, x: Floats, roots: Sequence[Floats]) -> tuple[Floats, Floats]:
+    @cached_property
+    def counted(self) -> NDArray[np.bool_]:
+        """Tell which coordinates (2n,) show the size of the errors: not those beside the contact."""
+        return np.concatenate([np.repeat(~s.near, 2) for s in self.stretches])
+
+    def residuals(self, x: Floats, sizes: Sequence[float]) -> tuple[Floats, Floats]:
         """Whitened residuals and derivatives, positions first and then what is known.
 
-        roots: for each stretch the inverse root (n, n) of the covariance of one coordinate, or its diagonal (n,).
+        sizes: of the errors of each stretch, over the claimed ones.
         """
-        rows, slopes = [], []
-        for k, (stretch, motion, root) in enumerate(zip(self.stretches, self.motions, roots, strict=True)):
+        whole, slopes, end = list[Floats](), np.zeros((len(self.counted) + len(self._known[0]), self.size)), 0
+        for k, (stretch, motion, size) in enumerate(zip(self.stretches, self.motions, sizes, strict=True)):
             own = self.values(x, k)
             path, slope = evaluate_path(motion, own, stretch.time - x[0], stretch.after)
-            wide = np.zeros((self.size, *path.shape))
             if self.slides_first(k):
                 tau, by_v = min(float(np.exp(own[6])), self.spans[k]), slope[2:4].copy()
                 slope[4:6] -= tau * by_v
@@ -108,51 +113,58 @@ class LocalProblem:
             if self.rubs(k):
                 along = own[4] * slope[4] + own[5] * slope[5]
                 slope[5] = own[4] * slope[5] - own[5] * slope[4]
-                slope[4] = wide[5] = along
-            wide[self.start[k] : self.start[k + 1]] = slope[:-1]
-            wide[self.place(k)] = slope[:2]
-            wide[0] = slope[-1]
-            both = np.concatenate([(path - stretch.position)[None], wide])
-            white = both * root[:, None] if root.ndim == 1 else root @ both
-            flat = white.reshape(len(both), -1)
-            rows.append(flat[0])
-            slopes.append(flat[1:].T)
-        known, by = self._knowledge(x)
-        return np.concatenate([*rows, known]), np.concatenate([*slopes, by])
+                slope[4] = along
+            white = stretch.whiten(np.concatenate([(path - stretch.position)[None], slope])) / size
+            rows, end = slice(end, end + white.shape[1]), end + white.shape[1]
+            whole.append(white[0])
+            slopes[rows, self.start[k] : self.start[k + 1]] = white[1:-1].T
+            slopes[rows, self.place(k)] = white[1:3].T
+            slopes[rows, 0] = white[-1]
+            if self.rubs(k):
+                slopes[rows, 5] = white[5]
+        known, by = self._known
+        slopes[end:] = by
+        whole.append(by @ x - known)
+        self._add_distance(x, whole[-1], slopes[end:])
+        for row, k in enumerate((k for k in range(len(self.stretches)) if self.slides_first(k)), 1):
+            self._add_friction_direction(x, k, whole[-1], slopes[end:], row)
+        return np.concatenate(whole), slopes
 
-    def _knowledge(self, x: Floats) -> tuple[Floats, Floats]:
-        """Residuals of what is known, in its errors, and derivatives."""
-        p, rows = self.priors, list[tuple[float, dict[int, float]]]()
-        gap = x[1:3] - x[3:5]
-        apart = max(float(np.hypot(*gap)), 1e-12)
-        unit, error = gap / apart, p.distance_share * p.diameter
-        rows.append(
-            ((apart - p.diameter) / error, dict(zip((1, 2, 3, 4), [*(unit / error), *(-unit / error)], strict=True)))
-        )
-        rows.append(((x[5] - np.log(p.friction)) / p.friction_factor, {5: 1 / p.friction_factor}))
-        rows.append(((x[6] - p.loss) / p.loss_std, {6: 1 / p.loss_std}))
+    @cached_property
+    def _known(self) -> tuple[Floats, Floats]:
+        """What is known, as equations with errors of one: values, and matrix of the parameters.
+
+        The first rows, of the distance and of the directions of friction, are not linear; they are zero here.
+        """
+        p, curved = self.priors, 1 + sum(self.slides_first(k) for k in range(len(self.stretches)))
+        rows: list[tuple[float, float, dict[int, float]]] = [(0.0, 1.0, {})] * curved  # value, error, factors
+        rows += [(np.log(p.friction), p.friction_factor, {5: 1.0}), (p.loss, p.loss, {6: 1.0})]
         for k, motion in enumerate(self.motions):
-            at, shift = self.start[k], p.shift_share * p.diameter
-            rows += [(x[at + axis] / shift, {at + axis: 1 / shift}) for axis in (0, 1)]
+            at, last = self.start[k], self.start[k + 1] - 1
+            rows += [(0.0, p.shift_share * p.diameter, {at + axis: 1.0}) for axis in (0, 1)]
             if motion.pushed and self.glide:
-                rows += [(x[at + 4 + axis] / p.push, {at + 4 + axis: 1 / p.push}) for axis in (0, 1)]
+                rows += [(0.0, p.push, {at + 4 + axis: 1.0}) for axis in (0, 1)]
             elif motion.pushed:
-                rows.append((x[at + 4] / p.friction_scatter, {at + 4: 1 / p.friction_scatter}))
+                rows.append((0.0, p.friction_scatter, {at + 4: 1.0}))
             if motion.ends:
-                rows.append(((x[at + 6] - np.log(p.slide_s)) / p.slide_factor, {at + 6: 1 / p.slide_factor}))
-            if self.slides_first(k):
-                rows.append(self._friction_direction(x, k))
+                rows.append((np.log(p.slide_s), p.slide_factor, {at + 6: 1.0}))
             if motion.rolls:
-                last = at + motion.size - 1
-                rows.append(((x[last] - x[6]) / p.loss_scatter, {last: 1 / p.loss_scatter, 6: -1 / p.loss_scatter}))
-        slope = np.zeros((len(rows), self.size))
-        for i, (_, entries) in enumerate(rows):
-            for j, value in entries.items():
-                slope[i, j] = value
-        return np.array([value for value, _ in rows]), slope
+                rows.append((0.0, p.loss_scatter, {last: 1.0, 6: -1.0}))
+        matrix = np.zeros((len(rows), self.size))
+        for i, (_, error, factors) in enumerate(rows):
+            for j, factor in factors.items():
+                matrix[i, j] = factor / error
+        return np.array([value / error for value, error, _ in rows]), matrix
 
-    def _friction_direction(self, x: Floats, k: int) -> tuple[float, dict[int, float]]:
-        """Residual and derivatives of the direction of friction.
+    def _add_distance(self, x: Floats, known: Floats, by: Floats) -> None:
+        """Add the residual and the derivatives of the distance at which the bodies touch."""
+        gap, error = x[1:3] - x[3:5], self.priors.distance_share * self.priors.diameter
+        apart = max(float(np.hypot(*gap)), 1e-12)
+        known[0] = (apart - self.priors.diameter) / error
+        by[0, 1:3], by[0, 3:5] = gap / apart / error, -gap / apart / error
+
+    def _add_friction_direction(self, x: Floats, k: int, known: Floats, by: Floats, row: int) -> None:
+        """Add the residual and the derivatives of the direction of friction.
 
         A ball that rolled or rested is brought back towards its velocity before the hit, but for what the rub of the
         bodies adds to its spin. That of a ball that slid is all but unknown.
@@ -165,40 +177,56 @@ class LocalProblem:
         size = max(float(np.hypot(*way)), 1e-9)
         share = (float(np.hypot(*old)) + float(np.hypot(*x[at + 2 : at + 4]))) / size
         error = float(np.hypot(0.1 * share, np.pi / np.sqrt(3) if self.motions[before].pushed else self.priors.turn))
-        off = float((x[at + 5] - np.arctan2(way[1], way[0]) + np.pi) % (2 * np.pi) - np.pi)
+        known[row] = ((x[at + 5] - np.arctan2(way[1], way[0]) + np.pi) % (2 * np.pi) - np.pi) / error
         turn = np.array([-way[1], way[0]]) / size**2 / error
-        by = {at + 5: 1 / error, at + 2: turn[0], at + 3: turn[1]}
-        return off / error, by | ({from_ + 2: -turn[0], from_ + 3: -turn[1]} if moved else {})
+        by[row, at + 5], by[row, at + 2 : at + 4] = 1 / error, turn
+        if moved:
+            by[row, from_ + 2 : from_ + 4] = -turn
 
 
 @dataclass(frozen=True)
 class LocalSolution:
-    """The minimum of a problem."""
+    """The minimum of a problem.
+
+    chi2 and dof are those of the positions that are not beside the contact. Their errors are smaller or larger than
+    assumed, so that they say nothing about the size of the others.
+    """
 
     problem: LocalProblem
     x: Floats
     cov: Floats
-    roots: tuple[Floats, ...]
-    chi2: float  # of the positions, near ones with their smaller weight
+    sizes: tuple[float, ...]  # of the errors of each stretch, over the claimed ones
+    residual: Floats  # (2n,) of all positions
+    freedom: Floats  # (2n,) degrees of freedom of each residual
     cost: float  # chi^2 with what is known
-    dof: float
+    cost_of_known: float
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals."""
+        return float((self.residual[self.problem.counted] ** 2).sum())
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom."""
+        return max(float(self.freedom[self.problem.counted].sum()), 0.5)
 
     @property
     def is_good(self) -> bool:
         """True if chi^2 is what the claimed errors make it, and nothing known is far off."""
         usual = abs(self.chi2 - self.dof) < 3 * float(np.sqrt(2 * self.dof))
-        return usual and self.cost - self.chi2 < 15
+        return usual and self.cost_of_known < 15
 
     @property
     def cost_with_price(self) -> float:
         """Cost with a price for each parameter that the positions determine, by which problems are compared."""
-        n = 2 * sum(map(len, self.problem.stretches))
-        return self.cost + (n - self.dof) * float(np.log(max(n, 2)))
+        n = len(self.residual)
+        return self.cost + (n - float(self.freedom.sum())) * float(np.log(max(n, 2)))
 
 
-def solve(problem: LocalProblem, x: Floats, roots: Sequence[Floats], steps: int = 40) -> LocalSolution:
+def solve(problem: LocalProblem, x: Floats, sizes: Sequence[float], steps: int = 40) -> LocalSolution:
     """Descend to the minimum by damped Gauss-Newton steps (Levenberg and Marquardt)."""
-    damping, (r, j) = 1e-3, problem.residuals(x, roots)
+    damping, (r, j) = 1e-3, problem.residuals(x, sizes)
     cost = float(r @ r)
     for _ in range(steps):
         square, pull = j.T @ j, j.T @ r
@@ -206,7 +234,7 @@ def solve(problem: LocalProblem, x: Floats, roots: Sequence[Floats], steps: int 
         while True:
             step = -np.linalg.solve(square + damping * np.diag(scale + 1e-12), pull)
             tried = _within_reach(problem, x, np.asarray(step, dtype=np.float64))
-            new_r, new_j = problem.residuals(tried, roots)
+            new_r, new_j = problem.residuals(tried, sizes)
             new = float(new_r @ new_r)
             if new <= cost or damping > 1e8:
                 break
@@ -220,23 +248,18 @@ def solve(problem: LocalProblem, x: Floats, roots: Sequence[Floats], steps: int 
     n = 2 * sum(map(len, problem.stretches))
     size = np.sqrt(np.maximum((j**2).sum(axis=0), 1e-300))
     cov = np.linalg.pinv((j / size).T @ (j / size), rcond=1e-13, hermitian=True) / np.outer(size, size)
-    used = float(np.einsum("ij,jk,ik->", j[:n], cov, j[:n], optimize=True))
-    chi2 = float(r[:n] @ r[:n])
-    return LocalSolution(problem, x, cov, tuple(roots), chi2, cost, max(n - used, 0.5))
+    freedom = 1 - ((j[:n] @ cov) * j[:n]).sum(axis=1)
+    return LocalSolution(problem, x, cov, tuple(sizes), r[:n], freedom, cost, float(r[n:] @ r[n:]))
 
 
 def _within_reach(problem: LocalProblem, x: Floats, step: Floats) -> Floats:
     """A step whose logarithms change by at most one."""
     out = x + step
-    logs = [5, *(problem.start[k] + 6 for k, motion in enumerate(problem.motions) if motion.ends)]
+    taus = [problem.start[k] + 6 for k, motion in enumerate(problem.motions) if motion.ends]
+    logs = [5, *taus, *(problem.start[k] + 4 for k in range(len(problem.motions)) if problem.rubs(k))]
     out[logs] = np.clip(out[logs], x[logs] - 1, x[logs] + 1)
-    out[logs[1:]] = np.clip(out[logs[1:]], np.log(1e-4), np.log(1e2))
+    out[taus] = np.clip(out[taus], np.log(1e-4), np.log(1e2))
     return out
-
-
-def diagonal_roots(stretches: Sequence[Stretch], near_factor: float = 4.0) -> list[Floats]:
-    """Inverse errors (n,) of each stretch; positions near the contact count as `near_factor` times less exact."""
-    return [1 / (s.std * np.where(s.near, near_factor, 1.0)) for s in stretches]
 
 
 # --- starts ---
@@ -244,18 +267,29 @@ def diagonal_roots(stretches: Sequence[Stretch], near_factor: float = 4.0) -> li
 
 @dataclass(frozen=True)
 class StretchFit:
-    """A fit of one stretch alone: its parameters, with the place at the contact, and how far they can be trusted."""
+    """A fit of one stretch alone: its parameters, with the place at the contact."""
 
     values: Floats
     cost: float  # chi^2 by the claimed errors
-    spread: float  # factor on the variances by which errors are as large and as lasting as the residuals
-    speed_std: float  # m/s, error of a component of the velocity at the contact, with that factor
+    chi2: float  # that of the positions that are not beside the contact
+    dof: float  # degrees of freedom of chi2
 
 
-def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) -> StretchFit:
-    """Fit one stretch alone, by linear fits over a few times tau."""
+def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, zooms: int = 3) -> StretchFit:
+    """Fit one stretch alone, by linear fits over a few durations of the slide, and again about the best of them."""
+    span = float(np.abs(stretch.time - contact).max())
+    taus = np.geomspace(span / 40, 1.5 * span, 12)
+    found = _fit_at(stretch, contact, motion, taus)
+    for _ in range(zooms if motion.ends else 0):
+        best = int(np.argmin(np.abs(taus - np.exp(found.values[6]))))
+        taus = np.geomspace(taus[max(best - 1, 0)], taus[min(best + 1, len(taus) - 1)], 7)
+        found = _fit_at(stretch, contact, motion, taus)
+    return found
+
+
+def _fit_at(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) -> StretchFit:
     since = stretch.time - contact
-    weight = diagonal_roots([stretch])[0]
+    weight = 1 / stretch.std
     ahead = np.abs(since)
     far = np.maximum(ahead - taus[:, None], 0.0) ** 2 / 2 if motion.ends else np.zeros((1, len(since)))
     curve = far if motion.ends and not stretch.after else ahead**2 / 2 - far
@@ -273,7 +307,7 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, tau
     square = np.swapaxes(basis, 1, 2) @ basis
     for k, width in enumerate(widths):
         if width > 0:
-            square[:, k, k] += 1 / width**2 + 1e-9 * square[:, 0, 0]
+            square[:, k, k] += 1 / width**2 + 1e-9 * square[:, k, k]
     seen = stretch.position * weight[:, None]
     fits = np.linalg.solve(square, np.swapaxes(basis, 1, 2) @ seen)
     left = seen - basis @ fits
@@ -285,10 +319,9 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, tau
         out[6] = np.log(taus[best])
     if motion.rolls:
         out[-1] = 0.05
-    dof = max(2 * len(stretch) - motion.size, 1)
-    spread = float(cost[best]) / dof * correlation_factor(left[best])
-    cov = np.linalg.inv(square[best])
-    return StretchFit(out, float(cost[best]), spread, float(np.sqrt(spread * cov[1, 1])) if motion.moves else 0.0)
+    counted = ~stretch.near
+    chi2 = float((left[best][counted] ** 2).sum())
+    return StretchFit(out, float(cost[best]), chi2, max(2 * int(counted.sum()) - motion.size, 1))
 
 
 def correlation_factor(left: Floats) -> float:
@@ -301,28 +334,22 @@ def correlation_factor(left: Floats) -> float:
 
 
 def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind], least: int = 5) -> Stretch:
-    """Shorten a stretch to the window from which the velocity at the contact has the smallest error.
+    """Shorten a stretch to the longest window in which the residuals are at most MAX_RESIDUAL errors.
 
-    A cushion, another contact or any force that the motions lack raises the residuals of a window that holds it.
+    Any force that the motions lack raises the residuals of a window that shows it. The rule does not look at the error
+    of the velocity, because the smallest of several uncertain errors is too small.
     """
-    ahead = np.abs(stretch.time - contact)
-    best, chosen, last = np.inf, stretch, 0
-    for share in (0.1, 0.16, 0.25, 0.4, 0.63, 1.0):
+    ahead, chosen = np.abs(stretch.time - contact), stretch
+    for share in (1.0, 0.63, 0.4, 0.25, 0.16, 0.1):
         keep = ahead <= share * float(ahead.max(initial=0.0)) * 1.0001
-        count = int(keep.sum())
-        if count <= max(last, least - 1) and count < len(stretch):
-            continue
-        last, part = count, stretch.where(keep)
-        taus = np.geomspace(float(ahead[keep].max()) / 40, 1.5 * float(ahead[keep].max()), 12)
-        n = max(2 * count, 3)
-        tries = [(fit_single_stretch(part, contact, m, taus), m) for m in motions if 2 * count > m.size]
-        if not tries:
-            continue
-        noise = max(min(f.cost / max(n - m.size, 1) for f, m in tries), 1e-12)
-        found = min(tries, key=lambda f: f[0].cost / noise + f[1].size * np.log(n))[0]
-        small = 1 + 4 / max(n - 6, 1)  # few residuals hardly show their size
-        if found.speed_std * small < best:
-            best, chosen = found.speed_std * small, part
+        if int(keep.sum()) < min(least, len(stretch)):
+            break
+        chosen = stretch.where(keep)
+        for motion in motions:
+            if 2 * len(chosen) > motion.size:
+                found = fit_single_stretch(chosen, contact, motion)
+                if found.chi2 <= MAX_RESIDUAL**2 * found.dof:
+                    return chosen
     return chosen
 
 
@@ -370,7 +397,6 @@ def fit_motions(
 
     If none does, the one of the smallest cost with its price is the best.
     """
-    roots = diagonal_roots(stretches)
     found: list[LocalSolution] = []
     for glide in glides:
         for motions in list_motions(stretches, rests, glide):
@@ -379,8 +405,7 @@ def fit_motions(
             x[0], x[5], x[6] = contact, np.log(priors.friction), priors.loss
             places: dict[int, list[Floats]] = {1: [], 2: []}
             for k, (s, motion) in enumerate(zip(stretches, motions, strict=True)):
-                span = float(np.abs(s.time - contact).max())
-                own = fit_single_stretch(s, contact, motion, np.geomspace(span / 40, 1.5 * span, 12)).values
+                own = fit_single_stretch(s, contact, motion).values
                 if problem.slides_first(k):
                     own[2:4] += own[4:6] * min(float(np.exp(own[6])), problem.spans[k])
                 if problem.rubs(k):
@@ -391,7 +416,7 @@ def fit_motions(
                 x[2 * ball - 1 : 2 * ball + 1] = np.mean(own_places, axis=0)
             for k in range(len(stretches)):
                 x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
-            found.append(solve(problem, x, roots))
+            found.append(solve(problem, x, [1.0] * len(stretches)))
             if found[-1].is_good:  # the simplest come first
                 return found[-1]
     noise = max(1.0, min(s.chi2 / s.dof for s in found))
@@ -406,22 +431,25 @@ def weigh_by_residuals(solution: LocalSolution, known: bool, shared: float = 8.0
     """
     if known and solution.is_good:
         return solution
-    problem, n = solution.problem, sum(map(len, solution.problem.stretches))
-    r = problem.residuals(solution.x, solution.roots)[0]
-    left = np.split(r[: 2 * n].reshape(-1, 2), np.cumsum([len(s) for s in problem.stretches])[:-1])
-    moving = [k for k, motion in enumerate(problem.motions) if motion.moves]
-    share = solution.dof / (2 * n)
-    squares = {k: float((left[k] ** 2).sum()) for k in moving}
-    freedom = {k: max(share * 2 * len(left[k]), 0.5) for k in moving}
-    mean = sum(squares.values()) / sum(freedom.values())
-    lasting = sum(freedom[k] * correlation_factor(left[k]) for k in moving) / sum(freedom.values())
-    roots = []
-    for k, root in enumerate(solution.roots):
-        size, factor = mean, lasting
+    problem = solution.problem
+    ends = 2 * np.cumsum([len(s) for s in problem.stretches])[:-1]
+    parts = zip(*(np.split(v, ends) for v in (solution.residual, solution.freedom, problem.counted)), strict=True)
+    squares, freedom, lasting = {}, {}, {}
+    for k, (left, free, counted) in enumerate(parts):
+        if problem.motions[k].moves:
+            squares[k] = float((left[counted] ** 2).sum())
+            freedom[k] = max(float(free[counted].sum()), 0.5)
+            lasting[k] = correlation_factor(left[counted].reshape(-1, 2))
+    total = sum(freedom.values())
+    mean = sum(squares.values()) / total
+    usual = sum(freedom[k] * factor for k, factor in lasting.items()) / total
+    sizes = []
+    for k, size in enumerate(solution.sizes):
+        square, factor = mean, usual
         if k in squares:
             own = freedom[k] / (freedom[k] + shared)
-            size = (squares[k] + shared * mean) / (freedom[k] + shared)
-            factor = own * correlation_factor(left[k]) + (1 - own) * lasting
-        size *= factor
-        roots.append(root / np.sqrt(max(size, 1.0) if known else max(size, 1e-12)))
-    return solve(problem, solution.x, roots)
+            square = (squares[k] + shared * mean) / (freedom[k] + shared)
+            factor = own * lasting[k] + (1 - own) * usual
+        square *= factor
+        sizes.append(size * float(np.sqrt(max(square, 1.0 if known else 1e-12))))
+    return solve(problem, solution.x, sizes)

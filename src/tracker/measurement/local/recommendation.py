@@ -15,7 +15,7 @@ COMPARED = ("v0", "b", "r", "s")  # quantities in which estimates are compared
 MAX_DIFFERENCE = 3.0  # in standard errors
 MAX_MASS_RATIO = 50.0
 MAX_IMBALANCE = 5.0  # of momentum, in standard errors that a set shows
-MIN_SET_ERROR = 0.002  # of a velocity over that of the hit: smaller errors of a set are those of simulated tracks
+MIN_SET_ERROR = 0.004  # of a velocity over that of the hit: smaller errors of a set are those of simulated tracks
 
 
 def recommend(row: Mapping[str, Any]) -> dict[str, str]:
@@ -42,7 +42,11 @@ def recommend(row: Mapping[str, Any]) -> dict[str, str]:
         reason = foreign
     elif row["status"] not in ("ok", MISFIT):
         reason = f"there is no tied fit ({row['status']})"
-    free = _is_known(row, "r_free") and _is_known(row, "r_free_std") and not row.get("local_hits", 0)
+    rolls = row.get("motion_local") != "glide"  # as the free fit assumes
+    free = rolls and _is_known(row, "r_free") and _is_known(row, "r_free_std") and not row.get("local_hits", 0)
+    if row.get("misfit_local", False) and local:
+        times = math.sqrt(row["chi2_local"] / row["dof_local"])
+        reason += f"; free motion misses the positions by {times:.1f} of their errors, and the errors count that"
     if free and local and not _find_difference(row, "_free")[0]:
         return _because(FREE, f"{reason}; the free fit agrees with the local estimate")
     if local:

@@ -13,16 +13,19 @@ Without tau the acceleration lasts for the whole stretch. Pucks on air move so, 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.measurement.noise.whitening import PositionWhitener
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import CUTTER, measure_noise
 
 Floats = NDArray[np.float64]
 MAX_POSITIONS = 45  # of a stretch; more are averaged in groups
+NEAR_ERRORS = 4.0  # factor on the errors of positions beside the contact
 KEPT_POSITIONS = 25  # of these, next to the contact, which are not averaged
 
 
@@ -34,16 +37,29 @@ class Stretch:
     after: bool
     time: Floats  # (n,) s
     position: Floats  # (n, 2) m
-    std: Floats  # (n,) m, of either coordinate
-    near: NDArray[np.bool_]  # (n,) whether so near the contact that trackers and bodies are less regular
+    cov: Floats  # (n, 2, 2) m^2; positions beside the contact have NEAR_ERRORS times their errors
+    fixed: Floats  # (n, 2, 2) the part of it that lasts, as of a `BallTrack`
+    near: NDArray[np.bool_]  # (n,) whether beside the contact, where trackers and bodies are less regular
+    width: float = 0.0  # as of a `BallTrack`, and so is `drift`
+    drift: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
         return len(self.time)
 
+    @cached_property
+    def std(self) -> Floats:
+        """Root mean square error (n,) of both coordinates, m."""
+        return np.asarray(np.sqrt(np.trace(self.cov, axis1=1, axis2=2) / 2))
+
+    @cached_property
+    def whiten(self) -> PositionWhitener:
+        """By the full covariance of the positions."""
+        return PositionWhitener(self.position, self.cov, self.fixed, self.width, drift=self.drift)
+
     def where(self, rows: NDArray[np.bool_]) -> Stretch:
         """The same stretch, only those rows."""
-        arrays: dict[str, Any] = {name: v[rows] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
-        return replace(self, **arrays)
+        names = ("time", "position", "cov", "fixed", "near")
+        return self if rows.all() else replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 class MotionKind(NamedTuple):
@@ -79,23 +95,51 @@ def cut_stretch(
     rows = np.flatnonzero(mine & (track.time >= first - window_s) & (track.time <= last + window_s))
     near = CUTTER.is_beside(track.time, first, last, frame_s)
     rows = _end_at_contact(track, rows, near[rows], after, frame_s)
-    t, x, near = track.time[rows], track.position[rows], near[rows]
-    std = np.sqrt(np.trace(track.cov[rows], axis1=1, axis2=2) / 2)
-    whole = Stretch(ball=ball, after=after, time=t, position=x, std=std, near=near)
-    order = np.arange(len(t)) if after else np.arange(len(t))[::-1]
-    size = -(-(len(t) - KEPT_POSITIONS) // (MAX_POSITIONS - KEPT_POSITIONS))
-    if size <= 1:
+    near = near[rows]
+    size = np.where(near, NEAR_ERRORS, 1.0)[:, None, None] ** 2
+    whole = Stretch(
+        ball=ball,
+        after=after,
+        time=track.time[rows],
+        position=track.position[rows],
+        cov=size * track.cov[rows],
+        fixed=size * track.fixed[rows],
+        near=near,
+        width=track.width,
+        drift=track.drift,
+    )
+    order = np.arange(len(rows)) if after else np.arange(len(rows))[::-1]
+    step = -(-(len(rows) - KEPT_POSITIONS) // (MAX_POSITIONS - KEPT_POSITIONS))
+    if step <= 1:
         return whole
-    group = np.where(order < KEPT_POSITIONS, order, KEPT_POSITIONS + (order - KEPT_POSITIONS) // size)
-    group = group if after else group.max() - group
+    group = np.where(order < KEPT_POSITIONS, order, KEPT_POSITIONS + (order - KEPT_POSITIONS) // step)
+    return _average(whole, group if after else group.max() - group)
+
+
+def _average(whole: Stretch, group: NDArray[np.int64]) -> Stretch:
+    """Average the positions of each group (n,) of neighbours; `fixed` errors average only while a body moves on."""
     count = np.bincount(group)
 
     def mean(values: Floats) -> Floats:
-        return np.bincount(group, values) / count
+        sums = [np.bincount(group, column) for column in values.reshape(len(group), -1).T]
+        return np.asarray((np.stack(sums, axis=-1) / count[:, None]).reshape(len(count), *values.shape[1:]))
 
-    joined = np.column_stack([mean(x[:, 0]), mean(x[:, 1])])
-    std = np.sqrt(mean(std**2) / count)
-    return replace(whole, time=mean(t), position=joined, std=std, near=mean(near.astype(np.float64)) > 0.5)
+    position, time = mean(whole.position), mean(whole.time)
+    lasting, shares = whole.drift[0] ** 2 * np.eye(2), 1 / count  # a drift lasts over a longer way than a group
+    if whole.fixed.any() and whole.width > 0:
+        first = np.searchsorted(group, np.arange(len(count)))
+        parts = (whole.position[k : k + n] for k, n in zip(first, count, strict=True))
+        shares = np.array([_share_that_lasts(part, whole.width) for part in parts])
+    fixed = (mean(whole.fixed) - lasting) * shares[:, None, None] + lasting
+    own = mean(whole.cov - whole.fixed) / count[:, None, None]
+    near = mean(whole.near.astype(np.float64)) > 0.5
+    return replace(whole, time=time, position=position, cov=own + fixed, fixed=fixed, near=near)
+
+
+def _share_that_lasts(position: Floats, width: float) -> float:
+    """Share of the variance of an error that a pixel pattern makes, in the mean of neighbouring positions (n, 2)."""
+    apart = ((position[:, None] - position[None]) ** 2).sum(axis=-1)
+    return float(np.exp(-apart / (4 * width**2)).mean())
 
 
 def _end_at_contact(

@@ -37,7 +37,7 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002):
             value[AT[name]] = v
         value[AT["balance_n"]], value[AT["balance_t"]] = balance
         cov = np.nan_to_num(response @ response.T) * residual**2
-        estimate = LocalEstimate(value, cov, response, v0, 1.0, 10.0, 10.0, True, frozenset(), True)
+        estimate = LocalEstimate(value, cov, response, v0, 10.0, 10.0, 0.5, True, frozenset(), True)
         rows.append({"status": "misfit"} | local_columns(estimate))
     return rows
 

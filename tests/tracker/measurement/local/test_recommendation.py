@@ -33,6 +33,12 @@ def make_row(status, tied=True, free=True, local=True, local_json="{}", **change
         (make_row("misfit", r_std=math.nan), "free", "the free fit agrees"),
         (make_row("misfit", r_std=math.nan, r_free=0.7), "local", "the tracks reject the tied fit"),
         (make_row("misfit", free=False), "local", "the tracks reject the tied fit"),
+        (make_row("misfit", r_std=math.nan, motion_local="glide"), "local", "the tracks reject the tied fit"),
+        (
+            make_row("misfit", free=False, misfit_local=True, chi2_local=40.0, dof_local=10.0),
+            "local",
+            "free motion misses the positions by 2.0 of their errors, and the errors count that",
+        ),
         (make_row("misfit", free=False, r_local=1.3), "none", "its r of 1.30 is impossible"),
         (make_row("misfit", free=False, local=False), "none", "its errors are too large"),
         (make_row("too few frames after the contact", False, False, False), "none", "too few frames"),

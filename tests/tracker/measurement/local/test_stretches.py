@@ -6,6 +6,7 @@ import pytest
 from tracker.measurement.local.stretches import (
     KEPT_POSITIONS,
     MAX_POSITIONS,
+    NEAR_ERRORS,
     REST,
     ROLL,
     SLIDE,
@@ -59,5 +60,22 @@ def test_many_positions_are_averaged_far_from_the_contact_alone(after):
     assert KEPT_POSITIONS < len(stretch) <= MAX_POSITIONS
     assert stretch.time[near] == pytest.approx(time[near])
     assert stretch.position[:, 1] == pytest.approx(2 * stretch.time)
-    assert (1 / stretch.std**2).sum() == pytest.approx(400 / 4e-6)
+    assert (1 / stretch.std**2).sum() == pytest.approx((400 - 1 + 1 / NEAR_ERRORS**2) / 4e-6)
     assert stretch.near.sum() == 1
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_an_error_that_lasts_averages_only_while_the_ball_moves(moves):
+    """Half of the variance is the same in all frames of a ball at rest; the covariance of either axis differs."""
+    time, way = np.arange(400) / 1000.0, np.outer(np.arange(400), [1.0, 0.5]) * moves
+    cov = np.tile([[4e-6, 1e-6], [1e-6, 2e-6]], (400, 1, 1))
+    track = BallTrack(1, np.arange(400), time, way, cov, 0.0, fixed=cov / 2, width=1e-3)
+    stretch = cut_stretch(track, 1, True, 2.0, (-1.0, -1.0), 1e-3)
+    count = (400 - KEPT_POSITIONS) // (MAX_POSITIONS - KEPT_POSITIONS) + 1
+    share = 1 / count if moves else (1 + 1 / count) / 2
+    assert stretch.cov[KEPT_POSITIONS] == pytest.approx(cov[0] * share, rel=1e-3)
+    error = np.random.default_rng(1).normal(0, 1e-3, (len(stretch), 2))
+    whole = np.tile(0.5 * cov[0], (len(stretch), len(stretch))) if not moves else np.zeros((2 * len(stretch),) * 2)
+    for k, own in enumerate(stretch.cov - (0 if moves else 0.5 * cov[0])):
+        whole[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own
+    assert np.sum(stretch.whiten(error) ** 2) == pytest.approx(error.ravel() @ np.linalg.solve(whole, error.ravel()))
