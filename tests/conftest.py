@@ -1,8 +1,10 @@
 """Property tests draw the same cases everywhere, HYPOTHESIS_PROFILE=random new ones.
 
-With `--dist loadfile` the tests of a file run in one process, and so do those of all files that share searches.
+With `--dist loadfile` the tests of a file run in one process, and so do those of all files that share searches. These
+begin, and files of many small tests end a run, so that both processes end together.
 """
 
+import gc
 import os
 import re
 import sys
@@ -10,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from report_pages import undrawn
 
 import synthcam.library as effects_module
 
@@ -18,6 +21,13 @@ SHARED = re.compile(r"^from discrepancy_\w+ import .*\b(searched|outsider)\b", r
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+gc.disable()  # while tests are collected nothing becomes garbage
+
+
+def pytest_collection_finish():
+    """Modules and collected tests stay: the garbage collector need not look at them again and again."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -34,6 +44,11 @@ def pytest_xdist_make_scheduler(config, log):
             path = super()._split_scope(nodeid)
             return "searches" if path in searches else path
 
+        def _assign_work_unit(self, node):
+            first = min(self.workqueue, key=lambda scope: (scope != "searches", len(self.workqueue[scope])))
+            self.workqueue.move_to_end(first, last=False)
+            super()._assign_work_unit(node)
+
     return Sharing(config, log)
 
 
@@ -42,6 +57,13 @@ def unfitted(monkeypatch):
     """For tests of what is seen in films: collisions are found and not fitted, which would take most of the time."""
     for name in ("fit_collision", "fit_lasting_collision"):
         monkeypatch.setattr(f"tracker.measurement.estimate.{name}", lambda *_: "not fitted")
+
+
+@pytest.fixture(name="undrawn")
+def leave_figures_undrawn():
+    """For tests of what else a page or a command gives."""
+    with undrawn():
+        yield
 
 
 @pytest.fixture

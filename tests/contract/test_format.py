@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from discrepancy_clips import only
+from report_pages import undrawn
 from repository import ROOT
 
 import discrepancy.cli
@@ -23,7 +24,7 @@ PROGRAMS = {"synthcam": synthcam.cli.main, "tracker": tracker.cli.main, "discrep
 
 def run(program: str, *words: str, cwd: Path) -> None:
     """A command in this process; a search knows two effects and one free law only."""
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, undrawn():
         only(patch, ("force_place",), **{name: library()[name] for name in ("plate_tilt", "rolling_quadratic")})
         patch.chdir(cwd)
         patch.setattr(sys, "argv", [program, *words])

@@ -11,6 +11,7 @@ import pytest
 from discrepancy_clips import collisions
 from discrepancy_files import command
 from discrepancy_outsiders import OUTSIDERS, outsider
+from report_pages import undrawn
 
 from discrepancy.adopt import adopt
 from discrepancy.effect_file import ParameterValue, render_formula_effect, render_table_effect
@@ -35,8 +36,9 @@ RANGE = (0.05, 0.45)
 def reports(tmp_path_factory):
     """By free law, a folder with the report of a search that found it."""
     folder = tmp_path_factory.mktemp("reports")
-    for law in OUTSIDERS:
-        search_page.write(outsider(law), folder / law)
+    with undrawn():
+        for law in OUTSIDERS:
+            search_page.write(outsider(law), folder / law)
     return folder
 
 

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 from discrepancy_clips import only
 from discrepancy_files import SCENE, TRUTH, command, record
+from report_pages import undrawn
 from repository import ROOT
 from rich.console import Console
 
@@ -23,19 +24,21 @@ from synthcam.library import library
 from synthcam.model import read_model
 
 MODEL = ROOT / SCENE
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    return record(tmp_path_factory.mktemp("cli"), MODEL)
+def recorded():
+    return record()
 
 
 @pytest.fixture(scope="module")
-def report(recorded):
-    with pytest.MonkeyPatch.context() as patch:
+def report(recorded, tmp_path_factory):
+    output = tmp_path_factory.mktemp("found") / "report"
+    with pytest.MonkeyPatch.context() as patch, undrawn():
         only(patch)
-        assert command("find", recorded / "results", "--model", MODEL, "-o", recorded / "report") == 0
-    return recorded / "report"
+        assert command("find", recorded / "results", "--model", MODEL, "-o", output) == 0
+    return output
 
 
 def document(report):

@@ -21,8 +21,8 @@ from tracker.camera.views import first_difference
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    return record(tmp_path_factory.mktemp("finding"), ROOT / SCENE)
+def recorded():
+    return record()
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +57,7 @@ def test_collisions_from_memory_are_those_of_the_folder_to_the_last_bit(recorded
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name), name)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_the_same_document(recorded, found, tmp_path, monkeypatch):
     only(monkeypatch)
     words = ["find", recorded / "results", "--model", ROOT / SCENE, "-o", tmp_path / "report"]

@@ -1,10 +1,14 @@
 """Measured collisions as files, for the tests of the search: filmed by nobody, tracked with noise of 0.01 px."""
 
 import sys
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 import pandas as pd
 import pytest
+from repository import ROOT
 
 from discrepancy import cli
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
@@ -27,9 +31,14 @@ def table(dataset):
     return pd.concat(parts, ignore_index=True)
 
 
-def record(folder, scene):
-    """dataset/, tracks.csv, camera.json and results/ of six collisions with a restitution that falls with speed."""
-    plan = GenerationPlan((read_scene(scene, (f"effects.velocity_restitution.e={TRUTH}",)),), 6, 4, False)
+@cache
+def record():
+    """dataset/, tracks.csv, camera.json and results/ of six collisions with a restitution that falls with speed.
+
+    They are made once a process, for reading.
+    """
+    folder = Path(mkdtemp())
+    plan = GenerationPlan((read_scene(ROOT / SCENE, (f"effects.velocity_restitution.e={TRUTH}",)),), 6, 4, False)
     generate_dataset(plan, folder / "dataset", 1, lambda done, of: None)
     table(folder / "dataset").to_csv(folder / "tracks.csv", index=False)
     camera = folder / "camera.json"

@@ -115,8 +115,17 @@ def _draw_frames(
         ax.set(xlim=(low[..., 0].min(), high[..., 0].max()), ylim=(low[..., 1].min(), high[..., 1].max()))
     circles = PatchCollection([Circle((0, 0), r) for r in size], facecolors=choose_colours(len(size)), edgecolors="k")
     ax.add_collection(circles, autolim=False)
+    title = ax.set_title(f"{times[0]:.3f} s", fontsize="medium")
+    canvas.draw()  # type: ignore[no-untyped-call]
+    figure.set_layout_engine("none")  # all frames have the layout of the first
+    for artist in (circles, title):
+        artist.set_animated(True)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    background = canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
     for k, t in enumerate(times):
         circles.set_paths([Circle(tuple(xy), r) for xy, r in zip(places[:, k], size, strict=True)])
-        ax.set_title(f"{t:.3f} s", fontsize="medium")
-        canvas.draw()  # type: ignore[no-untyped-call]
+        title.set_text(f"{t:.3f} s")
+        canvas.restore_region(background)  # type: ignore[no-untyped-call]
+        for artist in (circles, title):
+            ax.draw_artist(artist)
         yield np.array(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]

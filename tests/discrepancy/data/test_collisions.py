@@ -7,8 +7,7 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from discrepancy_files import NOISE, SCENE, record
-from repository import ROOT
+from discrepancy_files import NOISE, record
 
 from discrepancy.data.first_guess import build_collision
 from discrepancy.data.launch import T_C, V0, B, X, Y
@@ -19,8 +18,8 @@ from tracker.results import read_clip
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    return record(tmp_path_factory.mktemp("measured"), ROOT / SCENE)
+def recorded():
+    return record()
 
 
 @pytest.fixture(scope="module")
