@@ -1,13 +1,14 @@
 """The regression gate: has a tracking error grown by more than its own sampling scatter allows?
 
-Two suites, both made anew each time. Video: a few filmed clips, for detection, localisation and identities. Tracks:
+Three suites, all made anew each time. Video: a few filmed clips, for detection, localisation and identities. Tracks:
 many collisions whose true centres get noise of a known size, for bias and spread of every estimated quantity in units
-of its claimed error (z_mean, z_std), the median error claimed (std), and how many clips claim (n).
+of its claimed error (z_mean, z_std), the median error claimed (std), and how many clips claim (n). Error bars: the same
+where the camera file is wrong by its errors or an encoder shifts positions (rms_z; `error_bars.py`).
 `baseline.json` holds, for each figure, its accepted mean and its scatter from seed to seed. A figure fails when it is
 worse than the mean by more than LIMIT scatters; z_mean and z_std fail on either side.
 Whether error bars are true needs no accepted figure: the share of errors within one and 1.96 claimed ones (cover68,
-cover95), and the mean square of all errors of a fit together by its covariance (tied.spread, free.spread) are those of
-a normal distribution, within LIMIT of their sampling errors. The last sees a covariance off by a seventh.
+cover95), the mean square of all errors of a fit together by its covariance (tied.spread, free.spread) and rms_z are
+those of a normal distribution, within LIMIT of their sampling errors. The spread sees a covariance off by a seventh.
 
     gate.py                    check (exit status 1 when something has grown)
     gate.py --seeds 10         check ten times, with other seeds
@@ -32,6 +33,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.harness import ROOT, run, save
+from benchmarks.regression.error_bars import measure_error_bars
 
 BASELINE = Path(__file__).with_name("baseline.json")
 CHANGELOG = ROOT / "CHANGELOG.md"
@@ -176,7 +178,7 @@ def measure(seed: int, shift: float, off: float, scale: float) -> Figures:
     folder = Path(tempfile.mkdtemp(prefix="gate-"))
     try:
         other = video(folder, seed, shift, OTHER, "other_camera")
-        return video(folder, seed, shift) | other | tracks(folder, seed, off, scale)
+        return video(folder, seed, shift) | other | tracks(folder, seed, off, scale) | measure_error_bars(seed)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -201,6 +203,8 @@ def dishonest(figures: Figures) -> list[str]:
             error = math.sqrt(expected * (1 - expected) / figures[f"{quantity}.n"])
         elif kind == "spread":
             expected, error = 1.0, math.sqrt(2 / figures[f"{quantity}.errors"])
+        elif kind == "rms_z":
+            expected, error = 1.0, math.sqrt(0.5 / figures[f"{quantity}.errors"])
         else:
             continue
         if not abs(value - expected) <= LIMIT * error:
@@ -212,7 +216,7 @@ def accept(results: list[Figures], why: str) -> None:
     """Mean and scatter of every figure over the seeds, the scatter not under what so many clips must have; and why."""
     floors = {"z_mean": 1 / math.sqrt(TRACKS), "z_std": 1 / math.sqrt(2 * TRACKS), "n": 0.5}
     table = {}
-    absolute = (*COVERED, "spread", "errors")
+    absolute = (*COVERED, "spread", "rms_z", "errors")
     for name in (n for n in results[0] if n.rpartition(".")[2] not in absolute):
         values = [r[name] for r in results if name in r]
         floor = floors.get(name.rpartition(".")[2], 0.0)

@@ -1,0 +1,142 @@
+"""Error bars where the camera file is wrong by its errors, or an encoder shifts positions: figures for the gate.
+
+Each case measures collisions of known motion from true centres with noise. A figure NAME.rms_z is the root mean square
+of error / claimed standard error, which is 1 where error bars are true; NAME.errors counts the errors in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+import synthcam
+from synthcam.scene.clip import Clip
+from tracker.camera.camera import Camera
+from tracker.detection.link import Tracks
+from tracker.measurement.estimate import fit_all, measure
+from tracker.results import to_centres
+
+Floats = NDArray[np.float64]
+
+NOISE_PX = 0.015
+CLIPS = 24  # of each wrong key
+SHARE = 0.004  # standard error of a key of the camera file, relative
+# quantities in whose standard errors the key has a part
+TOUCHED = {"scale": ("v0", "r", "mu_k", "C", "tau1"), "fps": ("v0", "mu_k", "tau1")}
+TOUCHED |= {"ball_diameter": ("b", "r", "mu_k", "C", "tau1"), "lamp": ("v0", "b")}
+LAMP_HEIGHT_M, LAMP_ERROR_M = 0.12, 0.008
+CAMERAS, CLIPS_OF_EACH = 12, 6
+ENCODED_CLIPS = 48
+ENCODED = ("v0", "r", "mu_k", "tau1", "tau2", "energy_fraction")
+
+SHAKEN = {
+    "model": {
+        "restitution": {"uniform": [0.75, 0.98]},
+        "spin_transfer": {"uniform": [0.1, 0.36]},
+        "sliding_friction": {"uniform": [0.12, 0.35]},
+    },
+    "launch": {"v0": {"uniform": [0.1, 0.6]}, "b": {"uniform": [-0.3, 0.3]}, "heading": {"uniform": [0, 6.2832]}},
+    "timing": {"contact_frame": {"uniform": [20, 30]}},
+}
+
+
+def follow_centres(clip: Clip, rng: np.random.Generator, noise_px: float = NOISE_PX) -> Tracks:
+    """Tracks of the true centres of a clip, off by noise that they claim."""
+    seen = clip.tracks[clip.tracks["visible"]].sort_values(["particle", "frame"])
+    x, y = (seen[["x_mean_px", "y_mean_px"]].to_numpy() + rng.normal(0, noise_px, (len(seen), 2))).T
+    frame, particle = (seen[name].to_numpy(np.int64) for name in ("frame", "particle"))
+    cov = np.broadcast_to(noise_px**2 * np.eye(2), (len(seen), 2, 2))
+    flux = np.full(len(seen), 1250.0)  # counts of a glint
+    return Tracks(frame, particle, x, y, cov, flux, np.full(len(seen), ""), x, y)
+
+
+def doubt_key(camera: Camera, key: str, off: float) -> Camera:
+    """The camera as a person knows it: one key wrong by `off` of the standard errors that are given for it."""
+    given = {name: getattr(camera, name) for name in ("size", "exposure", "striker", "scale", "fps", "ball_diameter")}
+    given[key] *= 1 + SHARE * off
+    return Camera.from_dict(given | {f"{key}_std": SHARE * given[key]})
+
+
+def measure_by_wrong_key(clips: list[Clip], key: str, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """A row for each clip, measured by a camera file in which a key is wrong by its error."""
+    for clip in clips:
+        camera = doubt_key(Camera.of(clip.camera_json), key, rng.normal())
+        yield measure(follow_centres(clip, rng), camera)[0]
+
+
+def measure_by_wrong_lamp(clips: list[Clip], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """A row for each clip whose glints are of one lamp, taken to centres by another that was measured."""
+    for clip in clips:
+        position = (0.01, -0.01, LAMP_HEIGHT_M)
+        lamp = {"position": position, "position_std": [LAMP_ERROR_M] * 3}
+        told = Camera.from_dict({**clip.camera_json, "lamp": lamp})
+        real = {"position": (position + rng.normal(0, LAMP_ERROR_M, 3)).tolist()}
+        true = Camera.from_dict({**clip.camera_json, "lamp": real})
+        tracks = follow_centres(clip, rng)
+        x, y = true.glint_of_centre(true.unproject(np.column_stack([tracks.x, tracks.y]))[0]).T
+        seen = Tracks(**vars(tracks) | {"x": x, "y": y})
+        yield measure(to_centres(seen, told), told)[0]
+
+
+def measure_encoded(clips: list[Clip], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """A row for each clip whose positions an encoder shifts: by a fifth of their noise for some 30 frames on end."""
+    noise_px, kept = 0.1, np.exp(-1 / 30)
+    for clip in clips:
+        tracks = follow_centres(clip, rng, noise_px)
+        shift = rng.normal(0, noise_px * np.sqrt(0.05), (len(tracks.frame), 2))
+        for k in np.flatnonzero(np.diff(tracks.particle) == 0) + 1:
+            shift[k] = kept * shift[k - 1] + np.sqrt(1 - kept**2) * shift[k]
+        moved = Tracks(**vars(tracks) | {"x": tracks.x + shift[:, 0], "y": tracks.y + shift[:, 1]})
+        sensor = {**clip.camera_json["sensor"], "codec_noise": 3.0}
+        yield measure(moved, Camera.from_dict({**clip.camera_json, "sensor": sensor}))[0]
+
+
+def fit_clips_of_each_camera(clips: list[Clip], rng: np.random.Generator) -> Floats:
+    """z of mu_k and of its mean in the joint fits of some cameras, whose clips share one wrong frame rate."""
+    z = []
+    for number in range(CAMERAS):
+        off, rows = rng.normal(), []
+        for clip in clips[number * CLIPS_OF_EACH : (number + 1) * CLIPS_OF_EACH]:
+            rows += measure(follow_centres(clip, rng), doubt_key(Camera.of(clip.camera_json), "fps", off))
+        fit, true = fit_all(pd.DataFrame(rows)), clips[0].truth["mu_k"]
+        mean = fit["scatter"]["mu_k"]
+        z.append([(fit["chi2"]["mu_k"] - true) / fit["chi2"]["mu_k_std"], (mean["mean"] - true) / mean["std"]])
+    return np.array(z)
+
+
+def summarise(name: str, z: Floats) -> dict[str, float]:
+    """The figures of one quantity from its errors over the claimed ones; those that are not claimed do not count."""
+    known = z[np.isfinite(z)]
+    return {f"{name}.rms_z": float(np.sqrt(np.mean(known**2))), f"{name}.errors": float(len(known))}
+
+
+def compare_with_truth(case: str, names: tuple[str, ...], rows: Iterator[dict[str, Any]], clips: list[Clip]) -> Any:
+    """The figures of some quantities of one case."""
+    pairs = list(zip(rows, (clip.truth for clip in clips), strict=True))
+    figures: dict[str, float] = {}
+    for name in names:
+        z = [(row[name] - truth[name]) / row[f"{name}_std"] for row, truth in pairs]
+        figures |= summarise(f"{case}.{name}", np.array(z, dtype=float))
+    return figures
+
+
+def measure_error_bars(seed: int) -> dict[str, float]:
+    """All figures, some 25 seconds of work."""
+    rng, scene = np.random.default_rng(seed), synthcam.Scene.build("shaken", **SHAKEN)
+    clips = [scene.draw(number, seed) for number in range(ENCODED_CLIPS)]
+    figures: dict[str, float] = {}
+    for key in ("scale", "fps", "ball_diameter"):
+        rows = measure_by_wrong_key(clips[:CLIPS], key, rng)
+        figures |= compare_with_truth(f"wrong_{key}", TOUCHED[key], rows, clips[:CLIPS])
+    rows = measure_by_wrong_lamp(clips[:CLIPS], rng)
+    figures |= compare_with_truth("wrong_lamp", TOUCHED["lamp"], rows, clips[:CLIPS])
+    figures |= compare_with_truth("encoded", ENCODED, measure_encoded(clips, rng), clips)
+    same = synthcam.Scene.build("same", **{name: part for name, part in SHAKEN.items() if name != "model"})
+    shared = fit_clips_of_each_camera([same.draw(number, seed) for number in range(CAMERAS * CLIPS_OF_EACH)], rng)
+    for name, z in zip(("mu_k", "mu_k_mean"), shared.T, strict=True):
+        figures |= summarise(f"one_camera.{name}", z)
+    return figures
