@@ -104,14 +104,17 @@ def fit_clips_of_each_camera(clips: list[Clip], rng: np.random.Generator) -> Flo
             rows += measure(follow_centres(clip, rng), doubt_key(Camera.of(clip.camera_json), "fps", off))
         fit, true = fit_all(pd.DataFrame(rows)), clips[0].truth["mu_k"]
         mean = fit["scatter"]["mu_k"]
-        z.append([(fit["chi2"]["mu_k"] - true) / fit["chi2"]["mu_k_std"], (mean["mean"] - true) / mean["std"]])
+        found = [fit["chi2"]["mu_k"], mean["mean"]], [fit["chi2"]["mu_k_std"], mean["std"]]
+        value, std = np.array(found, dtype=float)  # None, of clips that claim nothing, is NaN
+        z.append((value - true) / std)
     return np.array(z)
 
 
 def summarise(name: str, z: Floats) -> dict[str, float]:
     """The figures of one quantity from its errors over the claimed ones; those that are not claimed do not count."""
     known = z[np.isfinite(z)]
-    return {f"{name}.rms_z": float(np.sqrt(np.mean(known**2))), f"{name}.errors": float(len(known))}
+    rms = float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+    return {f"{name}.rms_z": rms, f"{name}.errors": float(max(len(known), 1))}
 
 
 def compare_with_truth(case: str, names: tuple[str, ...], rows: Iterator[dict[str, Any]], clips: list[Clip]) -> Any:

@@ -1,15 +1,19 @@
 """Tracks for the measuring tests: synthcam's own motion, with noise of known size, in the form of results."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import check_scene
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
+from tracker.measurement import estimate
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure, motion_table
 
@@ -59,12 +63,21 @@ def without(tracks: Tracks, drop: np.ndarray) -> Tracks:
     return Tracks(**{name: value[~drop] for name, value in vars(tracks).items()})
 
 
+@contextmanager
+def without_local() -> Iterator[None]:
+    """Within it, nothing is estimated locally, for tests of many tied and free fits."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(estimate, "estimate_locally", lambda *_: "not estimated")
+        yield
+
+
 def measured(folder: Path, clips: int, noise: float = NOISE, seed: int = 0) -> pd.DataFrame:
-    """One row a clip: estimates, and the truth as NAME_true."""
+    """One row a clip: the tied and the free fit, and the truth as NAME_true."""
     rng, rows, truths = np.random.default_rng(seed), [], scalars_of(folder)
     for clip in range(clips):
         truth, camera = truth_of(folder, clip)
-        (row,) = measure(noisy(truth, rng, noise), camera)
+        with without_local():
+            (row,) = measure(noisy(truth, rng, noise), camera)
         rows.append(row | {"clip": clip} | {f"{n}_true": truths[n].iloc[clip] for n in QUANTITY_NAMES})
     return pd.DataFrame(rows)
 

@@ -13,7 +13,7 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure, motion_table
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
-CLIPS = 48
+CLIPS = 32
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +96,8 @@ def test_the_papers_restitution_is_low_by_what_sliding_takes(tmp_path):
     read = {}
     for v0 in (0.1, 0.3, 0.6):
         settings = {"launch": {"v0": v0, "b": 0.0}, "timing": {"contact_frame": {"uniform": [20, 21]}}}
-        data = dataset(tmp_path / f"{v0}", settings, 8)
-        table = measured(data, 8, noise=0.002)
+        data = dataset(tmp_path / f"{v0}", settings, 4)
+        table = measured(data, 4, noise=0.002)
         read[v0] = table["r_paper"].mean()
         assert table["r"].mean() == pytest.approx(0.903, abs=1e-4)
     assert read[0.3] == pytest.approx(0.782, abs=0.015)
@@ -124,13 +124,13 @@ def test_rows_may_come_in_any_order_with_gaps_and_other_names(plain):
 def test_half_of_all_detections_missing(benchmark):
     rng = np.random.default_rng(8)
     rows = []
-    for clip in range(12):
+    for clip in range(8):
         truth, camera = truth_of(benchmark, clip)
         tracks = noisy(truth, rng)
         found = measure(without(tracks, rng.uniform(size=len(tracks)) < 0.5), camera)
         true = scalars_of(benchmark).iloc[clip]
         rows += [(r["r"] - true["r"]) / r["r_std"] for r in found if r["status"] == "ok"]
-    assert len(rows) >= 11
+    assert len(rows) >= 7
     assert np.abs(rows).max() < 4
 
 

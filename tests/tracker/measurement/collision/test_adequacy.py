@@ -139,7 +139,7 @@ def test_own_clips_are_borne_and_the_test_can_fail(own):
 
 @pytest.mark.parametrize("times", [5.0, 0.2])
 def test_errors_claimed_wrongly_are_found_from_the_tracks(own, times):
-    table, without = (claiming(own, times * NOISE, claim, clips=9) for claim in (NOISE, None))
+    table, without = (claiming(own, times * NOISE, claim, clips=6) for claim in (NOISE, None))
     assert (table["status"] == "ok").all()
     assert (table["noise"] == "scatter").all()
     assert table["noise_ratio"].mean() == pytest.approx(times, rel=0.05)
@@ -154,14 +154,14 @@ def test_errors_claimed_wrongly_are_found_from_the_tracks(own, times):
 
 
 def test_noise_that_lasts_is_counted(own, monkeypatch):
-    table = claiming(own, NOISE, NOISE, rho=0.9)
+    table = claiming(own, NOISE, NOISE, rho=0.9, clips=10)
     assert (table["status"] == "ok").all()
     assert table["noise_rho"].median() == pytest.approx(0.9, abs=0.05)
     assert kstest(table["adequate"], "uniform").pvalue > 1e-3
     assert dishonest(table) == []
     monkeypatch.setattr(collision_fit, "with_correlated_noise", lambda pair, free: None)
     monkeypatch.setattr(collision_fit, "alternative_strikers", lambda meeting, rolling: iter(()))
-    assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9))) == len(SHOWN)
+    assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9, clips=10))) == len(SHOWN)
 
 
 def test_noise_is_read_where_the_impact_has_no_part(hopping, monkeypatch):

@@ -31,7 +31,7 @@ def z(row, name, true):
 DRAW = {"ux": 0.13 * np.cos(0.7), "uy": 0.13 * np.sin(0.7), "side": 0.0, "beta": 0.4, "C": 0.1}
 
 
-SPINS = [DRAW, DRAW | {"side": 0.08}, {"ux": -0.1, "uy": 0.05, "side": 0.05, "beta": -0.5, "C": 0.2}]
+SPINS = [DRAW | {"side": 0.08}, {"ux": -0.1, "uy": 0.05, "side": 0.05, "beta": -0.5, "C": 0.2}]
 
 
 def test_a_striker_that_slides_is_fitted_as_sliding():

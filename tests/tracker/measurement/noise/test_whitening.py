@@ -96,7 +96,7 @@ def repeated(tmp_path_factory):
     data = dataset(tmp_path_factory.mktemp("one") / "data", settings, 1)
     truth, camera = truth_of(data, 0)
     rng, rows = np.random.default_rng(2), []
-    for _ in range(36):
+    for _ in range(24):
         tracks = shared_noise(truth, camera, rng)
         alone = replace(tracks, fixed=np.zeros_like(tracks.fixed))
         rows.append((measure(tracks, camera)[0], measure(alone, camera)[0]))
