@@ -95,7 +95,7 @@ def glints(pairs: int, rng: np.random.Generator) -> dict[str, float]:
         for j, order in enumerate(near.order.tolist()):
             crowd = np.linalg.norm(np.delete(at, j, axis=0) - at[j], axis=1)
             if order > 2 or crowd.min(initial=9) < 1:
-                continue  # two spots on one place have no places of their own
+                continue  # spots that overlap have no centres of their own
             positions[order].append(float(np.linalg.norm(offsets[j])))
             fluxes[order].append(float(shares[j] - 1))
     out = {}

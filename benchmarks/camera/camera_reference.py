@@ -1,4 +1,4 @@
-"""What a camera sees, by plain float64 rays and quadrature: the judge of `benchmarks.camera.camera`. Draws nothing.
+"""The picture of a camera by plain float64 rays and quadrature: the judge of `benchmarks.camera.camera`. Draws nothing.
 
 A lamp's image is the region of the picture whose rays end on the lamp. Its edge is found along 128 directions by
 bisection, and area, reflectance and moments are integrated inside it by Gauss and the trapezoidal rule.

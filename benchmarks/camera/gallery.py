@@ -36,7 +36,7 @@ STEEL = {
     "surface": {"ball": "steel", "plate": "wood", "plate_albedo": 0.4},
 }
 
-# name: settings, frame, gamma of the print (1: as it is, 2.5: the faint brought out)
+# name: settings, frame, gamma of the print (1: unchanged, 2.5: faint light brightened)
 PICTURES: dict[str, tuple[dict[str, Any], int, float]] = {
     "one_ball": (ONE | {"camera": CLOSE}, 1, 1.0),
     "one_ball_faint": (ONE | {"camera": CLOSE, "lamp": ROOM}, 1, 2.2),

@@ -1,7 +1,7 @@
 """The experiment as published, in series of films: what is filmed, and its tracks, kept as tables.
 
-Every clip is drawn, filmed and tracked in memory; what is kept are the ball centres that the tracker found and its
-estimates. A run that was stopped goes on with the clips that are missing. Nothing here reads what the truth was.
+Every clip is drawn, filmed and tracked in memory. The tables keep the ball centres that the tracker found, and its
+estimates. An interrupted run continues with the missing clips. Nothing here reads the truth.
 """
 
 from __future__ import annotations
@@ -125,14 +125,14 @@ def smaller(series: Series) -> Series:
 
 @dataclass(frozen=True)
 class Filmed:
-    """A series as it was tracked: centres of balls as arrays, and the tracker's estimates, a row a clip."""
+    """A tracked series: centres of balls as arrays, and the tracker's estimates, a row a clip."""
 
     films: Films
     estimates: pd.DataFrame
 
 
 def film(series: Series, output: Path, workers: int, progress: Progress) -> None:
-    """Film and track what is missing of a series into output/NAME.parquet and NAME.estimates.parquet."""
+    """Film and track the missing clips of a series into output/NAME.parquet and NAME.estimates.parquet."""
     done, parts = output / f"{series.name}.parquet", output / f"{series.name}.partial"
     if _settings(done) == series.settings():
         return

@@ -102,9 +102,9 @@ def paper_angle(b: Floats, r: float = PUBLISHED.r) -> Floats:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What minimises the paper's chi^2, its errors, chi^2 over the degrees of freedom, and the scatter about the lines.
+    """Minimum of the paper's chi^2: laws, errors, chi^2 over the degrees of freedom, scatter about the lines.
 
-    scatter: of r and C read from each collision's final speeds alone.
+    `scatter` is that of r and C read from each collision's final speeds alone.
     """
 
     laws: Laws

@@ -2,10 +2,10 @@
 
     python -m benchmarks.paper.make [--figure NAME] [--quick] [-o out/paper] [--workers N]
 
-Every figure and every number of the paper, on a page, index.html and paper.pdf. Tracks of each series are kept as
-tables, and so is the scan over models: a run that was stopped goes on, and a second run makes figures and page alone.
---figure remakes one figure, as NAME.svg and NAME.png. --quick films a fifth of the clips, into out/paper-quick, to see
-that all works.
+It writes every figure and every number of the paper to a page, index.html and paper.pdf. It keeps the tracks of each
+series and the scan over models as tables. An interrupted run therefore continues, and a second run makes only the
+figures and the page. With --figure it remakes one figure, as NAME.svg and NAME.png. With --quick it films a fifth of
+the clips, into out/paper-quick, to test that everything works.
 """
 
 from __future__ import annotations

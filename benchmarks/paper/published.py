@@ -1,6 +1,6 @@
-"""The numbers that the paper prints, with their errors as printed and where they stand.
+"""The numbers that the paper prints, with their printed errors and the page.
 
-Where an error is not printed but used in a chi^2, it is given here with where it comes from.
+A chi^2 needs some errors that the paper does not print. They are given here with their source.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def contact(films: Films, k: Ints, before: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Corners:
-    """Where slides end: instant (2, n) in frames after k, velocity there (2, n, 2) m/s, as a broken line shows them."""
+    """The ends of the slides: instant (2, n) in frames after k, velocity there (2, n, 2) m/s, by a broken line."""
 
     instant: Floats
     velocity: Floats
@@ -80,7 +80,7 @@ class Corners:
 def corners(films: Films, k: Ints) -> Corners:
     """The corner of each ball's velocity after the hit: a line that falls or rises, then one that is nearly level.
 
-    The eye with a ruler: broken lines, the same corner for both components, by least squares over all places of it.
+    The eye with a ruler: broken lines, the same corner for both components, by least squares over all its positions.
     """
     speed, time = _after(films, k)  # (m, length, 2), (length,)
     weight = np.isfinite(speed).all(axis=2).astype(float)
@@ -119,7 +119,7 @@ def _after(films: Films, k: Ints) -> tuple[Floats, Floats]:
 
 
 def read(films: Films) -> pd.DataFrame:
-    """What the paper reads from each collision, a row each.
+    """The quantities that the paper reads from each collision, a row each.
 
     v0, b; direction x, y of the striker; k, contact (frames); v1f, v2f, tau1, tau2 (by the corner, tau from frame k),
     energy, momentum, final_angle; and for each of WINDOWS, with " WINDOW" behind the name: r; C_target, C_striker,

@@ -1,4 +1,4 @@
-"""How badly the paper's positions must have been known: the error of a place that gives its scatter of r."""
+"""How badly the paper's positions must have been known: the error of a position that gives its scatter of r."""
 
 from __future__ import annotations
 

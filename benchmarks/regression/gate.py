@@ -1,14 +1,15 @@
 """The regression gate: has a tracking error grown by more than its own sampling scatter allows?
 
-Three suites, all made anew each time. Video: a few filmed clips, for detection, localisation and identities. Tracks:
-many collisions whose true centres get noise of a known size, for bias and spread of every estimated quantity in units
-of its claimed error (z_mean, z_std), the median error claimed (std), and how many clips claim (n). Error bars: the same
-where the camera file is wrong by its errors or an encoder shifts positions (rms_z; `error_bars.py`).
+Three suites are made again each time. The suite "video" has a few filmed clips, for detection, localisation and
+identities. The suite "tracks" has many collisions whose true centres get noise of a known size. It gives bias and
+spread of every quantity in units of its claimed error (z_mean, z_std), the median claimed error (std), and the number
+of clips with a claim (n). The suite "error bars" gives the same where the camera file is wrong by its errors or an
+encoder shifts positions (rms_z; `error_bars.py`).
 `baseline.json` holds, for each figure, its accepted mean and its scatter from seed to seed. A figure fails when it is
 worse than the mean by more than LIMIT scatters; z_mean and z_std fail on either side.
-Whether error bars are true needs no accepted figure: the share of errors within one and 1.96 claimed ones (cover68,
-cover95), the mean square of all errors of a fit together by its covariance (tied.spread, free.spread) and rms_z are
-those of a normal distribution, within LIMIT of their sampling errors. The spread sees a covariance off by a seventh.
+The test of error bars needs no accepted figure. The share of errors within one and 1.96 claimed ones (cover68,
+cover95) and rms_z must be those of a normal distribution, within LIMIT of their sampling errors. So must the mean
+square of all errors of a fit by its covariance (tied.spread, free.spread), which sees a covariance off by a seventh.
 
     gate.py                    check (exit status 1 when something has grown)
     gate.py --seeds 10         check ten times, with other seeds

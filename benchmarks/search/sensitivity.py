@@ -116,7 +116,7 @@ def run(options: argparse.Namespace, place: Path) -> None:
 
 
 def table(found: Iterable[Json]) -> str:
-    """Of each change: boxes, and how many of their answers are others than without it. Those of one version only."""
+    """For each change: boxes, and how many of their answers differ from those without it, of one version only."""
     rows = {(r["study"], r["box"], r["constant"], r["factor"]): r for r in found if r["code"] == code()}
     before = {(study, box): r for (study, box, *change), r in rows.items() if tuple(change) == AS_IT_IS}
     order, out = {name: k for k, name in enumerate(FIELDS)}, []

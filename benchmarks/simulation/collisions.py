@@ -2,11 +2,15 @@
 
 python -m benchmarks.simulation.collisions [--count 2000] [-o out/collisions.json]
 
-A collision is all of 0.4 s: approach, impact, slides, rolls, every event placed. It is counted twice: solved, and
-solved and seen, that is evaluated at 100 frames (pooltool: continuize; one at a time: all states; together: what the
-fits use, centres averaged over exposures). The goals are for what is seen, since nobody solves a collision without
-looking at it; the ratio of the solving alone is told beside. Given are, one at a time and to pooltool, the same states
-before the contact; together, launches. CPU seconds of one core, turn by turn, the best of them.
+A collision lasts 0.4 s, with approach, impact, slides, rolls and the time of every event. It is timed twice:
+
+- solved;
+- solved and evaluated at 100 frames. pooltool does this by continuize. One at a time gives all states. Together gives
+  the centres averaged over exposures that the fits use.
+
+The goals are for evaluated collisions, which every user needs; the ratio of the solving alone is printed beside them.
+pooltool and the runs one at a time start from the same states before the contact; the runs together start from
+launches. The figures are CPU seconds of one core, turn by turn, the best of them.
 
 pooltool (PyPI pooltool-billiards) is timed where it is installed, on a table too large for cushions. Its 0.6 asks for a
 panda3d that is not on PyPI; for this, pip install --no-deps with any panda3d does.

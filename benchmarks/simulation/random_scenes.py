@@ -121,7 +121,7 @@ def one(seed: int) -> dict[str, Any]:
 
 
 def run(model: Model, launch: Launch, end: float) -> dict[str, Any]:
-    """What came of it: refused, crashed, or examined; and the CPU time."""
+    """The outcome of a run, refused, crashed or examined, and its CPU time."""
     started = time.process_time()
     signal.signal(signal.SIGVTALRM, _too_long)
     signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST)

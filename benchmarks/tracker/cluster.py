@@ -154,7 +154,7 @@ def weight(folder: Path) -> int:
 
 
 def million(steps: dict[str, dict[str, Any]], clips: int) -> dict[str, Any]:
-    """What a million clips take at the rate that was measured."""
+    """The cost of a million clips at the measured rate."""
     hours = {step: round(found["processor_s"] / clips * MILLION / 3600, 1) for step, found in steps.items()}
     return {
         "core_hours": hours | {"all": round(sum(hours.values()), 1)},
@@ -177,7 +177,9 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=10_000)
     parser.add_argument("--alone", type=int, default=500)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--folder", type=Path, help="Where the clips are made, and stay; default: a temporary one.")
+    parser.add_argument(
+        "--folder", type=Path, help="Folder in which clips are made and kept; default: a temporary one."
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path("out/cluster.json"))
     arguments = parser.parse_args()
     alone = min(arguments.alone or arguments.clips, arguments.clips)

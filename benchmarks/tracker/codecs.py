@@ -128,7 +128,7 @@ def together(figures: dict[str, dict[str, Any]], fit: str, name: str) -> dict[st
 
 
 def common(cov: str, name: str, fit: str) -> float:
-    """What one standard error of the scale does to a quantity."""
+    """The change of a quantity by one standard error of the scale."""
     table = json.loads(cov)
     shared = table.get("shared", {}).get("scale")
     return float(shared[fit][table["names"].index(name)] or 0.0) if shared else 0.0
@@ -182,7 +182,7 @@ def make_table(figures: dict[str, dict[str, Any]]) -> Table:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What lossy video costs, and whether the error bars know.")
+    parser = argparse.ArgumentParser(description="Errors that lossy video causes, and their error bars.")
     parser.add_argument("--clips", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scene", default="scenes/benchmark.yaml")

@@ -114,7 +114,7 @@ def verdict(name: str, row: dict[str, float], clips: int, claims: float) -> list
 
 
 def share_of_claims(table: pd.DataFrame, name: str, kind: str) -> float:
-    """Of the clips whose bound is well under the limit of a claim, the share that claims."""
+    """The share of clips with a claim, among those whose bound is well under the limit of a claim."""
     limit = largest_error(name, table[f"{name}_true"].to_numpy(float), bool(kind))
     able = table[f"{name}{kind}_bound"] < 0.8 * limit
     if name == "s":  # a ratio by b: the hit must be oblique enough

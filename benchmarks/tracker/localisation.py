@@ -82,7 +82,7 @@ def fluxes(truth: pd.DataFrame, found: pd.DataFrame, camera: Camera) -> pd.Serie
 
 
 def bounds(matched: MatchedDetections, camera: Camera) -> np.ndarray:
-    """Cramer-Rao covariances of the true places that were found."""
+    """Cramer-Rao covariances at the true positions of the balls that were found."""
     rows = matched.truth.iloc[matched.pairs[:, 0]]
     here = rows[["x", "y", "z"]].to_numpy(float)
     there = here + rows[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure

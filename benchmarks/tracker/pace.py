@@ -2,9 +2,10 @@
 
 python -m benchmarks.tracker.pace [-o out/pace.json]        # or make bench-pace
 
-All four see the same films of two matte discs or of glints, drawn here, in the same run. The whole chain of this
-tracker is timed: choice of the detector, background, detection, linking and fits. Of the others it is the call for each
-frame alone, on every fourth or thirtieth frame. Found are positions within half a radius of the true ones.
+All four get the same films of two matte discs or of glints, drawn here, in the same run. The time of this tracker is
+that of the whole chain: choice of the detector, background, detection, linking and fits. The time of the others is
+that of the call for each frame alone, on every fourth or thirtieth frame. A ball counts as found if a position is
+within half a radius of the true one.
 """
 
 from __future__ import annotations

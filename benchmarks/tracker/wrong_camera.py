@@ -65,7 +65,7 @@ def widened(known: Known) -> None:
 
 
 def bare(known: Known) -> None:
-    """What must be told for a collision, and no more."""
+    """Keep only the keys that a collision needs."""
     for key in set(known) - {"size", "fps", "exposure", "scale", "ball_diameter", "striker"}:
         del known[key]
 
@@ -136,7 +136,7 @@ def markdown(rows: dict[str, dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What a wrong camera file does to each quantity.")
+    parser = argparse.ArgumentParser(description="The effect of a wrong camera file on each quantity.")
     parser.add_argument("--clips", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scene", default="scenes/benchmark.yaml")

@@ -335,7 +335,7 @@ def settings_of(model: Model) -> dict[str, Any]:
 
 @cache_until_effects_change
 def model_file() -> type[Settings]:
-    """What a model file may hold: a scene's ball, model, effects and free laws, and `free`."""
+    """The settings of a model file: a scene's ball, model, effects and free laws, and `free`."""
     return create_model(
         "ModelFile",
         __base__=Settings,
@@ -372,7 +372,7 @@ def refuse_search_only_laws(free_laws: Any, where: str) -> None:
 
 
 def check_free(names: Iterable[str], where: str) -> tuple[str, ...]:
-    """The names as a tuple; InputError when one is no parameter of the model or of an effect, nor LAUNCH_SPIN."""
+    """The names as a tuple. Raises InputError unless each is LAUNCH_SPIN or a parameter of the model or an effect."""
     known = {*BASE_PARAMETERS, LAUNCH_SPIN, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
     names = tuple(names)
     for k, name in enumerate(names):
@@ -411,7 +411,7 @@ def _validate(loaded: Mapping[str, Any], where: str) -> Model:
 
 
 def as_model(given: Model | Mapping[str, Any] | str | Path) -> Model:
-    """A model as it is, from its settings, or from its file. Raises InputError."""
+    """A model, unchanged, or made from its settings or its file. Raises InputError."""
     if isinstance(given, Model):
         return given
     if isinstance(given, str | Path):

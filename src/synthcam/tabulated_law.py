@@ -37,7 +37,7 @@ class TableKind:
     unit: str = "1"
     x_unit: str = "m/s"
     # 2: of a force its parts along x and y, or, over an angle, along the motion and across it, over the speed; of a
-    # rolling loss a constant part, and one in proportion to the speed, as it is at REFERENCE_SPEED_M_S.
+    # rolling loss a constant part, and one in proportion to the speed, given at REFERENCE_SPEED_M_S.
     parts: int = 1
     low: float = -math.inf  # limits of the law
     high: float = math.inf
@@ -143,7 +143,7 @@ class AddedLaw(Effect):
 
 @dataclass(frozen=True)
 class TabulatedLaw(AddedLaw):
-    """A law from a table, in place of numbers of the base model."""
+    """A law from a table, which replaces numbers of the base model."""
 
     law: str  # one of `table_names()`
     table: SmoothTable  # its values beside `base_numbers`; beside others, they are shifted by the difference

@@ -2,7 +2,7 @@
 
 from contextvars import ContextVar
 
-# Whether a command calls the library: errors then name its options, and else the arguments of the function.
+# True if a command calls the library: errors then name its options, otherwise the arguments of the function.
 CALLED_BY_COMMAND: ContextVar[bool] = ContextVar("called_by_command", default=False)
 
 

@@ -20,7 +20,7 @@ def check_not_read(output: Path, *inputs: Path | None) -> None:
     The output may be a file or a folder; links are followed.
     """
     for given in filter(None, inputs):
-        with suppress(OSError):  # what is missing or unreadable is reported by its reader
+        with suppress(OSError):  # the reader of a missing file reports it
             same = os.path.samefile(output, given)
             if same or (output.is_dir() and output.resolve() in given.resolve().parents):
                 where = "the command reads it" if same else f"the command reads {given} in it"
@@ -30,7 +30,7 @@ def check_not_read(output: Path, *inputs: Path | None) -> None:
 def check_replaceable(output: Path, mark: bytes, maker: str) -> None:
     """Raise InputError if `output` exists and does not hold the `mark` that `maker` leaves in its files.
 
-    The mark stands in the first or last 4 KiB.
+    The first or last 4 KiB hold the mark.
     """
     if not output.exists() and not output.is_symlink():
         return

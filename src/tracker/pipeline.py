@@ -186,7 +186,7 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
         for name in names
     )
     if folder.suffix == ".partial":
-        advice = "remove it, or repeat the command that was interrupted, which then goes on"
+        advice = "remove it, or repeat the interrupted command, which then continues"
         raise InputError(f"{folder}: left by an interrupted run of other options or files ({differs}); {advice}")
     raise InputError(f"{folder}: holds the results of another run ({differs}), expected a new folder for the results")
 

@@ -386,7 +386,7 @@ def _measure_given(given: ClipTracks, point: str, settings: SettingsSource | Non
 
 
 def _name_arguments(*notes: Note) -> tuple[Note, ...]:
-    """The notes with arguments in place of options."""
+    """The notes, which then name arguments, not options."""
     return tuple(replace(note, text=name_arguments(note.text)) for note in notes)
 
 

@@ -1,4 +1,4 @@
-"""The numbers that a model is held to the paper by, from readings of its collisions."""
+"""The numbers by which a model is compared with the paper, from readings of its collisions."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ Shown: TypeAlias = Callable[[Floats], list[Values]]
 
 @dataclass(frozen=True)
 class Launches:
-    """Of all collisions, (n, 6) as the batch takes them, and rows of each series."""
+    """The launches of all collisions, (n, 6) as the batch takes them, and the rows of each series."""
 
     table: Floats
     rows: dict[str, slice]
@@ -80,7 +80,7 @@ def solve_launches(values: dict[str, float], of: Launches) -> dict[str, pd.DataF
 
 @dataclass(frozen=True)
 class PaperFit:
-    """A candidate held to the paper in one way of reading: chi^2, the base numbers that suit it best, what it shows."""
+    """A candidate compared with the paper in one way of reading: chi^2, its best base numbers, and what it predicts."""
 
     candidate: Candidate
     way: tuple[str, str]

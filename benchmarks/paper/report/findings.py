@@ -105,8 +105,8 @@ def observations(results: Results) -> list[str]:
         "The impact angle of 5.5 degrees (b/2R = 0.096) and “nearly 90 degrees” exclude each other. The paper's "
         f"formula gives {formula[0]:.0f} degrees, of which {angle:.0f} remain 4 ms after the hit. b/2R = 0.25 gives "
         f"{formula[1]:.0f}.",
-        "(1 - r²)/2 = 0.09 is a share of the translational energy. Of the whole energy of the rolling ball it is "
-        "0.066.",
+        "(1 - r²)/2 = 0.09 is a share of the translational energy. It is 0.066 of the whole energy of the rolling "
+        "ball.",
         f"The energy that remains nearly head-on is {results.read('speeds')['energy'].mean():.3f}. The paper's “about "
         "37 %” is 1.5 points below the 0.386 of its own model.",
     ]

@@ -15,8 +15,8 @@ from discrepancy.policy import current_policy
 def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
     """Convert a chi^2 to the |z| of a normal variable with the same p-value; 0 where it is as large by chance.
 
-    trials_factor: the number of independent trials of which it is the best (look-elsewhere effect). Twice its logarithm
-    is subtracted from sigma squared, the leading term for rare events.
+    trials_factor: the number of independent trials, if chi^2 is the best of several (look-elsewhere effect). Twice its
+    logarithm is subtracted from sigma squared, the leading term for rare events.
     """
     if trials_factor > 1:
         return math.sqrt(max(chi2_to_sigma(chi2, dof) ** 2 - 2 * math.log(trials_factor), 0.0))

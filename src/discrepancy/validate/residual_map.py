@@ -130,7 +130,7 @@ def _phase_amplitudes(
     white, size = ClipWhitener.of(clip, noise), np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
     unit = 1 / np.where(size > 0, size, 1)
     roller = (1, "before 1")  # the launch absorbs a roller's drift
-    # The same for a free stretch. Its start absorbs an offset and a drift, so that these are no terms.
+    # The same for a free stretch. Its start absorbs an offset and a drift, so the test has no such terms.
     stretch_tests: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
         "sliding": (("slide's bend", "slide's twist"), ("roll's offset", "roll's drift", "roll's bend"), 2),
         "rolling": (("roll's offset", "roll's drift", "roll's bend", "roll's twist"), ("slide's bend",), 0),

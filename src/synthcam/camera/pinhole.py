@@ -37,7 +37,7 @@ class PinholeCamera:
     airy_px: float = 0.0  # wavelength times f-number over the pixel pitch; 0 without diffraction
     vignetting: float = 0.0  # share of the light that is lost in the corners of the picture
     line_time: float = 0.0  # delay of the exposure from one row to the next, s; 0 for a global shutter
-    # What the experimenter knows, with the keys of camera.json; of a clip's camera only. `tracker.track` takes it.
+    # The keys of camera.json, which the experimenter knows; `tracker.track` takes them. Only a clip's camera has them.
     camera_json: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod

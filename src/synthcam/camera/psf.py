@@ -24,7 +24,7 @@ class Psf:
 
     @property
     def is_gaussian(self) -> bool:
-        """True if there is neither defocus nor diffraction."""
+        """True without defocus and diffraction."""
         return not (self.defocus or self.airy)
 
     @property

@@ -1,4 +1,4 @@
-"""What both renderers share: optics, the plate in flickering light, the moments of an exposure, the rolling shutter.
+"""The common part of both renderers: optics, flickering light on the plate, moments of an exposure, rolling shutter.
 
 A rolling shutter exposes each row a line time after the row above. A row sees what a global shutter sees that opens at
 the row's time. Such pictures are made at steps of the balls' motion and interpolated between. Positions stay exact; the

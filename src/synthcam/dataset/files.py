@@ -157,8 +157,8 @@ def write_sums(folder: Path, root: Path, unlisted: str = "") -> None:
     with (folder / SUMS).open("w", encoding="utf-8") as sums:
         for path in _files(folder):
             if path.name not in (SUMS, unlisted):
-                # The truth has a video's SHA-256 as it was written. Hashing it again would take a tenth of the whole
-                # time, and miss changes since.
+                # The truth has the SHA-256 of the video that was written. Hashing it again would take a tenth of the
+                # whole time, and miss changes since.
                 scene = root / "clips" / path.parent.name / "truth" / "scene.json"
                 recorded = json.loads(scene.read_text())["row"]["frames_sha256"] if path.name == VIDEO else None
                 sums.write(f"{recorded or sha256(path)}  {path.relative_to(folder).as_posix()}\n")

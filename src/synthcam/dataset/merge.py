@@ -33,7 +33,7 @@ class _Machine(BaseModel):
 
 
 class _ShardDocument(_Machine):
-    """What shard.json holds: a dataset's document, and which clips of it are here."""
+    """Contents of shard.json: the document of a dataset, and which of its clips are in this shard."""
 
     scenes: list[dict[str, Any]]
     clips_per_scene: NonNegativeInt

@@ -135,7 +135,7 @@ def check_apart(output: Path, withheld: Path) -> None:
 def place_clip(final: Path, truth: Path | None) -> Iterator[tuple[Path, Path]]:
     """Make temporary folders for a clip and for its truth, moved into place at the end, or removed if the work fails.
 
-    truth: place of the truth if it is withheld; None: it is in the clip's folder.
+    truth: folder of the truth if it is withheld; None: it is in the clip's folder.
     """
     aside = name_temporary(final)
     truth_aside = name_temporary(truth) if truth else aside / "truth"

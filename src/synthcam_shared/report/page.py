@@ -73,7 +73,7 @@ Block = str | PageTable | PageFigure | PageList
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what follows it. A plain string is a paragraph; a `Markup` string is inserted as it is."""
+    """A heading and what follows it. A plain string is a paragraph; a `Markup` string is inserted unchanged."""
 
     title: str
     blocks: Sequence[Block] = field(default_factory=list)
@@ -89,8 +89,8 @@ def write_page(
 ) -> Path:
     """Write a page aside and move it into place; return its path.
 
-    Sections without blocks are left out. `command`, which made the page, is for its foot. The summary stands in
-    paragraphs under the title; the warnings are lines of a list that catches the eye.
+    Sections without blocks are left out. The foot names `command`, which made the page. The summary
+    becomes paragraphs under the title, the warnings a highlighted list.
     """
     values = {
         "title": title,

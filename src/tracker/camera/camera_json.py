@@ -339,14 +339,14 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
     for key in STANDARD_ERRORS:
         name = key.removesuffix("_std")
         error = fields[key]
-        if error > 0 and not error <= 0.5 * fields[name]:  # nor NaN; with larger errors it is not known at all
+        if error > 0 and not error <= 0.5 * fields[name]:  # refuses NaN too; with larger errors it is not known
             raise _KeyProblem(key, f"the standard error of {name}, at most 0.5 of what that is")
     assumed += file.assumed
     return fields | {"assumed": tuple(dict.fromkeys(assumed)), "unmodelled": tuple(unmodelled)}
 
 
 def _mass_ratio(file: _CameraFile) -> float | None:
-    """Mass of ball a over that of ball b; None if the file has neither masses nor a ratio."""
+    """Mass of ball a over that of ball b; None if the file gives no masses and no ratio."""
     if file.ball_masses is None:
         return file.mass_ratio
     ratio = float(file.ball_masses[0] / file.ball_masses[1])

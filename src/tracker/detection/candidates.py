@@ -33,7 +33,7 @@ class EmptyPlate:
     noise: float
     """Standard deviation of one pixel in one frame, counts."""
     hot: Ints = field(default_factory=lambda: np.empty(0, np.int64))
-    """Indices into the flattened plate of single bright pixels that are no ball."""
+    """Indices into the flattened plate of hot pixels, which are always bright."""
 
 
 def spread_frames(frames: Sequence[Any], count: int = 9) -> list[int]:
@@ -125,7 +125,7 @@ class Candidates:
     strength: Array
     """Sums (n,) of the counts above the plate in a box about the pixel."""
     crowded: bool = False
-    """So many pixels are bright that the frame does not show a few balls; then there are no candidates."""
+    """So many pixels are bright that the frame does not show a few balls; no candidates are returned then."""
 
     @staticmethod
     def none(crowded: bool = False) -> Candidates:

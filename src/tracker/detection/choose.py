@@ -41,7 +41,7 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     """Choose the detector from 25 frames spread over a film.
 
     It is "discs" where a fifth of them, and at least three, show a round body of the common size on a still background;
-    else "maximum_likelihood". Where the camera knows the diameter of its balls, only bodies of about that size count.
+    else "maximum_likelihood". If the camera knows the diameter of its balls, only bodies of about that size count.
     The second result is a note that gives the reason; '' for glints, which need none.
     """
     if isinstance(frames, Frames):
@@ -100,7 +100,7 @@ def choose_channel(
     its balls, only bodies of about that size count. The second result is a note with the reason; '' for grey.
 
     longest_side_px: of the pictures that are compared.
-    min_score: least bodies in the 15 frames that another channel than grey has to show.
+    min_score: least bodies in the 15 frames that another channel than grey must show.
     more_bodies: at 1.3 or more, grey hides at least one of four balls.
     """
     if frames.colours is None:

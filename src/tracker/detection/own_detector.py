@@ -53,7 +53,7 @@ def load_outside(name: str) -> DetectorClass:
 
 
 def as_detector(given: Any, point: str = "") -> DetectorClass:
-    """A class of detectors: the class as it is, or one that asks a function.
+    """A class of detectors: the given class, or one that calls a function.
 
     point: what the function finds, "glint", "centre" or "either"; default: its attribute `point`, else "either".
     """

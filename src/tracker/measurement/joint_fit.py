@@ -27,7 +27,7 @@ MIN_EIGENVALUE = 1e-12  # of a correlation matrix that is positive definite beyo
 def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
     """Fit all clips of estimates.parquet together: the contents of fit.json.
 
-    Misfits do not enter, nor do tied fits that the local estimate contradicts. A clip whose covariance is not positive
+    It leaves out misfits, and tied fits that the local estimate contradicts. A clip whose covariance is not positive
     definite is left out of the sums that need it.
 
     - chi2: r, mu_k and C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, given v0 and b,

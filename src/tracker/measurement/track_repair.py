@@ -1,7 +1,7 @@
 """Repair of tracks of other programs before a fit: balls that exchange their numbers, lost points, numbers reused.
 
 An exchange is undone where that makes both tracks smoother by more than a radius. Positions that no ball can reach are
-left out. A number that goes on elsewhere, with a path of its own, becomes a new one.
+left out. A number that continues elsewhere, with a path of its own, becomes a new one.
 """
 
 from __future__ import annotations

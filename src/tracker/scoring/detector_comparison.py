@@ -25,9 +25,9 @@ def compare(
 ) -> dict[str, Any]:
     """Track a dataset with several detectors, in one process, and write REPORT/score.json and index.html.
 
-    Results are kept in REPORT/results/NAME; the same call goes on after an interruption. `progress` takes the number of
-    finished clips and of all clips. Returns the contents of score.json. Raises InputError, before any work, where a
-    detector or the truth does not exist or REPORT holds other files.
+    Results are kept in REPORT/results/NAME; the same call continues after an interruption. `progress` takes the
+    number of finished clips and of all clips. Returns the contents of score.json. Raises InputError, before any work,
+    where a detector or the truth does not exist or REPORT holds other files.
     """
     chosen = [name.strip() for name in names if name.strip()]
     if not chosen or len(set(chosen)) < len(chosen):

@@ -108,7 +108,7 @@ class PositionSums:
     """Sums over the positions of clips, which can be added.
 
     squares, bound: of the errors of both axes, and of the traces of the bounds' covariances, px^2. glint_squares: of
-    the distances from the true glints, px^2; NaN where the truth has none. Of each axis, over
+    the distances from the true glints, px^2; NaN where the truth has none. For each axis, over
     moving balls: waves (2, 3, 3), products of cos, sin and 1 of the sub-pixel phase; errors (2, 3), the errors times
     these, px; moving_squares (2,), the squared errors, px^2.
     """

@@ -116,7 +116,7 @@ class CombinedSet:
         return document
 
     def report(self, folder: str | Path, command: str = "tracker.combine") -> Path:
-        """Write set.json and index.html into a new folder, or in place of an earlier set.
+        """Write set.json and index.html into a new folder, or over an earlier set.
 
         Parameters
         ----------

@@ -83,7 +83,7 @@ def _mixes_whole_numbers(lines: Sequence[Line], delimiter: str) -> bool:
 
     A program that writes three decimals always does; one that drops zeros writes fewer in some numbers too.
     """
-    # ten numbers with exactly three decimals are no chance
+    # ten numbers with exactly three decimals do not occur by chance
     least = 10
     rows = [split_cells(line.text, delimiter) for line in lines[1:2000]]
     for column in zip(*(row for row in rows if len(row) == len(rows[-1])), strict=True):

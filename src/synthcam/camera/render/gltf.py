@@ -28,7 +28,7 @@ class BallMotion:
     positions: Array  # at these times (T, 3), m
     turn_times: Array  # increasing (S,), s
     turns: Array  # unit quaternions x, y, z, w (S, 4) from the ball's axes to the world's
-    # Of matte balls: unit vectors (n, 3) on the ball's axes -> reflectance of red, green, blue (n, 3).
+    # From unit vectors (n, 3) on a matte ball's axes to the reflectance of red, green, blue (n, 3).
     paint: Callable[[Array], Array] | None = None
 
 

@@ -36,7 +36,7 @@ EXPOSURES_PER_BATCH = 128
 
 
 class Drawn(IntEnum):
-    """What the shader draws, by its SCENE."""
+    """The parts of a picture that the shader can draw; its SCENE."""
 
     BALLS = 0
     ON_PLATE = 1  # balls, with their images in the plate

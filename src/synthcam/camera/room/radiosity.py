@@ -1,6 +1,6 @@
 """Radiosity: light that a ball and its plate, or two balls, reflect to each other, as tables.
 
-Of a ball on its plate, lengths are in radii of the ball, from the point of contact. Light is irradiance over pi, and 1
+Lengths are in radii of the ball, from its point of contact with the plate. Light is irradiance over pi, and 1
 is that of the plate without balls. These tables are of a single ball, without neighbours.
 """
 

@@ -48,7 +48,7 @@ def measure_shifts_by_defects(held: PositionMatches, base: Mapping[int, TrueTrac
 
     `base` has, by clip, the value of `simulate_at_bound`. Returns `size`: of locking (px, peak to peak), of glint (the
     share), of lost (the share of the balls); and by defect and quantity, tied and free: n, bias (mean shift), rms, and
-    in_errors, the rms shift over the bound; `unmeasured`, clips of which nothing could be measured any more.
+    in_errors, the rms shift over the bound; `unmeasured`, the number of clips that cannot be measured any more.
     """
     waves, peak = fit_pixel_locking(held.pairs)
     share = glint_share(held.pairs)

@@ -1,6 +1,6 @@
 """Reads TIFF stacks, a frame at a time.
 
-The metadata say which axis is time (ImageJ, OME, tifffile's own). Where none is, the longest other axis is taken. Other
+The metadata say which axis is time (ImageJ, OME, tifffile's own). If none is, the longest other axis is taken. Other
 axes, such as channels and focal planes, are reduced to one entry, the first or the one that the user selects.
 """
 
@@ -101,7 +101,7 @@ def choose_colours(page: Any) -> tuple[Callable[[Any], Any] | None, tuple[str, .
     if photometric == 3 and page.colormap is not None:
         colours = np.asarray(page.colormap).T  # red, green and blue of each entry, 16 bit
         if np.ptp(colours, axis=1).max() == 0 and np.array_equal(colours[:, 0] >> 8, np.arange(len(colours))):
-            return None, ()  # grey as it is
+            return None, ()  # the entries are greys in order
         table = (colours >> 8).astype(np.uint8)
         grey = np.ptp(table, axis=1).max() == 0
         table = table[:, 0].copy() if grey else table
@@ -111,7 +111,7 @@ def choose_colours(page: Any) -> tuple[Callable[[Any], Any] | None, tuple[str, .
 
 @contextmanager
 def _raise_logged_errors(path: Path) -> Iterator[None]:
-    """Raise an error where tifffile only logs a broken chain of pages and goes on with the pages it has."""
+    """Raise an error where tifffile only logs a broken chain of pages and continues with the pages it has."""
     heard, logger = BufferingHandler(sys.maxsize), logging.getLogger("tifffile")
     heard.setLevel(logging.ERROR)
     passed_on = logger.propagate

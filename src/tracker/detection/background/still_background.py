@@ -24,8 +24,8 @@ class StillBackground:
     level: NDArray[np.float32]  # counts
     error: NDArray[np.float32]  # standard errors of the level, counts
     known: NDArray[np.bool_]
-    """Whether the pixel was seen without a ball. Elsewhere the level is that of the surroundings, and the error is that
-    of the texture."""
+    """True where the pixel was seen without a ball. Elsewhere the level is that of the surroundings, and the error is
+    that of the texture."""
     _blurred: dict[Any, NDArray[Any]] = field(default_factory=dict, repr=False)
 
     def blur(self, box: tuple[int, int], dtype: Any) -> NDArray[Any]:

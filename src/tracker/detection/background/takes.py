@@ -50,7 +50,7 @@ def find_takes(frames: Sequence[Any]) -> Takes:
     """Find the takes in one pass over the frames, (h, w) arrays, of a film.
 
     A cut is where half of all pixels change by more than 3 counts and by more than 6 times the usual change. Pieces of
-    less than 8 frames are no takes, and neither are those that never change by a tenth of the usual change.
+    less than 8 frames do not count, and neither do those that never change by a tenth of the usual change.
     """
     step = max(1, int(np.sqrt(np.prod(np.shape(frames[0])) / 16_000)))  # 16,000 pixels of each frame are compared
     half, mean, spread, previous = [], [], [], None

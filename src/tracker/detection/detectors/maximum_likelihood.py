@@ -245,7 +245,7 @@ class MaximumLikelihood:
 
 
 def _rough_glints(patches: Patches, position: Array) -> Glints:
-    """Candidates as glints at positions (n, 2), px, with a covariance that only keeps the place of a fitted one."""
+    """Candidates as glints at positions (n, 2), px, with a covariance that the fit will replace."""
     n = len(position)
     return Glints(
         frame=patches.frame,

@@ -605,7 +605,7 @@ def _slide_ends_seen(free: LastingFit) -> tuple[bool, bool]:
 
 
 def _straighten(free: LastingFit, pair: BallPair) -> Floats:
-    """Start (p,) of the straight motion: mean velocities over the first half of what is seen after the contact."""
+    """Start (p,) of the straight motion: mean velocities over the first half of the positions after the contact."""
     problem = LastingResiduals(pair, "straight")
     whole = np.concatenate([free.free[:8], np.zeros(4), free.free[-2:]])
     for ball, track in pair.balls:

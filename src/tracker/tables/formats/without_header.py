@@ -32,7 +32,7 @@ def read(content: Content) -> TrackTable | None:
 def find_roles(table: pd.DataFrame) -> dict[str, str] | None:
     """Which column is which, where it is certain for frame and particle: no particle is twice in a frame.
 
-    The first two others whose values are no whole numbers and vary are x and y.
+    x and y are the first two other columns whose values vary and are not whole numbers.
     """
     whole = [name for name in map(str, table) if _counts(table[name])]
     pairs = [
@@ -58,7 +58,7 @@ def _counts(values: pd.Series) -> bool:
 def _is_frame_and_particle(frame: pd.Series, particle: pd.Series, *, max_particles: int = 1000) -> bool:
     """Frames come in a row, particles are few and each is in many frames, and no pair comes twice.
 
-    max_particles: whole numbers of more kinds are no particles.
+    max_particles: a column with more different numbers does not count particles.
     """
     frames, particles = np.unique(frame), np.unique(particle)
     few = len(particles) <= min(max_particles, len(frame) // 2) and len(particles) < len(frames)
