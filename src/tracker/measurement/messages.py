@@ -130,6 +130,14 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
             f" {np.median(ratio[unequal]):.3g} (median). Either the masses differ, and ball_masses in the camera file"
             " gives them, or a ball lifts off or hits something else. Energies are those of equal masses"
         )
+    fitted = used[used.get("local_shared", pd.Series("", used.index)).str.contains('"mass_ratio"')]
+    if len(fitted):
+        row = fitted.iloc[0]
+        texts.append(
+            f"masses: the struck particle {row['particle1']} has {row['mass_ratio']:.4g} of the mass of particle"
+            f" {row['particle2']}, by {_count(hits)}. This takes a number for the same body in all clips. Tracks of"
+            " films are numbered in each clip by itself: check them, or give ball_masses in the camera file"
+        )
     return [Note(NoteKind.FLAG, text) for text in texts]
 
 

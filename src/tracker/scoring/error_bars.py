@@ -23,14 +23,15 @@ Floats = NDArray[np.float64]
 
 
 def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """Score each quantity Q by each method ("", "_free", "_paper"), as in score.json.
+    """Score each quantity Q by each method ("", "_free", "_local", "_paper"), as in score.json.
 
     table: one row per clip with Q, Q_std, the truth Q_true and the bound Q_bound. Rows without an estimate or a truth
-    do not count, and z counts only where an error is claimed. bound: root mean square over the rows that count.
+    do not count, and z counts only where an error is claimed. bound: root mean square over the rows that count; that of
+    a local estimate is not known.
     """
     out = {}
     for name in QUANTITY_NAMES:
-        for kind in ("", "_free", "_paper"):
+        for kind in ("", "_free", "_local", "_paper"):
             if f"{name}{kind}" in table:
                 columns = (f"{name}{kind}", f"{name}{kind}_std", f"{name}_true", f"{name}{kind}_bound")
                 value, std, true, bound = (

@@ -13,13 +13,14 @@ from tracker.report.quantities import QUANTITIES
 
 Floats = NDArray[np.float64]
 
-COLOURS = {"": "#14508c", "_free": "#c1440e", "_paper": "#5b7f1c"}  # of the tied fit, the free fit, finite differences
+COLOURS = {"": "#14508c", "_free": "#c1440e", "_local": "#6a3d9a", "_paper": "#5b7f1c"}  # by the suffix of a column
 
 
 def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
     """Draw estimate minus truth with error bars against v0, one panel for each quantity.
 
-    kind: "" for the tied fit, "_free" for the free fit, "_paper" for finite differences.
+    kind: "" for the tied fit, "_free" for the free fit, "_local" for the local estimate, "_paper" for finite
+    differences.
     """
     names = [n for n in QUANTITY_NAMES if f"{n}_true" in table and _claims(table, n, kind) is not None]
     columns, rows = 4, max(1, -(-len(names) // 4))
@@ -47,10 +48,10 @@ def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
 
 def error_bars_figure(table: pd.DataFrame) -> Figure:
     """Draw a histogram of errors over standard errors, all quantities together, and the normal distribution."""
-    figure, panels = make_axes(1, 2, figsize=(8.2, 3.0), sharey=True)
+    figure, panels = make_axes(1, 3, figsize=(11.0, 3.0), sharey=True)
     bins = np.linspace(-5, 5, 41)
     grid = np.linspace(-5, 5, 300)
-    kinds = (("", "tied fit"), ("_free", "free fit"))
+    kinds = (("", "tied fit"), ("_free", "free fit"), ("_local", "local estimate"))
     for axes, (kind, title) in zip(panels, kinds, strict=True):
         z = [c[1][c[2] > 0] / c[2][c[2] > 0] for n in QUANTITY_NAMES if (c := _claims(table, n, kind)) is not None]
         values = np.concatenate([*z, np.empty(0)])
@@ -70,7 +71,9 @@ def _claims(table: pd.DataFrame, name: str, kind: str) -> tuple[Floats, Floats, 
     if not set(columns) <= set(table.columns):
         return None
     value, std, true, speed = (table[c].to_numpy(float) for c in columns)
-    use = np.isfinite(value) & np.isfinite(std) & np.isfinite(true) & (table["status"] == "ok").to_numpy()
+    use = np.isfinite(value) & np.isfinite(std) & np.isfinite(true)
+    if kind != "_local":  # which holds for misfits too
+        use &= (table["status"] == "ok").to_numpy()
     if not use.any() or not (std[use] > 1e-12).any():
         return None
     return speed[use], (value - true)[use], std[use]

@@ -57,6 +57,11 @@ FIGURES = {
         "Free fit, with any velocities and slide times after the impact: estimate minus truth. A clip is left out "
         "where the fit does not determine a quantity.",
     ),
+    "local": (
+        "Errors of the local estimate",
+        "Local estimate, free motion near the contact without a law of the impact: estimate minus truth. Its errors "
+        "hold for real tracks, whose velocities have errors beyond the residuals; simulated tracks lack these.",
+    ),
     "honesty": (
         "Errors over standard errors",
         "Errors divided by their claimed standard errors, all quantities together. Correct error bars follow the "
@@ -103,7 +108,9 @@ def write_report(
     sections = [
         Section("Positions and tracks", make_position_tables(score)),
         Section("Example of a collision" + ("" if clip is None else f": clip {clip}"), example),
-        Section("Estimates minus truth", [figures[n] for n in ("tied", "free", "honesty", "paper") if n in figures]),
+        Section(
+            "Estimates minus truth", [figures[n] for n in ("tied", "free", "local", "honesty", "paper") if n in figures]
+        ),
         Section("Accuracy of each quantity", make_quantity_tables(score)),
     ]
     return write_page(Path(report) / "index.html", "Tracker results against the truth", sections, command, [summary])
@@ -125,8 +132,9 @@ def draw_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str
         out["tracks"] = tracks_figure(view)
         out["separation"] = separation_figure(view)
         out["energy"] = energy_figure(view, tracks)
-        for name, method in (("tied", ""), ("free", "_free"), ("paper", "_paper")):
-            out[name] = residual_figure(score.table, method)
+        for name, method in (("tied", ""), ("free", "_free"), ("local", "_local"), ("paper", "_paper")):
+            if f"r{method}" in score.table:
+                out[name] = residual_figure(score.table, method)
         out["honesty"] = error_bars_figure(score.table)
     return out
 

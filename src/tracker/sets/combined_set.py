@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,7 @@ from synthcam_shared.report.numbers import format_with_error
 from tracker.camera.camera_keys import did_you_mean, first_line
 from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.joint_fit import fit_all
+from tracker.measurement.local.local_columns import calibrate_set
 from tracker.recording import Result
 from tracker.results import RUN, clip_folder, finite, load_json
 from tracker.sets.combined_quantity import (
@@ -146,7 +148,8 @@ def combine(
     """Combine the collisions of several results.
 
     The column `recommended` says which fit of a collision enters; without this column it is the tied fit of those that
-    are ok. A recording that is given twice counts once.
+    are ok. A recording that is given twice counts once. Local estimates of results with fewer than 8 hits each are
+    calibrated by all hits of their camera.
 
     Parameters
     ----------
@@ -184,9 +187,11 @@ def combine(
             name = next(names)
             part, marks = _read_folder(Path(one))
         part, twice = _leave_out_repeated(part, marks, seen, name)
-        parts.append(part.assign(result=name))
+        parts.append(part.assign(result=name, camera=_describe_view(one)))
         notes += twice
     table = pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
+    table, calibrated = _calibrate_together(table)
+    notes += calibrated
     table["fit"] = _choose_fits(table)
     wanted = _choose_quantities(table, quantities)
     rows = {name: _take_values(table, name) for name in wanted}
@@ -200,6 +205,33 @@ def combine(
         raise InputError(f"{', '.join(map(str, folders)) or 'results'}: no value of {', '.join(wanted)} ({states})")
     notes += [note for one in found.values() for note in list_warnings(one)]
     return CombinedSet(table, found, fit_all(table), tuple(notes))
+
+
+def _describe_view(one: str | Path | Result) -> str:
+    """What positions and bodies depend on in the camera file of a result; "" where there is none."""
+    if isinstance(one, Result):
+        keys = one.camera.to_dict()
+    else:
+        file = Path(one) / "camera.json"
+        keys = load_json(file) if file.is_file() else {}
+    names = "size fps scale K dist R t warp ball_diameter mass_ratio ball_masses body support".split()
+    return json.dumps({name: keys[name] for name in names if name in keys}) if keys else ""
+
+
+def _calibrate_together(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """Calibrate the local estimates of results that have too few hits by all of one camera, with a note."""
+    notes = []
+    if {"local", "local_hits"} <= set(table):
+        few = table["local"].str.contains('"prior"', na=False) & (table["local_hits"] == 0) & (table["camera"] != "")
+        for _, rows in table[few].groupby("camera"):
+            changed = pd.DataFrame(calibrate_set(rows.to_dict("records")), index=rows.index)
+            if hits := int(changed["local_hits"].iloc[0]):
+                table = pd.concat([table.drop(index=rows.index), changed])
+                notes.append(
+                    f"local estimates of {rows['result'].nunique()} results are calibrated together, by the balance of"
+                    f" momentum of {hits} hits of one camera"
+                )
+    return table.drop(columns="camera").sort_index(), notes
 
 
 def _name_folders(folders: Sequence[Path]) -> list[str]:

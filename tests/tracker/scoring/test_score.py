@@ -211,7 +211,10 @@ def test_score_has_the_contracts_keys(found, data, tmp_path):
         "swaps",
     }
     keys = {"n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95"}
-    assert set(parts["quantities"]) == {f"{n}{k}" for n in QUANTITY_NAMES for k in ("", "_free", "_paper")}
+    assert set(parts["quantities"]) == {f"{n}{k}" for n in QUANTITY_NAMES for k in ("", "_free", "_local", "_paper")}
+    assert parts["quantities"]["r_local"]["n"] == CLIPS
+    assert parts["quantities"]["r_local"]["z_std"] < 1.5
+    assert parts["quantities"]["v0_local"]["cover95"] >= 0.8
     assert all(set(v) == keys for v in parts["quantities"].values())
     assert parts["ms_per_frame"] is None
     assert parts["clips"] == {"n": CLIPS, "ok": CLIPS}

@@ -12,7 +12,7 @@ from tracker.scoring import score_page
 from tracker.scoring.score import score
 from tracker.scoring.score_page import choose_clip, draw_figures, make_quantity_tables, write_report
 
-FIGURE_NAMES = {"frame", "tracks", "separation", "energy", "tied", "free", "paper", "honesty"}
+FIGURE_NAMES = {"frame", "tracks", "separation", "energy", "tied", "free", "local", "paper", "honesty"}
 
 CLIPS = 4
 
@@ -66,7 +66,7 @@ def test_figures_have_labelled_axes_with_units(drawn):
     for name, unit in units.items():
         labels = [a.get_xlabel() for a in shown[name].axes]
         assert any(label.endswith(f"/ {unit}") for label in labels), name
-    for name in ("tied", "free", "paper"):
+    for name in ("tied", "free", "local", "paper"):
         assert all("error / " in a.get_title() for a in shown[name].axes if a.axison)
         assert "cm/s" in shown[name].get_supxlabel()
     assert shown["separation"].axes[0].get_legend() is not None

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tracker_film import CAMERA
+from tracker_local import draw_rows
 from typer.testing import CliRunner
 
 import tracker
@@ -136,3 +137,38 @@ def test_the_command_writes_a_set_and_replaces_it(tmp_path):
     assert sorted(p.name for p in (tmp_path / "set").iterdir()) == ["index.html", "set.json"]
     assert stored["results"] == {"a": 4, "b": 1}
     assert "forest plot" in (tmp_path / "set/index.html").read_text()
+
+
+def write_local(folder, hits, seed, **more):
+    """RESULTS of local estimates of head-on hits with r = 0.8, whose velocities have errors of 1 %."""
+    rows = [row(k, np.nan) | own for k, own in enumerate(draw_rows(hits, 0.01, 0.01, 0.0, seed, **more))]
+    rows = [one | {"recommended": "local", "b_local": 0.1} for one in rows]
+    (folder / "clips").mkdir(parents=True)
+    (folder / "camera.json").write_text(json.dumps(CAMERA))
+    return write(folder, rows)
+
+
+def test_results_with_few_hits_are_calibrated_together(tmp_path):
+    parts = [write_local(tmp_path / name, 5, seed) for seed, name in enumerate("ab")]
+    combined = tracker.combine(parts, quantities=["r"])
+    assert set(combined.table["local_hits"]) == {10}
+    assert combined.notes[0].startswith("local estimates of 2 results are calibrated together, by the balance of")
+    assert combined.quantities["r"].mean.coefficients[0] == pytest.approx(0.8, abs=0.05)
+    (parts[1] / "camera.json").write_text(json.dumps(CAMERA | {"fps": 50.0}))
+    assert set(tracker.combine(parts, quantities=["r"]).table["local_hits"]) == {0}
+
+
+def test_errors_of_the_scale_do_not_average_out_in_local_speeds(tmp_path):
+    found = write_local(tmp_path / "a", 9, 3, shared=[("scale", "v0", 0.03)])
+    mean = tracker.combine(found, quantities=["v0", "r"]).means
+    assert mean.loc["v0", "shared_std"] == pytest.approx(0.03 * mean.loc["v0", "mean"], rel=0.05)
+    assert mean.loc["r", "shared_std"] < 1e-6
+
+
+def test_a_bias_of_a_set_stays_in_its_mean(tmp_path):
+    shared = {"bias_v1o": {"of": 0.02, "effect": {"r": 0.02}}, "bias_v2i": {"of": 0.02, "effect": {"r": -0.01}}}
+    local = {"recommended": "local", "r_local_std": 0.03, "v0_local": 0.5, "b_local": 0.1}
+    rows = [row(k, np.nan, **local, r_local=0.8 + 0.001 * k, local_shared=json.dumps(shared)) for k in range(9)]
+    mean = tracker.combine(write(tmp_path / "a", rows), quantities=["r"]).means.loc["r"]
+    assert mean["shared_std"] == pytest.approx(np.hypot(0.02, 0.01), rel=1e-3)
+    assert mean["std"] == pytest.approx(np.sqrt(0.02**2 + 0.01**2 + (0.03**2 - 0.02**2 - 0.01**2) / 9), rel=1e-3)
