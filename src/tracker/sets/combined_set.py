@@ -224,7 +224,8 @@ def _calibrate_together(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     if {"local", "local_hits"} <= set(table):
         few = table["local"].str.contains('"prior"', na=False) & (table["local_hits"] == 0) & (table["camera"] != "")
         for _, rows in table[few].groupby("camera"):
-            changed = pd.DataFrame(calibrate_set(rows.to_dict("records")), index=rows.index)
+            records: list[dict[str, Any]] = rows.to_dict("records")  # type: ignore[assignment]  # columns are text
+            changed = pd.DataFrame(calibrate_set(records), index=rows.index)
             if hits := int(changed["local_hits"].iloc[0]):
                 table = pd.concat([table.drop(index=rows.index), changed])
                 notes.append(
