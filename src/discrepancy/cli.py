@@ -97,6 +97,7 @@ def find(
 
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
+    from discrepancy.data.contacts import read_contacts
     from discrepancy.data.notes import SearchNoteKind, count_lost_clips
     from discrepancy.data.reading import read_collisions
     from discrepancy.policy import SearchPolicy, applied_policy, read_policy
@@ -118,7 +119,8 @@ def find(
             if note.kind is SearchNoteKind.NO_STRIKER:  # at once: a search without it may look for the wrong ball
                 print(f"discrepancy: {note}", file=sys.stderr)
         with show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report"), 60 * minutes) as progress:
-            found = search(clips, given, progress, 60 * minutes, notes, stretches)
+            contacts = read_contacts(measured) if stretches else None
+            found = search(clips, given, progress, 60 * minutes, notes, stretches, contacts)
             progress("report")
             search_page.write(found, folder)
         document = json.loads((folder / "discrepancy.json").read_text())
@@ -130,7 +132,7 @@ def find(
         lost = count_lost_clips(notes)
         _print_left_out(document["clips"]["left_out"], lost > len(clips))
         count = len(found.data.clips) + len(found.data.held_out)
-        used = f"{count} stretches of {len(clips)}" if stretches else f"{count} of {len(clips) + lost}"
+        used = f"{count} {found.data.unit} of {len(clips)}" if stretches else f"{count} of {len(clips) + lost}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
 
 

@@ -10,6 +10,7 @@ from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.policy import SearchPolicy
 from discrepancy.preparation import SearchData
+from discrepancy.select.contact_effects import ContactClaim
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.select.library_search import InterruptedSearch
 from discrepancy.select.score_test import CandidateScore
@@ -47,6 +48,7 @@ class SearchOutcome:
     processed: tuple[SearchNote, ...] = ()
     left_out: tuple[SearchNote, ...] = ()
     interrupted: InterruptedSearch | None = None
+    contacts: tuple[ContactClaim, ...] = ()
 
     @property
     def gap(self) -> Gap:

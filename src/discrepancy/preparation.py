@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from discrepancy.data.collisions import MeasuredCollision
+import numpy as np
+
+from discrepancy.data.collisions import EvidenceUnit, MeasuredCollision
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.data.outlier_points import note_removed_points, remove_outliers
 from discrepancy.data.prior_processing import covers_contact, remove_filtered_rows
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.base_fit import Progress, estimate_noise, fit_base_model, remove_outliers_beside_model
+from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.noise_refit import refit_noise
+from discrepancy.fitting.stretch_scatter import NO_SCATTER, StretchScatter, fit_scatter
+from discrepancy.fitting.stretch_starts import choose_starts
 from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
 from discrepancy.noise.model import Noise
 from discrepancy.policy import current_policy
@@ -31,16 +38,32 @@ class SearchData:
     left_out: tuple[SearchNote, ...]  # a note for each collision, or part of one, that is not used
     is_smoothed: bool = False  # true if the tracks were smoothed by a filter before the search
     error_notes: tuple[SearchNote, ...] = ()  # what the errors of the positions depend on
+    scatter: StretchScatter = NO_SCATTER  # what differs from stretch to stretch, as part of the clips' covariance
 
     @property
     def is_cut(self) -> bool:
         """True if each clip is a free stretch of one ball."""
         return any(clip.is_stretch for clip in self.clips)
 
+    @property
+    def unit(self) -> EvidenceUnit:
+        """What is fitted and held out."""
+        return EvidenceUnit.STRETCH if self.is_cut else EvidenceUnit.COLLISION
+
     def without(self, outliers: Mapping[int, SearchNote]) -> SearchData:
         """Remove clips to fit, given by index, each with a note that says why."""
         clips = tuple(c for k, c in enumerate(self.clips) if k not in outliers)
         return replace(self, clips=clips, left_out=(*self.left_out, *outliers.values()))
+
+    def with_scatter(self, scatter: StretchScatter, fit: ModelFit) -> SearchData:
+        """Count this scatter from stretch to stretch as noise, with derivatives at a fit of the clips."""
+        clips = scatter.add_to(self.clips, fit.model, fit.launches)
+        launches = np.array([clip.launch for clip in self.held_out])
+        if not scatter.is_none:
+            with suppress(ValueError):  # the model has no motion for one of them
+                launches = fit_model(self.held_out, fit.model, (), self.noise).launches
+        held_out = scatter.add_to(self.held_out, fit.model, launches)
+        return replace(self, clips=tuple(clips), held_out=tuple(held_out), scatter=scatter)
 
 
 def prepare(
@@ -59,12 +82,15 @@ def prepare(
     fitted, held_out = split_held_out(cleaned)
     if not stretches and estimate_noise(fitted).is_smoothed:
         return _prepare_smoothed(cleaned, note_removed_points(clips, cleaned))
+    odd = list[SearchNote]()
     every, error_notes = remove_frame_shift([*fitted, *held_out], fitted)
     fitted, held_out = every[: len(fitted)], every[len(fitted) :]
     if stretches:
         fitted, held_out = cut_stretches(fitted), cut_stretches(held_out)
         if not (fitted and held_out):
             raise InputError("no clip has free stretches that are long enough, before or after a contact")
+        (fitted, odd), (held_out, odd_too) = choose_starts(fitted, model), choose_starts(held_out, model)
+        odd += odd_too
     fitted, held_out = remove_outliers_beside_model(fitted, held_out, model, progress)
     noise = estimate_noise(fitted)
     every, trends = rescale_errors([*fitted, *held_out], fitted, noise)
@@ -72,9 +98,12 @@ def prepare(
         fitted, held_out = every[: len(fitted)], every[len(fitted) :]
         noise, error_notes = estimate_noise(fitted), [*error_notes, *trends]
     base = fit_base_model(fitted, model, noise, progress)
-    noise = refit_noise(fitted, base, noise, explained=False) or noise
-    left_out = note_removed_points(clips, cleaned if stretches else [*fitted, *held_out])
-    return SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out), error_notes=tuple(error_notes))
+    scatter = fit_scatter(fitted, base, noise) if stretches else NO_SCATTER
+    if scatter.is_none:
+        noise = refit_noise(fitted, base, noise, explained=False) or noise
+    left_out = [*note_removed_points(clips, cleaned if stretches else [*fitted, *held_out]), *odd]
+    data = SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out), error_notes=tuple(error_notes))
+    return data if scatter.is_none else data.with_scatter(scatter, base)
 
 
 def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[SearchNote]) -> SearchData:

@@ -62,6 +62,8 @@ class SearchResult(SearchOutcome):
         A note for each collision, or part of one, that the search did not use.
     interrupted : InterruptedSearch or None
         Set if the search was cut short; it then claims nothing.
+    contacts : tuple of ContactClaim
+        With stretches: the laws of restitution, friction and recoil that the contacts support.
 
     Examples
     --------
@@ -107,7 +109,7 @@ class SearchResult(SearchOutcome):
 
     def __repr__(self) -> str:
         used = len(self.data.clips) + len(self.data.held_out)
-        return f"{self.verdict}, from {used} collisions. {self.sentence()}"
+        return f"{self.verdict}, from {used} {self.data.unit}. {self.sentence()}"
 
     def _repr_html_(self) -> str:
         rows = [

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.contacts import Contacts, read_contacts
 from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
 from discrepancy.data.prior_processing import detect_processing
 from discrepancy.data.reading import read_collisions
@@ -21,6 +22,7 @@ from discrepancy.fitting.base_fit import Progress, check_clips, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.noise_refit import refit_noise
 from discrepancy.fitting.parameters import candidates_by_name
+from discrepancy.fitting.stretch_scatter import fit_scatter
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.free_laws.tabulate import tabulate_and_refit
@@ -28,6 +30,7 @@ from discrepancy.planning.pair_advice import advise, compare_designs
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy
 from discrepancy.preparation import SearchData, prepare
 from discrepancy.results import SearchResult
+from discrepancy.select.contact_effects import examine_contacts
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.select.free_law_contest import select_effects_and_law
 from discrepancy.select.law_fit import fit_unseen_clips
@@ -78,8 +81,9 @@ def find(
     policy : SearchPolicy, optional
         The thresholds that decide; default: ``SearchPolicy()``.
     stretches : bool
-        Search the free stretches of each ball between contacts, each with a start of its own. The impact and the
-        motion before it are then no evidence. Use it where no one model fits whole collisions, as with cued strikers.
+        Search the free stretches of each ball between contacts, each with a start of its own. Use it where no one
+        model fits whole collisions, as with cued strikers. The local estimates of `results` are then the evidence on
+        the impact; a table of tracks has none.
 
     Returns
     -------
@@ -104,7 +108,8 @@ def find(
     given = as_model(model)
     with applied_policy(policy or SearchPolicy()):
         clips, notes = read_collisions(source, Path(camera) if isinstance(camera, str) else camera)
-        return search(clips, given, progress, 60 * minutes, notes, stretches)
+        contacts = read_contacts(source) if stretches else None
+        return search(clips, given, progress, 60 * minutes, notes, stretches, contacts)
 
 
 def search(
@@ -114,11 +119,12 @@ def search(
     seconds: float = math.inf,
     notes: Sequence[SearchNote] = (),
     stretches: bool = False,
+    contacts: Contacts | None = None,
 ) -> SearchResult:
     """Search collisions from `read_collisions`, with its notes.
 
-    stretches: the evidence is each free stretch between contacts, with a start of its own, and no impact. The policy is
-    that of the context (`applied_policy`). See `find`.
+    stretches: the evidence is each free stretch between contacts, with a start of its own. contacts: the evidence on
+    the impact, from `read_contacts`. The policy is that of the context (`applied_policy`). See `find`.
     """
     with threadpool_limits(1, "blas"):  # matrices here are small: threads wait for one another longer than they work
         clips = check_clips(clips, model)
@@ -137,6 +143,7 @@ def search(
             left_out=(*given.left_out, *data.left_out),
             processed=(*given.processed, *result.processed),
             uniform=(*given.common, *result.uniform),
+            contacts=examine_contacts(contacts) if contacts else (),
         )
 
 
@@ -159,6 +166,12 @@ def select_until_stable(
         if outliers:
             removed += len(outliers)
             data = data.without(outliers)
+            continue
+        if data.is_cut and not data.scatter.is_none:
+            scatter = fit_scatter(clips, selection.joint_fit, data.noise)
+            if scatter.is_close_to(data.scatter):
+                break
+            data = data.with_scatter(scatter, selection.joint_fit)
             continue
         noise = refit_noise(clips, selection.joint_fit, data.noise)
         if noise is None and selection.near_law:  # the library's model may count the law's effect as noise

@@ -6,13 +6,18 @@ import math
 import sys
 from collections.abc import Sequence
 
+import numpy as np
+
+from discrepancy.data.collisions import EvidenceUnit
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import find_parameter
+from discrepancy.fitting.stretch_scatter import StretchScatter
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.outcome import SearchOutcome
 from discrepancy.policy import applied_policy, current_policy
+from discrepancy.select.contact_effects import ContactClaim
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.select.library_search import InterruptedSearch
 from discrepancy.validate.claim_tests import ClaimTest, Rejection
@@ -21,6 +26,7 @@ from discrepancy.validate.residual_map import Disagreement, is_unexplained
 from discrepancy.verdict import Verdict
 from synthcam.library import library
 from synthcam.model import Model
+from synthcam_shared.report.numbers import format_number
 
 
 def describe_search(found: SearchOutcome) -> str:
@@ -35,22 +41,19 @@ def describe_search(found: SearchOutcome) -> str:
     -------
     str
     """
-    return name_units(_describe_search(found), found)
+    main = _describe_free_motion(found)
+    return " ".join([main, *describe_scatter(found.data.scatter), *describe_contacts(found.contacts)])
 
 
-def name_units(text: str, found: SearchOutcome) -> str:
-    """Write "stretches" for "collisions" in a text about a search of free stretches."""
-    return text.replace("collisions", "stretches") if found.data.is_cut else text
-
-
-def _describe_search(found: SearchOutcome) -> str:
+def _describe_free_motion(found: SearchOutcome) -> str:
+    unit = found.data.unit
     with applied_policy(found.policy):
-        slow = describe_slow_noise(found.data.noise)
-    rejected, remaining = describe_rejections(found.rejected), found.disagreements
+        slow = describe_slow_noise(found.data.noise) if found.data.scatter.is_none else ""
+    rejected, remaining = describe_rejections(found.rejected, unit), found.disagreements
     is_left = is_unexplained(remaining, found.policy)
     worst = f"{describe_disagreement(remaining[0])} ({remaining[0].sigma:.0f} sigma)" if is_left else ""
     if found.interrupted:
-        return describe_interruption(found.interrupted, found.base_fit)
+        return describe_interruption(found.interrupted, found.base_fit, unit)
     unnamed = "The search names no effect for smoothed tracks"
     if found.data.is_smoothed:
         largest = "" if found.verdict is Verdict.NONE else f" The largest disagreement: {worst}."
@@ -63,7 +66,7 @@ def _describe_search(found: SearchOutcome) -> str:
     base, law = found.base_fit.model, found.law_summary
     missing = [describe_claim(c, base) for c in found.claims if not c.is_in(base)]
     wrong = [describe_claim(c, base) for c in found.claims if c.is_in(base)]
-    parts = [part for part in [describe_small_closure(found.gap)] if part]
+    parts = [part for part in [describe_small_closure(found.gap, unit)] if part]
     if found.free_law and law:
         parts.append(
             f"Missing law: {law.description}, which no effect of the library makes ({found.free_law.sigma:.0f} sigma)."
@@ -75,7 +78,7 @@ def _describe_search(found: SearchOutcome) -> str:
     elif found.verdict is Verdict.OUTSIDE_LIBRARY:
         where = f": {worst}" if worst else ""
         parts.append(f"Something else is missing that no effect of the library and no free law explains{where}.")
-    return " ".join([*parts, describe_gap(found.gap)]) + rejected + slow
+    return " ".join([*parts, describe_gap(found.gap, unit)]) + rejected + slow
 
 
 def describe_law_in_model(free_law: FittedLaw, model_holds_law: bool) -> str:
@@ -85,7 +88,7 @@ def describe_law_in_model(free_law: FittedLaw, model_holds_law: bool) -> str:
     return "model.yaml holds its curve" if model_holds_law else "model.yaml cannot hold it"
 
 
-def describe_interruption(interrupted: InterruptedSearch, base: ModelFit) -> str:
+def describe_interruption(interrupted: InterruptedSearch, base: ModelFit, unit: EvidenceUnit) -> str:
     """Describe how far a search came before its time was over."""
     start = (
         f"The search was cut short after {interrupted.seconds / 60:.3g} minutes and names nothing. The base model has "
@@ -94,7 +97,7 @@ def describe_interruption(interrupted: InterruptedSearch, base: ModelFit) -> str
     if not interrupted.effects:
         return f"{start}; no model tried so far has less."
     effects = ", ".join(interrupted.effects)
-    return f"{start}, with {effects} {interrupted.chi2:.3g}; that was not tested on held-out collisions."
+    return f"{start}, with {effects} {interrupted.chi2:.3g}; that was not tested on held-out {unit}."
 
 
 def format_with_error(value: float, std: float, digits: int) -> str:
@@ -147,12 +150,13 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
     return f"{describe_effect(claim.effect)}{rivals}, {', '.join(parts)}{joint}"
 
 
-def describe_rejection(test: ClaimTest) -> str:
+def describe_rejection(test: ClaimTest, unit: EvidenceUnit = EvidenceUnit.COLLISION) -> str:
     """Say why a claim is rejected, with the numbers that decided it; empty for a claim that passes.
 
     Parameters
     ----------
     test : ClaimTest
+    unit : EvidenceUnit
 
     Returns
     -------
@@ -162,14 +166,12 @@ def describe_rejection(test: ClaimTest) -> str:
         return ""
     if test.rejection is Rejection.SCATTERS:
         return (
-            "much more is missing, and it scatters from collision to collision: "
+            f"much more is missing, and it scatters from {unit.one} to {unit.one}: "
             f"{test.leave_one_out.sigma:.3g} sigma are left"
         )
     if test.rejection is Rejection.EXPLAINS_LITTLE:
         without, with_ = test.held_out.gap
-        return (
-            f"much more is missing: held-out collisions have chi^2 per point {with_:.3g} with it, {without:.3g} without"
-        )
+        return f"much more is missing: held-out {unit} have chi^2 per point {with_:.3g} with it, {without:.3g} without"
     if test.rejection is Rejection.SHAPE_AT_LIMIT and test.shape_at_limit:
         name, value = test.shape_at_limit
         return f"its {_last(name)} is at {value:.3g}, the end of its allowed range"
@@ -179,15 +181,15 @@ def describe_rejection(test: ClaimTest) -> str:
         Rejection.NOT_SIGNIFICANT: "not significant beside everything else",
         Rejection.REPLACED: "another effect that fits as well passes the tests",
         Rejection.ABSORBED: "everything else explains as much without it",
-        Rejection.HELD_OUT_WORSE: "it predicts held-out collisions worse",
-        Rejection.LEFT_OUT_WORSE: "it predicts collisions worse, each left out once",
-        Rejection.LEFT_OUT_NOT_SIGNIFICANT: "collisions, each left out once, do not support it beyond chance",
+        Rejection.HELD_OUT_WORSE: f"it predicts held-out {unit} worse",
+        Rejection.LEFT_OUT_WORSE: f"it predicts {unit} worse, each left out once",
+        Rejection.LEFT_OUT_NOT_SIGNIFICANT: f"{unit}, each left out once, do not support it beyond chance",
     }[test.rejection]
 
 
-def describe_rejections(tests: Sequence[ClaimTest]) -> str:
+def describe_rejections(tests: Sequence[ClaimTest], unit: EvidenceUnit) -> str:
     """List the rejected claims in a sentence; empty without any."""
-    return f" Rejected: {'; '.join(f'{t.name} ({describe_rejection(t)})' for t in tests)}." if tests else ""
+    return f" Rejected: {'; '.join(f'{t.name} ({describe_rejection(t, unit)})' for t in tests)}." if tests else ""
 
 
 def describe_disagreement(disagreement: Disagreement) -> str:
@@ -197,22 +199,78 @@ def describe_disagreement(disagreement: Disagreement) -> str:
     return f"{disagreement.ball} {phase}, {disagreement.observable} its motion{changing}"
 
 
-def describe_gap(gap: Gap) -> str:
-    """Describe how the gap on held-out collisions changes."""
+def describe_gap(gap: Gap, unit: EvidenceUnit) -> str:
+    """Describe how the gap on held-out collisions, or stretches, changes."""
     before, after = f"{gap.before:.3g}", f"{gap.after:.3g}"
     if before == after:
         moved = f"stays at {before}"
     else:
         moved = f"{'falls' if gap.after < gap.before else 'does not fall but rises'} from {before} to {after}"
-    return f"On held-out collisions chi^2 per point {moved}; noise alone leaves {gap.floor:.3g}."
+    return f"On held-out {unit} chi^2 per point {moved}; noise alone leaves {gap.floor:.3g}."
 
 
-def describe_small_closure(gap: Gap, most: float = 0.5) -> str:
+def describe_small_closure(gap: Gap, unit: EvidenceUnit, most: float = 0.5) -> str:
     """Warn if claims close less than the share `most` of a significant gap; else empty."""
     if not gap.closure < most:
         return ""
     closed = f"close only {100 * max(gap.closure, 0.0):.0f} %" if gap.closure > 0 else "do not close any"
-    return f"These claims {closed} of the gap on held-out collisions: most of it has another cause."
+    return f"These claims {closed} of the gap on held-out {unit}: most of it has another cause."
+
+
+def describe_scatter(scatter: StretchScatter) -> list[str]:
+    """Say what differs from stretch to stretch, and what to do about it; empty if nothing does."""
+    parts = []
+    if scatter.friction:
+        parts.append(f"the sliding friction scatters by {100 * scatter.friction:.2g} %")
+    if scatter.loss_m_s2:
+        parts.append(f"the rolling loss scatters by {scatter.loss_m_s2:.2g} m/s^2")
+    if scatter.displacement_m:
+        size, reach = (format_number(1e3 * x, 2) for x in (scatter.displacement_m, scatter.reach_m))
+        parts.append(f"positions are off by {size} mm, by nearly the same within {reach} mm")
+    if not parts:
+        return []
+    lines = [f"From stretch to stretch {', '.join(parts[:-1])}{' and ' if parts[1:] else ''}{parts[-1]}."]
+    lines.append("The search counts this scatter as noise.")
+    if scatter.map_sigma > current_policy().unexplained_sigma:
+        lines.append(
+            f"Stretches are off alike in the same place ({scatter.map_sigma:.0f} sigma): the camera's map is warped. "
+            "tracker warp corrects it."
+        )
+    return lines
+
+
+def describe_contacts(claims: Sequence[ContactClaim]) -> list[str]:
+    """Describe what contacts show of the impact, a sentence or more for each quantity."""
+    return [_describe_contact_claim(claim) for claim in claims]
+
+
+def _describe_contact_claim(claim: ContactClaim) -> str:
+    several = f"{claim.contacts} contacts"
+    scatter = f"with a scatter of {claim.scatter:.2g} from contact to contact"
+    mean = f"{format_with_error(claim.mean.value, claim.mean.std, 2)} +- {claim.mean.std:.2g}"
+    if claim.quantity == "restitution":
+        first = f"The restitution of {several} is {mean} on average"
+    elif claim.quantity == "friction":
+        first = f"Tangential over normal impulse of {several} is {mean} on average"
+    else:
+        share = 100 * np.expm1(claim.mean.value)
+        first = f"By the recoil of {several} the struck body has {share:+.2g} +- {100 * claim.mean.std:.2g} % more mass"
+        first += " than stated"
+    if not claim.causes:
+        none = {
+            "restitution": "It does not change significantly with speed or obliqueness",
+            "friction": "That is not significant",
+            "recoil": "That agrees with the masses",
+        }
+        return f"{first}, {scatter}. {none[claim.quantity]}."
+    numbers = ", ".join(
+        f"{n.name} {format_with_error(n.value, n.std, 2)} +- {n.std:.2g}{'' if n.unit == '1' else f' {n.unit}'}"
+        for n in claim.numbers
+    )
+    certain = "shows" if claim.sigma > current_policy().min_claim_sigma else "may be"
+    law = f"Law of the contacts: {claim.law}, {numbers}; {scatter} ({claim.sigma:.1f} sigma, {claim.left_out_sigma:.1f}"
+    law += " on contacts left out)"
+    return f"{first}. {law}. This {certain} {' or '.join(claim.causes)}."
 
 
 def describe_slow_noise(noise: Noise) -> str:

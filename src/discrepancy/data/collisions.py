@@ -4,16 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.launch import GRAZING, T_C, B
+from discrepancy.data.launch import MEETS_NOTHING, T_C, B
 from discrepancy.policy import current_policy
 from synthcam_shared.whitening import inverse_roots
 from tracker.camera.camera import Camera
+
+
+class EvidenceUnit(Enum):
+    """The unit of evidence of a search; its value is the word for several."""
+
+    COLLISION = "collisions"
+    STRETCH = "stretches"
+
+    def __str__(self) -> str:
+        return self.value
+
+    @property
+    def one(self) -> str:
+        """The word for one."""
+        return self.name.lower()
 
 
 @dataclass(frozen=True)
@@ -36,11 +52,14 @@ class MeasuredCollision:
     # not contain it.
     offset: float = 0.0
     max_shift_frames: float = 0.0  # largest time shift of a position to an even frame rate; 0 where times are even
+    # (n, 2, n, 2) covariance, m^2, of what differs from stretch to stretch: see `discrepancy.fitting.stretch_scatter`.
+    # None: nothing does.
+    scatter: Array | None = None
 
     @property
     def is_stretch(self) -> bool:
         """True for the free stretch of one ball: see `discrepancy.data.stretches`."""
-        return abs(float(self.launch[B])) == GRAZING
+        return float(self.launch[B]) == MEETS_NOTHING
 
     @property
     def fps(self) -> float:
@@ -53,7 +72,8 @@ class MeasuredCollision:
     def select(self, rows: Ints) -> MeasuredCollision:
         """The same collision with only these rows."""
         some = {name: getattr(self, name)[rows] for name in ("frame", "ball", "xy", "covariance")}
-        return replace(self, **some)
+        scatter = None if self.scatter is None else self.scatter[rows][:, :, rows]
+        return replace(self, **some, scatter=scatter)
 
     def phases(self) -> Ints:
         """(n,): 0 before the contact, 1 sliding, 2 rolling, -1 where the exposure contains the change between them."""

@@ -2,7 +2,7 @@
 
 - `X`, `Y` (m) and `T_C` (s): position and time of the contact;
 - `V0` (m/s) and `HEADING` (rad): the striker's velocity just before it;
-- `B`: the impact parameter over the ball's diameter;
+- `B`: the impact parameter over the ball's diameter; `MEETS_NOTHING` of a free ball, whose own position x and y are;
 - `SLIP` (2 columns) and `SIDE`, m/s, where strikers do not roll: the spin, as `SPIN` of `synthcam.dynamics.launch`.
 
 A striker with zero slip rolls. It has another past than a striker with a very small slip.
@@ -15,24 +15,24 @@ from numpy.typing import NDArray
 
 from discrepancy.arrays import Array
 from discrepancy.policy import current_policy
-from synthcam.dynamics.batch import GRAZING as GRAZING
 from synthcam.dynamics.batch import LAUNCH_COLUMNS
 from synthcam.dynamics.launch import SPIN_COLUMNS
 
 X, Y, T_C, V0, HEADING, B = range(len(LAUNCH_COLUMNS))
 SLIP, SIDE = slice(len(LAUNCH_COLUMNS), len(LAUNCH_COLUMNS) + 2), len(LAUNCH_COLUMNS) + 2
 WITH_SPIN = len(LAUNCH_COLUMNS) + len(SPIN_COLUMNS)
+MEETS_NOTHING = 2.0  # the impact parameter of a ball that touches no other
 MAX_SPIN_TO_SPEED = 10.0  # a cue gives a slip or a spin of 3 to 4 times the speed
 
 
 def find_free_columns(launches: Array) -> NDArray[np.bool_]:
     """Which numbers of launches (clips, p) a fit may change.
 
-    Not a rolling ball's slip, a side spin of zero, or time and impact parameter of a graze.
+    Not a rolling ball's slip, a side spin of zero, or time and impact parameter of a free ball.
     """
     out = np.ones(launches.shape, dtype=bool)
-    grazes = np.abs(launches[:, B]) == GRAZING
-    out[grazes, T_C] = out[grazes, B] = False
+    free = launches[:, B] == MEETS_NOTHING
+    out[free, T_C] = out[free, B] = False
     if launches.shape[1] == WITH_SPIN:
         out[:, SLIP] = np.any(launches[:, SLIP] != 0, axis=1)[:, None]
         out[:, SIDE] = launches[:, SIDE] != 0
@@ -90,9 +90,10 @@ def equalise_launches(launches: list[Array], rejected: list[bool] | None = None)
 
 def normal_speed(launches: Array) -> Array:
     """The speed along the line of centres at the contact, (clips,), m/s."""
-    return np.asarray(launches[:, V0] * np.sqrt(1 - launches[:, B] ** 2))
+    return np.asarray(launches[:, V0] * np.sqrt(np.maximum(1 - launches[:, B] ** 2, 0.0)))
 
 
 def is_possible(launches: Array) -> bool:
-    """True if in each of the launches (clips, p) the striker moves and hits the target."""
-    return bool(np.all(np.abs(launches[:, B]) < 1) and np.all(launches[:, V0] > 0))
+    """True if in each of the launches (clips, p) the striker moves, and hits the target or is free."""
+    hits = (np.abs(launches[:, B]) < 1) | (launches[:, B] == MEETS_NOTHING)
+    return bool(np.all(hits) and np.all(launches[:, V0] > 0))

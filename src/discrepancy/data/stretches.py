@@ -1,8 +1,8 @@
 """Cuts collisions into free stretches: one ball between two contacts, each with a start of its own.
 
 A stretch is evidence on the plate, the air, the camera and the clock, whatever the impact was and however the ball came
-to move. It is a `MeasuredCollision` of which only the striker is seen, from a contact that it just grazes. Time and
-impact parameter of that contact are fixed, and it changes nothing, so no law of the impact counts.
+to move. It is a `MeasuredCollision` of which only the striker is seen, launched so that it meets nothing. The time of
+that launch is fixed, so no law of the impact counts.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.first_guess import fit_slide
-from discrepancy.data.launch import GRAZING, T_C
+from discrepancy.data.launch import MEETS_NOTHING, T_C
 from discrepancy.policy import current_policy
 from tracker.measurement.stretch_cuts import CUTTER, measure_noise
 
@@ -49,12 +49,12 @@ def _build_stretch(clip: MeasuredCollision, rows: Ints) -> MeasuredCollision:
     own = clip.striker if clip.ball[rows[0]] == 1 else other
     opens = clip.frame[rows] / clip.fps
     start = float(opens[0]) - 0.5 / clip.fps
-    launch, end = _guess_start(opens + clip.exposure / 2 - start, clip.xy[rows], clip.camera.radius, start)
+    launch, end = _guess_start(opens + clip.exposure / 2 - start, clip.xy[rows], start)
     stretch = replace(clip.select(rows), striker=own, launch=launch, slide_ends=np.array([start, end]), offset=0.0)
     return replace(stretch, ball=np.ones(len(rows), dtype=clip.ball.dtype))
 
 
-def _guess_start(times: Array, xy: Array, radius: float, start: float) -> tuple[Array, float]:
+def _guess_start(times: Array, xy: Array, start: float) -> tuple[Array, float]:
     """A launch (9,) at the time zero of `times`, and the time at which the slide ends, s."""
     first, path, end = fit_slide(times, xy)
     pull, velocity, place = 2 * path[0], path[1] - 2 * path[0] * first, path[2] - path[1] * first + path[0] * first**2
@@ -67,6 +67,4 @@ def _guess_start(times: Array, xy: Array, radius: float, start: float) -> tuple[
     left = np.array([-ahead[1], ahead[0]])
     slip_per_loss = 3.5  # a solid ball's slip ends at 7/2 of the deceleration of its centre
     slip = -slip_per_loss * end * pull if slides else np.zeros(2)
-    b = GRAZING if slip @ left <= 0 else -GRAZING  # the other ball is on the side from which the slide bends away
-    beside = place - radius * b * left
-    return np.array([*beside, start, speed, heading, b, slip @ ahead, slip @ left, 0.0]), start + end
+    return np.array([*place, start, speed, heading, MEETS_NOTHING, slip @ ahead, slip @ left, 0.0]), start + end

@@ -63,20 +63,21 @@ def fit_base_model(
     """Fit the model's base parameters that are not zero, and those in `model.free`.
 
     The fit starts from the model's values. If it ends with chi^2 per degree of freedom above `poor`, it starts again
-    from the friction that the slides' durations give. The rolling loss is scaled too, as a wrong clock would do it. The
-    default of `poor` is far beyond any misfit of a start near the minimum.
+    from the friction that the durations of slides after impacts give. The rolling loss is scaled too, as a wrong clock
+    would do it. The default of `poor` is far beyond any misfit of a start near the minimum.
 
     progress: called with "fit" at each step. Raises InputError where the model has no motion for these collisions.
     """
     names = names_to_fit(model)
     impact_parameters = ("restitution", "spin_transfer")  # free stretches do not show them
-    if all(clip.is_stretch for clip in clips):
+    free = all(clip.is_stretch for clip in clips)
+    if free:
         names = tuple(name for name in names if name not in impact_parameters)
     try:
         found = fit_model(clips, model, names, noise, progress=lambda: progress("fit"))
     except ValueError as e:
         raise InputError(f"the model has no motion for these collisions: {e}") from None
-    if found.chi2 > poor * (found.points - found.parameters) and "sliding_friction" in names:
+    if found.chi2 > poor * (found.points - found.parameters) and "sliding_friction" in names and not free:
         with suppress(ValueError):
             again = fit_model(clips, _rescale_friction(clips, model), names, noise, progress=lambda: progress("fit"))
             return min(found, again, key=lambda f: f.chi2)

@@ -55,7 +55,7 @@ def refit_noise(
         return None
     max_clips = 12  # evenly spread: they determine the noise well enough
     indices = np.unique(np.linspace(0, len(clips) - 1, min(max_clips, len(clips))).astype(int)).tolist()
-    left = _Residuals.of(clips, fit, noise, indices)
+    left = RestrictedResiduals.of(clips, fit, noise, indices)
     within = BallPairs(pair for k in indices for pair in clips[k].paired_stretches())
     tests_shared = explained and not noise.shared and bool(within.pairs)
     sigma, rho = left.common_mode_score(noise) if tests_shared else (0.0, 0.0)
@@ -76,7 +76,7 @@ def refit_noise(
 
 
 @dataclass(frozen=True)
-class _Residuals:
+class RestrictedResiduals:
     """Residuals of clips, with the derivatives that absorb part of them.
 
     columns: (n, 2, p + S + 1) of each clip, m: derivatives by the launch and the shared parameters, and residuals.
@@ -88,7 +88,9 @@ class _Residuals:
     penalty: float  # of a number more, Schwarz
 
     @classmethod
-    def of(cls, clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, indices: Sequence[int]) -> _Residuals:
+    def of(
+        cls, clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, indices: Sequence[int]
+    ) -> RestrictedResiduals:
         """The residuals of the clips with these indices."""
         size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
         unit, columns = 1 / np.where(size > 0, size, 1), []

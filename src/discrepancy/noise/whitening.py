@@ -20,20 +20,22 @@ class ClipWhitener:
     """The inverse Cholesky factor of the noise's covariance, exact for any missing frames.
 
     Residuals are first scaled by the claimed covariances. Without shared noise, each ball is then filtered by itself;
-    the resting target's constant offset is part of its covariance. With shared noise, all rows and both axes are
-    filtered together, in order of frames. Each white number is the innovation of its row and axis, given the rows
-    before it.
+    the resting target's constant offset is part of its covariance. With shared noise, or with what differs from stretch
+    to stretch, all rows and both axes are filtered together, in order of frames. Each white number is the innovation of
+    its row and axis, given the rows before it.
     """
 
     roots: Array  # (n, 2, 2): inverse Cholesky factors of the claimed covariances
     filters: tuple[Array, ...]  # of the rows of each ball; or one, (2n, 2n)
     order: Ints | None  # (2n,), for the one
+    # (2n, 2n): the covariance of scaled residuals without what differs from stretch to stretch; None if nothing does
+    noise_alone: Array | None = None
 
     @classmethod
     def of(cls, clip: MeasuredCollision, noise: Noise) -> ClipWhitener:
         """The whitener of a clip's positions for this noise."""
         roots, offset = clip.roots, clip.resting_offset
-        if not noise.shared:
+        if not noise.shared and clip.scatter is None:
             rows = (clip.ball == ball for ball in (0, 1))
             filters = (_inverse_factor(noise.own, clip.frame[r].tobytes(), offset[r].tobytes()) for r in rows)
             return cls(roots, tuple(filters), None)
@@ -42,16 +44,21 @@ class ClipWhitener:
         longest = int(apart.max()) + 1
         own = noise.own.autocovariances(longest)[apart] * (clip.ball[:, None] == clip.ball) + np.outer(offset, offset)
         total = np.zeros((n, 2, n, 2))
-        for axis, component in enumerate(noise.shared):
+        for axis in range(2):
             total[:, axis, :, axis] += own
+        for axis, component in enumerate(noise.shared):
             push = roots[:, :, axis]  # of a displacement, in scaled residuals
             lags = component.autocovariances(longest)[apart]
             for a, b in itertools.product(range(2), range(2)):
                 if push[:, a].any() and push[:, b].any():
                     total[:, a, :, b] += lags * np.outer(push[:, a], push[:, b])
+        alone = None
+        if clip.scatter is not None:
+            alone = total.reshape(2 * n, 2 * n).copy()
+            total += np.einsum("iab,ibjc,jdc->iajd", roots, clip.scatter, roots, optimize=True)
         order = np.argsort(np.repeat(frame, 2), kind="stable")
         factor = np.linalg.cholesky(total.reshape(2 * n, 2 * n)[np.ix_(order, order)])
-        return cls(roots, (_invert_lower(factor),), order)
+        return cls(roots, (_invert_lower(factor),), order, alone)
 
     def __call__(self, residuals: Array) -> Array:
         """Residuals (n, 2, ...), m, as white ones (2n, ...) of unit size."""
@@ -84,6 +91,16 @@ class ClipWhitener:
         else:
             scaled = np.empty_like(flat)
             scaled[self.order] = _solve_lower(self.filters[0], flat[self.order])
+        return np.asarray(np.linalg.solve(self.roots, scaled.reshape(n, 2, -1)).reshape(n, 2, *rest))
+
+    def undo_noise(self, white: Array) -> Array:
+        """As `undo`, without the most likely displacements by what differs from stretch to stretch."""
+        if self.noise_alone is None or self.order is None:
+            return self.undo(white)
+        n, rest = len(self.roots), white.shape[1:]
+        flat, pulled = white.reshape(2 * n, -1)[self.order], np.empty((2 * n, white.size // (2 * n)))
+        pulled[self.order] = self.filters[0].T @ flat
+        scaled = self.noise_alone @ pulled
         return np.asarray(np.linalg.solve(self.roots, scaled.reshape(n, 2, -1)).reshape(n, 2, *rest))
 
     @property

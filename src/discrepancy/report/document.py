@@ -30,11 +30,13 @@ def to_document(found: SearchOutcome) -> dict[str, Any]:
             "alike": list(map(str, found.uniform)),
             "processed": list(map(str, found.processed)),
             "withdrawn": [
-                {"claim": t.name, "own_sigma": t.sigma, "why": describe_rejection(t)} | t.document()
+                {"claim": t.name, "own_sigma": t.sigma, "why": describe_rejection(t, found.data.unit)} | t.document()
                 for t in found.rejected
             ],
             "gap": dataclasses.asdict(found.gap) | {"by_claim": {t.name: t.document() for t in found.accepted}},
             "experiment": found.experiment,
+            "scatter": dataclasses.asdict(found.data.scatter),
+            "contacts": [dataclasses.asdict(claim) for claim in found.contacts],
             "cut_short": vars(found.interrupted) if found.interrupted else None,
             "noise": {"scale": noise.scale, "quick": noise.innovation_scale, "correlation": noise.correlation}
             | {"shake": noise.common_mode_rms}

@@ -16,6 +16,8 @@ from discrepancy.data.launch import HEADING, T_C, V0
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.law_summary import LawSummary
+from discrepancy.noise.model import Noise
+from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.outcome import SearchOutcome
 from discrepancy.validate.gap import Gap
 from synthcam_shared.report.page import PageFigure, make_axes
@@ -40,15 +42,16 @@ def list_models(found: SearchOutcome) -> list[str]:
 @matplotlib.rc_context(STYLE)
 def draw_figures(found: SearchOutcome) -> list[PageFigure]:
     """Draw all figures of a search's page."""
+    unit = found.data.unit
     compared = f", base model and model {name_of_best(found)}" if not found.is_empty else " of the base model"
     only = "" if not found.is_empty else " The search names no effect, so the base model is shown alone."
     figures = [
         (
             f"Mean residuals{compared}",
             _mean_residuals_figure(found),
-            "Mean residuals of the fitted collisions. Error bars: scatter between collisions, as the standard error of "
-            "the mean. The sigma in the text is larger where a wrong model makes collisions differ, because it "
-            "compares each collision with its measurement noise. Time runs from the first frame to the contact, "
+            f"Mean residuals of the fitted {unit}. Error bars: scatter between {unit}, as the standard error of "
+            f"the mean. The sigma in the text is larger where a wrong model makes {unit} differ, because it "
+            f"compares each {unit.one} with its measurement noise. Time runs from the first frame to the contact, "
             "through sliding, to the last frame of rolling. Along: along the path of the ball after the contact; "
             "across: towards the side to which it is deflected.",
         ),
@@ -56,7 +59,7 @@ def draw_figures(found: SearchOutcome) -> list[PageFigure]:
             f"Size of the residuals{compared}",
             _rms_residuals_figure(found),
             "Root mean square of the same residuals. Error bars: statistical, for independent residuals of normal "
-            "distribution. It also shows a disagreement whose sign changes between collisions.",
+            f"distribution. It also shows a disagreement whose sign changes between {unit}.",
         ),
     ]
     if found.law_summary:
@@ -67,9 +70,9 @@ def draw_figures(found: SearchOutcome) -> list[PageFigure]:
         figures.append((f"Free law: {found.law_summary.formula}", _law_figure(found.law_summary), caption))
     if found.scores:
         figures.append(("Significance of each candidate effect", _ranking_figure(found), _caption_ranking(found)))
-    caption = f"Held-out collisions enter no fit of shared parameters; only their launches are fitted.{only}"
-    figures.append(("Residuals of held-out collisions by phase", _gap_by_phase_figure(found), caption))
-    figures.append(("Residuals of each held-out collision", _gap_by_clip_figure(found), caption))
+    caption = f"Held-out {unit} enter no fit of shared parameters; only their launches are fitted.{only}"
+    figures.append((f"Residuals of held-out {unit} by phase", _gap_by_phase_figure(found), caption))
+    figures.append((f"Residuals of each held-out {unit.one}", _gap_by_clip_figure(found), caption))
     return [PageFigure.of(figure, title, caption) for title, figure, caption in figures]
 
 
@@ -84,7 +87,7 @@ def _mean_residuals_figure(found: SearchOutcome) -> Figure:
     shown = _shown_balls(found)
     figure, axes = make_axes(len(shown), 2, figsize=(8, 0.2 + 2.2 * len(shown)), sharex=True, squeeze=False)
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
-        stage, ball, left = _residuals(clips, fit)
+        stage, ball, left = _residuals(clips, fit, found.data.noise)
         for (row, axis), ax in np.ndenumerate(axes):
             b = shown[row]
             centres, values = _bin(stage[ball == b], left[ball == b, axis])
@@ -105,7 +108,7 @@ def _rms_residuals_figure(found: SearchOutcome) -> Figure:
     figure, grid = make_axes(1, len(shown), figsize=(4 * len(shown), 2.8), sharey=True, squeeze=False)
     axes = grid[0]
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
-        stage, ball, left = _residuals(clips, fit)
+        stage, ball, left = _residuals(clips, fit, found.data.noise)
         for b, ax in zip(shown, axes, strict=True):
             centres, values = _bin(stage[ball == b], np.sqrt((left[ball == b] ** 2).mean(axis=1)))
             sizes = np.array([np.sqrt(np.mean(v**2)) for v in values])
@@ -135,17 +138,17 @@ def _mark_stages(ax: Axes, title: str, is_cut: bool) -> None:
     ax.tick_params(axis="x", length=0)
 
 
-def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit) -> tuple[Array, Array, Array]:
+def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> tuple[Array, Array, Array]:
     """Stage (n,), ball (n,) and residuals (n, 2), µm along and across the path after the contact, of all positions.
 
     Stage: -1 to 0 before the contact, to 1 while the ball slides, to 2 while it rolls.
     """
     stages, balls, lefts = [], [], []
     expected = predict_tracks(fit.model, fit.launches, clips)
-    for clip, launch, xy in zip(clips, fit.launches, expected, strict=True):
+    for clip, launch, xy, white in zip(clips, fit.launches, expected, fit.residuals, strict=True):
         time = (clip.frame + 0.0) / clip.fps + clip.exposure / 2
         stage = np.zeros(len(time))
-        left, out = clip.xy - xy, np.zeros((len(time), 2))
+        left, out = ClipWhitener.of(clip, noise).undo_noise(white), np.zeros((len(time), 2))
         for b in range(2):
             rows = clip.ball == b
             if not rows.any():
@@ -213,8 +216,8 @@ def _caption_ranking(found: SearchOutcome) -> str:
     shown, total = len(found.scores[:MAX_RANKED_EFFECTS]), len(found.scores)
     which = f"The {shown} most significant of {total} effects" if shown < total else f"All {total} effects"
     return (
-        f"{which}, each added alone to the base model (score test on the {len(found.data.clips)} fitted collisions). "
-        "A wrong base model makes many significant; refits and tests decide."
+        f"{which}, each added alone to the base model (score test on the {len(found.data.clips)} fitted "
+        f"{found.data.unit}). A wrong base model makes many significant; refits and tests decide."
     )
 
 
@@ -281,7 +284,7 @@ def _gap_by_clip_figure(found: SearchOutcome) -> Figure:
         ax.errorbar(at, chi2, errors, fmt=marker, ms=4, lw=1, color=colour, mfc="white", label=label)
     ax.axhline(found.gap.floor, color=COLOURS["noise"], lw=1, ls="--", label="noise alone")
     _scale_log_if_wide(ax, found.gap)
-    ax.set(xlabel="speed before the contact (m/s)", ylabel="χ² per point, held-out collisions")
+    ax.set(xlabel="speed before the contact (m/s)", ylabel=f"χ² per point, held-out {found.data.unit}")
     ax.legend()
     return figure
 

@@ -47,17 +47,17 @@ def _describe_fit(found: SearchOutcome, converged: float = 0.1) -> str:
     state = "converged" if gain < converged else f"did not converge: a further step would lower chi^2 by {gain:.2g}"
     common = f", {1e6 * noise.common_mode_rms:.2g} um of it common to both balls" if noise.shared else ""
     return (
-        f"The search fitted {len(data.clips)} collisions together, at {min(speeds):.2f} to {max(speeds):.2f} m/s with "
+        f"The search fitted {len(data.clips)} {data.unit} together, at {min(speeds):.2f} to {max(speeds):.2f} m/s with "
         f"|b| up to {widest:.2f}. They share {shared}; each has {numbers} launch parameters; the fit {state}. "
-        f"{len(data.held_out)} more collisions were held out. The noise is {noise.scale:.2f} times the standard errors "
-        f"of the positions, with a correlation of {noise.correlation:+.2f} between frames{common}."
+        f"{len(data.held_out)} more {data.unit} were held out. The noise is {noise.scale:.2f} times the standard "
+        f"errors of the positions, with a correlation of {noise.correlation:+.2f} between frames{common}."
     )
 
 
 def _describe_disagreement(found: SearchOutcome) -> str:
     base = found.base_fit
     per_degree = format_chi2(base.chi2 / (base.points - base.parameters))
-    fitted = f"On the {len(found.data.clips)} fitted collisions"
+    fitted = f"On the {len(found.data.clips)} fitted {found.data.unit}"
     chi2 = f"{fitted} the base model has chi^2 per degree of freedom {per_degree}"
     worst = found.base_disagreements[0] if found.base_disagreements else None
     if worst is None or worst.sigma == 0:
@@ -71,7 +71,7 @@ def _describe_disagreement(found: SearchOutcome) -> str:
 
 
 def _describe_gap(found: SearchOutcome) -> str:
-    gap, where = found.gap, f"On the {len(found.data.held_out)} held-out collisions"
+    gap, where = found.gap, f"On the {len(found.data.held_out)} held-out {found.data.unit}"
     noise = f"noise alone would leave {gap.floor_um:.2f} um"
     if found.is_empty:
         return f"{where} the base model leaves residuals of {gap.before_um:.2f} um rms; {noise}."
@@ -85,7 +85,7 @@ def _describe_gap(found: SearchOutcome) -> str:
 
 
 def _describe_open_questions(found: SearchOutcome) -> str:
-    lines, fitted = [], f"These {len(found.data.clips)} fitted collisions"
+    lines, fitted = [], f"These {len(found.data.clips)} fitted {found.data.unit}"
     classes = [_join_words(claim.aliases, "and") for claim in found.claims if len(claim.aliases) > 1]
     if classes:
         lines.append(f"{fitted} cannot distinguish {'; nor '.join(classes)} (see the experiment below).")

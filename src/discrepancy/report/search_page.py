@@ -21,7 +21,6 @@ from discrepancy.wording import (
     describe_rejection,
     describe_search,
     format_with_error,
-    name_units,
 )
 from synthcam.model import Model, write_model
 from synthcam_shared.report.folder import replace_folder
@@ -35,18 +34,18 @@ def write(found: SearchOutcome, folder: Path) -> None:
     """Write the three files of the report into a folder, which is made where it is missing."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "discrepancy.json").write_text(json.dumps(to_document(found), indent=1, allow_nan=False) + "\n")
-    left_out = list(map(str, found.left_out))
+    left_out, unit = list(map(str, found.left_out)), found.data.unit
     write_model(found.model, folder / "model.yaml")
     figures = draw_figures(found)
     named, base = _named_table(found), found.base_disagreements
     definitions = (
         "Ball 1 is struck, ball 2 strikes. The impact parameter b is in units of the sum of the radii.",
-        "The fitted collisions determine the shared parameters. The held-out collisions enter no fit of shared "
+        f"The fitted {unit} determine the shared parameters. The held-out {unit} enter no fit of shared "
         "parameters; only their launches are fitted.",
         "χ² per point: noise alone gives slightly less than 1, because the launches are fitted.",
     )
     about_stretches = (
-        "A stretch is the motion of one ball between two contacts. It has its own start; the impact is no evidence."
+        "A stretch is the motion of one ball between two contacts. It has its own start, whatever the impact was."
     )
     sections = [
         Section("Effects that the model lacks", [named, *_describe_similar(found)] if named else []),
@@ -54,20 +53,18 @@ def write(found: SearchOutcome, folder: Path) -> None:
         Section("Course of the search", [PageList(write_story(found), ordered=True)]),
         Section("Experiment that would distinguish the candidates", [found.experiment] if found.experiment else []),
         *(Section(figure.title, [figure]) for figure in figures),
-        Section("Residuals of held-out collisions, in numbers", [_gap_table(found)]),
-        Section("Tests of each claim on collisions that did not enter it", _test_table(found)),
+        Section(f"Residuals of held-out {unit}, in numbers", [_gap_table(found)]),
+        Section(f"Tests of each claim on {unit} that did not enter it", _test_table(found)),
         Section("Disagreements of the base model", _list_disagreements(found, base, 10)),
         Section(
             f"Disagreements that remain {name_of_best(found)}",
             _list_disagreements(found, found.disagreements, 5, " remains") if not found.is_empty else [],
         ),
         Section("Fitted parameters of the model", [_parameter_table(found)]),
-        Section("Collisions and positions that were not used", [PageList(left_out)] if left_out else []),
+        Section(f"{str(unit).capitalize()} and positions that were not used", [PageList(left_out)] if left_out else []),
     ]
     summary = [f"Verdict: {found.verdict}", describe_search(found)]
-    page = folder / "index.html"
-    write_page(page, "Search for missing physics", sections, "discrepancy find", summary)
-    page.write_text(name_units(page.read_text(encoding="utf-8"), found), encoding="utf-8")
+    write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", summary)
 
 
 def write_report(found: SearchOutcome, folder: Path) -> Path:
@@ -111,9 +108,9 @@ def _named_table(found: SearchOutcome) -> PageTable | None:
     heads = ["effect", "parameter", "value ± standard error", "unit"]
     heads += ["significance of the parameter, sigma", "significance of the effect, sigma", "effects that fit as well"]
     note = (
-        f"All values are from the {len(found.data.clips)} fitted collisions. The significance of a parameter is its "
-        "value over its standard error. The significance of the effect is that of all its strengths together. A 95 % "
-        "interval is 1.96 standard errors wide on either side."
+        f"All values are from the {len(found.data.clips)} fitted {found.data.unit}. The significance of a parameter is "
+        "its value over its standard error. The significance of the effect is that of all its strengths together. A "
+        "95 % interval is 1.96 standard errors wide on either side."
     )
     return PageTable(heads, rows, note=note)
 
@@ -165,7 +162,7 @@ def _gap_table(found: SearchOutcome) -> PageTable:
         chi2 = [format_chi2(getattr(part, key)) for key in keys]
         rms = [format_number(getattr(part, f"{key}_um")) for key in keys]
         rows.append(["before the contact" if name == "before" else name, *chi2, *rms])
-    note = f"The {len(found.data.held_out)} held-out collisions. Rms of the residuals in x and y."
+    note = f"The {len(found.data.held_out)} held-out {found.data.unit}. Rms of the residuals in x and y."
     return PageTable(heads, rows, note=note)
 
 
@@ -173,12 +170,13 @@ def _test_table(found: SearchOutcome) -> list[Block]:
     tests: list[ClaimTest] = [*found.accepted, *found.rejected]
     if not tests:
         return []
+    unit = found.data.unit
     heads = [
         "claim",
-        *(f"held-out collisions, χ² per point: {which}" for which in ("without it", "with it")),
-        "held-out collisions: observed significance, sigma (expected)",
-        *(f"fitted collisions, each left out in turn, χ² per point: {which}" for which in ("without it", "with it")),
-        "fitted collisions, each left out in turn: significance, sigma",
+        *(f"held-out {unit}, χ² per point: {which}" for which in ("without it", "with it")),
+        f"held-out {unit}: observed significance, sigma (expected)",
+        *(f"fitted {unit}, each left out in turn, χ² per point: {which}" for which in ("without it", "with it")),
+        f"fitted {unit}, each left out in turn: significance, sigma",
         "result",
     ]
     rows = []
@@ -191,12 +189,12 @@ def _test_table(found: SearchOutcome) -> list[Block]:
                 f"{format_sigma(held_out.sigma)} ({format_sigma(held_out.promised)})",
                 *(format_chi2(chi2) for chi2 in each.gap),
                 format_sigma(each.sigma),
-                f"rejected: {describe_rejection(test)}" if test.rejection else "passed",
+                f"rejected: {describe_rejection(test, unit)}" if test.rejection else "passed",
             )
         )
     note = (
-        f"Two tests of each claim. The first uses the {len(found.data.held_out)} held-out collisions. The second "
-        f"leaves out each of the {len(found.data.clips)} fitted collisions in turn, and a fit to the others predicts "
+        f"Two tests of each claim. The first uses the {len(found.data.held_out)} held-out {unit}. The second "
+        f"leaves out each of the {len(found.data.clips)} fitted {unit} in turn, and a fit to the others predicts "
         "it. The expected significance is the one that the claimed strength would give."
     )
     return [PageTable(heads, rows, note=note)]
@@ -212,7 +210,7 @@ def _list_disagreements(
             size = format_number(one.size, 2) if np.isfinite(one.size) and one.size else ""
             rows.append((describe_disagreement(one), format_sigma(one.sigma), size))
         note = (
-            f"Residuals of the {len(found.data.clips)} fitted collisions. The significance is corrected for "
+            f"Residuals of the {len(found.data.clips)} fitted {found.data.unit}. The significance is corrected for "
             f"{len(disagreements)} trials."
         )
         return [PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)]
@@ -221,7 +219,7 @@ def _list_disagreements(
     return [
         f"No significant disagreement{remains} (largest: {format_sigma(disagreements[0].sigma)} sigma after "
         f"{len(disagreements)} trials; significant is above {found.policy.unexplained_sigma:g}). The test uses the "
-        f"{len(found.data.clips)} fitted collisions."
+        f"{len(found.data.clips)} fitted {found.data.unit}."
     ]
 
 

@@ -93,12 +93,13 @@ def closed_share(whole: GapPhase, points: int) -> float:
 def _mean_squares(clip: MeasuredCollision, before: Array, after: Array, launch: Array, noise: Noise) -> Array:
     """Squared whitened residuals of each row before, after and from noise alone, then the same in m^2: (n, 6).
 
-    Those from noise are its covariance less the part that the launch absorbs. Each is a mean over the axes.
+    Those from noise are its covariance less the part that the launch absorbs. Each is a mean over the axes. Those in
+    m^2 are without the most likely scatter from stretch to stretch.
     """
     white, q = ClipWhitener.of(clip, noise), orthonormal_basis(launch)
     left = np.eye(len(q)) - q @ q.T
     chi2 = (before**2, after**2, np.diag(left))
-    metres = (white.undo(before) ** 2, white.undo(after) ** 2, (white.undo(left) ** 2).sum(axis=2))
+    metres = (white.undo_noise(before) ** 2, white.undo_noise(after) ** 2, (white.undo_noise(left) ** 2).sum(axis=2))
     return np.stack([np.mean(np.reshape(x, (-1, 2)), axis=1) for x in (*chi2, *metres)], axis=1)
 
 

@@ -1,7 +1,8 @@
 """Thousands of two-ball collisions at once: the motion of `dynamics.solve`, vectorised over collisions.
 
 A collision is one impact of a striker on a ball at rest, followed by flights, slides and rolls. Where two balls would
-touch again, or a ball that stopped starts again, `solve` takes over that collision.
+touch again, or a ball that stopped starts again, `solve` takes over that collision. With |b| > 1 the striker meets
+nothing: its motion is free, before and after the time of its launch.
 """
 
 from __future__ import annotations
@@ -56,7 +57,6 @@ from synthcam.model import Bodies, Model
 
 # position of the contact, m; its time, s; speed, m/s, and heading, rad, of the striker; b over the sum of the radii
 LAUNCH_COLUMNS = ("x", "y", "t_c", "v0", "heading", "b")
-GRAZING = 1 - 1e-9  # |b| from which on a contact changes nothing, so that the striker is free
 MAX_GROUP = 400  # balls that are integrated together: more leave the processor's cache
 
 
@@ -141,6 +141,7 @@ def solve_collisions(
     """Solve many collisions at once. Raises ValueError as `solve` does.
 
     launches: (n, 6) or (n, 9), columns LAUNCH_COLUMNS and, of strikers that do not roll, `SPIN_COLUMNS` of `launch`.
+    Of a free striker, |b| > 1, x and y are its own position; ball 1 is then another striker, in the same place.
     start, end: s. striker_is_a: whether the striker is ball a of the experimenter, (n,) or one for all.
     """
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))
@@ -149,19 +150,27 @@ def solve_collisions(
     both = Bodies.join(one, two)
     t_c = launches[:, 2].astype(float)
     spin = launches[:, 6:] if launches.shape[1] > len(LAUNCH_COLUMNS) else None
-    target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2], spin)
+    free = np.abs(launches[:, 5]) > 1
+    b = np.where(free, 0.0, launches[:, 5])
+    touch = touching(one, two, launches[:, 3], b, launches[:, 4], launches[:, :2], spin)
+    target, striker = touch[0].copy(), touch[1].copy()
+    striker[free, :2] = launches[free, :2]
+    target[free] = striker[free]
 
     run = _BatchSolver(
         model, both, CollisionBatch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c])
     )
-    target, striker = run.solve_approach(target, striker)
-    hit = collide(model, target, striker, one, two)
+    if run.mutual and free.any():
+        raise ValueError("a ball that meets nothing has no partner to push it")
+    target, striker = run.solve_approach(target, striker, free)
+    met = (np.where(free[:, None], *pair) for pair in zip(touch, (target, striker), strict=True))
+    hit = collide(model, *met, one, two)  # that of a free striker is not used
     if run.mutual and np.any(soft := hit.impulse_n < MIN_IMPACT_SPEED_OF_PAIR_M_S * one.mass):
         raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
-    grazes = np.abs(launches[:, 5])[:, None] >= GRAZING
-    after = np.where(grazes, target, hit.target), np.where(grazes, striker, hit.striker)
+    after = [np.where(free[:, None], *pair) for pair in ((target, hit.target), (striker, hit.striker))]
     run.solve_after_impact(np.concatenate(after), hit.n[:, :2])
-    odd = sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting})
+    run.out.recontact_candidates = np.setdiff1d(run.out.recontact_candidates, np.flatnonzero(free))
+    odd = sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting} - {*np.flatnonzero(free)})
     return _solve_one_by_one(model, launches, is_a, run.out, np.array(odd, dtype=np.intp))
 
 
@@ -237,26 +246,30 @@ class _BatchSolver:
         self.bent = {mode: model.laws.has_effect_on(*laws) for mode, laws in LAWS.items()}  # without closed form
         self.floor = np.full(len(t_c), np.inf)
 
-    def solve_approach(self, target: Array, striker: Array) -> tuple[Array, Array]:
-        """Solve the approach, targets at rest, strikers rolling or sliding; return their states at the contact."""
+    def solve_approach(self, target: Array, striker: Array, moves: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Solve the approach, targets at rest, strikers rolling or sliding; return their states at the contact.
+
+        moves (n,): targets that move as strikers do.
+        """
         n, start = len(target), np.full(len(self.t_c), self.out.start)
         if self.mutual:
             return self._approach_with_push(np.concatenate([target, striker]))
-        early = np.flatnonzero(self.t_c > self.out.start)
-        self._rest(early[early < n], target[early[early < n]], start, self.t_c)
-        who = early[early >= n]
-        modes = classify_modes(striker, self.bodies.radius[n:])[who - n]
+        early, states = self.t_c > self.out.start, np.concatenate([target, striker])
+        rests = np.flatnonzero(early & np.append(~moves, np.zeros(n, dtype=bool)))
+        self._rest(rests, states[rests], start, self.t_c)
+        who = np.setdiff1d(np.flatnonzero(early), rests)
+        modes = classify_modes(states, self.bodies.radius)[who]
         for mode in (ROLL, SLIDE):
             own = who[modes == mode]
-            for some in _group_by_size(own, np.hypot(striker[own - n, 3], striker[own - n, 4])):
+            for some in _group_by_size(own, np.hypot(states[own, 3], states[own, 4])):
                 if self.bent[mode]:
-                    balls = BallStates.without_drilling(self.model, self.bodies[some], striker[some - n])
+                    balls = BallStates.without_drilling(self.model, self.bodies[some], states[some])
                     for units, motion in propagate_back(balls, self.t_c[some], start[some]):
                         self.out.segments += IntegratedSegment.of(some[units], motion, self.out.start)
                 elif mode == ROLL:
-                    self._roll(some, striker[some - n], start[some], self.t_c[some], self.t_c[some])
+                    self._roll(some, states[some], start[some], self.t_c[some], self.t_c[some])
                 else:
-                    self._slide_before(some, striker[some - n], start[some])
+                    self._slide_before(some, states[some], start[some])
         return target, striker
 
     def _slide_before(self, who: Ints, states: Array, start: Array) -> None:

@@ -169,3 +169,21 @@ def test_a_sliding_approach_is_a_parabola_along_its_slip():
         assert there[:2] == pytest.approx(before[:2] - before[3:5] * t - slowing * hat * t**2 / 2, abs=1e-12)
         assert contact_velocity(there, bodies.radius[1]) == pytest.approx(u + 3.5 * slowing * hat * t, abs=1e-12)
         assert there[8] == pytest.approx(spin[2] / bodies.radius[1])
+
+
+def test_a_striker_that_meets_nothing_moves_as_if_alone():
+    """Before and after the time of its launch, and through the place where a head-on launch meets a ball."""
+    launches = np.array([[0.01, 0.02, 0.1, 0.4, 0.3, 2.0, 0.1, -0.05, 0.0], [0.0, 0.0, 0.05, 0.3, 2.0, 2.0, 0, 0, 0]])
+    model, times = Model(), np.linspace(0.0, 0.3, 31)
+    free = solve_collisions(model, launches, 0.0, 0.3).at(times)[1]
+    head_on = launches.copy()
+    head_on[:, 5] = 0.0
+    for k, (row, start) in enumerate(zip(free, head_on, strict=True)):
+        ahead = np.array([np.cos(start[4]), np.sin(start[4])])
+        start[:2] += model.ball.radius * ahead  # the contact, for a striker whose centre is at x, y
+        early = times < start[2]
+        alone = solve_collisions(model, start[None], 0.0, 0.3).at(times)[1, 0]
+        assert row[early] == pytest.approx(alone[early], abs=1e-12)
+        at = int(np.argmin(np.abs(times - start[2])))
+        assert row[at, :2] == pytest.approx(launches[k, :2], abs=1e-9)
+        assert np.abs(np.diff(row[:, 3:5], axis=0)).max() < 3.5 * 9.81 * model.sliding_friction * 0.01  # no impulse

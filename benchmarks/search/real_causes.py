@@ -1,0 +1,325 @@
+"""Causes put into real tracks: whether the search of free stretches names them, with their size, and nothing else.
+
+python -m benchmarks.search.real_causes CLONE [CLONE ...] [--only CAUSE] [--jobs N] [-o out/real_causes.jsonl]
+make bench-real-causes CLONES="CLONE ..."
+
+Each CLONE is a clone of one of the repositories that `benchmarks.real.recordings` reads. Its hits are cut into free
+stretches and corrected by the warp that they show. Each set then gets one known cause:
+
+- acceleration: a constant one, in full where a ball slides or glides and by 5/7 where it rolls, as of a tilted plate;
+- lens: r (1 + k r^2) about the middle of the picture;
+- aspect: one axis longer by a factor;
+- time: all times longer by a factor;
+- time of half: the times of every second recording longer by a factor;
+- mass of ball a: camera files with another mass, which the recoil of the contacts shows.
+
+Its strength is 5 and 10 times the detection limit of the search of the same tracks without the cause. Where the search
+says that these tracks cannot show the cause, it gets a few per cent. A line for each set says what was put in, what was
+named, and with which value. Free stretches cannot show the time of all recordings, as the effect `clock_error` proves:
+there the right answer is to name nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from benchmarks.real.hits import READERS, measure_hit
+from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.contacts import Contacts
+from discrepancy.data.launch import T_C, V0
+from discrepancy.fitting.parameters import find_parameter
+from discrepancy.search import search
+from discrepancy.select.contact_effects import ContactClaim, examine_contacts
+from discrepancy.wording import describe_search
+from synthcam.model import Model, as_model
+from synthcam_shared.errors import InputError
+from tracker.calibration.camera_warp import fit_camera_warp
+from tracker.calibration.free_stretches import find_free_stretches, measure_noise
+from tracker.camera.camera import Camera
+from tracker.measurement.local.local_columns import calibrate_set
+from tracker.measurement.positions import BallTrack, to_ball_tracks
+from tracker.tables.read import read_frame
+
+SHOWN = "cause times strength shown named false size std z verdict seconds".split()
+ON_CLOTH = {"restitution": 0.95, "sliding_friction": 0.2, "spin_transfer": 0.1, "rolling_decel": 0.04}
+ON_AIR = {"restitution": 0.8, "sliding_friction": 0.0, "rolling_decel": 0.02}
+LABORATORIES: dict[str, tuple[Callable[[Path], list[RecordedHit]], dict[str, float]]] = {
+    "3cushiontool": (read_billiards, ON_CLOTH | {"rolling_drag": 0.01}),
+    "TIF083-Expfys1A": (read_pucks, ON_AIR | {"rolling_drag": 0.03}),
+    "TIF083A": (read_discs, ON_AIR | {"rolling_drag": 0.03}),
+}
+
+
+# --- Tracks ---
+
+
+def read_clips(hits: Sequence[RecordedHit], warp_file: str | None) -> list[MeasuredCollision]:
+    """Read hits as collisions whose contact is where the bodies are nearest, corrected by the warp of a camera file.
+
+    Without a file it is the warp that the hits show; "none": no correction.
+    """
+    widths = [hit.camera["ball_diameter"] for hit in hits]  # discs differ; a search needs one width
+    cameras = [Camera.of(hit.camera | {"ball_diameter": float(np.median(widths))}) for hit in hits]
+    every = [_read_balls(hit, camera) for hit, camera in zip(hits, cameras, strict=True)]
+    clips = [_build(k, balls, camera) for k, (balls, camera) in enumerate(zip(every, cameras, strict=True))]
+    if warp_file == "none":
+        return clips
+    try:
+        if warp_file:
+            warp = Camera.of(json.loads(Path(warp_file).read_text())).warp
+        else:
+            parts = [find_free_stretches(balls, c.ball_diameter) for balls, c in zip(every, cameras, strict=True)]
+            found = fit_camera_warp(cameras[0], parts)
+            print(*found.summary(), sep="\n", flush=True)
+            warp = found.camera.warp
+    except InputError as error:
+        print(error, flush=True)
+        return clips
+    return clips if warp is None else [replace(c, xy=c.xy + warp.displace(c.xy)[0]) for c in clips]
+
+
+def _read_balls(hit: RecordedHit, camera: Camera) -> list[BallTrack]:
+    ((tracks, _),) = read_frame(hit.tracks, hit.camera, "", "m").clips.values()
+    return list(to_ball_tracks(tracks, camera))
+
+
+def _build(number: int, balls: Sequence[BallTrack], camera: Camera) -> MeasuredCollision:
+    """Build a collision; its striker is the ball that moves before the contact."""
+    _, i, j = np.intersect1d(balls[0].frame, balls[1].frame, return_indices=True)
+    at = int(np.argmin(np.hypot(*(balls[0].position[i] - balls[1].position[j]).T)))
+    contact, noise = float(balls[0].time[i[at]]), measure_noise(balls)
+    early = [ball.position[ball.time < contact] for ball in balls]
+    ways = [np.hypot(*(p[-1] - p[0])) if len(p) > 1 else 0.0 for p in early]
+    target, striker = balls if ways[1] >= ways[0] else balls[::-1]
+    before = striker.time < contact
+    velocity = np.polyfit(striker.time[before][-8:], striker.position[before][-8:], 1)[0]
+    place = (balls[0].position[i[at]] + balls[1].position[j[at]]) / 2
+    launch = np.array([*place, contact, np.hypot(*velocity), np.arctan2(velocity[1], velocity[0]), 0.0])
+    count = len(target) + len(striker)
+    return MeasuredCollision(
+        clip=number,
+        striker="b" if striker.particle == 1 else "a",
+        camera=camera,
+        frame=np.concatenate([target.frame, striker.frame]),
+        ball=np.repeat([0, 1], [len(target), len(striker)]),
+        xy=np.concatenate([target.position, striker.position]),
+        covariance=np.tile(noise**2 * np.eye(2), (count, 1, 1)),
+        launch=launch,
+        slide_ends=np.full(2, contact),
+    )
+
+
+# --- Causes ---
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A known cause: what it does to a clip at a strength, and the claims that name it rightly.
+
+    strengths: of the effect, whose values times `unit` are the strength. laws: free laws that say the same in general.
+    """
+
+    name: str
+    apply: Callable[[MeasuredCollision, float], MeasuredCollision]
+    effect: str
+    strengths: tuple[str, ...]
+    unit: float = 1.0
+    laws: tuple[str, ...] = ()
+    otherwise: float = 0.03  # the strength if the search says that these tracks do not show it
+
+
+def accelerate(heading: float, slides: bool) -> Callable[[MeasuredCollision, float], MeasuredCollision]:
+    """Add a constant acceleration, m/s^2 of a body without friction, from the contact on and backwards before it."""
+
+    def apply(clip: MeasuredCollision, size: float) -> MeasuredCollision:
+        since = clip.frame / clip.fps - clip.launch[T_C]
+        way = since**2 / 2
+        if not slides:
+            way = 5 / 7 * way
+        moves = (clip.ball == 1) | (since > 0)
+        push = size * np.array([np.cos(heading), np.sin(heading)])
+        return replace(clip, xy=clip.xy + (way * moves)[:, None] * push)
+
+    return apply
+
+
+def distort(clip: MeasuredCollision, k: float) -> MeasuredCollision:
+    """Distort positions about the middle of the picture, with the distance over that of the camera's focal length."""
+    middle = np.array([[clip.camera.K[0, 2], clip.camera.K[1, 2]]])
+    centre = clip.camera.unproject(middle)[0][0]
+    focus = clip.camera.K[0, 0] * clip.camera.scale
+    off = clip.xy - centre
+    return replace(clip, xy=centre + off * (1 + k * (off**2).sum(axis=1) / focus**2)[:, None])
+
+
+def stretch_axis(clip: MeasuredCollision, share: float) -> MeasuredCollision:
+    """Lengthen x by a share of it, about the middle of the picture."""
+    centre = clip.camera.unproject(np.array([[clip.camera.K[0, 2], clip.camera.K[1, 2]]]))[0][0]
+    return replace(clip, xy=centre + (clip.xy - centre) * [1 + share, 1.0])
+
+
+def slow_clock(clip: MeasuredCollision, share: float) -> MeasuredCollision:
+    """Lengthen all times by a share."""
+    launch = clip.launch.copy()
+    launch[T_C] *= 1 + share
+    launch[V0] /= 1 + share
+    camera = replace(clip.camera, fps=clip.camera.fps / (1 + share))
+    return replace(clip, camera=camera, launch=launch, slide_ends=clip.slide_ends * (1 + share))
+
+
+def slow_half(clip: MeasuredCollision, share: float) -> MeasuredCollision:
+    """Lengthen the times of every second recording."""
+    return slow_clock(clip, share) if clip.clip % 2 else clip
+
+
+def list_causes(model: Model) -> Iterator[Cause]:
+    """List the causes for a laboratory."""
+    g, glides = model.gravity, model.sliding_friction == 0
+    unit = 5 / 7 * g if glides else g  # in the model a body without friction rolls
+    for degrees in (20, 110, 200):
+        push = accelerate(np.radians(degrees), glides)
+        yield Cause(f"acceleration to {degrees} deg", push, "plate_tilt", ("x", "y"), unit, ("force_place",))
+    for sign in (1.0, -1.0):
+        yield Cause(f"lens {sign:+.0f}", lambda c, k, s=sign: distort(c, s * k), "lens_distortion", ("k1",), sign)  # type: ignore[misc]
+    yield Cause("aspect", stretch_axis, "aspect_error", ("e",), otherwise=0.005)
+    yield Cause("time", slow_clock, "clock_error", ("e",), otherwise=0.01)
+    yield Cause("time of half", slow_half, "clock_error", ("e",), laws=("clock_clip",), otherwise=0.05)
+
+
+# --- Searches ---
+
+
+def run_set(job: tuple[str, str, float, Sequence[MeasuredCollision], Model, str, float]) -> dict[str, Any]:
+    """Search one set; the strength is that of the named cause, and the line says what was found."""
+    laboratory, cause, times, clips, model, effect, strength = job
+    begun = time.monotonic()
+    line: dict[str, Any] = {"laboratory": laboratory, "cause": cause, "times": times, "strength": strength}
+    found = search(clips, model, seconds=1200, stretches=True)
+    line |= {"verdict": str(found.verdict), "seconds": round(time.monotonic() - begun)}
+    line["claims"] = [
+        {"effect": c.effect, "aliases": c.aliases[1:], "sigma": round(c.sigma, 1), "values": c.values, "std": c.std}
+        for c in found.claims
+    ]
+    line["law"] = found.free_law.law.name if found.free_law else None
+    line["limits"] = {s.effect: s.limit if s.identifiable else None for s in found.scores}
+    line["scatter"] = vars(found.data.scatter)
+    line["gap"] = [round(x, 3) for x in (found.gap.before, found.gap.after, found.gap.floor)]
+    line["stretches"] = [len(found.data.clips), len(found.data.held_out)]
+    line["withdrawn"] = [test.name for test in found.rejected]
+    return line | {"sentence": describe_search(found), "effect": effect}
+
+
+def judge(line: dict[str, Any], cause: Cause, shown: bool) -> dict[str, Any]:
+    """Compare the claims of a line with its cause."""
+    right = [c for c in line["claims"] if cause.effect in (c["effect"], *c["aliases"])]
+    law = line["law"] if line["law"] in cause.laws else None
+    wrong = [c["effect"] for c in line["claims"] if c not in right]
+    if line["law"] and law is None:
+        wrong.append(line["law"])
+    out = {"shown": shown, "named": bool(right or law), "false": wrong}
+    if right and right[0]["effect"] == cause.effect:
+        values = [right[0]["values"].get(f"{cause.effect}.{s}", np.nan) for s in cause.strengths]
+        stds = [right[0]["std"].get(f"{cause.effect}.{s}", np.nan) for s in cause.strengths]
+        found = cause.unit * np.array(values)
+        size = float(np.hypot(*found)) if len(found) == 2 else float(found[0])
+        std = abs(cause.unit) * float(np.nanmean(stds))
+        out |= {"size": size, "std": std, "z": (size - line["strength"]) / std if std else None}
+        if len(found) == 2:
+            out["heading_deg"] = round(float(np.degrees(np.arctan2(found[1], found[0]))) % 360, 1)
+    return line | out
+
+
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("clones", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()])
+    parser.add_argument("--only", default="", help="only causes whose name begins so")
+    parser.add_argument("--warp", help="camera.json of tracker warp; none: no correction; default: fitted to the hits")
+    parser.add_argument("--hits", type=int, default=20, help="recordings of a set")
+    parser.add_argument("--parts", type=int, default=2, help="sets of recordings of a laboratory")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/real_causes.jsonl"))
+    given = parser.parse_args()
+    if not given.clones:
+        raise SystemExit(f"expected paths to clones of {', '.join(LABORATORIES)}")
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    with given.output.open("a") as file, ProcessPoolExecutor(given.jobs) as pool:
+        for clone in given.clones:
+            name = next(name for name in LABORATORIES if name in str(clone))
+            hits = LABORATORIES[name][0](clone)
+            clips = read_clips(hits, given.warp)
+            sets = [clips[k :: given.parts][: given.hits] for k in range(given.parts)]
+            lines = (line for part in sets for line in run_causes(name, part, given.only, pool))
+            for line in itertools.chain(relabel_masses(name, hits), lines):
+                file.write(json.dumps(line, default=float) + "\n")
+                file.flush()
+                print({k: line.get(k) for k in SHOWN}, flush=True)
+
+
+def run_causes(
+    name: str, clips: Sequence[MeasuredCollision], only: str, pool: ProcessPoolExecutor
+) -> Iterator[dict[str, Any]]:
+    """Search a set of recordings of a laboratory without a cause, and then with each."""
+    model = as_model({"ball": {"diameter": clips[0].camera.ball_diameter}, "model": LABORATORIES[name][1]})
+    bare = run_set((name, "none", 0.0, clips, model, "", 0.0))
+    false = [c["effect"] for c in bare["claims"]] + ([bare["law"]] if bare["law"] else [])
+    yield bare | {"shown": False, "named": False, "false": false}
+    jobs, known = [], []
+    for cause in list_causes(model):
+        limit = bare["limits"].get(cause.effect)
+        for times in (5.0, 10.0) if cause.name.startswith(only) else ():
+            strength = cause.otherwise * times / 5
+            if limit is not None and cause.name != "time of half":
+                strength = times * limit * _typical(model, cause)
+            injected = [cause.apply(clip, strength) for clip in clips]
+            jobs.append((name, cause.name, times, injected, model, cause.effect, strength))
+            known.append((cause, limit is not None))
+    for line, (cause, shown) in zip(pool.map(run_set, jobs), known, strict=True):
+        yield judge(line, cause, shown)
+
+
+def relabel_masses(name: str, hits: Sequence[RecordedHit]) -> Iterator[dict[str, Any]]:
+    """Give ball a of the camera files another mass; the recoil of the contacts shows it."""
+    support = READERS[name][0]
+    rows = calibrate_set([measure_hit(hit, support) | {"clip": k} for k, hit in enumerate(hits)])
+    for row in rows:
+        row["striker"] = "a" if row.get("particle2") == 0 else "b"
+    masses = [hit.camera.get("ball_masses", [1.0, 1.0]) for hit in hits]
+    true = {k: one / two for k, (one, two) in enumerate(masses)}
+    base = _find_recoil(rows, true)
+    for times, sign in itertools.product((0.0, 5.0, 10.0), (1, -1)):
+        if times == 0 and sign < 0:
+            continue
+        share = sign * times * 5 * base.mean.std
+        found = _find_recoil(rows, {k: ratio * (1 + share) for k, ratio in true.items()})
+        line = {"laboratory": name, "cause": "mass of ball a", "times": times, "strength": share, "shown": True}
+        line |= {"named": "mass_mismatch" in found.causes, "law": found.law, "causes": found.causes, "verdict": ""}
+        line["false"] = [] if times or not found.causes else list(found.causes)
+        size = found.numbers[0].value if found.numbers else 0.0
+        yield line | {"size": size, "std": found.mean.std, "without": base.mean.value}
+
+
+def _find_recoil(rows: Sequence[Mapping[str, Any]], stated: Mapping[int, float]) -> ContactClaim:
+    return next(c for c in examine_contacts(Contacts.of(rows, stated)) if c.quantity == "recoil")
+
+
+def _typical(model: Model, cause: Cause) -> float:
+    return abs(cause.unit) * find_parameter(model, f"{cause.effect}.{cause.strengths[0]}").typical
+
+
+if __name__ == "__main__":
+    main()

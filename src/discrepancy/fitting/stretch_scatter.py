@@ -1,0 +1,185 @@
+"""What differs from one free stretch to the next: friction, rolling loss, and smooth displacements of the positions.
+
+Real cloth, air and cameras differ from place to place and from shot to shot by more than the noise of positions. No
+parameter that all stretches share describes that. It is a random effect of each stretch (Pinheiro & Bates,
+Mixed-Effects Models in S and S-PLUS, 2000) and part of the covariance of the positions. Restricted maximum likelihood
+gives its sizes. A size is kept only if the likelihood pays its price.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from discrepancy.arrays import Array
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import V0
+from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
+from discrepancy.fitting.noise_refit import RestrictedResiduals
+from discrepancy.noise.model import Noise, finite_cost, minimise
+from discrepancy.noise.whitening import ClipWhitener
+from discrepancy.policy import current_policy
+from synthcam.model import Model
+
+SIZES = ("friction", "loss_m_s2", "displacement_m", "reach_m")
+
+
+@dataclass(frozen=True)
+class StretchScatter:
+    """Standard deviations of what differs from stretch to stretch; zero where nothing does."""
+
+    friction: float = 0.0  # of the sliding friction, relative
+    loss_m_s2: float = 0.0  # of the rolling loss
+    displacement_m: float = 0.0  # of each axis, as of a camera's map
+    reach_m: float = 0.0  # over which a displacement stays the same
+    map_sigma: float = 0.0  # sigma, by the likelihood, that displacements of all stretches are those of one map
+
+    @property
+    def is_none(self) -> bool:
+        """True if nothing differs."""
+        return not (self.friction or self.loss_m_s2 or self.displacement_m)
+
+    def is_close_to(self, other: StretchScatter, tolerance: float = 0.15) -> bool:
+        """True if no size differs from the other's by more than this share of the larger one."""
+        pairs = ((getattr(self, name), getattr(other, name)) for name in SIZES)
+        return all(abs(a - b) <= tolerance * max(a, b) for a, b in pairs)
+
+    def add_to(self, clips: Sequence[MeasuredCollision], model: Model, launches: Array) -> list[MeasuredCollision]:
+        """The clips with this scatter in the covariance of their positions, instead of any other."""
+        if self.is_none:
+            return [replace(clip, scatter=None) for clip in clips]
+        return _add_scatter(clips, _differentiate_losses(clips, model, launches), self)
+
+
+NO_SCATTER = StretchScatter()
+
+
+def fit_scatter(
+    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, max_clips: int = 30, max_to_noise: float = 10.0
+) -> StretchScatter:
+    """Fit the sizes to the residuals of a fit of these clips that was made with `noise`.
+
+    max_clips: evenly spread, they determine the sizes well enough. max_to_noise: the largest displacement.
+
+    A size that gains less than `SearchPolicy.min_noise_gain` in -2 log likelihood is zero. All are zero if
+    displacements were far larger than the noise: then the model lacks more than that.
+    """
+    indices = np.unique(np.linspace(0, len(clips) - 1, min(max_clips, len(clips))).astype(int)).tolist()
+    left = RestrictedResiduals.of(clips, fit, noise, indices)
+    bare = [replace(clip, scatter=None) for clip in left.clips]
+    moves = _differentiate_losses(bare, fit.model, fit.launches[indices])
+    way = float(np.median([np.hypot(*np.ptp(clip.xy, axis=0)) for clip in bare]))
+    noise_m = noise.scale * float(np.median(np.concatenate([clip.claimed_std() for clip in bare])))
+    start = {
+        "friction": 0.05,
+        "loss_m_s2": 0.2 * max(_typical_loss(fit.model, fit.launches), 1e-3),
+        "displacement_m": noise_m,
+        "reach_m": 0.2 * way,
+    }
+
+    def build(names: Sequence[str], x: Array) -> StretchScatter:
+        values = {name: start[name] * float(np.exp(np.clip(v, -7, 7))) for name, v in zip(names, x, strict=True)}
+        if "reach_m" in values:
+            values["reach_m"] = min(max(values["reach_m"], 0.02 * way), way)
+        return StretchScatter(**values)
+
+    def cost(scatter: StretchScatter) -> float:
+        return replace(left, clips=_add_scatter(bare, moves, scatter)).cost(noise)
+
+    def best(names: Sequence[str], x: Array) -> tuple[float, Array]:
+        def price(y: Array) -> float:
+            return cost(build(names, y))
+
+        found = minimise(price, x)
+        return finite_cost(price, found), found
+
+    names = list(SIZES)
+    if not fit.model.sliding_friction:
+        names.remove("friction")
+    least, x = best(names, np.zeros(len(names)))
+    for part in (("loss_m_s2",), ("friction",), ("displacement_m", "reach_m")):
+        if part[0] not in names:
+            continue
+        rest = [name for name in names if name not in part]
+        without, y = best(rest, x[[names.index(name) for name in rest]])
+        if without - least < current_policy().min_noise_gain * len(part):
+            names, least, x = rest, without, y
+    found = build(names, x)
+    if found.displacement_m > max_to_noise * noise_m:
+        return NO_SCATTER
+    if not found.displacement_m:
+        return found
+    some = [RestrictedResiduals.of(clips, fit, noise, [k]).columns[0] for k in indices]
+    return replace(found, map_sigma=_compare_with_map(bare, some, moves, found, noise))
+
+
+def _compare_with_map(
+    clips: Sequence[MeasuredCollision],
+    columns: Sequence[Array],
+    moves: Sequence[Array],
+    scatter: StretchScatter,
+    noise: Noise,
+) -> float:
+    """The sigma by which displacements are rather the same for all stretches in a place than new in each stretch.
+
+    columns (n, 2, p) of each clip: what its fit absorbs, and its residuals last. Both kinds of displacement have the
+    same size and reach, so twice the gain of the log likelihood is the square of a sigma.
+    """
+    whites, left = list[Array](), list[Array]()
+    for clip, own in zip(_add_scatter(clips, moves, replace(scatter, displacement_m=0.0)), columns, strict=True):
+        white = ClipWhitener.of(clip, noise)
+        seen = white(own)
+        q = orthonormal_basis(seen[:, :-1])
+        unit = white(np.eye(2 * len(own)).reshape(len(own), 2, -1))
+        whites.append(unit - q @ (q.T @ unit))
+        left.append(seen[:, -1] - q @ (q.T @ seen[:, -1]))
+    every, places = np.concatenate(left), np.concatenate([clip.xy for clip in clips])
+    ends = np.cumsum([0, *map(len, left)])
+    whole = _kernel(places, places, scatter)
+    costs = []
+    for same in (True, False):
+        total = np.eye(len(every))
+        for i, one in enumerate(whites):
+            for j, other in enumerate(whites[: i + 1]):
+                if not (same or i == j):
+                    continue
+                part = whole[ends[i] // 2 : ends[i + 1] // 2, ends[j] // 2 : ends[j + 1] // 2]
+                total[ends[i] : ends[i + 1], ends[j] : ends[j + 1]] += one @ np.kron(part, np.eye(2)) @ other.T
+        factor = np.linalg.cholesky(np.tril(total) + np.tril(total, -1).T)
+        white = np.linalg.solve(factor, every)
+        costs.append(float(white @ white + 2 * np.log(np.diag(factor)).sum()))
+    return float(np.sqrt(max(costs[1] - costs[0], 0.0)))
+
+
+def _kernel(one: Array, other: Array, scatter: StretchScatter) -> Array:
+    apart = ((one[:, None] - other) ** 2).sum(axis=-1)
+    return np.asarray(scatter.displacement_m**2 * np.exp(-apart / (2 * scatter.reach_m**2)))
+
+
+def _typical_loss(model: Model, launches: Array) -> float:
+    return float(model.rolling_decel + model.rolling_drag * np.median(np.abs(launches[:, V0])))
+
+
+def _differentiate_losses(clips: Sequence[MeasuredCollision], model: Model, launches: Array) -> list[Array]:
+    """Displacements (n, 2, 2) of each clip, m: by twice the friction, and by a further loss of 1 m/s^2."""
+    friction = differentiate(model, launches, clips, "sliding_friction")
+    loss = differentiate(model, launches, clips, "rolling_decel")
+    return [np.stack([f * model.sliding_friction, d], axis=-1) for f, d in zip(friction, loss, strict=True)]
+
+
+def _add_scatter(
+    clips: Sequence[MeasuredCollision], moves: Sequence[Array], scatter: StretchScatter
+) -> list[MeasuredCollision]:
+    sizes, out = np.array([scatter.friction, scatter.loss_m_s2]), []
+    for clip, move in zip(clips, moves, strict=True):
+        columns = (move * sizes).reshape(-1, 2)
+        total = (columns @ columns.T).reshape(len(move), 2, len(move), 2)
+        if scatter.displacement_m:
+            kernel = _kernel(clip.xy, clip.xy, scatter)
+            for axis in range(2):
+                total[:, axis, :, axis] += kernel
+        out.append(replace(clip, scatter=total))
+    return out

@@ -1,0 +1,73 @@
+"""The starts of free stretches: a slide of any length, chosen by how well each stretch is then fitted.
+
+chi^2 of a stretch has a minimum for each way in which slide and roll may share it. So the fit begins from several.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from discrepancy.arrays import Array
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import HEADING, SLIP, T_C, V0, X, Y
+from discrepancy.data.notes import SearchNote, SearchNoteKind
+from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.noise.model import Noise, NoiseComponent
+from synthcam.model import Model
+
+
+def choose_starts(
+    clips: Sequence[MeasuredCollision],
+    model: Model,
+    slides: Sequence[float] = (0.2, 0.5, 0.9),
+    most_chi2: float = 9.0,
+) -> tuple[list[MeasuredCollision], list[SearchNote]]:
+    """Choose the start of each stretch, with the friction of the model; leave out those that are no free motion.
+
+    slides: shares of a stretch for which its ball may slide. most_chi2: times the median, of a stretch that is used.
+    Returns the stretches and a note for each that is left out. Where the model has no friction, bodies glide.
+    """
+    tries = [[replace(clip, launch=_glide(clip)) for clip in clips]]
+    if model.sliding_friction:
+        push = model.sliding_friction * model.gravity
+        tries = [list(clips), *([replace(c, launch=_slide(c, share, push)) for c in clips] for share in slides)]
+    found = []
+    for some in tries:
+        with suppress(ValueError):  # no motion from one of these starts
+            fit = fit_model(some, model, (), Noise(NoiseComponent(1.0)))
+            chi2 = [float(r @ r) / len(r) for r in fit.residuals]
+            found.append([(c, replace(s, launch=own)) for c, s, own in zip(chi2, some, fit.launches, strict=True)])
+    if not found:
+        return list(clips), []
+    best = [min(each, key=lambda pair: pair[0]) for each in zip(*found, strict=True)]
+    limit = most_chi2 * float(np.median([chi2 for chi2, _ in best]))
+    kept = [clip for chi2, clip in best if chi2 <= limit]
+    return kept, [
+        SearchNote(SearchNoteKind.NO_FREE_MOTION, clip.clip, values={"ratio": most_chi2 * chi2 / limit})
+        for chi2, clip in best
+        if chi2 > limit
+    ]
+
+
+def _slide(clip: MeasuredCollision, share: float, push: float) -> Array:
+    """The launch of a ball that slides for a share of its stretch; push: the deceleration by sliding, m/s^2."""
+    launch, lasts = clip.launch.copy(), share * float(np.ptp(clip.frame)) / clip.fps
+    slip_per_loss = 3.5  # a solid ball's slip ends at 7/2 of the deceleration of its centre
+    slip = launch[SLIP]
+    size = float(np.hypot(*slip))
+    launch[SLIP] = slip_per_loss * push * lasts * (slip / size if size else np.array([-1.0, 0.0]))
+    return np.asarray(launch)
+
+
+def _glide(clip: MeasuredCollision) -> Array:
+    """The launch of a body that never slides, from a parabola through its positions."""
+    launch, times = clip.launch.copy(), clip.frame / clip.fps + clip.exposure / 2 - clip.launch[T_C]
+    _, velocity, place = np.polyfit(times, clip.xy, 2)
+    launch[[X, Y]] = place
+    launch[V0], launch[HEADING] = np.hypot(*velocity), np.arctan2(velocity[1], velocity[0])
+    launch[SLIP] = 0.0
+    return np.asarray(launch)

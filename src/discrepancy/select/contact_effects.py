@@ -1,0 +1,242 @@
+"""Effects of the impact that contacts show: regressions with a scatter of its own for each contact.
+
+The impact of a real contact is not the same each time: dirt, spin and springs change it. So each quantity is a law of
+the approach plus a deviation of that contact (a random effect), whose size is fitted, plus the error of its estimate.
+Each quantity has a few laws, the simplest first. A law with more numbers replaces the simplest only if
+
+- the likelihood gains `SearchPolicy.min_noise_gain` for each number, and
+- each contact, left out in turn, is predicted better, by more than one standard error over recordings.
+
+The same contacts cannot distinguish all causes. Such causes are named together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from discrepancy.arrays import Array
+from discrepancy.data.contacts import Contacts
+from discrepancy.policy import current_policy
+from tracker.measurement.random_effects import fit_random_effects
+
+
+@dataclass(frozen=True)
+class ContactLaw:
+    """A law of a quantity: its design (n, p) for n contacts, and the names of its numbers with their units.
+
+    causes: the effects that make this law.
+    """
+
+    name: str
+    design: Callable[[Contacts], Array]
+    numbers: tuple[tuple[str, str], ...]
+    causes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ContactNumber:
+    """A fitted number of a law."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class ContactClaim:
+    """The law of one quantity that the contacts support.
+
+    causes: effects that make this law or one that fits as well; empty for the simplest law. scatter: standard deviation
+    from contact to contact, beyond the errors. sigma: by the likelihood, over the simplest law. left_out_sigma: of the
+    gain on contacts that are left out. rivals: laws that are not worse by `SearchPolicy.rival_excluded_chi2`.
+    """
+
+    quantity: str
+    law: str
+    causes: tuple[str, ...]
+    numbers: tuple[ContactNumber, ...]
+    contacts: int
+    scatter: float
+    sigma: float
+    left_out_sigma: float
+    rivals: tuple[str, ...]
+    mean: ContactNumber  # of the quantity, whatever its law
+
+
+def _ones(contacts: Contacts) -> Array:
+    return np.ones((len(contacts), 1))
+
+
+def _with_speed(contacts: Contacts) -> Array:
+    return np.column_stack([_ones(contacts), contacts.speed_n])
+
+
+def _with_obliqueness(contacts: Contacts) -> Array:
+    return np.column_stack([_ones(contacts), contacts.speed_t / contacts.speed])
+
+
+def _nothing(contacts: Contacts) -> Array:
+    return np.zeros((len(contacts), 0))
+
+
+def _steepness(contacts: Contacts) -> Array:
+    """The friction that would stop the tangential velocity of the centres."""
+    return np.asarray((contacts.speed_t / ((1 + contacts.restitution) * contacts.speed_n))[:, None])
+
+
+def _across(contacts: Contacts) -> Array:
+    """The share of Coulomb friction that acts in the plane.
+
+    The surface of a rolling striker also moves down at the contact, at about its speed; that of a disc does not.
+    """
+    return np.where(contacts.glides, 1.0, contacts.speed_t / contacts.speed)[:, None]
+
+
+def _across_falling(contacts: Contacts) -> Array:
+    slip = np.maximum(np.where(contacts.glides, contacts.speed_t, contacts.speed), 1e-3)
+    return np.asarray(_across(contacts) * np.column_stack([np.ones(len(slip)), -np.log(slip / np.median(slip))]))
+
+
+def _by_body(contacts: Contacts) -> Array:
+    return np.where(contacts.a_strikes, -1.0, 1.0)[:, None]
+
+
+LAWS: dict[str, tuple[ContactLaw, ...]] = {
+    "restitution": (
+        ContactLaw("constant", _ones, (("restitution", "1"),)),
+        ContactLaw(
+            "changes with the normal speed",
+            _with_speed,
+            (("restitution of slow contacts", "1"), ("slope", "s/m")),
+            ("velocity_restitution",),
+        ),
+        ContactLaw(
+            "changes with the obliqueness",
+            _with_obliqueness,
+            (("restitution of head-on contacts", "1"), ("slope with |b|", "1")),
+            ("hop", "a wrong line of centres"),
+        ),
+    ),
+    "friction": (
+        ContactLaw("none", _nothing, ()),
+        ContactLaw("Coulomb friction", _across, (("mu", "1"),), ("ball_friction",)),
+        ContactLaw(
+            "Coulomb friction that falls with the slip speed",
+            _across_falling,
+            (("mu at the median slip speed", "1"), ("decrease from a speed to e times that", "1")),
+            ("falling ball_friction",),
+        ),
+        ContactLaw("a share of the tangential speed stops", _steepness, (("share", "1"),), ("spin_transfer",)),
+    ),
+    "recoil": (
+        ContactLaw("as the masses say", _nothing, ()),
+        ContactLaw(
+            "the struck body seems heavier by a share", _ones, (("log of the ratio", "1"),), ("mass_mismatch", "hop")
+        ),
+        ContactLaw("ball a is heavier by a share", _by_body, (("log of the ratio", "1"),), ("mass_mismatch",)),
+    ),
+}
+
+
+def examine_contacts(contacts: Contacts, least: int = 8) -> tuple[ContactClaim, ...]:
+    """Choose the law of each quantity; those with fewer values than `least` are left out: their scatter is unknown."""
+    found = []
+    for quantity, laws in LAWS.items():
+        value, std = getattr(contacts, quantity), getattr(contacts, f"{quantity}_std")
+        usable = np.isfinite(value) & np.isfinite(std)
+        if usable.sum() >= least:
+            found.append(_choose_law(quantity, contacts.select(usable), laws))
+    return tuple(found)
+
+
+def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw]) -> ContactClaim:
+    policy = current_policy()
+    value, std = getattr(contacts, quantity), getattr(contacts, f"{quantity}_std")
+    fits = [_Fit.of(value, std, law.design(contacts)) for law in laws]
+    costs = [fit.cost + policy.min_noise_gain * fit.design.shape[1] for fit in fits]
+    gains = [fits[0].compare(fit, contacts.clip) for fit in fits]
+    usable = [gain > 1 and (quantity == "recoil" or f.is_positive) for f, gain in zip(fits, gains, strict=True)]
+    best = min((k for k in range(len(fits)) if k == 0 or usable[k]), key=lambda k: costs[k])
+    limit = costs[best] + policy.rival_excluded_chi2
+    near = [k for k in range(1, len(fits)) if k != best and usable[k] and costs[k] < limit]
+    fit, law = fits[best], laws[best]
+    return ContactClaim(
+        quantity=quantity,
+        law=law.name,
+        causes=tuple(dict.fromkeys(c for k in (best, *near) for c in laws[k].causes)) if best else (),
+        numbers=_fit_numbers(value, std, fit.design, law.numbers),
+        contacts=len(value),
+        scatter=fit.scatter,
+        sigma=float(np.sqrt(max(fits[0].cost - fit.cost, 0.0))),
+        left_out_sigma=gains[best],
+        rivals=tuple(laws[k].name for k in near) if best else (),
+        mean=_fit_numbers(value, std, _ones(contacts), ((f"mean {quantity}", "1"),))[0],
+    )
+
+
+def _fit_numbers(
+    value: Array, std: Array, design: Array, names: Sequence[tuple[str, str]]
+) -> tuple[ContactNumber, ...]:
+    if not names:
+        return ()
+    known = fit_random_effects(value, std, design=design)
+    rows = zip(names, known.coefficients.tolist(), known.std.tolist(), strict=True)
+    return tuple(ContactNumber(name, v, s, unit) for (name, unit), v, s in rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A regression with the most likely scatter; cost: -2 log likelihood."""
+
+    value: Array
+    variance: Array  # of each value, with the scatter
+    design: Array
+    scatter: float
+    cost: float
+
+    @classmethod
+    def of(cls, value: Array, std: Array, design: Array) -> _Fit:
+        def cost(log_scatter: float) -> float:
+            return _cost(value, std**2 + np.exp(2 * log_scatter), design)
+
+        size = float(np.std(value)) + float(np.median(std))
+        best = minimize_scalar(cost, bounds=(np.log(1e-4 * size), np.log(10 * size)), method="bounded")
+        none = _cost(value, std**2, design)
+        scatter = float(np.exp(best.x)) if best.fun < none - 1e-6 else 0.0
+        return cls(value, std**2 + scatter**2, design, scatter, min(float(best.fun), none))
+
+    @property
+    def is_positive(self) -> bool:
+        """True if no predicted value is below zero."""
+        root = 1 / np.sqrt(self.variance)
+        solution = np.linalg.lstsq(self.design * root[:, None], self.value * root, rcond=None)[0]
+        return bool((self.design @ solution >= 0).all())
+
+    def compare(self, other: _Fit, recordings: Array) -> float:
+        """Sigma, by its scatter between recordings, of the gain of another fit on values that were left out."""
+        gain = other._log_densities() - self._log_densities()
+        each = np.array([gain[recordings == k].sum() for k in np.unique(recordings)])
+        scatter = float(np.std(each, ddof=1)) if len(each) > 1 else 0.0
+        return float(each.sum()) / (scatter * len(each) ** 0.5) if scatter > 0 else 0.0
+
+    def _log_densities(self) -> Array:
+        """Log predictive density of each value by all others."""
+        root = 1 / np.sqrt(self.variance)
+        q, _ = np.linalg.qr(self.design * root[:, None])
+        share = 1 - np.minimum((q**2).sum(axis=1), 0.999)
+        left = self.value * root
+        left = left - q @ (q.T @ left)
+        return np.asarray(-0.5 * (left**2 / share + np.log(self.variance / share)))
+
+
+def _cost(value: Array, variance: Array, design: Array) -> float:
+    root = 1 / np.sqrt(variance)
+    q, _ = np.linalg.qr(design * root[:, None])
+    left = value * root
+    left = left - q @ (q.T @ left)
+    return float(left @ left + np.log(variance).sum())
