@@ -149,8 +149,8 @@ def _compare_with_map(
                 part = whole[ends[i] // 2 : ends[i + 1] // 2, ends[j] // 2 : ends[j + 1] // 2]
                 total[ends[i] : ends[i + 1], ends[j] : ends[j + 1]] += one @ np.kron(part, np.eye(2)) @ other.T
         factor = np.linalg.cholesky(np.tril(total) + np.tril(total, -1).T)
-        white = np.linalg.solve(factor, every)
-        costs.append(float(white @ white + 2 * np.log(np.diag(factor)).sum()))
+        unit = np.linalg.solve(factor, every)
+        costs.append(float(unit @ unit + 2 * np.log(np.diag(factor)).sum()))
     return float(np.sqrt(max(costs[1] - costs[0], 0.0)))
 
 

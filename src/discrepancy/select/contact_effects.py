@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from discrepancy.arrays import Array
+from discrepancy.arrays import Array, Ints
 from discrepancy.data.contacts import Contacts
 from discrepancy.policy import current_policy
 from tracker.measurement.random_effects import fit_random_effects
@@ -217,7 +217,7 @@ class _Fit:
         solution = np.linalg.lstsq(self.design * root[:, None], self.value * root, rcond=None)[0]
         return bool((self.design @ solution >= 0).all())
 
-    def compare(self, other: _Fit, recordings: Array) -> float:
+    def compare(self, other: _Fit, recordings: Ints) -> float:
         """Sigma, by its scatter between recordings, of the gain of another fit on values that were left out."""
         gain = other._log_densities() - self._log_densities()
         each = np.array([gain[recordings == k].sum() for k in np.unique(recordings)])

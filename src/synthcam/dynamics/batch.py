@@ -163,8 +163,8 @@ def solve_collisions(
     if run.mutual and free.any():
         raise ValueError("a ball that meets nothing has no partner to push it")
     target, striker = run.solve_approach(target, striker, free)
-    met = (np.where(free[:, None], *pair) for pair in zip(touch, (target, striker), strict=True))
-    hit = collide(model, *met, one, two)  # that of a free striker is not used
+    met = [np.where(free[:, None], *pair) for pair in zip(touch, (target, striker), strict=True)]
+    hit = collide(model, met[0], met[1], one, two)  # that of a free striker is not used
     if run.mutual and np.any(soft := hit.impulse_n < MIN_IMPACT_SPEED_OF_PAIR_M_S * one.mass):
         raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
     after = [np.where(free[:, None], *pair) for pair in ((target, hit.target), (striker, hit.striker))]
