@@ -14,7 +14,7 @@ from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from discrepancy.data.notes import SearchNote, SearchNoteKind
-from discrepancy.policy import current_policy
+from discrepancy.policy import SearchPolicy, current_policy
 
 NEIGHBOUR_FRAMES = 4  # frames to either side whose positions predict one between them
 ONE_SIDE_FRAMES = 7  # frames to one side whose positions predict the next one
@@ -71,12 +71,12 @@ def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set
     smooth = policy.max_neighbour_rms * typical
     outer: dict[int, _Offset] | None = None
     while True:
-        wrong = {row: offset for row, offset in inner.items() if offset.is_outlier(typical)}
+        wrong = {row: offset for row, offset in inner.items() if offset.is_outlier(typical, policy)}
         if expected is not None and not wrong:
             if outer is None:
                 outer = paths.outer(every, smooth)
             explained = {row for row, offset in inner.items() if offset.rest < smooth}
-            wrong = {row: o for row, o in outer.items() if row not in explained and o.is_outlier(typical)}
+            wrong = {row: o for row, o in outer.items() if row not in explained and o.is_outlier(typical, policy)}
         if not wrong:
             return paths.gone
         worst = max(wrong, key=lambda row: float(np.abs(wrong[row].off).max()))
@@ -94,10 +94,10 @@ class _Offset:
     off: Array
     rest: float
 
-    def is_outlier(self, typical: float) -> bool:
+    def is_outlier(self, typical: float, policy: SearchPolicy) -> bool:
         """typical: the size of such distances where there are only errors."""
-        far = bool(np.abs(self.off).max() > current_policy().outlier_position_sigma * typical)
-        return far and self.rest < current_policy().max_neighbour_rms * typical
+        far = bool(np.abs(self.off).max() > policy.outlier_position_sigma * typical)
+        return far and self.rest < policy.max_neighbour_rms * typical
 
 
 @dataclass(frozen=True)
@@ -126,26 +126,25 @@ class _Paths:
     xy: Array  # (n, 2), m; less the positions that a model predicts
     phase: Ints  # (n,), -1 in an exposure that holds an event
     claimed: Array  # (n,), m
+    max_rms: float  # of a path that needs no position left out, in claimed deviations
     unsure: float = 0.0  # a quarter of the time in which that event may be, frames
     gone: set[int] = field(default_factory=set)
 
     @classmethod
     def of(cls, clip: MeasuredCollision, expected: Array | None) -> _Paths:
+        policy, claimed = current_policy(), clip.claimed_std()
         if expected is None:
-            return cls(clip.frame, clip.ball, clip.xy, clip.phases(), clip.claimed_std())
-        contact, wide, error = (
-            clip.launch[T_C] * clip.fps,
-            clip.exposure * clip.fps,
-            current_policy().contact_error_frames,
-        )
+            return cls(clip.frame, clip.ball, clip.xy, clip.phases(), claimed, policy.max_neighbour_rms)
+        contact, wide, error = clip.launch[T_C] * clip.fps, clip.exposure * clip.fps, policy.contact_error_frames
         phases = [clip.frame + wide + error <= contact, clip.frame - error >= contact]
         phase = np.select(phases, [0, 1], -1)
-        return cls(clip.frame, clip.ball, clip.xy - expected, phase, clip.claimed_std(), (wide + error) / 4)
+        unsure = (wide + error) / 4
+        return cls(clip.frame, clip.ball, clip.xy - expected, phase, claimed, policy.max_neighbour_rms, unsure)
 
     def _through(self, rows: Ints, row: int) -> _Path:
         """The smoothest path through these rows, or through all but one, which may be an outlier itself."""
         path = self._path(rows, row)
-        if path.rest < current_policy().max_neighbour_rms or len(rows) <= MIN_PATH_POSITIONS:
+        if path.rest < self.max_rms or len(rows) <= MIN_PATH_POSITIONS:
             return path
         return min((self._path(np.delete(rows, k), row) for k in range(len(rows))), key=lambda p: p.rest)
 

@@ -11,6 +11,7 @@ from discrepancy.data.outlier_points import _Offset, find_outliers, note_removed
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.predict import predict_tracks
+from discrepancy.policy import SearchPolicy
 from discrepancy.search import prepare, search
 from synthcam.library import library
 from synthcam.model import Model
@@ -53,7 +54,7 @@ def test_a_place_is_an_outlier_beyond_eight_sigma(sigma, wrong):
 
 @pytest.mark.parametrize(("rough", "wrong"), [(1.4, True), (2.8, False)])
 def test_places_that_are_twice_as_rough_as_noise_tell_of_no_outlier(rough, wrong):
-    assert _Offset(np.array([0.0, -30.0]), 1.5 * rough).is_outlier(1.5) is wrong
+    assert _Offset(np.array([0.0, -30.0]), 1.5 * rough).is_outlier(1.5, SearchPolicy()) is wrong
 
 
 @pytest.mark.parametrize(("off", "wrong"), [(7.0, True), (14.0, False)])
