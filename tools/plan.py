@@ -18,7 +18,7 @@ PAGE = ROOT / "CONTRIBUTING.md"
 BEGIN, END = "<!-- map of the code: python tools/plan.py --write -->", "<!-- end of the map -->"
 FOLDERS = ("src/synthcam_shared", "src/synthcam", "src/tracker", "src/discrepancy", "benchmarks")  # lowest layer first
 PLUGINS = ("effects", "exports", "formats", "detectors", "linkers", "laws")
-WIDTH = 120
+WIDTH = 140
 
 
 def summary(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""The pictures of docs/pictures.md: each a scene and a crop, magnified, with the faint brought out where it says so.
+"""The pictures of docs/pictures.md: each a scene and a crop, magnified and, if it says so, brightened.
 
 python -m benchmarks.camera.gallery [-o docs/pictures]
 """

@@ -1,4 +1,4 @@
-"""The closed forms that the paper fits (v1f, v2f, tau1, tau2, after Kondic), for any impact parameter, and the fit.
+"""The closed forms that the paper fits (v1f, v2f, tau1, tau2, after Kondic), and their fit.
 
 Head-on they are the paper's; for oblique hits the part along the line of centres follows them, and of the part across a
 share .4 C passes to the other ball (docs/format.md: the base model has the same C at every b).

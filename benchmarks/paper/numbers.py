@@ -1,4 +1,4 @@
-"""The paper's numbers beside ours: what the same analysis makes of films in which the truth is the paper's best fit."""
+"""The paper's numbers beside ours: its analysis of films whose truth is the paper's best fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hits in tracks of others: reads clones of their repositories and cuts each hit out, as tables that the tracker reads.
+"""Hits in tracks of others: reads clones of their repositories and cuts out each hit.
 
 The repositories are not part of this project. Each function takes the path to a clone:
 

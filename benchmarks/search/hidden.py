@@ -1,4 +1,4 @@
-"""Each effect of the library hidden alone, at a realistic size: is it named, is the gap closed, is the strength right?
+"""Each effect of the library hidden alone: is it named, is the gap closed, is the strength right?
 
     hidden.py [--effects hop,stribeck] [--clips 30] [--times 1.0] [-o out/hidden.json]
     hidden.py --video              from rendered film through the tracker, a list of ten and the paper's own

@@ -1,4 +1,4 @@
-"""Effect of lossy video on errors and error bars: encoded films, tracked with the diameter and the frame rate alone.
+"""Effect of lossy video on errors and error bars, with the diameter and the frame rate alone.
 
     python -m benchmarks.tracker.codecs [--clips 100] [--scene scenes/benchmark.yaml] [--codecs h264_23,mjpeg_3]
 

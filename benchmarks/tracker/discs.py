@@ -1,4 +1,4 @@
-"""Errors of ball discs that were drawn by supersampling: found, false, error over bound, z of moving and resting balls.
+"""Errors of ball discs that were drawn by supersampling: found, false, error over bound, z.
 
 python -m benchmarks.tracker.discs [--films 2] [-o out/discs.json]
 

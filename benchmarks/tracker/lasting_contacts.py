@@ -1,4 +1,4 @@
-"""Contacts that take time: whether error bars hold whatever law the contact follows, and whether tape is recognised.
+"""Contacts that take time: do error bars hold for any law of the contact, and is tape recognised?
 
 python -m benchmarks.tracker.lasting_contacts [--clips 400] [--seed 1] [--longest-ms 30] [-o out/lasting_contacts.json]
 

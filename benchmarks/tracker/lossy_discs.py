@@ -1,4 +1,4 @@
-"""Matte balls in lossy video: whether the error bars hold that the residuals give, for several codecs and qualities.
+"""Matte balls in lossy video: do the error bars from residuals hold, for several codecs?
 
 python -m benchmarks.tracker.lossy_discs [--films 6] [--seed 1]
 

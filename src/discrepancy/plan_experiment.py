@@ -1,4 +1,4 @@
-"""Plan an experiment: from a scene to the effects that its films could detect, as a table, a sentence and a report."""
+"""Plan an experiment: from a scene to the effects that its films could detect; the public `plan`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The result of a search for users: its data, its sentence, `discrepancy.json`, the plot of the gap, and the report."""
+"""The result of a search for users: its sentence, `discrepancy.json`, the plot of the gap, the report."""
 
 from __future__ import annotations
 

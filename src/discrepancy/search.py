@@ -1,4 +1,4 @@
-"""Find what a model lacks: the stages prepare, select, measure the gap, validate and summarise, composed by `find`."""
+"""Find what a model lacks: `find` composes prepare, select, measure the gap, validate, summarise."""
 
 from __future__ import annotations
 

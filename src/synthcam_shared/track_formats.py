@@ -1,4 +1,4 @@
-"""Text of tracks in MOTChallenge, Particle Tracking Challenge and TrackMate formats; exports/ and formats/ write files.
+"""Write tracks as text in the formats of MOTChallenge, the Particle Tracking Challenge and TrackMate.
 
 The writers are shared by exports of true tracks (synthcam) and of measured ones (tracker). Positions are in px, with
 (0, 0) at the centre of the first pixel; frames and particles count from 0.

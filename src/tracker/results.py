@@ -1,4 +1,4 @@
-"""The files of RESULTS, written and read.
+"""Writes and reads the files of a results folder: run.json, tracks, estimates, and the marks of a finished run.
 
 Everything is written aside and moved into place. Files hold no times and no paths, so that the same input gives the
 same bytes.

@@ -1,4 +1,4 @@
-"""The text of the paper's page: three contradictions, a conjecture, and what would decide; all numbers from results."""
+"""The text of the paper's page: three contradictions, a conjecture, and what would decide."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fits one model to all clips by Gauss-Newton: shared parameters, and each clip's own launch as nuisance parameters.
+"""Fits one model to all clips by Gauss-Newton: shared parameters, and the launch of each clip.
 
 The launches are eliminated from the normal equations clip by clip, so the cost grows linearly with the number of clips
 (variable projection; Golub & Pereyra, Inverse Problems 19 (2003) R1). Derivatives are reused for as long as chi^2 falls

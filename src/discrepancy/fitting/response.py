@@ -1,4 +1,4 @@
-"""Computes the first-order response of tracks to small changes of a law, many at once, by integrals over the motion.
+"""Computes the first-order response of tracks to small changes of a law, by integrals over the motion.
 
 Sliding, with u the contact velocity, q = v - (2/7) u and a change m of friction, p of the push:
     du_along' = p_along - (7/2) N m,   du_across = |u| Int p_across/|u|,   dq' = (5/7) p

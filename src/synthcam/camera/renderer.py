@@ -1,4 +1,4 @@
-"""The common part of both renderers: optics, flickering light on the plate, moments of an exposure, rolling shutter.
+"""The common part of both renderers: optics, flicker, moments of an exposure, rolling shutter.
 
 A rolling shutter exposes each row a line time after the row above. A row sees what a global shutter sees that opens at
 the row's time. Such pictures are made at steps of the balls' motion and interpolated between. Positions stay exact; the

@@ -1,4 +1,4 @@
-"""Submissions: tables of a tracker in any language, which are measured and scored like those of a tracker run here.
+"""Submissions: tables of a tracker in any language, which are measured and scored like runs made here.
 
 FOLDER has submission.json, which needs only `name`. It also has a table for each film of the suite: FILM.csv or
 FILM.parquet with a column `clip`, or FILM/NNNNNN.EXT, one file per clip in any format that `tracker measure` reads.

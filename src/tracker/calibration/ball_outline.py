@@ -1,4 +1,4 @@
-"""The ball's outline in the mean picture around its glint: its radius in pixels, where there is light enough to see it.
+"""The radius of a ball's outline, in pixels, from the mean picture around its glint.
 
 A mirror ball shows the room within .71 of its radius, brightest in the middle, and the plate outside of that. Against
 a bright ground its own edge shows too. Either gives the radius.

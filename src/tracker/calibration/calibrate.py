@@ -1,4 +1,4 @@
-"""A camera file from a video of balls of known diameter: scale (from contacts and outlines), glint width and noise."""
+"""A camera file from a video of balls of known diameter: scale, glint width and noise."""
 
 from __future__ import annotations
 

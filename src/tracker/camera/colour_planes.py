@@ -1,4 +1,4 @@
-"""Grey planes of a film in colour in which a shadow hardly shows: differences of two colours, and distances in colour.
+"""Grey planes of a film in colour in which a shadow hardly shows: differences and distances of colours.
 
 A shadow darkens red, green and blue by one factor, so that their shares of the sum stay. All planes here are made of
 these shares. Their counts are uint8, whatever the depth of the film:

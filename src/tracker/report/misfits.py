@@ -1,4 +1,4 @@
-"""One picture of a clip whose collisions are all misfits: both tracks, and the residuals of the tied fit, enlarged."""
+"""One picture of a clip whose collisions are all misfits: both tracks, and enlarged residuals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a combined set: means, forest plot, funnel plot and slope of each quantity, and the paper's joint fit."""
+"""The page of a combined set: means, forest plot, funnel plot, slopes, and the joint fit of the paper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pixel model of a glint, the information of a pixel's count on its mean, and the Cramer-Rao bound of a position.
+"""The pixel model of a glint, the information of a pixel, and the Cramer-Rao bound of a position.
 
 A glint is a Gaussian of width sigma, integrated over each pixel and along the line of the ball's motion during the
 exposure. Fisher information: F_ab = sum_i J(m_i) d_a m_i d_b m_i over the pixels, with m_i their means

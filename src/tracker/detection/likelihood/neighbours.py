@@ -1,4 +1,4 @@
-"""Finds the neighbours of glints in their frames, and the secondary glints that neighbouring balls make on each other.
+"""Finds neighbouring glints, and the secondary glints that two balls make on each other.
 
 A secondary glint is the lamp as one ball shows it after a reflection at the other. It is refused as a glint of its own
 by the distance of candidates (`CandidateSearch`) and fitted together with the primary one.

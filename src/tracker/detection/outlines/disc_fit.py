@@ -1,4 +1,4 @@
-"""Fits the centre of a disc in the picture by least squares over the pixels at its edge, with the shadow beside it."""
+"""Fits the centre of a disc by least squares over the pixels at its edge, with the shadow beside it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Estimates the errors of positions from their scatter about smooth motion, where a table has no errors or wrong ones.
+"""Estimates the errors of positions from their scatter, where a table claims none or wrong ones.
 
 Over a few frames a cubic follows any smooth motion to far less than the noise of a detector, so the residuals are
 noise. A contact or a slide's end is not smooth; the few windows that contain one are left out.
