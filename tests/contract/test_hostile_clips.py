@@ -49,7 +49,9 @@ def test_overexposed(tmp_path):
 def test_dark_balls_on_a_bright_ground(tmp_path):
     rng = np.random.default_rng(2)
     frames = moving(rng, 150.0, lambda x: -100.0 * (disc(SHAPE, x, 80.0, 7.44) > 0))
-    assert status(tmp_path, frames) == ["dark balls on a bright ground: a glint brighter than the plate is needed"]
+    assert status(tmp_path, frames) == [
+        "dark balls on a bright ground: a glint brighter than the plate is needed; --detector discs follows dark bodies"
+    ]
 
 
 def test_dark_balls_with_a_bright_glint_are_followed():

@@ -70,6 +70,7 @@ def _with_read_noise(camera: Camera, sensor: SensorSpec, noise: float, level: fl
 def _cut_bright_glints(camera: Camera, plate: EmptyPlate, frames: Sequence[Any]) -> GlintWindows | None:
     """Windows about clear glints; the blur of each follows from its nearest neighbour one frame before."""
     used_frames = 40  # in the middle of the clip
+    max_windows = 400  # a cluttered film has tens of thousands, and 400 show the width to a percent
     max_blur_px = 2.5  # glints that move by more during the exposure are not used
     # Share of the frame time up to which whole-pixel positions give the blur well enough. Of longer exposures only
     # glints at rest are used.
@@ -96,6 +97,8 @@ def _cut_bright_glints(camera: Camera, plate: EmptyPlate, frames: Sequence[Any])
         before = here
     if not cuts:
         return None
+    used = np.unique(np.linspace(0, len(cuts) - 1, min(len(cuts), max_windows)).round().astype(int))
+    cuts, blurs = [cuts[k] for k in used], [blurs[k] for k in used]
     counts, nothing = np.stack(cuts).astype(np.float64), np.zeros((len(cuts), 2))
     return GlintWindows(
         counts=counts,

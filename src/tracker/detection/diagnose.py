@@ -37,7 +37,10 @@ def explain_no_glints(frames: Sequence[Any], view: View, glints: Glints) -> str:
     if crowded or flicker > 5.0:  # counts
         return "the light changes: most of the picture is brighter than the plate"
     if any(_shows_dark_ball(s, level, noise, view.camera.diameter_px) for s in sample):
-        return "dark balls on a bright ground: a glint brighter than the plate is needed"
+        return (
+            "dark balls on a bright ground: a glint brighter than the plate is needed; --detector discs follows dark "
+            "bodies"
+        )
     if len(glints):
         return f"too few detections: {len(glints)} glints in {len(frames)} frames"
     return "no balls: nothing is brighter than the plate"

@@ -143,9 +143,12 @@ class Discs:
                 f"of another size, or always there), frame {min(refused)} first"
             )
         if self.refused_area > min_crowd * max(found, 10):
+            height, width = self.view.frames[0].shape[:2]
+            share = self.refused_area * np.pi * self.radius**2 / (height * width * max(len(self.scene_of), 1))
             yield (
-                f"crowd: the objects that are left out cover as much as {self.refused_area:.0f} balls, and {found} "
-                "balls are found; many balls that touch are not separated"
+                f"crowd: what is left out covers {share:.1%} of each frame, as much as {self.refused_area:.0f} balls "
+                f"in all, and {found} balls are found; balls that touch are not all separated, and a camera that moves "
+                "shows the same"
             )
         if self.cut_frames:
             most = self.settings.max_objects_per_frame
@@ -272,8 +275,9 @@ class Discs:
         still = strong & [float(np.hypot(*p.blur)) < MAX_BLUR_AT_REST * p.minor for p in seen]
         if given:
             return [given], usual
-        if self.in_colour and still.sum() <= 3:
-            self.elongated = True  # or all move fast: the short half axis is the radius of both
+        if still.sum() <= (3 if self.in_colour else 0):
+            # all move fast, or look elongated: the short half axis is the radius of both
+            self.elongated = self.in_colour
             radii, still = np.array([p.minor for p in seen]), strong
         return _common_radii(radii[still], self.settings.disc_radius_tolerance), usual
 

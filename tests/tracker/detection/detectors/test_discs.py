@@ -155,3 +155,13 @@ def test_the_coarse_search_finds_what_the_search_of_whole_frames_finds(monkeypat
     assert len(coarse) == len(whole) > 24
     std = np.sqrt(np.diagonal(whole.cov, axis1=1, axis2=2))
     assert (np.abs(coarse.xy - whole.xy) / std).max() < 1e-3
+
+
+def test_a_ball_that_is_a_streak_in_every_frame():
+    """A film without a frame in which a ball looks round: its radius comes from the short axes of the streaks."""
+    way = np.linspace([15.0, 60.0], [185.0, 90.0], 15)[None]  # 12 px a frame
+    pictures = film(np.random.default_rng(4), way, shutter=1.0)
+    tracks = tracker.track(pictures, detector="discs").tracks
+    assert np.hypot(*(tracks[["x", "y"]].to_numpy() - way[0, tracks.frame]).T).max() < 0.5
+    assert len(tracks) > 10
+    assert np.sqrt(tracks.flux / np.pi).to_numpy() == pytest.approx(R, rel=0.1)
