@@ -270,8 +270,7 @@ class StretchFit:
     """A fit of one stretch alone: its parameters, with the place at the contact."""
 
     values: Floats
-    cost: float  # chi^2 by the claimed errors
-    chi2: float  # that of the positions that are not beside the contact
+    chi2: float  # by the claimed errors, of the positions that are not beside the contact
     dof: float  # degrees of freedom of chi2
 
 
@@ -311,8 +310,8 @@ def _fit_at(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) 
     seen = stretch.position * weight[:, None]
     fits = np.linalg.solve(square, np.swapaxes(basis, 1, 2) @ seen)
     left = seen - basis @ fits
-    cost = (left**2).sum(axis=(1, 2))
-    best = int(np.argmin(cost))
+    known = sum((fits[:, k] ** 2).sum(axis=1) / width**2 for k, width in enumerate(widths) if width > 0)
+    best = int(np.argmin((left**2).sum(axis=(1, 2)) + known))
     out, plain = np.zeros(motion.size), len(columns) - motion.rolls
     out[: 2 * plain] = fits[best, :plain].ravel()
     if motion.ends:
@@ -321,7 +320,7 @@ def _fit_at(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) 
         out[-1] = 0.05
     counted = ~stretch.near
     chi2 = float((left[best][counted] ** 2).sum())
-    return StretchFit(out, float(cost[best]), chi2, max(2 * int(counted.sum()) - motion.size, 1))
+    return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
 
 
 def correlation_factor(left: Floats) -> float:
