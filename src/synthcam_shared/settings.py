@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
@@ -112,10 +112,13 @@ _Loader.add_implicit_resolver("!number", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE
 _Loader.add_constructor("!number", _number)
 
 
-def did_you_mean(word: str, known: Iterable[str], section: str = "") -> str:
-    """The end of a message about an unknown word: the most similar known one, or nothing."""
+def did_you_mean(word: str, known: Iterable[str], section: str = "", written: Mapping[str, str] | None = None) -> str:
+    """The end of a message about an unknown word: the most similar known one, or nothing.
+
+    written: how a known word is written, if not as it is compared.
+    """
     near = get_close_matches(word.lower(), known, n=1, cutoff=0.5 if len(word) <= 3 else 0.6)
-    return f"; did you mean {section}{near[0]}?" if near else ""
+    return f"; did you mean {section}{written[near[0]] if written else near[0]}?" if near else ""
 
 
 def _suggest_key(key: str, file: type[BaseModel]) -> str:

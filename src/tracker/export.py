@@ -8,7 +8,7 @@ from typing import Any
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 from synthcam_shared.overwriting import open_scratch_folder, publish
-from tracker.camera.camera_keys import did_you_mean
+from synthcam_shared.settings import did_you_mean
 from tracker.results import read_clip
 from tracker.tables.read import formats
 
@@ -20,7 +20,7 @@ def export(results: Path, kind: str, output: Path) -> int:
     """
     writers: dict[str, Any] = {name: one for name, one in formats().items() if hasattr(one, "write")}
     if kind not in writers:
-        hint = did_you_mean(kind, {name: name for name in writers})
+        hint = did_you_mean(kind, writers)
         raise InputError(f"--format {kind}: no such format; there are {', '.join(writers)}{hint}")
     numbers = [file.parent.name for file in sorted((results / "clips").glob("[0-9]*/tracks.parquet"))]
     if not numbers:

@@ -14,13 +14,13 @@ from typing import Any
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
+from synthcam_shared.settings import did_you_mean
 from tracker.benchmark.contest import open_report, publish
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
 from tracker.benchmark.report.leaderboard import save
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.camera import Camera
-from tracker.camera.camera_keys import did_you_mean
 from tracker.detection.link import Tracks
 from tracker.recording import Result, measure_tracks
 from tracker.results import load_json
@@ -59,7 +59,7 @@ def read_form(folder: Path) -> dict[str, Any]:
     keys = ("name", "authors", "url", "version", "licence", "point", "ms_per_frame", "machine", "notes")
     for key, value in about.items():
         if key not in keys:
-            near = did_you_mean(key, {k: k for k in keys})
+            near = did_you_mean(key, keys)
             raise InputError(f"{path}: {key}: unknown, expected one of {', '.join(keys)}{near}")
         number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value > 0
         if key == "ms_per_frame" and not (value is None or number):
@@ -102,7 +102,7 @@ def _check_names(folder: Path, films: list[str]) -> None:
     for path in given:
         name = path.name if path.is_dir() else path.stem
         if name not in films:
-            near = did_you_mean(name, {film: film for film in films})
+            near = did_you_mean(name, films)
             raise InputError(f"{path}: not named after a film, expected {', '.join(films)}{near}")
     if not given:
         raise InputError(

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import did_you_mean, format_value
+from synthcam_shared.settings import did_you_mean
+from tracker.camera.camera_keys import format_value
 from tracker.camera.lens import Array
 from tracker.camera.readers.picture_folder import PICTURES, read_picture
 from tracker.camera.recordings import open_source
@@ -97,7 +98,7 @@ def _board(board: str) -> tuple[str, dict[str, Any]]:
             raise InputError(f"--board: {format_value(part)}: {syntax}")
     names = {n.lower(): n for n in (n.removeprefix("DICT_") for n in dir(cv2.aruco) if n.startswith("DICT_"))}
     if sizes["dict"] not in names.values():
-        hint = did_you_mean(sizes["dict"], names)
+        hint = did_you_mean(sizes["dict"], names, written=names)
         raise InputError(
             f"--board: dict={format_value(sizes['dict'], quoted=False)}: no such dictionary of OpenCV{hint}"
         )

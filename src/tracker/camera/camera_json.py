@@ -16,7 +16,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from synthcam_shared.errors import InputError as InputError
-from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, NUMBERS, did_you_mean, format_value, read_json
+from synthcam_shared.settings import did_you_mean
+from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, NUMBERS, format_value, read_json
 from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
 from tracker.camera.warp import Warp
@@ -267,7 +268,7 @@ def _describe_unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
         table = data.get(section) if section else data
         for key in table if isinstance(table, Mapping) else ():
             if key not in keys:
-                hint = did_you_mean(str(key), known)
+                hint = did_you_mean(str(key), known, written=known)
                 yield f"{format_value(f'{section}.{key}'.lstrip('.'), quoted=False)}: not a key of camera.json{hint}"
 
 

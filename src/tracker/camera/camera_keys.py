@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +31,6 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         raise ValueError(f"key {next(format_value(k) for k in keys if keys.count(k) > 1)} given twice")
     return table
-
-
-def did_you_mean(word: str, known: Mapping[str, str]) -> str:
-    """The end of a message about an unknown word: the most similar known one, as `known` writes it, or nothing."""
-    near = get_close_matches(word.lower(), known, n=1, cutoff=0.7)
-    return f"; did you mean {known[near[0]]}?" if near else ""
 
 
 def format_value(value: Any, quoted: bool = True, most: int = 40) -> str:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError, PluginError
+from synthcam_shared.settings import did_you_mean
 from tracker.camera.camera import Camera
-from tracker.camera.camera_keys import did_you_mean
 from tracker.camera.recordings import Recording
 from tracker.detection import detectors as detector_files
 from tracker.detection import linkers as linker_files
@@ -75,7 +75,7 @@ def load_detector(name: DetectorChoice) -> DetectorClass:
         return _load_file(name)  # without importing all others
     known = list_detectors()
     if name not in known:
-        near = did_you_mean(name, {k: k for k in known})
+        near = did_you_mean(name, known)
         raise InputError(
             f"--detector: no detector {name!r}, expected one of {', '.join(sorted(known))}{near}; your own: FILE.py"
         )

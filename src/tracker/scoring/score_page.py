@@ -27,8 +27,8 @@ from tracker.report.estimates_text import METHODS
 from tracker.report.pages import CAPTIONS
 from tracker.report.quantities import QUANTITIES
 from tracker.results import read_clip
+from tracker.scoring.error_figures import error_bars_figure, residual_figure
 from tracker.scoring.external_tables import MEASURES
-from tracker.scoring.figures import error_bars_figure, residual_figure
 from tracker.scoring.score import DetectorScore
 from tracker.scoring.summary import format_ratio
 

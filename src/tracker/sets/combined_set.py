@@ -20,7 +20,8 @@ from pyarrow import ArrowException
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import format_with_error
-from tracker.camera.camera_keys import did_you_mean, first_line
+from synthcam_shared.settings import did_you_mean
+from tracker.camera.camera_keys import first_line
 from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.joint_fit import fit_all
 from tracker.measurement.local.local_columns import calibrate_set
@@ -311,7 +312,7 @@ def _choose_quantities(table: pd.DataFrame, asked: Sequence[str] | None) -> list
     names = sorted({re.sub("_(free|local|paper)$", "", column) for column in measured if column in table})
     for name in asked:
         if name not in names:
-            hint = did_you_mean(name, {one: one for one in names})
+            hint = did_you_mean(name, names)
             raise InputError(f"--quantities: {name}: not measured, expected some of {', '.join(names)}{hint}")
     return list(dict.fromkeys(asked))
 

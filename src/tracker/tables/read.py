@@ -15,9 +15,10 @@ import numpy as np
 import pandas as pd
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.settings import did_you_mean
 from tracker.camera.camera import Camera, CameraSource
 from tracker.camera.camera_json import read_source
-from tracker.camera.camera_keys import did_you_mean, format_value
+from tracker.camera.camera_keys import format_value
 from tracker.detection.link import Tracks
 from tracker.notes import Note, NoteKind, note_all
 from tracker.tables import formats as format_files
@@ -98,7 +99,7 @@ def _pick_columns(rows: pd.DataFrame, columns: str, where: str, notes: Iterable[
     known = {name: name for name in (*REQUIRED_COLUMNS, "track", *optional)}
     for key, name in pairs.items():
         if key not in known or not name:
-            hint = did_you_mean(key, known)
+            hint = did_you_mean(key, known, written=known)
             raise InputError(f"--columns: {format_value(key)}: expected NAME=COLUMN of {', '.join(known)}{hint}")
     pairs = {key: _find_column(name, rows) for key, name in pairs.items()}
     if missing := [name for name in pairs.values() if name not in rows]:

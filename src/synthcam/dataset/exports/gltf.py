@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
-    from synthcam.camera.render.gltf import BallMotion, glb  # here alone: trimesh is slow to load
+    from synthcam.camera.render.gltf_scene import BallMotion, glb  # here alone: trimesh is slow to load
 
     for clip in clips:
         balls = []

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.benchmark.judging.positions import PositionMatches, fit_pixel_locking
+from tracker.benchmark.judging.position_errors import PositionMatches, fit_pixel_locking
 from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite, covariances
 from tracker.camera.camera import Camera

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from tracker.benchmark.judging.defects import measure_shifts_by_defects, simulate_at_bound
-from tracker.benchmark.judging.positions import gap_curve, match_positions, phase_curve
+from tracker.benchmark.judging.position_errors import gap_curve, match_positions, phase_curve
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite

@@ -5,7 +5,7 @@ import pytest
 from benchmark_suite import Given, noisy, suite
 
 from tracker.benchmark.judging.defects import measure_shifts_by_defects, simulate_at_bound
-from tracker.benchmark.judging.positions import match_positions
+from tracker.benchmark.judging.position_errors import match_positions
 
 
 @pytest.fixture(scope="module")

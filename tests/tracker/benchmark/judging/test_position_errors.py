@@ -6,7 +6,13 @@ from benchmark_suite import Given, noisy, suite
 
 from tracker.benchmark.judging.defects import glint_share
 from tracker.benchmark.judging.entry import overall_score
-from tracker.benchmark.judging.positions import efficiency, fit_pixel_locking, gap_curve, match_positions, phase_curve
+from tracker.benchmark.judging.position_errors import (
+    efficiency,
+    fit_pixel_locking,
+    gap_curve,
+    match_positions,
+    phase_curve,
+)
 from tracker.benchmark.judging.tracker_results import ClipSample
 
 
