@@ -17,6 +17,19 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "CONTRIBUTING.md"
 BEGIN, END = "<!-- map of the code: python tools/plan.py --write -->", "<!-- end of the map -->"
 FOLDERS = ("src/synthcam_shared", "src/synthcam", "src/tracker", "src/discrepancy", "benchmarks")  # lowest layer first
+ABOUT = {  # folders without a package of their own
+    "benchmarks": "Studies of speed and accuracy: python -m benchmarks.FOLDER.NAME, or make bench-...",
+    "benchmarks/camera": "The pictures of the camera, against independent references",
+    "benchmarks/paper": "The experiment of Painter & Behringer (2000) repeated: make paper",
+    "benchmarks/paper/figures": "The figures of the paper, one file each",
+    "benchmarks/paper/models": "Effects that the paper's model may lack, compared with its numbers",
+    "benchmarks/paper/report": "The page and the PDF of the repeated experiment",
+    "benchmarks/real": "Recordings of other laboratories",
+    "benchmarks/regression": "The gate of the tracker: make gate",
+    "benchmarks/search": "The search: blind trials, hidden effects, detection limits, thresholds",
+    "benchmarks/simulation": "The simulation: speed, many bodies, random scenes, large datasets",
+    "benchmarks/tracker": "The tracker: errors, error bars, speed, hostile films",
+}
 PLUGINS = ("effects", "exports", "formats", "detectors", "linkers", "laws")
 WIDTH = 140
 
@@ -33,7 +46,7 @@ def folder_lines(folder: Path, depth: int = 0) -> list[str]:
     name = folder.relative_to(ROOT) if depth == 0 else folder.name
     files = [p for p in sorted(folder.glob("*.py")) if p.stem not in ("__init__", "__main__")]
     package = folder / "__init__.py"
-    about = summary(package) if package.is_file() else ""
+    about = summary(package) if package.is_file() else ABOUT.get(str(folder.relative_to(ROOT)), "")
     lines = entry(f"{indent}{name}/", about)
     if folder.name in PLUGINS:
         return lines + entry(f"{indent}  one file each:", ", ".join(p.stem for p in files))

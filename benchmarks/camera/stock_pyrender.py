@@ -1,4 +1,4 @@
-"""pyrender as it comes, for comparison: two balls, a point lamp, so many samples a pixel each way. Prints JSON.
+"""pyrender without changes, for comparison: two balls, a point lamp, several samples a pixel.
 
 Its highlight has no exact place; "places" (column, row) are for comparison with finer samples.
 """

@@ -1,4 +1,4 @@
-"""make paper: the experiment of Painter & Behringer (2000) filmed, tracked and read as they read it.
+"""make paper: the experiment of Painter & Behringer (2000), filmed, tracked and analysed as in the paper.
 
     python -m benchmarks.paper.make [--figure NAME] [--quick] [-o out/paper] [--workers N]
 

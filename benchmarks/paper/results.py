@@ -1,4 +1,4 @@
-"""The series as they were tracked, and the paper's readings of them; made once, for figures, numbers and page."""
+"""The tracked series, and the paper's readings of them, computed once for figures, numbers and page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How badly the paper's positions must have been known: the error of a position that gives its scatter of r."""
+"""The error of positions that gives the paper's scatter of r."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How accurate is the tracker on `benchmark`? Against the truth, the Cramer-Rao bounds, and the paper's own method.
+"""The accuracy of the tracker on `benchmark`: against the truth, the bounds, and the paper's method.
 
 python -m benchmarks.regression.accuracy [--clips 100] [--scene scenes/benchmark.yaml] [-o out/accuracy]
 """

@@ -1,4 +1,4 @@
-"""Two rolling balls that collide, integrated afresh: not a line of synthcam's motion is used here.
+"""Two rolling balls that collide, by an independent integrator without any code of synthcam.
 
 A ball's state is its place, the velocity q = (5 v + 2 R w x z)/7 that it would roll with, and the velocity u of its
 lowest point; v = q + (2/7) u. A force F per mass at the lowest point and a push p on the centre give q' = (5/7) p and

@@ -1,4 +1,4 @@
-"""Effects that are in nobody's library: what the search must call by no library name, and find the right free law for.
+"""Effects outside every library: the search must name none of its own, and find the right free law.
 
 Each bends a law as an effect of the library does, but lives here, where the search cannot see it. FREE_LAW: the
 search's own word for the freedom that describes it. `_curve`: what it adds to that law, of the law's arguments. Two are

@@ -1,4 +1,4 @@
-"""Hostile worlds: strikers that do not roll, a friction of each clip, and what other people's software does to tracks.
+"""Hostile worlds: strikers that do not roll, friction that varies by clip, other programs' tracks.
 
 Each is drawn as plain numbers, `name` among them, which a truth holds under "world". Two hold laws that no library has
 (LAWS); the others are the library's world, seen badly or launched otherwise.

@@ -1,1 +1,1 @@
-"""The search told: narrative, figures, discrepancy.json and a self-contained page."""
+"""The report of a search or a plan: narrative, figures, discrepancy.json and a self-contained page."""
