@@ -6,7 +6,7 @@ make bench-hits CLONES="CLONE ..."
 Each CLONE is a clone of one of the repositories that `recordings` reads; its folder's name must contain that of the
 repository. The table gives for each laboratory:
 
-- hits, and those with an r whose error is below .05;
+- hits, those whose bodies stay together (r is 0), and those with a local r, and with an error below .05;
 - the median of r, with the median of its errors, and the scatter from hit to hit;
 - the share of hits whose balance of momentum is within 1 and 1.96 errors, along and across the line of centres: with
   the prior of one recording, with errors fitted to all hits, and with errors fitted to the other half of the hits.
@@ -31,7 +31,9 @@ import tracker
 from benchmarks.harness import save
 from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
 from tracker.camera.camera import Camera
+from tracker.measurement.collision.adequacy import TOGETHER
 from tracker.measurement.collision.contacts import find_contacts, prepare_contact
+from tracker.measurement.collision.staying_together import find_stays
 from tracker.measurement.local.local_columns import apply_errors, calibrate_rows, calibrate_set, local_columns
 from tracker.measurement.local.local_estimate import estimate_locally
 from tracker.measurement.local.recommendation import recommend
@@ -56,6 +58,8 @@ def measure_hit(hit: RecordedHit, support: str, tied: bool = False) -> dict[str,
     ((tracks, _),) = given.clips.values()
     camera = Camera.of(keys)
     balls = to_ball_tracks(tracks, camera)
+    if any(not stay.bounces for stay in find_stays(*balls, camera.ball_diameter)):
+        return {"name": hit.name, "status": TOGETHER} | local_columns("the bodies stay together")
     found = find_contacts(balls, camera.ball_diameter) or find_contacts(balls, 1.5 * camera.ball_diameter, 2.0)
     empty = {"name": hit.name, "status": "misfit"}
     if not found:
@@ -76,7 +80,8 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     if not known:
         return {"hits": len(rows), "known": 0}
     r, std = (np.array([row[name] for row in known]) for name in ("r_local", "r_local_std"))
-    out: dict[str, Any] = {"hits": len(rows), "known": len(known), "r_under_0.05": int((std < 0.05).sum())}
+    out: dict[str, Any] = {"hits": len(rows), "together": sum(row["status"] == TOGETHER for row in rows)}
+    out |= {"known": len(known), "r_under_0.05": int((std < 0.05).sum())}
     out |= {"r": round(float(np.median(r)), 4), "r_std": round(float(np.median(std)), 4)}
     out["r_scatter"] = round(float(1.48 * np.median(np.abs(r - np.median(r)))), 4)
     for axis in "nt":

@@ -167,16 +167,19 @@ def _longest_side(clone: Path, file: str) -> float:
 
 
 def read_discs(clone: Path, series: tuple[int, ...] = (5, 6, 7)) -> list[RecordedHit]:
-    """Read the hits of weighed discs; the names of the files have their masses, g. Series 7 has springs."""
+    """Read the hits of weighed discs; the names of the files have their masses, g.
+
+    Series 7 has springs. The discs of series 5 have tape and stick; their diameter is their distance in the end.
+    """
     hits = []
     for number in series:
         for file in _list_files(clone, f"data/S{number}"):
             if file.endswith(".tsv"):
-                hits += list(_read_disc_file(clone, file))
+                hits += list(_read_disc_file(clone, file, number == 5))
     return hits
 
 
-def _read_disc_file(clone: Path, file: str) -> Iterator[RecordedHit]:
+def _read_disc_file(clone: Path, file: str, taped: bool) -> Iterator[RecordedHit]:
     lines = _read_blob(clone, file).decode("utf-8", "replace").splitlines()
     head = {line.split("\t")[0]: line.split("\t")[1:] for line in lines[:13]}
     at = next(i for i, line in enumerate(lines) if line.startswith("Frame\t"))
@@ -188,8 +191,9 @@ def _read_disc_file(clone: Path, file: str) -> Iterator[RecordedHit]:
     rows = _cut_around_contact(a, b, rate, 125, 125, 2)
     if rows is None:
         return
-    nearest = round(float(np.nanmin(np.hypot(*(a - b).T))), 4)  # of discs of different sizes
-    camera = {"size": [1000, 1000], "fps": rate / 2, "scale": 1e-3, "exposure": 0.0, "ball_diameter": nearest}
+    apart = np.hypot(*(a - b).T)
+    touch = round(float(np.nanmedian(apart[-60:]) if taped else np.nanmin(apart)), 4)  # of discs of different sizes
+    camera = {"size": [1000, 1000], "fps": rate / 2, "scale": 1e-3, "exposure": 0.0, "ball_diameter": touch}
     yield RecordedHit(Path(file).stem, rows, camera | {"ball_masses": masses})
 
 

@@ -77,9 +77,9 @@ class StretchCutter:
         velocity = (where @ since[:, :, None])[..., 0] / spread[:, None]
         change = np.hypot(*(velocity[k:] - velocity[:-k]).T)
         error = noise * np.sqrt(1 / spread[k:] + 1 / spread[:-k])
-        out[k : len(time) - k + 1] = change / (
-            self.max_acceleration * (middle[k:] - middle[:-k]) + self.kink_sigma * error
-        )
+        usual = 2 * float(change.min())  # of a path that bends all along, as of bodies that stick and turn
+        limit = self.max_acceleration * (middle[k:] - middle[:-k]) + self.kink_sigma * error + usual
+        out[k : len(time) - k + 1] = change / limit
         return out
 
     def find_kinks(self, time: Floats, changes: Floats) -> Floats:

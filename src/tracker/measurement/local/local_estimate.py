@@ -79,6 +79,8 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
     settings = contact.pair.settings
     known = LocalPriors(contact.pair.diameter, friction=settings.local_friction, loss=settings.local_rolling_loss_m_s2)
     instant = _guess_instant(contact, camera)
+    if _stay_together(contact, instant):
+        return "the bodies stay together after the hit"
     for turn in range(3):
         whole = _cut_stretches(contact, camera, instant)
         if min(map(len, whole)) < MIN_POSITIONS:
@@ -95,6 +97,23 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
         if turn == 2 or lasts or same or abs(late) > 3 / camera.fps:
             break
     return _read_values(solution, contact, camera, masses)
+
+
+def _stay_together(contact: Contact, instant: float, *, least_positions: int = 10) -> bool:
+    """Decide whether bodies turn about each other after the hit, as those with tape do: no free motion shows r then.
+
+    Their distance changes by less than a tenth of a diameter, while one of them moves by a third of it.
+    """
+    one, other = (
+        track.where((track.time > instant) & (track.time < instant + contact.pair.settings.local_window_s))
+        for _, track in contact.pair.balls
+    )
+    _, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)
+    if len(mine) < least_positions:
+        return False
+    distance = np.hypot(*(one.position[mine] - other.position[its]).T)
+    way = max(float(np.hypot(*np.ptp(track.position, axis=0))) for track in (one, other))
+    return bool(np.ptp(distance) < 0.1 * contact.pair.diameter < 0.3 * way)
 
 
 def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[MotionKind, ...]:

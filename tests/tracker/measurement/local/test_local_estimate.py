@@ -84,3 +84,17 @@ def test_discs_on_air_of_unequal_masses_show_r_and_their_ratio():
     assert row["mass_ratio"] == pytest.approx(ratio, abs=4 * row["mass_ratio_std"])
     assert max(row["r_local_std"], row["mass_ratio_std"]) < 0.03
     assert row["v1ox_local"] == pytest.approx(v1o[0], abs=4 * row["v1ox_local_std"])
+    assert not row["misfit_local"]
+
+
+def test_bodies_that_turn_about_each_other_after_the_hit_have_no_local_estimate():
+    """Tape holds two discs 3 % beyond the diameter of the file, so that no other rule sees that they stay together."""
+    camera = {"fps": FPS, "scale": 1e-3, "size": [800, 800], "ball_diameter": 0.05, "exposure": 0.0}
+    s = (np.arange(90) / FPS - 0.161)[:, None]
+    half, turn = 0.5 * 0.0515 * np.minimum(1, 0.97 + 10 * np.abs(s)), 2.0 * np.maximum(s, 0)
+    middle, arm = np.hstack([0.35 * s, 0 * s]), half * np.hstack([np.cos(turn), np.sin(turn)])
+    before = [np.hstack([0.05 + 0 * s, 0 * s]) - [0.025, 0], np.hstack([0.7 * s - 0.025, 0 * s])]
+    paths = [np.where(s < 0, early, middle + side * arm) for early, side in zip(before, (1, -1), strict=True)]
+    row = measure(film(paths, camera, np.random.default_rng(3)), camera).rows[0]
+    assert np.isnan(row["r_local"])
+    assert "the bodies stay together after the hit" in row["local"]
