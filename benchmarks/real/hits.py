@@ -58,7 +58,7 @@ def measure_hit(hit: RecordedHit, support: str, tied: bool = False) -> dict[str,
     ((tracks, _),) = given.clips.values()
     camera = Camera.of(keys)
     balls = to_ball_tracks(tracks, camera)
-    if any(not stay.bounces for stay in find_stays(*balls, camera.ball_diameter)):
+    if any(not stay.bounces for stay in find_stays(balls[0], balls[1], camera.ball_diameter)):
         return {"name": hit.name, "status": TOGETHER} | local_columns("the bodies stay together")
     found = find_contacts(balls, camera.ball_diameter) or find_contacts(balls, 1.5 * camera.ball_diameter, 2.0)
     empty = {"name": hit.name, "status": "misfit"}
