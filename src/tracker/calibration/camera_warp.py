@@ -60,6 +60,11 @@ class SplineField:
         across, down = (max(round(s / side), MIN_INTERVALS) for s in sides)
         return SplineField(low, high, (across, down))
 
+    @property
+    def spacing(self) -> float:
+        """Mean distance of the knots along either axis, m: displacements this far apart are nearly independent."""
+        return float(np.mean((self.high - self.low) / self.intervals))
+
     def basis(self, position: Floats, orders: tuple[int, int] = (0, 0)) -> Floats:
         """Values (n, k) of the k splines, or derivatives of these orders, at positions (n, 2)."""
         one, other = (self._along(position[:, axis], axis, orders[axis]) for axis in (0, 1))
@@ -188,7 +193,15 @@ class CameraWarp:
             f"{scale * self.rms_after:.4g} mm (p {self.p_value:.2g})",
             f"displacements: {scale * self.size:.4g} mm rms, {100 * self.certain:.0f} % of their square is certain; "
             f"maps of two halves of the data correlate by {self.halves:.2f}",
+            *self._describe_error(scale),
         ]
+
+    def _describe_error(self, scale: float) -> list[str]:
+        warp = self.camera.warp
+        if warp is None:
+            return []
+        where = f"over {scale * warp.length:.3g} mm of a path"
+        return [f"positions have a further error of {scale * warp.std:.3g} mm along either axis, which lasts {where}"]
 
 
 def find_camera_warp(results: Sequence[Path], progress: Progress) -> CameraWarp:
@@ -238,17 +251,18 @@ def fit_camera_warp(
     for _ in range(REPETITIONS):
         problem = problem.repeat_at(problem.solve().mean, progress)
     found = problem.solve()
-    before, after, value = problem.test_on_held_out(start, progress)
+    before, after, value = start.test_on_held_out(progress)
     if not value < SIGNIFICANCE:
         raise InputError(
             f"warp: refused, the free stretches show none: it changes the rms of held-out residuals from "
             f"{1e3 * before:.4g} to {1e3 * after:.4g} mm (p {value:.2g}, expected under {SIGNIFICANCE:g})"
         )
     shift, error = problem.displace(found.mean), problem.displace(found.root)
+    std = float(np.sqrt(np.sum(error**2) / (2 * len(shift))))
     halves = [problem.displace(problem.solve(half, found.smoothness).mean).ravel() for half in (0, 1)]
     size, variance = (float(np.sum(part**2)) / len(shift) for part in (shift, error))
     return CameraWarp(
-        camera=replace(camera, warp=problem.to_warp(found.mean)),
+        camera=replace(camera, warp=replace(problem.to_warp(found.mean), std=std, length=problem.field.spacing)),
         recordings=count,
         stretches=stretches,
         positions=len(shift),
@@ -294,7 +308,7 @@ class _WarpProblem:
         used = self.sums if half is None else self.sums[half::2]
         return _solve(_Sums.total(used), self.prior, smoothness)
 
-    def repeat_at(self, mean: Floats, progress: Progress) -> _WarpProblem:
+    def repeat_at(self, mean: Floats, progress: Progress = lambda done, of: None) -> _WarpProblem:
         """The problem about these displacements, with a prior of friction as the corrected stretches show it."""
         shifts = [[self._shift(stretch.position, mean) for stretch in group] for group in self.groups]
         pairs = [list(zip(*both, strict=True)) for both in zip(self.groups, shifts, strict=True)]
@@ -305,25 +319,35 @@ class _WarpProblem:
             groups.append([stretch.fit_again(shift, friction) for stretch, shift in group])
         return replace(self, groups=groups, friction=friction)
 
-    def test_on_held_out(self, start: _WarpProblem, progress: Progress) -> tuple[float, float, float]:
+    def without(self, fold: int) -> _WarpProblem:
+        """The problem of the other folds alone, with their friction."""
+        groups = [group for number, group in enumerate(self.groups) if number % FOLDS != fold]
+        return replace(self, groups=groups, friction=FrictionPrior.of([one for group in groups for one in group]))
+
+    def test_on_held_out(self, progress: Progress) -> tuple[float, float, float]:
         """The rms of residuals of groups that were left out, m, without and with a correction; p-value of the gain.
 
-        start: the problem without a correction. Both fit each stretch again, beside the prior of their own problem.
+        The map, the friction and the motions about which both are linear come from the other groups alone. Each
+        stretch that was left out is fitted again.
         """
-        whole, gains, total, left = _Sums.total(self.sums), [], 0.0, 0.0
-        means = [_solve(whole.without(fold), self.prior).mean for fold in self.sums]
-        for number, group in enumerate(self.groups):
-            progress(number, len(self.groups))
-            gain = 0.0
-            for stretch in group:
-                shift = self._shift(stretch.position, means[number % FOLDS])
-                before = stretch.fit_again(np.zeros_like(shift), start.friction).chi2
-                after = fit_stretch(stretch.time, stretch.position + shift, stretch.std, self.friction).chi2
-                total, left, gain = total + before, left + after, gain + before - after
-            gains.append(gain)
+        gains, total, left = [], 0.0, 0.0
+        for fold in range(FOLDS):
+            progress(fold, FOLDS)
+            plain = self.without(fold)
+            fitted = plain.repeat_at(plain.solve().mean)
+            mean = fitted.solve().mean
+            for group in self.groups[fold::FOLDS]:
+                gain = 0.0
+                for stretch in group:
+                    shifted = stretch.position + self._shift(stretch.position, mean)
+                    before = fit_stretch(stretch.time, stretch.position, stretch.std, plain.friction).chi2
+                    after = fit_stretch(stretch.time, shifted, stretch.std, fitted.friction).chi2
+                    total, left, gain = total + before, left + after, gain + before - after
+                gains.append(gain)
         error = np.std(gains, ddof=1) / np.sqrt(len(gains))
         noise = float(np.median(np.concatenate([stretch.std for group in self.groups for stretch in group])))
-        before, after = (noise * float(np.sqrt(square / whole.dof)) for square in (total, left))
+        dof = _Sums.total(self.sums).dof
+        before, after = (noise * float(np.sqrt(square / dof)) for square in (total, left))
         return before, after, float(t.sf(np.mean(gains) / max(error, 1e-300), len(gains) - 1))
 
     def displace(self, coefficients: Floats) -> Floats:

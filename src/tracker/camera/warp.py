@@ -19,18 +19,26 @@ class Warp:
 
     x (m,) and y (n,) are knots, m, in increasing order; dx and dy (n, m) displacements at them, m. Between the knots
     splines of third order interpolate. Beyond them the displacement is that at the nearest point of their rectangle.
+    std: standard error of a displacement along either axis, m. length: the way over which such an error lasts, m.
     """
 
     x: Array
     y: Array
     dx: Array
     dy: Array
+    std: float = 0.0
+    length: float = 0.0
 
     @staticmethod
     def of(given: Any) -> Warp:
         """Read the key `warp` of camera.json. Raises ValueError, which says what was expected."""
-        if not isinstance(given, Mapping) or set(given) != {"x", "y", "dx", "dy"}:
+        needed, errors = {"x", "y", "dx", "dy"}, {"std", "length"}
+        if not isinstance(given, Mapping) or set(given) - errors != needed:
             raise ValueError("a table with x, y, dx and dy")
+        if set(given) & errors:
+            known = [given.get(key) for key in sorted(errors)]
+            if not all(isinstance(v, int | float) and not isinstance(v, bool) and 0 < v < np.inf for v in known):
+                raise ValueError("std and length above 0, m, or none of them")
         try:
             x, y, dx, dy = (np.array(given[key], dtype=np.float64) for key in ("x", "y", "dx", "dy"))
         except (ValueError, TypeError):
@@ -41,7 +49,7 @@ class Warp:
                 raise ValueError(f"{min_knots} to {max_knots} knots {name} in increasing order, m")
         if not (dx.shape == dy.shape == (len(y), len(x)) and np.isfinite([dx, dy]).all()):
             raise ValueError(f"dx and dy of {len(y)} rows of {len(x)} numbers, one for each knot")
-        warp = Warp(x, y, dx, dy)
+        warp = Warp(x, y, dx, dy, float(given.get("std", 0.0)), float(given.get("length", 0.0)))
         at = np.stack(np.meshgrid(np.linspace(x[0], x[-1], 4 * len(x)), np.linspace(y[0], y[-1], 4 * len(y))), axis=-1)
         max_slope = 0.2  # change of a displacement along a way, over this way
         if not np.abs(warp.displace(at)[1]).max() < max_slope:
@@ -50,7 +58,8 @@ class Warp:
 
     def to_dict(self) -> dict[str, Any]:
         """The key of camera.json."""
-        return {"x": self.x.tolist(), "y": self.y.tolist(), "dx": self.dx.tolist(), "dy": self.dy.tolist()}
+        table = {"x": self.x.tolist(), "y": self.y.tolist(), "dx": self.dx.tolist(), "dy": self.dy.tolist()}
+        return table | ({"std": self.std, "length": self.length} if self.std else {})
 
     @cached_property
     def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:

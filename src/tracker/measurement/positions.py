@@ -15,6 +15,7 @@ from tracker.measurement.noise.whitening import PositionWhitener
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
+    from tracker.camera.warp import Warp
     from tracker.detection.link import Tracks
 
 Floats = NDArray[np.float64]
@@ -127,10 +128,18 @@ def to_ball_tracks(tracks: Tracks, camera: Camera, *, default_glint_width_px: fl
                 from_glint=bool((apart[rows] > 0).any()),
             )
         )
-    if weighed:
-        return _with_codec_noise(found, camera) if encoded else found
-    size = measure_scatter(found)
-    return found if size is None else [track.scale_errors(size) for track in found]
+    if weighed and encoded:
+        found = _with_codec_noise(found, camera)
+    if not weighed and (size := measure_scatter(found)) is not None:
+        found = [track.scale_errors(size) for track in found]
+    return found if camera.warp is None or not camera.warp.std else [_add_warp_error(one, camera.warp) for one in found]
+
+
+def _add_warp_error(track: BallTrack, warp: Warp) -> BallTrack:
+    """Add the error of the camera's warp, which lasts while a ball moves on, to the errors of positions."""
+    own = warp.std**2 * np.eye(2)
+    drift = float(np.hypot(track.drift[0], warp.std)), max(track.drift[1], warp.length)
+    return replace(track, cov=track.cov + own, fixed=track.fixed + own, drift=drift)
 
 
 def _limit_drift(drift: tuple[float, float], cov: Floats, own_share: float = 1e-3) -> tuple[float, float]:

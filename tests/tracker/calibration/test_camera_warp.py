@@ -12,7 +12,8 @@ from tracker.calibration.camera_warp import MIN_STRETCHES, fit_camera_warp
 from tracker.calibration.free_stretches import find_free_stretches, fit_stretch
 from tracker.camera.camera import Camera
 from tracker.cli import app
-from tracker.measurement.positions import BallTrack
+from tracker.measurement.positions import BallTrack, to_ball_tracks
+from tracker.results import read_clip
 
 SIDES, FPS, NOISE = np.array([2.8, 1.4]), 50, 2e-4
 KEYS = {"scale": 1e-3, "size": [2900, 1500], "fps": FPS}
@@ -94,8 +95,12 @@ def test_the_command_finds_a_known_map_within_its_error(tmp_path):
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.35 * rms
     assert found["certain"] > 0.85
     assert found["size"] == pytest.approx(rms, rel=0.15)
-    assert found["rms_after"] < 1.25 * NOISE < 0.6 * found["rms_before"]
-    assert found["halves"] > 0.5
+    assert found["rms_after"] < 1.4 * NOISE < 0.6 * found["rms_before"]
+    error = np.sqrt(np.mean(np.sum(off**2, axis=1)) / 2)
+    assert camera.warp.std == pytest.approx(error, rel=0.5)
+    track = to_ball_tracks(read_clip(results, 0)[0], camera)[0]
+    assert track.fixed[0] == pytest.approx(camera.warp.std**2 * np.eye(2))
+    assert track.drift == (camera.warp.std, camera.warp.length)
     again = CliRunner().invoke(app, ["warp", str(results), "-o", str(results / "camera.json")])
     assert "exists and was not made by" in str(again.exception)
 

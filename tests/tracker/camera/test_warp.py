@@ -79,6 +79,8 @@ def test_a_table_in_metres_is_corrected(camera):
         (KNOTS | {"x": [1, 0, 2, 3]}, "4 to 64 knots x in increasing order"),
         (KNOTS | {"dx": [[0] * 4]}, "dx and dy of 4 rows of 4 numbers"),
         (KNOTS | {"dx": [[0, 0, np.nan, 0]] * 4}, "dx and dy of 4 rows"),
+        (KNOTS | {"std": 1e-4}, "std and length above 0, m, or none of them"),
+        (KNOTS | {"std": -1e-4, "length": 0.1}, "std and length above 0"),
         (KNOTS | {"dx": [[0, 0, 0.5, 0]] * 4}, "change by less than 0.2 m over a"),
     ],
 )
