@@ -112,7 +112,7 @@ class FreeStretch:
 
         To first order in the shift, such residuals do not depend on the shift but for what the motion can absorb.
         """
-        fitted = fit_stretch(self.time, self.position + shift, self.std, prior, self.end)
+        fitted = fit_stretch(self.time, self.position + shift, self.std, prior)
         moved = fitted.project((shift / self.std[:, None]).T.reshape(-1, 1))[:, 0]
         return replace(fitted, position=self.position, residual=fitted.residual - moved)
 
@@ -150,19 +150,13 @@ def _fit_parts(ball: BallTrack, rows: NDArray[np.int64], changes: Floats, noise:
     return [one for part in parts for one in _fit_parts(ball, part, changes, noise)]
 
 
-def fit_stretch(
-    time: Floats, position: Floats, std: Floats, prior: FrictionPrior | None = None, guess: float = 0.0
-) -> FreeStretch:
-    """Fit a motion that rolls all along, and one that slides first; take the latter if it is much better.
-
-    guess: end of the slide, s from the first position; 0 if unknown.
-    """
+def fit_stretch(time: Floats, position: Floats, std: Floats, prior: FrictionPrior | None = None) -> FreeStretch:
+    """Fit a motion that rolls all along, and one that slides first; take the latter if it is much better."""
     duration = float(time[-1] - time[0])
     rolling = _fit(time, position, std, 0.0, prior)
-    if not guess > 0:
-        tried = [duration * (k + 1) / RULES.slide_ends for k in range(RULES.slide_ends)]
-        guess = min(tried, key=lambda end: _fit(time, position, std, end, steps=1).chi2)
-    sliding = _fit(time, position, std, guess, prior)
+    tried = [duration * (k + 1) / RULES.slide_ends for k in range(RULES.slide_ends)]
+    first = min(tried, key=lambda end: _fit(time, position, std, end, steps=1).chi2)
+    sliding = _fit(time, position, std, first, prior)
     gain = rolling.chi2 - sliding.chi2
     return replace(sliding, gain=gain) if gain > RULES.slide_gain else rolling
 
