@@ -30,9 +30,10 @@ import tracker
 from benchmarks.harness import ROOT, save
 from discrepancy.data.reading import read_collisions
 from discrepancy.data.study_design import split_held_out
-from discrepancy.fitting.base_fit import estimate_noise, fit_base_model
+from discrepancy.fitting.base_fit import fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import list_candidates
+from discrepancy.noise.model import estimate_noise
 from discrepancy.policy import current_policy
 from discrepancy.select.score_test import ScoreTests
 from synthcam.model import Model, read_model

@@ -13,13 +13,13 @@ from discrepancy.data.outlier_points import note_removed_points, remove_outliers
 from discrepancy.fitting.base_fit import (
     Progress,
     check_clips,
-    estimate_noise,
     fit_base_model,
     remove_outliers_beside_model,
 )
 from discrepancy.fitting.gauss_newton import minimise_chi2
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.significance import chi2_to_sigma
+from discrepancy.noise.model import estimate_noise
 from discrepancy.policy import current_policy
 from discrepancy.select.effect_claim import EffectClaim, profile_std
 from discrepancy.select.library_fits import fit_with_candidate

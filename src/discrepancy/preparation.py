@@ -14,14 +14,14 @@ from discrepancy.data.outlier_points import note_removed_points, remove_outliers
 from discrepancy.data.prior_processing import covers_contact, remove_filtered_rows
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.data.study_design import split_held_out
-from discrepancy.fitting.base_fit import Progress, estimate_noise, fit_base_model, remove_outliers_beside_model
+from discrepancy.fitting.base_fit import Progress, fit_base_model, remove_outliers_beside_model
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.noise_refit import refit_noise
 from discrepancy.fitting.stretch_scatter import NO_SCATTER, StretchScatter, fit_scatter
 from discrepancy.fitting.stretch_starts import choose_starts
 from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
-from discrepancy.noise.model import Noise
+from discrepancy.noise.model import Noise, estimate_noise
 from discrepancy.policy import current_policy
 from synthcam.model import Model
 from synthcam_shared.errors import InputError

@@ -23,7 +23,7 @@ from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.free_laws.marginal_likelihood import CurveEvidence
 from discrepancy.noise import model as noise
-from discrepancy.noise.model import Noise, NoiseComponent, estimate
+from discrepancy.noise.model import Noise, NoiseComponent, estimate_noise
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy, read_policy
 from discrepancy.select import free_law_contest, law_fit, library_search
 from discrepancy.select.effect_claim import EffectClaim
@@ -158,7 +158,7 @@ def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, shared):
     both = Noise(NoiseComponent(1.0), (NoiseComponent(1.0), NoiseComponent(1.0)))
     monkeypatch.setattr(noise.BallPairs, "common_mode_score", lambda self, own: sigma)
     monkeypatch.setattr(noise.BallPairs, "noise", lambda self: both)
-    assert (estimate(noisy(exact(Model(), 2, 3), 3)) == both) is shared
+    assert (estimate_noise(noisy(exact(Model(), 2, 3), 3)) == both) is shared
     assert bool(read_again(monkeypatch, gain=99.0, worse=0.0, sigma=sigma).shared) is shared
 
 

@@ -13,7 +13,7 @@ from discrepancy.fitting.jacobian import differentiate, differentiate_launches
 from discrepancy.fitting.model_fit import project_out
 from discrepancy.fitting.parameters import BASE_PARAMETERS, strength_names
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.noise.model import Noise, NoiseComponent, estimate
+from discrepancy.noise.model import Noise, NoiseComponent, estimate_noise
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.search import search
 from synthcam.dynamics import batch
@@ -151,7 +151,7 @@ class Design:
         Not whitened: taken for white, and as large as it is.
         """
         measured = [dataclasses.replace(c, xy=c.xy + e) for c, e in zip(self.clips, errors, strict=True)]
-        noise = estimate(measured) if whitened else Noise(NoiseComponent(1.0))
+        noise = estimate_noise(measured) if whitened else Noise(NoiseComponent(1.0))
         white = [ClipWhitener.of(c, noise) for c in self.clips]
         own = [w(a) for w, a in zip(white, self.own, strict=True)]
 

@@ -1,4 +1,4 @@
-"""The start of a search: checks the clips, estimates their noise, and fits the given model."""
+"""The start of a search: checks the clips, and fits the given model."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import names_to_fit
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.noise.model import Noise, NoiseComponent, estimate
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
 from synthcam.model import LAUNCH_SPIN, Model
 from synthcam_shared.errors import InputError
@@ -47,14 +47,6 @@ def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[Me
                 "camera; search each camera's clips separately"
             )
     return [replace(c, launch=allow_side_spin(c.launch)) for c in clips] if LAUNCH_SPIN in model.free else clips
-
-
-def estimate_noise(clips: Sequence[MeasuredCollision]) -> Noise:
-    """`estimate`, with an InputError where the tracks show no noise."""
-    try:
-        return estimate(clips)
-    except ValueError as e:
-        raise InputError(f"the tracks: {e}") from None
 
 
 def fit_base_model(

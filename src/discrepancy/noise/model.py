@@ -25,6 +25,7 @@ from scipy.special import expit, logit
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.policy import current_policy
+from synthcam_shared.errors import InputError
 
 T = TypeVar("T")
 Stretch = tuple[Array, Array, Ints]  # positions (n, axes), claimed standard deviations (n,), and frames (n,)
@@ -201,7 +202,7 @@ def bundle_stretches(stretches: Iterable[Stretch]) -> list[StretchBundle]:
     return [StretchBundle.of([every[k] for k in group]) for group in groups]
 
 
-def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
+def estimate_noise(clips: Sequence[MeasuredCollision]) -> Noise:
     """Estimate the noise of clips from their smooth stretches.
 
     Clips that are much noisier than the median clip are left out. Shared noise is fitted if its score exceeds
@@ -209,7 +210,7 @@ def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
 
     Raises
     ------
-    ValueError
+    InputError
         The stretches are too few, or show no noise.
     """
     clips = _select_usual_clips(clips)
@@ -272,7 +273,7 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
     """Fit the noise of single tracks to stretches, each within one phase. Raises ValueError if there are too few."""
     every = bundle_stretches(stretches)
     if not every:
-        raise ValueError("too few consecutive frames to estimate the noise")
+        raise InputError("the tracks: too few consecutive frames to estimate the noise")
     longest = max(b.span for b in every)
     freedom = sum(b.freedom for b in every)
 
@@ -282,7 +283,7 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
         parts = [b.restricted_likelihood(b.covariance(lags)) for b in every]
         logs, squares = (sum(p[k] for p in parts) for k in (0, 1))
         if not squares > 0:
-            raise ValueError("positions show no noise from frame to frame")
+            raise InputError("the tracks: positions show no noise from frame to frame")
         return logs + freedom * np.log(squares / freedom), squares / freedom
 
     orders: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))

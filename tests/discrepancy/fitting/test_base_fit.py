@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions, exact
 
-from discrepancy.fitting.base_fit import check_clips, estimate_noise, fit_base_model
+from discrepancy.fitting.base_fit import check_clips, fit_base_model
+from discrepancy.noise.model import estimate_noise
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
 

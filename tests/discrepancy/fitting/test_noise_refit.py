@@ -10,7 +10,7 @@ from discrepancy_clips import FRAMES, STD, collisions, correlated, exact, noise_
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.noise_refit import refit_noise
 from discrepancy.fitting.parameters import BASE_PARAMETERS
-from discrepancy.noise.model import Noise, NoiseComponent, estimate
+from discrepancy.noise.model import Noise, NoiseComponent, estimate_noise
 from synthcam.model import Model
 
 
@@ -32,7 +32,7 @@ def slow(component):
 
 def test_noise_that_is_known_already_stays():
     clips = measured(1)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     assert refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise) is None
 
 
@@ -40,7 +40,7 @@ def test_slow_noise_is_known_better_from_whole_clips():
     truth, first, second = slow(NoiseComponent(1.0, (0.9,))), [], []
     for seed in range(4):
         clips = measured(seed, rho=0.9)
-        noise = estimate(clips)
+        noise = estimate_noise(clips)
         better = refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise) or noise
         first.append(np.log(slow(noise.own) / truth))
         second.append(np.log(slow(better.own) / truth))
@@ -50,7 +50,7 @@ def test_slow_noise_is_known_better_from_whole_clips():
 
 def test_a_walk_too_slow_for_the_phases_is_found():
     clips = measured(1, walk=0.25, count=6)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     assert noise.shared == ()
     better = refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
     assert better.scale == pytest.approx(1, rel=0.1)
@@ -76,7 +76,7 @@ def test_what_a_model_lacks_is_not_taken_for_a_camera_that_shakes():
     """A tilt pushes both balls alike. Where it is in the model, nothing is left to be shared."""
     tilted = Model().replace({"plate_tilt.x": 3e-5, "plate_tilt.y": 2e-5})
     clips = collisions(tilted, 8, 3)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     assert base.chi2 > 1.1 * base.points
     assert refit_noise(clips, base, noise, explained=False).shared == ()
@@ -92,7 +92,7 @@ def test_a_table_that_leans_another_way_in_each_clip_is_no_camera_that_shakes(le
         clip = exact(Model().replace(tilt if leans else {}), 8, 5)[k]
         shake = 2 * STD * correlated(rng, FRAMES, 0.9)
         clips.append(dataclasses.replace(clip, xy=clip.xy + noise_of_pair(rng, 0.0) + np.concatenate([shake, shake])))
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     assert noise.common_mode_rms == pytest.approx(2 * STD, rel=0.5)
     better = refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise) or noise
     assert better.common_mode_rms == pytest.approx(2 * STD, rel=0.5)
@@ -109,7 +109,7 @@ def test_noise_that_the_phases_exclude_is_refused():
 def test_where_phases_hold_motion_the_noise_is_not_read_over_more():
     """Balls roll where they are said to slide, and more than that is missing: none of it is noise."""
     clips = [dataclasses.replace(c, slide_ends=c.slide_ends + 0.1) for c in measured(1, hidden=0.2)]
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     assert noise.whole_phase_scale > 100
     assert base.chi2 > 100 * base.points

@@ -20,7 +20,7 @@ from discrepancy.noise.model import (
     NoiseComponent,
     StretchBundle,
     component_from_numbers,
-    estimate,
+    estimate_noise,
     finite_cost,
     fit_own_noise,
     minimise,
@@ -126,7 +126,7 @@ def test_a_filter_is_recognised(rho, smooth):
 def test_every_other_frame_of_lasting_noise_is_no_filter(every, rho, seed):
     """Noise that swings from frame to frame can be the same at the frames that are seen."""
     thin = [c.select(np.flatnonzero(c.frame % every == 0)) for c in collisions(Model(), 24, seed, rho=rho)]
-    noise = estimate(thin)
+    noise = estimate_noise(thin)
     assert noise.own.partial_autocorrelations[1] < -0.12
     assert not noise.is_smoothed
 
@@ -136,8 +136,8 @@ def test_every_other_frame_of_lasting_noise_is_no_filter(every, rho, seed):
 def test_motion_within_a_phase_is_no_noise_and_no_filter(rho, late):
     """Balls roll where they are said to slide: no cubic follows them over the phase, but over eight places."""
     clips = collisions(Model(), 12, 3, rho=rho)
-    right = estimate(clips)
-    wrong = estimate([dataclasses.replace(c, slide_ends=c.slide_ends + late) for c in clips])
+    right = estimate_noise(clips)
+    wrong = estimate_noise([dataclasses.replace(c, slide_ends=c.slide_ends + late) for c in clips])
     assert right.whole_phase_scale == 0
     assert wrong.whole_phase_scale > 10
     assert not wrong.is_smoothed
@@ -172,7 +172,7 @@ CLIPS = exact(Model(), 8, 5)
 
 
 def test_jitter_that_both_balls_share_is_measured():
-    noise = estimate(common_mode_score(CLIPS, 1, jitter=2.0, axes=(1, 0.5)))
+    noise = estimate_noise(common_mode_score(CLIPS, 1, jitter=2.0, axes=(1, 0.5)))
     x, y = (s.variance / STD**2 for s in noise.shared)
     assert (x, y) == (pytest.approx(4, rel=0.25), pytest.approx(1, rel=0.25))
     assert noise.shared[0].autocovariances(2)[1] / noise.shared[0].variance == pytest.approx(0, abs=0.15)
@@ -181,7 +181,7 @@ def test_jitter_that_both_balls_share_is_measured():
 
 
 def test_a_shared_random_walk_has_its_increments():
-    noise = estimate(common_mode_score(CLIPS, 2, walk=1.0))
+    noise = estimate_noise(common_mode_score(CLIPS, 2, walk=1.0))
     assert noise.scale == pytest.approx(1, rel=0.1)
     for s in noise.shared:
         lags = s.autocovariances(2)
@@ -197,7 +197,7 @@ def test_balls_that_share_nothing_are_not_taken_for_shaken():
         )
     assert max(scores) < 4
     assert 0 < np.mean(scores) < 1.49 + 3 / np.sqrt(20)  # nine independent normal scores: the largest is 1.49
-    assert estimate(common_mode_score(CLIPS, 3, rho=0.9)).shared == ()
+    assert estimate_noise(common_mode_score(CLIPS, 3, rho=0.9)).shared == ()
 
 
 def test_missing_frames_break_a_stretch_and_no_more():
@@ -208,7 +208,7 @@ def test_missing_frames_break_a_stretch_and_no_more():
         kept = rng.uniform(size=len(c.frame)) > 0.02
         parts = {name: getattr(c, name)[kept] for name in ("frame", "ball", "xy", "covariance")}
         holed.append(dataclasses.replace(c, **parts))
-    one, other = estimate(whole), estimate(holed)
+    one, other = estimate_noise(whole), estimate_noise(holed)
     assert other.scale == pytest.approx(one.scale, rel=0.15)
     assert other.common_mode_rms == pytest.approx(one.common_mode_rms, rel=0.25)
 
@@ -225,8 +225,8 @@ def test_a_bundle_of_unequal_stretches_counts_each_by_its_own_length():
 def test_one_bad_recording_does_not_count_for_all():
     clips = common_mode_score(CLIPS, 5)
     bad = dataclasses.replace(clips[0], xy=CLIPS[0].xy + 10 * (clips[0].xy - CLIPS[0].xy))
-    noise = estimate([bad, *clips[1:]])
-    assert noise == estimate(clips[1:])
+    noise = estimate_noise([bad, *clips[1:]])
+    assert noise == estimate_noise(clips[1:])
     assert noise.scale == pytest.approx(1, rel=0.1)
 
 
@@ -234,7 +234,7 @@ def test_one_bad_recording_does_not_count_for_all():
 def test_a_recording_of_nine_times_the_noise_does_not_count(power, counts):
     clips = common_mode_score(CLIPS[:4], 5)
     bad = dataclasses.replace(clips[0], xy=CLIPS[0].xy + np.sqrt(power) * (clips[0].xy - CLIPS[0].xy))
-    assert (estimate([bad, *clips[1:]]) != estimate(clips[1:])) is counts
+    assert (estimate_noise([bad, *clips[1:]]) != estimate_noise(clips[1:])) is counts
 
 
 def test_a_noise_far_from_the_tracks_has_a_cost_too():

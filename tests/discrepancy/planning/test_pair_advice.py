@@ -7,7 +7,7 @@ from discrepancy_clips import collisions
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
-from discrepancy.noise.model import estimate
+from discrepancy.noise.model import estimate_noise
 from discrepancy.planning.pair_advice import ComparedDesign, advise, compare_designs
 from synthcam.model import Model
 
@@ -17,7 +17,7 @@ CANDIDATES = {s.name: s for s in list_candidates(Model(), BASE_PARAMETERS)}
 @cache
 def found(one, other):
     clips = collisions(Model(), 8, 5)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     fit = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     pair = [(CANDIDATES[n], next(iter(CANDIDATES[n].grid(Model())))) for n in (one, other)]
     return {d.words: d.cosine for d in compare_designs(clips, noise, fit, *pair)}

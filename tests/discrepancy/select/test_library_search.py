@@ -13,7 +13,7 @@ from scipy.stats import kstest
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, names_to_fit
-from discrepancy.noise.model import estimate
+from discrepancy.noise.model import estimate_noise
 from discrepancy.policy import current_policy
 from discrepancy.select.library_search import (
     choose_simplest,
@@ -73,7 +73,7 @@ def test_a_hidden_effect_scores_what_its_strength_is_worth(effect, expected):
 def started(truth, base=None, count=6, seed=9):
     base = base or Model()
     clips = collisions(truth, count, seed)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     return clips, fit_model(clips, base, names_to_fit(base), noise), noise
 
 
@@ -279,7 +279,7 @@ def test_the_error_of_a_law_without_a_kink_is_that_of_its_one_minimum(monkeypatc
 def test_what_first_order_leaves_over_of_an_absorbed_effect_leads_no_search():
     """A wrong clock is absorbed but for what the step of a derivative leaves; in whitened residuals that may score."""
     clips = collisions(Model().replace({"exposure_blur.longer": 9e-4}), 10, 9, 0.9)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     steps, found = selected(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
     assert max(steps.ranking, key=lambda c: c.sigma).effect == "clock_error"
     assert steps.ranking[0].effect == "exposure_blur"

@@ -10,7 +10,7 @@ from discrepancy_selected import library_fits, selected
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
-from discrepancy.noise.model import estimate
+from discrepancy.noise.model import estimate_noise
 from discrepancy.select.library_search import describe_claims
 from synthcam.library import library
 from synthcam.model import Model
@@ -19,7 +19,7 @@ from synthcam.model import Model
 def test_a_shape_that_went_astray_is_found_again():
     truth = {"hop.share": 1.0, "hop.bounce": 0.4}
     clips = collisions(Model().replace(truth), 4, 3)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     seen, hop = (
         library_fits(clips, base, noise),
@@ -42,7 +42,7 @@ def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkey
     """A tilt too steep for a ball to rest, against the slope of a wave."""
     only(monkeypatch, **{n: library()[n] for n in ("plate_tilt", "plate_waviness")})
     clips = collisions(Model(), 8, 1)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     seen, names = library_fits(clips, base, noise), (*BASE_PARAMETERS, "plate_tilt.x", "plate_waviness.b")
     values = {"plate_tilt.x": 2e-3, "plate_waviness.b": 3.2e-5, "plate_waviness.wavelength": 0.1}
@@ -59,7 +59,7 @@ def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkey
     """A strong pull: derivatives without it would give an error a tenth too large."""
     only(monkeypatch, magnetic_attraction=library()["magnetic_attraction"])
     clips = collisions(Model().replace({"magnetic_attraction.pull": 0.4}), 4, 3)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     steps, found = selected(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
     (named,) = describe_claims(steps, found.state)
     step, best = 0.5 * named.std["magnetic_attraction.pull"], found.best
@@ -74,7 +74,7 @@ def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkey
 def test_a_fit_that_is_offered_is_held_against_the_one_known():
     clips = collisions(Model(), 6, 3)
     noise, key = (
-        estimate(clips),
+        estimate_noise(clips),
         frozenset(s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "air_drag"),
     )
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
@@ -97,7 +97,7 @@ def test_a_fit_that_is_offered_is_held_against_the_one_known():
 def test_score_tests_are_those_of_the_fit_that_is_kept(monkeypatch):
     only(monkeypatch, **{n: library()[n] for n in ("air_drag", "velocity_restitution")})
     clips = collisions(Model(), 4, 3)
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     store = library_fits(clips, base, noise)
     before = store.score_tests(())

@@ -11,14 +11,14 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, Candidate
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.noise.model import estimate
+from discrepancy.noise.model import estimate_noise
 from discrepancy.select.score_test import ScoreTests, largest_cosine
 from synthcam.library import library
 from synthcam.model import Model
 
 
 def contest_of(clips, names=BASE_PARAMETERS):
-    noise = estimate(clips)
+    noise = estimate_noise(clips)
     evidence = WhitenedClips.of(clips, noise)
     return evidence, ScoreTests.of(evidence, fit_model(clips, Model(), names, noise))
 
