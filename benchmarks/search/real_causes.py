@@ -198,7 +198,8 @@ def list_causes(model: Model) -> Iterator[Cause]:
         yield Cause(f"lens {sign:+.0f}", lambda c, k, s=sign: distort(c, s * k), "lens_distortion", ("k1",), sign)  # type: ignore[misc]
     yield Cause("aspect", stretch_axis, "aspect_error", ("e",), otherwise=0.005)
     yield Cause("time", slow_clock, "clock_error", ("e",), otherwise=0.01)
-    yield Cause("time of half", slow_half, "clock_error", ("e",), laws=("clock_clip",), otherwise=0.05)
+    if not glides:  # on air nothing tells the time
+        yield Cause("time of half", slow_half, "clock_error", ("e",), laws=("clock_clip",), otherwise=0.05)
 
 
 # --- Searches ---

@@ -148,12 +148,12 @@ def search(
 
 
 def select_until_stable(
-    data: SearchData, model: Model, deadline: Deadline, rounds: int = 4
+    data: SearchData, model: Model, deadline: Deadline, rounds: int = 4, scatter_rounds: int = 2
 ) -> tuple[SearchData, LibraryFits, Selection]:
     """Fit the base model and select, until clips and noise stay the same, at most in so many rounds.
 
     After each round the search leaves out clips that deviate from all others, or else estimates the noise again from
-    the residuals of the best model. For smoothed tracks it fits only the base model. If the deadline passes in a
+    the residuals of the best model; of stretches, their scatter in the first rounds. For smoothed tracks it fits only the base model. If the deadline passes in a
     selection, the search ends and reports the best model so far. LibraryFits holds all models that were fitted.
     """
     removed = 0
@@ -167,12 +167,13 @@ def select_until_stable(
             removed += len(outliers)
             data = data.without(outliers)
             continue
-        if data.is_cut and not data.scatter.is_none:
+        if data.is_cut:
             scatter = fit_scatter(clips, selection.joint_fit, data.noise)
-            if scatter.is_close_to(data.scatter):
+            if turn < scatter_rounds and not scatter.is_close_to(data.scatter):
+                data = data.with_scatter(scatter, selection.joint_fit)
+                continue
+            if not scatter.is_none:
                 break
-            data = data.with_scatter(scatter, selection.joint_fit)
-            continue
         noise = refit_noise(clips, selection.joint_fit, data.noise)
         if noise is None and selection.near_law:  # the library's model may count the law's effect as noise
             law = selection.near_law

@@ -62,10 +62,10 @@ def fit_scatter(
 ) -> StretchScatter:
     """Fit the sizes to the residuals of a fit of these clips that was made with `noise`.
 
-    max_clips: evenly spread, they determine the sizes well enough. max_to_noise: the largest displacement.
+    max_clips: evenly spread, they determine the sizes well enough. max_to_noise: the largest displacement; what exceeds
+    it is motion that the model lacks.
 
-    A size that gains less than `SearchPolicy.min_noise_gain` in -2 log likelihood is zero. All are zero if
-    displacements were far larger than the noise: then the model lacks more than that.
+    A size that gains less than `SearchPolicy.min_noise_gain` in -2 log likelihood is zero.
     """
     indices = np.unique(np.linspace(0, len(clips) - 1, min(max_clips, len(clips))).astype(int)).tolist()
     left = RestrictedResiduals.of(clips, fit, noise, indices)
@@ -83,7 +83,8 @@ def fit_scatter(
     def build(names: Sequence[str], x: Array) -> StretchScatter:
         values = {name: start[name] * float(np.exp(np.clip(v, -7, 7))) for name, v in zip(names, x, strict=True)}
         if "reach_m" in values:
-            values["reach_m"] = min(max(values["reach_m"], 0.02 * way), way)
+            values["displacement_m"] = min(values["displacement_m"], max_to_noise * noise_m)
+            values["reach_m"] = min(max(values["reach_m"], 0.02 * way), 0.5 * way)
         return StretchScatter(**values)
 
     def cost(scatter: StretchScatter) -> float:
@@ -108,8 +109,6 @@ def fit_scatter(
         if without - least < current_policy().min_noise_gain * len(part):
             names, least, x = rest, without, y
     found = build(names, x)
-    if found.displacement_m > max_to_noise * noise_m:
-        return NO_SCATTER
     if not found.displacement_m:
         return found
     some = [RestrictedResiduals.of(clips, fit, noise, [k]).columns[0] for k in indices]

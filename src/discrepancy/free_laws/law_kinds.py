@@ -280,10 +280,10 @@ class ClipNumber(ImpactLaw):
         self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array
     ) -> list[Array]:
         owner, moved = self.owners[0][0], []
-        for k, clip in enumerate(clips):
+        for k, (clip, here) in enumerate(zip(clips, predict_tracks(model, launches, clips), strict=True)):
             own, start = self.basis(np.array(k)) @ coefs, launches[k : k + 1]
             changed = predict_tracks(model.replace({owner: model.value(owner) + float(own)}), start, [clip])
-            moved.append(changed[0] - predict_tracks(model, start, [clip])[0])
+            moved.append(changed[0] - here)
         return moved
 
 

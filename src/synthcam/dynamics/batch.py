@@ -2,7 +2,7 @@
 
 A collision is one impact of a striker on a ball at rest, followed by flights, slides and rolls. Where two balls would
 touch again, or a ball that stopped starts again, `solve` takes over that collision. With |b| > 1 the striker meets
-nothing: its motion is free, before and after the time of its launch.
+nothing: its motion is free from the time of its launch on, and straight on before it.
 """
 
 from __future__ import annotations
@@ -246,18 +246,21 @@ class _BatchSolver:
         self.bent = {mode: model.laws.has_effect_on(*laws) for mode, laws in LAWS.items()}  # without closed form
         self.floor = np.full(len(t_c), np.inf)
 
-    def solve_approach(self, target: Array, striker: Array, moves: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def solve_approach(self, target: Array, striker: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Solve the approach, targets at rest, strikers rolling or sliding; return their states at the contact.
 
-        moves (n,): targets that move as strikers do.
+        free (n,): balls that meet nothing. They move straight on until their launch; nothing else is known of them.
         """
         n, start = len(target), np.full(len(self.t_c), self.out.start)
         if self.mutual:
             return self._approach_with_push(np.concatenate([target, striker]))
         early, states = self.t_c > self.out.start, np.concatenate([target, striker])
-        rests = np.flatnonzero(early & np.append(~moves, np.zeros(n, dtype=bool)))
+        past = np.flatnonzero(early & np.tile(free, 2))
+        straight = (past, start[past], self.t_c[past], self.t_c[past], states[past], self.bodies.radius[past])
+        self.out.segments.append(RollSegment(*straight, 0.0, 0.0))
+        known = np.flatnonzero(early & ~np.tile(free, 2))
+        rests, who = known[known < n], known[known >= n]
         self._rest(rests, states[rests], start, self.t_c)
-        who = np.setdiff1d(np.flatnonzero(early), rests)
         modes = classify_modes(states, self.bodies.radius)[who]
         for mode in (ROLL, SLIDE):
             own = who[modes == mode]

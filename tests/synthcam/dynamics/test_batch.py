@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from synthcam.dynamics.batch import LAUNCH_COLUMNS, MAX_GROUP, solve_collisions
-from synthcam.dynamics.kinematics import contact_velocity
+from synthcam.dynamics.kinematics import contact_velocity, plate_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.library import library
@@ -172,18 +172,20 @@ def test_a_sliding_approach_is_a_parabola_along_its_slip():
 
 
 def test_a_striker_that_meets_nothing_moves_as_if_alone():
-    """Before and after the time of its launch, and through the place where a head-on launch meets a ball."""
+    """From the time of its launch on, and straight on before it."""
     launches = np.array([[0.01, 0.02, 0.1, 0.4, 0.3, 2.0, 0.1, -0.05, 0.0], [0.0, 0.0, 0.05, 0.3, 2.0, 2.0, 0, 0, 0]])
     model, times = Model(), np.linspace(0.0, 0.3, 31)
     free = solve_collisions(model, launches, 0.0, 0.3).at(times)[1]
-    head_on = launches.copy()
-    head_on[:, 5] = 0.0
-    for k, (row, start) in enumerate(zip(free, head_on, strict=True)):
-        ahead = np.array([np.cos(start[4]), np.sin(start[4])])
-        start[:2] += model.ball.radius * ahead  # the contact, for a striker whose centre is at x, y
-        early = times < start[2]
-        alone = solve_collisions(model, start[None], 0.0, 0.3).at(times)[1, 0]
-        assert row[early] == pytest.approx(alone[early], abs=1e-12)
-        at = int(np.argmin(np.abs(times - start[2])))
-        assert row[at, :2] == pytest.approx(launches[k, :2], abs=1e-9)
-        assert np.abs(np.diff(row[:, 3:5], axis=0)).max() < 3.5 * 9.81 * model.sliding_friction * 0.01  # no impulse
+    for row, (x, y, t_c, v0, heading, _, *spin) in zip(free, launches, strict=True):
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        early = times <= t_c
+        straight = np.array([x, y]) + v0 * (times[early, None] - t_c) * ahead
+        assert row[early, :2] == pytest.approx(straight, abs=1e-12)
+        bodies = model.bodies(("a",))
+        q = v0 * ahead - 2 / 7 * (spin[0] * ahead + spin[1] * np.array([-ahead[1], ahead[0]]))
+        state = plate_state(
+            np.array([[x, y]]), q[None], (v0 * ahead - q)[None] * 3.5, np.zeros(1), bodies.radius, bodies.inertia
+        )
+        alone = solve(model, Launch(t_c, state, bodies), 0.0, 0.3)
+        late = times[~early]
+        assert row[~early, :2] == pytest.approx(alone.at(late)[0][:, :2], abs=1e-9)
