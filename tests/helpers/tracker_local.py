@@ -10,7 +10,7 @@ from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate
 AT = {name: k for k, name in enumerate(LOCAL_NAMES)}
 
 
-def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=()):
+def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=(), settings=None, adequate=0.5):
     """Rows of head-on hits with r = 0.8, whose velocities have errors in proportion to the speed."""
     rng, rows = np.random.default_rng(seed), []
     for _ in range(hits):
@@ -22,6 +22,7 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=()):
         response[AT["balance_n"], [2, 4, 6]] = -1, 1, 1
         response[AT["balance_t"], [3, 5, 7]] = -1, 1, 1
         closing = v2i[0]
+        response[AT["v0"], 2] = 1.0
         response[AT["r"], [2, 4, 6]] = np.array([-(v1o[0] - v2o[0]) / closing, 1, -1]) / closing
         value = np.full(len(LOCAL_NAMES), np.nan)
         balance = v1o + v2o - v2i
@@ -29,10 +30,10 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=()):
             value[AT[name]] = v
         value[AT["balance_n"]], value[AT["balance_t"]] = balance
         cov = np.nan_to_num(response @ response.T) * residual**2
-        estimate = LocalEstimate(value, cov, response, v0, 10.0, 10.0, 0.5, True, frozenset(), True)
+        estimate = LocalEstimate(value, cov, response, v0, 10.0, 10.0, adequate, True, frozenset(), True)
         for key, name, share in shared:  # an error of the camera file that changes a quantity by this share
             effect = np.eye(len(value))[AT[name]] * share * value[AT[name]]
             wider = estimate.cov + np.outer(effect, effect)
             estimate = replace(estimate, cov=wider, shared=estimate.shared | {key: (1.0, effect)})
-        rows.append({"status": "misfit"} | local_columns(estimate))
+        rows.append({"status": "misfit"} | local_columns(estimate, settings=settings))
     return rows

@@ -3,9 +3,13 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
+from tracker_film import CAMERA
 from tracker_local import AT, draw_rows
 
+from tracker.camera.camera import Camera
+from tracker.measurement.estimate import empty_row
 from tracker.measurement.local.local_columns import (
     LocalErrors,
     apply_errors,
@@ -13,6 +17,8 @@ from tracker.measurement.local.local_columns import (
     calibrate_set,
     empty_columns,
 )
+from tracker.measurement.messages import list_messages
+from tracker.settings import FitSettings
 
 
 def test_the_balance_of_momentum_shows_errors_beyond_the_residuals():
@@ -78,12 +84,27 @@ def test_the_mass_ratio_of_two_bodies_is_fitted_from_recoil_on_either_side():
     one, other = (row["mass_ratio"] for row in calibrate_set(rows)[:2])
     assert other == pytest.approx(np.exp(errors.log_ratio))
     assert one == pytest.approx(1 / other)
+    table = pd.DataFrame([empty_row(Camera.from_dict(CAMERA), "misfit") | row for row in calibrate_set(rows)])
+    said = [str(note) for note in list_messages(table)]
+    assert any("This takes a number for the same body in all clips" in text for text in said)
 
 
 def test_few_hits_keep_the_prior():
     rows = draw_rows(5, 0.01, 0.01, 0.0)
     assert calibrate_rows(rows) is None
     assert calibrate_set(rows)[0]["local_hits"] == 0
+
+
+def test_settings_reach_the_columns_and_a_later_calibration():
+    """A recording alone whose residuals match the claims keeps the least error that real tracks show."""
+    assert draw_rows(1, 0.0, 0.0, 0.0)[0]["local_error_n"] == FitSettings().min_local_velocity_error == 0.003
+    strict = FitSettings(max_relative_error=1e-6, min_local_velocity_error=0.0, rejection_level=1e-3)
+    rows = draw_rows(9, 0.01, 0.01, 0.0, settings=strict, adequate=1e-4)
+    assert rows[0]["local_error_n"] == 0
+    assert rows[0]["misfit_local"]
+    assert not draw_rows(1, 0.0, 0.0, 0.0, adequate=1e-4)[0]["misfit_local"]
+    assert np.isfinite(draw_rows(1, 0.01, 0.01, 0.0)[0]["v0_local"])
+    assert all(np.isnan(row["v0_local"]) and row["local_hits"] == 9 for row in calibrate_set(rows))
 
 
 def test_no_estimate_has_no_columns_to_change():
