@@ -11,11 +11,12 @@ FPS, NOISE = 50, 2e-4
 
 
 def bounce(at, angle=np.pi, frames=60, slide=0.0):
-    """A ball that turns by `angle` at the time `at`; slide: its acceleration, m/s^2."""
+    """A ball that turns by `angle` at the time `at`; slide: its acceleration until then, m/s^2."""
     rng, time = np.random.default_rng(1), np.arange(frames) / FPS
     turned = 1.2 * np.array([np.cos(angle), np.sin(angle)])
     path = np.outer(np.minimum(time, at), [1.2, 0]) + np.outer(np.maximum(time - at, 0), turned)
-    path = path + np.outer(time**2 / 2, [0, slide]) + rng.normal(0, NOISE, path.shape)
+    early, late = np.minimum(time, at), np.maximum(time - at, 0)
+    path = path + np.outer(early**2 / 2 + early * late, [0, slide]) + rng.normal(0, NOISE, path.shape)
     return BallTrack(0, np.arange(frames), time, path, np.tile(np.eye(2) * NOISE**2, (frames, 1, 1)), 0.0)
 
 
