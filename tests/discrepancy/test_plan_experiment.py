@@ -92,6 +92,7 @@ def test_a_report_holds_two_files_and_needs_no_network(planned, tmp_path):
         assert words in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_replaces_a_plan_and_nothing_else(planned, tmp_path):
     planned.report(tmp_path / "plan")
     planned.report(tmp_path / "plan")
@@ -101,6 +102,7 @@ def test_a_report_replaces_a_plan_and_nothing_else(planned, tmp_path):
     assert (tmp_path / "plan/notes.txt").read_text() == "mine"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_what_python_gives(tmp_path, monkeypatch, capsys):
     few(monkeypatch)
     path = tmp_path / "mine.yaml"

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import TypeVar
 
 import numpy as np
@@ -47,8 +47,12 @@ class NoiseComponent:
     partial_autocorrelations: tuple[float, ...] = ()  # of the autoregression, lag 1 first
     white_share: float = 0.0  # the share of the variance that is white
 
+    @lru_cache(maxsize=64)  # noqa: B019
     def autocovariances(self, count: int) -> Array:
-        """Autocovariance at lags 0 to count - 1, by the Durbin-Levinson recursion."""
+        """Autocovariance at lags 0 to count - 1, by the Durbin-Levinson recursion.
+
+        The last ones are kept, because the clips of a likelihood ask for the same.
+        """
         out = np.ones(max(count, len(self.partial_autocorrelations) + 1))
         weights = np.zeros(0)
         for m, p in enumerate(self.partial_autocorrelations, 1):
@@ -58,7 +62,9 @@ class NoiseComponent:
         for lag in range(order + 1, len(out)):
             out[lag] = weights @ out[lag - order : lag][::-1]
         out[1:] *= 1 - self.white_share
-        return np.asarray(self.variance * out[:count])
+        lags: Array = self.variance * out[:count]
+        lags.flags.writeable = False
+        return lags
 
 
 @dataclass(frozen=True)

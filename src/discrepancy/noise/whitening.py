@@ -39,26 +39,14 @@ class ClipWhitener:
             rows = (clip.ball == ball for ball in (0, 1))
             filters = (_inverse_factor(noise.own, clip.frame[r].tobytes(), offset[r].tobytes()) for r in rows)
             return cls(roots, tuple(filters), None)
-        frame, n = clip.frame, len(clip.frame)
-        apart = np.abs(frame[:, None] - frame)
-        longest = int(apart.max()) + 1
-        own = noise.own.autocovariances(longest)[apart] * (clip.ball[:, None] == clip.ball) + np.outer(offset, offset)
-        total = np.zeros((n, 2, n, 2))
-        for axis in range(2):
-            total[:, axis, :, axis] += own
-        for axis, component in enumerate(noise.shared):
-            push = roots[:, :, axis]  # of a displacement, in scaled residuals
-            lags = component.autocovariances(longest)[apart]
-            for a, b in itertools.product(range(2), range(2)):
-                if push[:, a].any() and push[:, b].any():
-                    total[:, a, :, b] += lags * np.outer(push[:, a], push[:, b])
-        alone = None
-        if clip.scatter is not None:
-            alone = total.reshape(2 * n, 2 * n).copy()
-            total += np.einsum("iab,ibjc,jdc->iajd", roots, clip.scatter, roots, optimize=True)
-        order = np.argsort(np.repeat(frame, 2), kind="stable")
-        factor = np.linalg.cholesky(total.reshape(2 * n, 2 * n)[np.ix_(order, order)])
-        return cls(roots, (_invert_lower(factor),), order, alone)
+        order = np.argsort(np.repeat(clip.frame, 2), kind="stable")
+        rows = (clip.frame.tobytes(), clip.ball.astype(np.int64).tobytes(), roots.tobytes(), offset.tobytes())
+        if clip.scatter is None:
+            return cls(roots, (_inverse_factor_of_both(noise.own, noise.shared, *rows),), order)
+        total = _covariance_of_both(noise.own, noise.shared, *rows)
+        alone = total.reshape(2 * len(roots), -1).copy()
+        total += np.einsum("iab,ibjc,jdc->iajd", roots, clip.scatter, roots, optimize=True)
+        return cls(roots, (_invert_covariance_factor(total, order),), order, alone)
 
     def __call__(self, residuals: Array) -> Array:
         """Residuals (n, 2, ...), m, as white ones (2n, ...) of unit size."""
@@ -122,6 +110,47 @@ def _inverse_factor(component: NoiseComponent, frames: bytes, offsets: bytes) ->
     out = _invert_lower(np.linalg.cholesky(lags[apart] + np.outer(offset, offset)))
     out.flags.writeable = False
     return out
+
+
+@lru_cache(maxsize=32)
+def _inverse_factor_of_both(
+    own: NoiseComponent, shared: tuple[NoiseComponent, ...], frames: bytes, balls: bytes, roots: bytes, offsets: bytes
+) -> Array:
+    """The filter of the rows of both balls and both axes, in order of frames, for noise that balls share.
+
+    Clips with the same frames and claimed errors share it by the cache.
+    """
+    order = np.argsort(np.repeat(np.frombuffer(frames, dtype=np.int64), 2), kind="stable")
+    out = _invert_covariance_factor(_covariance_of_both(own, shared, frames, balls, roots, offsets), order)
+    out.flags.writeable = False
+    return out
+
+
+def _covariance_of_both(
+    own: NoiseComponent, shared: tuple[NoiseComponent, ...], frames: bytes, balls: bytes, roots: bytes, offsets: bytes
+) -> Array:
+    """The covariance (n, 2, n, 2) of the scaled residuals of both balls."""
+    frame, ball = (np.frombuffer(given, dtype=np.int64) for given in (frames, balls))
+    offset, n = np.frombuffer(offsets), len(frame)
+    apart = np.abs(frame[:, None] - frame)
+    longest = int(apart.max()) + 1
+    alone = own.autocovariances(longest)[apart] * (ball[:, None] == ball) + np.outer(offset, offset)
+    total = np.zeros((n, 2, n, 2))
+    for axis in range(2):
+        total[:, axis, :, axis] += alone
+    for axis, component in enumerate(shared):
+        push = np.frombuffer(roots).reshape(n, 2, 2)[:, :, axis]  # of a displacement, in scaled residuals
+        lags = component.autocovariances(longest)[apart]
+        for a, b in itertools.product(range(2), range(2)):
+            if push[:, a].any() and push[:, b].any():
+                total[:, a, :, b] += lags * np.outer(push[:, a], push[:, b])
+    return total
+
+
+def _invert_covariance_factor(total: Array, order: Ints) -> Array:
+    """The inverse Cholesky factor of a covariance (n, 2, n, 2), its rows in this order."""
+    size = len(order)
+    return _invert_lower(np.linalg.cholesky(total.reshape(size, size)[np.ix_(order, order)]))
 
 
 def _invert_lower(lower: NDArray[np.floating]) -> Array:

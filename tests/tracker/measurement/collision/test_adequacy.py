@@ -154,14 +154,14 @@ def test_errors_claimed_wrongly_are_found_from_the_tracks(own, times):
 
 
 def test_noise_that_lasts_is_counted(own, monkeypatch):
-    table = claiming(own, NOISE, NOISE, rho=0.9, clips=10)
+    table = claiming(own, NOISE, NOISE, rho=0.9)
     assert (table["status"] == "ok").all()
     assert table["noise_rho"].median() == pytest.approx(0.9, abs=0.05)
     assert kstest(table["adequate"], "uniform").pvalue > 1e-3
     assert dishonest(table) == []
     monkeypatch.setattr(collision_fit, "with_correlated_noise", lambda pair, free: None)
     monkeypatch.setattr(collision_fit, "alternative_strikers", lambda meeting, rolling: iter(()))
-    assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9, clips=10))) == len(SHOWN)
+    assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9))) == len(SHOWN)
 
 
 def test_noise_is_read_where_the_impact_has_no_part(hopping, monkeypatch):
