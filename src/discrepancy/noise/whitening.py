@@ -40,10 +40,10 @@ class ClipWhitener:
             filters = (_inverse_factor(noise.own, clip.frame[r].tobytes(), offset[r].tobytes()) for r in rows)
             return cls(roots, tuple(filters), None)
         order = np.argsort(np.repeat(clip.frame, 2), kind="stable")
-        rows = (clip.frame.tobytes(), clip.ball.astype(np.int64).tobytes(), roots.tobytes(), offset.tobytes())
+        given = (clip.frame.tobytes(), clip.ball.astype(np.int64).tobytes(), roots.tobytes(), offset.tobytes())
         if clip.scatter is None:
-            return cls(roots, (_inverse_factor_of_both(noise.own, noise.shared, *rows),), order)
-        total = _covariance_of_both(noise.own, noise.shared, *rows)
+            return cls(roots, (_inverse_factor_of_both(noise.own, noise.shared, *given),), order)
+        total = _covariance_of_both(noise.own, noise.shared, *given)
         alone = total.reshape(2 * len(roots), -1).copy()
         total += np.einsum("iab,ibjc,jdc->iajd", roots, clip.scatter, roots, optimize=True)
         return cls(roots, (_invert_covariance_factor(total, order),), order, alone)
