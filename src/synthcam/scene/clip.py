@@ -23,6 +23,7 @@ from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, camera_json, find_video_problem
 from synthcam.scene.bodies import build_table
 from synthcam.scene.film_time import FilmedMotion
+from synthcam.scene.groups import place_groups
 from synthcam.scene.materials import build_finish, build_varnish
 from synthcam.scene.motion import Motion
 from synthcam.scene.sensor_frames import Counts, OpticalSetup, expose_frames
@@ -224,6 +225,8 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         lamp = build_lamp(drawn["lamp"])
     except ValueError as e:
         raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
+    if drawn.get("groups"):
+        drawn = place_groups(model, drawn, (seed, number), where)
     if drawn.get("launches"):
         started, table = build_table(model, drawn, (seed, number), where)
     else:

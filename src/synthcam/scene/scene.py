@@ -36,6 +36,7 @@ from synthcam.scene.distribution import (
     replace_at,
     replace_by_extremes,
 )
+from synthcam.scene.groups import GroupSettings
 from synthcam.settings import InputError, read_yaml
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.settings import NotNegative, Positive, Settings, parse_yaml, to_input_error
@@ -98,6 +99,7 @@ def scene_file() -> type[Settings]:
     }
     fields: dict[str, Any] = {k: (v, v()) for k, v in sections.items()}
     fields |= {k: (f.annotation, f) for k, f in ManyBodiesSettings.model_fields.items()}
+    fields["groups"] = (Annotated[list[GroupSettings], Field(min_length=1, max_length=100)] | None, None)
     fields["free_laws"] = (table_settings() | None, None)
     return create_model(
         "Scene",
@@ -258,8 +260,9 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
     where: name of the file, for messages. overrides: as "launch.v0=0.2".
     """
     settings = resolve_symbols(copy.deepcopy(loaded), where)
-    if "launches" in settings and "launch" in settings:
-        raise InputError(f"{where}: launch: of one pair, beside launches of many bodies; expected one of the two")
+    for many in ("launches", "groups"):
+        if many in settings and "launch" in settings:
+            raise InputError(f"{where}: launch: of one pair, beside {many} of many bodies; expected one of the two")
     for text in overrides:
         _apply_override(settings, text)
     refuse_search_only_laws(settings.get("free_laws"), where)
@@ -278,10 +281,10 @@ def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:
         settings = scene_file().model_validate(plain).model_dump(exclude_none=True)
     except ValidationError as e:
         raise to_input_error(e, where, scene_file()) from None
-    if "launches" in settings:
+    if "launches" in settings or "groups" in settings:
         return settings
     for key in (k for k in ManyBodiesSettings.model_fields if k in plain):
-        raise InputError(f"{where}: {key}: of a scene of many bodies; expected `launches` with it")
+        raise InputError(f"{where}: {key}: of a scene of many bodies; expected `launches` or `groups` with it")
     return {k: v for k, v in settings.items() if k not in ManyBodiesSettings.model_fields}
 
 
