@@ -48,7 +48,7 @@ def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
 
 def error_bars_figure(table: pd.DataFrame) -> Figure:
     """Draw a histogram of errors over standard errors, all quantities together, and the normal distribution."""
-    figure, panels = make_axes(1, 3, figsize=(11.0, 3.0), sharey=True)
+    figure, panels = make_axes(1, 3, figsize=(11.0, 3.0))
     bins = np.linspace(-5, 5, 41)
     grid = np.linspace(-5, 5, 300)
     kinds = (("", "tied fit"), ("_free", "free fit"), ("_local", "local estimate"))

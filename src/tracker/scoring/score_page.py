@@ -65,7 +65,7 @@ FIGURES = {
     "honesty": (
         "Errors over standard errors",
         "Errors divided by their claimed standard errors, all quantities together. Correct error bars follow the "
-        "curve.",
+        "curve. Those of the local estimate are wider on simulated tracks, because they allow for errors of real ones.",
     ),
     "paper": (
         "Errors of finite differences",
