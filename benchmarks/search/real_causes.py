@@ -266,7 +266,8 @@ def main() -> None:
             clips = read_clips(hits, given.warp)
             sets = [clips[k :: given.parts][: given.hits] for k in range(given.parts)]
             lines = (line for part in sets for line in run_causes(name, part, given.only, pool))
-            for line in itertools.chain(relabel_masses(name, hits), lines):
+            by_recoil = relabel_masses(name, hits) if "mass".startswith(given.only[:4]) else ()
+            for line in itertools.chain(by_recoil, lines):
                 file.write(json.dumps(line, default=float) + "\n")
                 file.flush()
                 print({k: line.get(k) for k in SHOWN}, flush=True)

@@ -6,8 +6,6 @@ import math
 import sys
 from collections.abc import Sequence
 
-import numpy as np
-
 from discrepancy.data.collisions import EvidenceUnit
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.fitting.model_fit import ModelFit
@@ -17,7 +15,7 @@ from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.outcome import SearchOutcome
 from discrepancy.policy import applied_policy, current_policy
-from discrepancy.select.contact_effects import ContactClaim
+from discrepancy.select.contact_effects import ContactClaim, ContactNumber
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.select.library_search import InterruptedSearch
 from discrepancy.validate.claim_tests import ClaimTest, Rejection
@@ -59,7 +57,8 @@ def _describe_free_motion(found: SearchOutcome) -> str:
         largest = "" if found.verdict is Verdict.NONE else f" The largest disagreement: {worst}."
         return f"{unnamed}: {SearchNote(SearchNoteKind.SMOOTHED)}.{largest}{slow}"
     if found.verdict is Verdict.NONE:
-        return f"Nothing is missing: model and measurement agree to within the noise.{rejected}{slow}"
+        within = "the noise" if found.data.scatter.is_none else "the noise and the scatter from stretch to stretch"
+        return f"Nothing is missing: model and measurement agree to within {within}.{rejected}{slow}"
     if found.verdict is Verdict.INADEQUATE:
         largest = f" The largest disagreement: {worst}." if worst else ""
         return f"Something is missing, and no candidate passes the held-out test.{largest}{rejected}{slow}"
@@ -226,15 +225,15 @@ def describe_scatter(scatter: StretchScatter) -> list[str]:
         parts.append(f"the rolling loss scatters by {scatter.loss_m_s2:.2g} m/s^2")
     if scatter.displacement_m:
         size, reach = (format_number(1e3 * x, 2) for x in (scatter.displacement_m, scatter.reach_m))
-        parts.append(f"positions are off by {size} mm, by nearly the same within {reach} mm")
+        parts.append(f"smooth displacements of the positions differ by {size} mm rms (they change over {reach} mm)")
     if not parts:
         return []
     lines = [f"From stretch to stretch {', '.join(parts[:-1])}{' and ' if parts[1:] else ''}{parts[-1]}."]
-    lines.append("The search counts this scatter as noise.")
+    lines.append("The search counts this scatter as noise, so it cannot see causes that are smaller.")
     if scatter.map_sigma > current_policy().unexplained_sigma:
         lines.append(
-            f"Stretches are off alike in the same place ({scatter.map_sigma:.0f} sigma): the camera's map is warped. "
-            "tracker warp corrects it."
+            f"All stretches have the same displacements in the same place ({scatter.map_sigma:.0f} sigma): the map of "
+            "the camera is warped. tracker warp corrects it."
         )
     return lines
 
@@ -245,32 +244,44 @@ def describe_contacts(claims: Sequence[ContactClaim]) -> list[str]:
 
 
 def _describe_contact_claim(claim: ContactClaim) -> str:
-    several = f"{claim.contacts} contacts"
-    scatter = f"with a scatter of {claim.scatter:.2g} from contact to contact"
-    mean = f"{format_with_error(claim.mean.value, claim.mean.std, 2)} +- {claim.mean.std:.2g}"
+    mean, several = _with_error(claim.mean), f"{claim.contacts} contacts"
     if claim.quantity == "restitution":
-        first = f"The restitution of {several} is {mean} on average"
+        first = f"Contacts: the mean restitution of {several} is {mean}"
     elif claim.quantity == "friction":
-        first = f"Tangential over normal impulse of {several} is {mean} on average"
+        first = f"The mean ratio of tangential to normal impulse of {several} is {mean}"
     else:
-        share = 100 * np.expm1(claim.mean.value)
-        first = f"By the recoil of {several} the struck body has {share:+.2g} +- {100 * claim.mean.std:.2g} % more mass"
-        first += " than stated"
+        share, std = 100 * math.expm1(claim.mean.value), 100 * claim.mean.std
+        first = f"Recoil of {several}: the struck body has {share:+.2g} +- {std:.2g} % more mass than stated"
+    scatter = f"the scatter from contact to contact is {claim.scatter:.2g}"
     if not claim.causes:
         none = {
             "restitution": "It does not change significantly with speed or obliqueness",
             "friction": "That is not significant",
-            "recoil": "That agrees with the masses",
+            "recoil": "That agrees with the stated masses",
         }
-        return f"{first}, {scatter}. {none[claim.quantity]}."
-    numbers = ", ".join(
-        f"{n.name} {format_with_error(n.value, n.std, 2)} +- {n.std:.2g}{'' if n.unit == '1' else f' {n.unit}'}"
-        for n in claim.numbers
+        return f"{first}; {scatter}. {none[claim.quantity]}."
+    numbers = ", ".join(f"{n.name} {_with_error(n)}{'' if n.unit == '1' else f' {n.unit}'}" for n in claim.numbers)
+    certain = "They show" if claim.sigma > current_policy().min_claim_sigma else "They may show"
+    others = f" These fit nearly as well: {'; '.join(claim.rivals)}." if claim.rivals else ""
+    return (
+        f"{first}. The law that fits best: {claim.law} ({numbers}; {claim.sigma:.1f} sigma); {scatter}.{others} "
+        f"{certain} {' or '.join(claim.causes)}.{_advise_measurement(claim.causes)}"
     )
-    certain = "shows" if claim.sigma > current_policy().min_claim_sigma else "may be"
-    law = f"Law of the contacts: {claim.law}, {numbers}; {scatter} ({claim.sigma:.1f} sigma, {claim.left_out_sigma:.1f}"
-    law += " on contacts left out)"
-    return f"{first}. {law}. This {certain} {' or '.join(claim.causes)}."
+
+
+def _with_error(number: ContactNumber) -> str:
+    return f"{format_with_error(number.value, number.std, 2)} +- {number.std:.2g}"
+
+
+def _advise_measurement(causes: Sequence[str]) -> str:
+    """The measurement that would distinguish causes which the same contacts cannot; empty for one cause."""
+    if len(causes) < 2:
+        return ""
+    if "mass_mismatch" in causes:
+        return " Weigh the bodies, or let each strike the other, to distinguish these."
+    if "hop" in causes:
+        return " A view from the side would show a hop."
+    return " Contacts at other speeds and angles would distinguish these."
 
 
 def describe_slow_noise(noise: Noise) -> str:

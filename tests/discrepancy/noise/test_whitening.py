@@ -87,3 +87,21 @@ def test_a_target_at_rest_is_off_by_the_same_in_every_frame(noise):
         whole[:, axis, :, axis] += 25e-14 * np.outer(resting, resting)
     units = ClipWhitener.of(c, noise)(np.eye(2 * n).reshape(n, 2, 2 * n))
     assert units @ whole.reshape(2 * n, 2 * n) @ units.T == pytest.approx(np.eye(2 * n), abs=1e-9)
+
+
+@pytest.mark.parametrize("noise", [ALONE, SHAKEN], ids=["alone", "shaken"])
+def test_what_differs_from_stretch_to_stretch_is_part_of_the_covariance(noise):
+    bare = clip()
+    n = len(bare.frame)
+    columns = 2e-6 * np.random.default_rng(4).standard_normal((2 * n, 3))
+    c = dataclasses.replace(bare, scatter=(columns @ columns.T).reshape(n, 2, n, 2))
+    white, whole = ClipWhitener.of(c, noise), covariance(bare, noise).reshape(2 * n, 2 * n)
+    units = white(np.eye(2 * n).reshape(n, 2, 2 * n))
+    total = whole + columns @ columns.T
+    assert units @ total @ units.T == pytest.approx(np.eye(2 * n), abs=1e-8)
+    residuals = np.random.default_rng(5).standard_normal((n, 2)) * 1e-6
+    assert white.undo(white(residuals)) == pytest.approx(residuals)
+    best = residuals.ravel() - columns @ columns.T @ np.linalg.solve(total, residuals.ravel())  # of a Gaussian
+    assert white.undo_noise(white(residuals)).ravel() == pytest.approx(best)
+    some = np.arange(0, n, 2)
+    assert c.select(some).scatter == pytest.approx(c.scatter[some][:, :, some])

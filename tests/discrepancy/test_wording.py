@@ -1,0 +1,33 @@
+"""The words for scatter and contacts: numbers with units and errors, causes, and the next measurement."""
+
+from discrepancy.fitting.stretch_scatter import StretchScatter
+from discrepancy.select.contact_effects import ContactClaim, ContactNumber
+from discrepancy.wording import describe_contacts, describe_scatter
+
+RECOIL = ContactClaim(
+    quantity="recoil",
+    law="the struck body seems heavier by a share",
+    causes=("mass_mismatch", "hop"),
+    numbers=(ContactNumber("log of the ratio", 0.02, 0.004, "1"),),
+    contacts=79,
+    scatter=0.01,
+    sigma=5.0,
+    left_out_sigma=3.0,
+    rivals=("ball a is heavier by a share",),
+    mean=ContactNumber("mean recoil", 0.02, 0.004, "1"),
+)
+
+
+def test_scatter_is_given_in_the_units_of_the_bench():
+    text = " ".join(describe_scatter(StretchScatter(0.054, 0.041, 5.7e-4, 0.15, 8.2)))
+    for part in ("5.4 %", "0.041 m/s^2", "0.57 mm rms", "150 mm", "tracker warp"):
+        assert part in text
+    assert "warp" not in " ".join(describe_scatter(StretchScatter(displacement_m=5.7e-4, reach_m=0.15)))
+    assert describe_scatter(StretchScatter()) == []
+
+
+def test_causes_that_contacts_cannot_distinguish_come_with_a_measurement():
+    (text,) = describe_contacts([RECOIL])
+    assert "+2 +- 0.4 % more mass" in text
+    assert "They show mass_mismatch or hop. Weigh the bodies" in text
+    assert "fit nearly as well: ball a is heavier by a share" in text
