@@ -13,8 +13,8 @@ stretches and corrected by the warp that they show. Each set then gets one known
 - time of half: the times of every second recording longer by a factor;
 - mass of ball a: camera files with another mass, which the recoil of the contacts shows.
 
-Its strength is 5 and 10 times the detection limit of the search of the same tracks without the cause. Where the search
-says that these tracks cannot show the cause, it gets a few per cent. A line for each set says what was put in, what was
+Its strength is 5 and 10 times the detection limit of the search of the same tracks without the cause. If the search
+says that these tracks cannot show the cause, it is a few per cent. A line for each set says what was put in, what was
 named, and with which value. Free stretches cannot show the time of all recordings, as the effect `clock_error` proves:
 there the right answer is to name nothing.
 """

@@ -252,7 +252,7 @@ def _describe_contact_claim(claim: ContactClaim) -> str:
     else:
         share, std = 100 * math.expm1(claim.mean.value), 100 * claim.mean.std
         first = f"Recoil of {several}: the struck body has {share:+.2g} +- {std:.2g} % more mass than stated"
-    scatter = f"the scatter from contact to contact is {claim.scatter:.2g}"
+    scatter = f"from contact to contact it scatters by {claim.scatter:.2g}" if claim.scatter else "it does not scatter"
     if not claim.causes:
         none = {
             "restitution": "It does not change significantly with speed or obliqueness",

@@ -26,11 +26,11 @@ def choose_starts(
     slides: Sequence[float] = (0.2, 0.5, 0.9),
     most_chi2: float = 50.0,
 ) -> tuple[list[MeasuredCollision], list[SearchNote]]:
-    """Choose the start of each stretch, with the friction of the model; leave out those that are no free motion.
+    """Choose the start of each stretch, with the friction of the model; leave out those that do not move freely.
 
     slides: shares of a stretch for which its ball may slide. most_chi2: times the median, of a stretch that is used;
     it is large, since those that show a missing effect best must stay.
-    Returns the stretches and a note for each that is left out. Where the model has no friction, bodies glide.
+    Returns the stretches and a note for each that is left out. Bodies glide if the model has no friction.
     """
     tries = [[replace(clip, launch=_glide(clip)) for clip in clips]]
     if model.sliding_friction:
