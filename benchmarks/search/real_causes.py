@@ -41,7 +41,6 @@ from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.contacts import Contacts
 from discrepancy.data.launch import T_C, V0
-from discrepancy.fitting.parameters import find_parameter
 from discrepancy.search import search
 from discrepancy.select.contact_effects import ContactClaim, examine_contacts
 from discrepancy.wording import describe_search
@@ -131,7 +130,7 @@ def _build(number: int, balls: Sequence[BallTrack], camera: Camera) -> MeasuredC
 class Cause:
     """A known cause: what it does to a clip at a strength, and the claims that name it rightly.
 
-    strengths: of the effect, whose values times `unit` are the strength. laws: free laws that say the same in general.
+    strengths: of the effect, one or x and y, whose values times `unit` are the strength. laws: free laws that say the same in general.
     """
 
     name: str
@@ -140,6 +139,7 @@ class Cause:
     strengths: tuple[str, ...]
     unit: float = 1.0
     laws: tuple[str, ...] = ()
+    heading: float = 0.0  # rad, of two strengths
     otherwise: float = 0.03  # the strength if the search says that these tracks do not show it
 
 
@@ -193,7 +193,8 @@ def list_causes(model: Model) -> Iterator[Cause]:
     unit = 5 / 7 * g if glides else g  # in the model a body without friction rolls
     for degrees in (20, 110, 200):
         push = accelerate(np.radians(degrees), glides)
-        yield Cause(f"acceleration to {degrees} deg", push, "plate_tilt", ("x", "y"), unit, ("force_place",))
+        name, heading = f"acceleration to {degrees} deg", float(np.radians(degrees))
+        yield Cause(name, push, "plate_tilt", ("x", "y"), unit, ("force_place",), heading)
     for sign in (1.0, -1.0):
         yield Cause(f"lens {sign:+.0f}", lambda c, k, s=sign: distort(c, s * k), "lens_distortion", ("k1",), sign)  # type: ignore[misc]
     yield Cause("aspect", stretch_axis, "aspect_error", ("e",), otherwise=0.005)
@@ -217,7 +218,8 @@ def run_set(job: tuple[str, str, float, Sequence[MeasuredCollision], Model, str,
         for c in found.claims
     ]
     line["law"] = found.free_law.law.name if found.free_law else None
-    line["limits"] = {s.effect: s.limit if s.identifiable else None for s in found.scores}
+    shown = [s for s in found.scores if s.identifiable]
+    line["information"] = {s.effect: found.base_fit.information(s.columns)[0].tolist() for s in shown}
     line["scatter"] = vars(found.data.scatter)
     line["gap"] = [round(x, 3) for x in (found.gap.before, found.gap.after, found.gap.floor)]
     line["stretches"] = [len(found.data.clips), len(found.data.held_out)]
@@ -283,11 +285,11 @@ def run_causes(
     yield bare | {"shown": False, "named": False, "false": false}
     jobs, known = [], []
     for cause in list_causes(model):
-        limit = bare["limits"].get(cause.effect)
+        limit = _find_limit(cause, bare["information"].get(cause.effect))
         for times in (5.0, 10.0) if cause.name.startswith(only) else ():
             strength = cause.otherwise * times / 5
             if limit is not None and cause.name != "time of half":
-                strength = times * limit * _typical(model, cause)
+                strength = times * limit
             injected = [cause.apply(clip, strength) for clip in clips]
             jobs.append((name, cause.name, times, injected, model, cause.effect, strength))
             known.append((cause, limit is not None))
@@ -320,8 +322,15 @@ def _find_recoil(rows: Sequence[Mapping[str, Any]], stated: Mapping[int, float])
     return next(c for c in examine_contacts(Contacts.of(rows, stated)) if c.quantity == "recoil")
 
 
-def _typical(model: Model, cause: Cause) -> float:
-    return abs(cause.unit) * find_parameter(model, f"{cause.effect}.{cause.strengths[0]}").typical
+def _find_limit(cause: Cause, information: Sequence[Sequence[float]] | None, sigma: float = 5.0) -> float | None:
+    """The strength that is seen with 5 sigma in its direction; None if the search says that none is.
+
+    information (k, k): of the strengths of the effect, beside the base model.
+    """
+    if information is None:
+        return None
+    way = np.array([np.cos(cause.heading), np.sin(cause.heading)])[: len(information)]
+    return sigma * abs(cause.unit) / float(np.sqrt(way @ np.array(information) @ way))
 
 
 if __name__ == "__main__":
