@@ -130,7 +130,8 @@ def _build(number: int, balls: Sequence[BallTrack], camera: Camera) -> MeasuredC
 class Cause:
     """A known cause: what it does to a clip at a strength, and the claims that name it rightly.
 
-    strengths: of the effect, one or x and y, whose values times `unit` are the strength. laws: free laws that say the same in general.
+    strengths: of the effect, one or x and y, whose values times `unit` are the strength. laws: free laws that say the
+    same in general.
     """
 
     name: str
