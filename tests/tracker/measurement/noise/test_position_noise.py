@@ -107,6 +107,20 @@ def test_a_row_says_where_its_errors_come_from(clips):
     assert np.mean(z) == pytest.approx(1, abs=0.15)
 
 
+def test_a_quarter_of_an_encoders_variance_persists_while_a_ball_moves_on(clips):
+    """At errors of .075 px, over 250 px; benchmarks/tracker/codecs.py has the errors of what is measured so."""
+    truth, camera = clips[0]
+    tracks = noisy(truth, np.random.default_rng(0), 0.075)
+    plain = to_ball_tracks(tracks, camera)
+    coded = to_ball_tracks(tracks, replace(camera, sensor=replace(camera.sensor, codec_noise=3.0)))
+    for before, after in zip(plain, coded, strict=True):
+        share = after.fixed[:, 0, 0] / before.cov[:, 0, 0]
+        assert share == pytest.approx(0.25, rel=0.3)  # the size of the errors is estimated
+        np.testing.assert_allclose(after.cov - before.cov, after.fixed, atol=1e-18)
+        assert after.drift[1] == pytest.approx(250 * camera.scale)
+        assert before.drift == (0.0, 0.0)
+
+
 def test_of_an_encoded_film_errors_are_as_large_as_a_free_fit_leaves(clips):
     """A wobble too slow for windows of seven frames, as large as the noise, is an encoder's doing."""
     seen = []
