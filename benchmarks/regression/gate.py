@@ -2,8 +2,9 @@
 
 Three suites are made again each time. The suite "video" has a few filmed clips, for detection, localisation and
 identities. The suite "tracks" has many collisions whose true centres get noise of a known size. It gives bias and
-spread of every quantity in units of its claimed error (z_mean, z_std), the median error claimed (std), and how many clips claim (n). Error bars: the same
-where the camera file is wrong by its errors (rms_z; `error_bars.py`).
+spread of every quantity in units of its claimed error (z_mean, z_std), the median claimed error (std), and the number
+of clips with a claim (n). The suite "error bars" gives the same where the camera file is wrong by its errors (rms_z;
+`error_bars.py`).
 `baseline.json` holds, for each figure, its accepted mean and its scatter from seed to seed. A figure fails when it is
 worse than the mean by more than LIMIT scatters; z_mean and z_std fail on either side.
 The test of error bars needs no accepted figure. The share of errors within one and 1.96 claimed ones (cover68,
