@@ -50,7 +50,7 @@ def page(path: Path) -> dict[str, str | bytes]:
 
 
 def printed(output: dict[str, Any]) -> str:
-    """What a cell printed, or the value of its last line: a table where it has one."""
+    """The printed text of a cell, or the value of its last line, as a table if it has one."""
     if "text" in output:
         return fence("".join(output["text"]))
     data = output["data"]

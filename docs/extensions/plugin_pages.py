@@ -38,7 +38,7 @@ def effect_pages() -> dict[str, str | bytes]:
         made[f"effects/{name}.png"] = picture
         parts.append(section(name, effect, most))
     head = (
-        "# Effects\n\nWhat a collision may have that the base model lacks, and that a search can find. The list is "
+        "# Effects\n\nAn effect is something that the base model lacks and that a search can find. The list is "
         "made of the files of `src/synthcam/effects` when the site is built; `synthcam effects` shows it in a "
         "terminal. A strength is zero where the effect is absent; a shape parameter says where or how it acts. "
         "One of your own: [](../howto/effect.md).\n"
@@ -48,7 +48,7 @@ def effect_pages() -> dict[str, str | bytes]:
 
 
 def section(name: str, effect: Any, most: float) -> str:
-    """What one effect is."""
+    """The section of one effect."""
     rows = [
         [f"`{name}.{p.name}`", kind_of(p), plain(p.unit), f"{p.typical:g}", limits(p), f"{p.default:g}"]
         for p in effect.parameters()
@@ -58,9 +58,9 @@ def section(name: str, effect: Any, most: float) -> str:
     return (
         f"\n(effect-{name.replace('_', '-')})=\n## {name}\n\n{plain(paragraphs(sys.modules[effect.__module__])[0])}\n\n"
         f"{text}\n\n"
-        f"It bends {laws}. At its typical size it moves what is seen by up to {most:.3g} µm.\n\n"
+        f"It changes {laws}. At its typical size it moves the tracks by up to {most:.3g} µm.\n\n"
         f"{table(['parameter', 'kind', 'unit', 'typical', 'from, to', 'default'], rows)}\n\n"
-        f"![what {name} does to the tracks](effects/{name}.png)\n"
+        f"![tracks with and without {name}](effects/{name}.png)\n"
     )
 
 
@@ -88,15 +88,15 @@ def free_law_page() -> str:
     rows = []
     for law in free_laws():
         depends = f"`{law.bends[0]}` by `{law.bends[1]}`" if law.bends and law.bends[1] else "none: of no effect"
-        owners = ", ".join(f"`{owner}`" for owner, _ in law.owners) or "nothing: it adds"
+        owners = ", ".join(f"`{owner}`" for owner, _ in law.owners) or "none: it adds"
         balls = "both, a or b" if law.one_ball else "both"
         rows.append([f"`{law.base_name}`", plain(law.description), plain(law.unit), depends, owners, balls])
     head = (
-        "# Free laws\n\nLaws that a search leaves free, as a curve or a map, where no effect of the library explains "
-        "what it sees ([](../discrepancy.md)). The list is made of the modules of "
+        "# Free laws\n\nLaws that a search leaves free, as a curve or a map, if no effect of the library explains "
+        "the residuals ([](../discrepancy.md)). The list is made of the modules of "
         "`src/discrepancy/free_laws/laws` when the site is built. One of your own: [](../howto/free_law.md).\n\n"
     )
-    titles = ["free law", "what", "unit", "law that it bends", "in place of", "of which balls"]
+    titles = ["free law", "meaning", "unit", "law that it changes", "parameters that it replaces", "balls"]
     return head + table(titles, rows) + "\n"
 
 
@@ -109,7 +109,7 @@ def detector_page() -> str:
         rows.append([f"`{name}`", plain(paragraphs(module)[0]), point])
     head = (
         "# Detectors\n\nHow `tracker track --detector NAME` can find balls. The list is made of the files of "
-        "`src/tracker/detection/detectors` when the site is built. What each is good for: "
+        "`src/tracker/detection/detectors` when the site is built. Their accuracy: "
         "[](../benchmark.md); one of your own: [](../howto/detector.md).\n\n"
     )
-    return head + table(["detector", "what", "what it places"], rows) + "\n"
+    return head + table(["detector", "method", "point that it finds"], rows) + "\n"
