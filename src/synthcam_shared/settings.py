@@ -115,7 +115,7 @@ _Loader.add_constructor("!number", _number)
 def did_you_mean(word: str, known: Iterable[str], section: str = "", written: Mapping[str, str] | None = None) -> str:
     """The end of a message about an unknown word: the most similar known one, or nothing.
 
-    written: how a known word is written, if not as it is compared.
+    written: the spelling of each known word, if it differs.
     """
     near = get_close_matches(word.lower(), known, n=1, cutoff=0.5 if len(word) <= 3 else 0.6)
     return f"; did you mean {section}{written[near[0]] if written else near[0]}?" if near else ""
