@@ -382,6 +382,8 @@ class _EventLoop:
         drawn = ContactChange()
         if self.chance and len(balls) == 2:
             drawn = self.table.scatter.draw(self.chance, apart - sum(self.radius[k] for k in balls))
+        if self.table.plate_share and len(balls) == 2:
+            drawn = dataclasses.replace(drawn, plate_share=self.table.plate_share)
         if self.contact_duration:
             springs = isinstance(self.joint, TouchingBodies) and len(balls) == 2
             recent = any(self.t - self.last_hit[k] < self.contact_duration for k in balls) and not springs
@@ -389,7 +391,7 @@ class _EventLoop:
             for k in balls if not springs else ():
                 self.last_hit[k] = self.t
             return dataclasses.replace(drawn, elastic=recent, slowest=slowest)
-        return drawn if self.chance else None
+        return drawn if self.chance or self.table.plate_share else None
 
     def _bounce(self, k: int, wall: int) -> None:
         if isinstance(self.joint, StickingBodies) and self.joint.concerns(k):

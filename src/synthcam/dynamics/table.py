@@ -68,6 +68,9 @@ class Table:
         does.
     spring : ContactSpring, optional
         Of contacts that last; None: all are impacts in an instant.
+    plate_share : float
+        Share of the momentum of two bodies that the plate takes when they hit, a reading of Dutt et al. (1999): both
+        lose this share of the velocity of their centre of mass.
     """
 
     walls: tuple[Wall, ...] = ()
@@ -76,3 +79,4 @@ class Table:
     scatter: Scatter = Scatter()
     sticks: tuple[float, ...] = ()
     spring: ContactSpring | None = None
+    plate_share: float = 0.0

@@ -401,6 +401,38 @@ def test_three_balls_in_a_row_collapse_below_the_known_restitution(restitution):
     assert any(endless) == (restitution < 7 - 4 * math.sqrt(3))
 
 
+@pytest.mark.parametrize("share", [0.0, 1e-6, 1e-3, 0.1])
+def test_momentum_that_the_plate_takes_prevents_a_collapse(share):
+    """Three balls that move as a whole: each contact takes a share of the common velocity of two of them.
+
+    The contacts are counted in one dimension: a contact of two changes their mean velocity V to (1 - share) V.
+    """
+    smooth = {"sliding_friction": 1e-13, "spin_transfer": 0.0, "rolling_drag": 0.0, "rolling_decel": 0.0}
+    places = np.array([[0.0, 0], [2 * R + 1e-3, 0], [4 * R + 2.01e-3, 0]])
+    velocities = np.array([3.5, 3.0, 2.5])
+    states = rolling_state(places, np.stack([velocities, 0 * velocities], axis=1), 0.0, R)
+    launch, table = Launch(0.0, states, bodies(3)), Table(plate_share=share)
+
+    def run():
+        motion = solve(Model(restitution=0.03, **smooth), launch, 0.0, 0.2, False, table)
+        return [e for e in motion.events if e.kind == "contact"]
+
+    if share == 0:
+        with pytest.raises(ValueError, match="stay in contact"):
+            run()
+        return
+    hits = run()
+    x, v, t, count = places[:, 0] - 2 * R * np.arange(3), velocities.copy(), 0.0, 0
+    while np.any(np.diff(v) < 0):
+        times = np.where(np.diff(v) < 0, np.diff(x) / np.maximum(-np.diff(v), 1e-300), np.inf)
+        k = int(times.argmin())
+        x, t, count = x + v * times[k], t + times[k], count + 1
+        mean, apart = (1 - share) * v[k : k + 2].mean(), 0.03 * (v[k] - v[k + 1])
+        x[k : k + 2], v[k : k + 2] = x[k : k + 2].mean(), [mean - apart / 2, mean + apart / 2]
+    assert len(hits) == count
+    assert hits[-1].t == pytest.approx(t, rel=1e-9)
+
+
 @settings(max_examples=5)
 @given(st.floats(0.05, 0.25))
 def test_an_endless_sequence_ends_with_a_contact_duration(restitution):

@@ -38,13 +38,14 @@ class Impact:
 
 @dataclass(frozen=True)
 class ContactChange:
-    """Changes of one impact, by chance and by a contact duration."""
+    """Changes of one impact: by chance, by a contact duration, and by the plate."""
 
     restitution: float = 0.0  # added to r
     friction: float = 1.0  # factor on the tangential impulse
     turn: float = 0.0  # of the normal about the vertical, rad
     elastic: bool = False
     slowest: float = 0.0  # the bodies part at least at this speed, m/s
+    plate_share: float = 0.0  # of the momentum of both, which the plate takes
     drawn: Mapping[str, float] = field(default_factory=dict)  # what was drawn, by the names of events.parquet
 
     def change_restitution(self, r: float, v_n: float) -> float:
@@ -117,12 +118,14 @@ def strike(
     tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
     px, py, pz = normal * nx + tx, normal * ny + ty, (normal * nz + tz) * model.laws("loft", 0.0, {})
     turn = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
+    share = change.plate_share / (m1 + m2) if change else 0.0
+    lost_x, lost_y = (share * (m1 * target[axis] + m2 * striker[axis]) for axis in (3, 4))
 
     def after(state: State, radius: Real, mass: Real, inertia: Real) -> State:
         x, y, z, vx, vy, vz, wx, wy, wz = state
         inverse, size = 1 / inertia, abs(mass) * radius
         wx, wy, wz = (w + inverse * part / size for w, part in zip((wx, wy, wz), turn, strict=True))
-        return x, y, z, vx + px / mass, vy + py / mass, vz + pz / mass, wx, wy, wz
+        return x, y, z, vx + px / mass - lost_x, vy + py / mass - lost_y, vz + pz / mass, wx, wy, wz
 
     return after(target, r1, m1, k1), after(striker, r2, -m2, k2), (nx, ny, nz), normal, ty * nx - tx * ny
 
