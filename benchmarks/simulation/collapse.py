@@ -138,7 +138,8 @@ def draw(found: dict[str, Any], path: Path) -> None:
         right.semilogx(RESTITUTIONS, [100 * share for share in one["lasting"]], style, ms=4, label=name)
     right.axvline(np.tan(np.pi / 12) ** 2, color="0.7", lw=0.8)
     right.set(xlabel="restitution", ylabel="lines that end in a lasting contact (%)")
-    right.legend(fontsize="small", title="3 balls", loc="lower left")
+    right.set(ylim=(-5, 155), yticks=range(0, 101, 20), title="3 balls")
+    right.legend(fontsize="small", loc="upper right")
     figure.savefig(path, dpi=150)
 
 

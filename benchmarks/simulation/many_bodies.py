@@ -4,10 +4,10 @@ python -m benchmarks.simulation.many_bodies [-o out/many_bodies] [--pooltool PYT
 
 - A nine-ball break between cushions, by this program and by pooltool in turn, in CPU seconds of one core; pooltool
   warm, its compilation not counted. PYTHON is an interpreter that has it: see pooltool_shots.py of the tests.
-- Trays of 10 to 10,000 steel balls at 30 % of the area: CPU time per event.
-- A tray of 100 balls: granular temperature, what takes the energy, and how long balls slide between their contacts,
-  with the plate's friction and without. Without
-  it and with a constant restitution the temperature falls as (1 + t/t0)^-2 (Haff, J. Fluid Mech. 134 (1983) 401).
+- Trays of 10 to 10,000 steel balls at 30 % of the area: CPU time per event. 100 balls for 10 s.
+- Trays of 100 balls: granular temperature, what takes the energy, and how long balls slide between their contacts,
+  with the plate's friction and without. Without it and with a constant restitution the temperature falls as
+  (1 + t/t0)^-2 (Haff, J. Fluid Mech. 134 (1983) 401).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from synthcam.effects.ball_friction import BallFriction
 from synthcam.model import Bodies, Model
 
 REFERENCE = ROOT / "tests" / "synthcam" / "dynamics"
-GRAVITY, TURNS = 9.81, 5
+GRAVITY, TURNS, TRAYS = 9.81, 5, 8
 PEER = """
 import json, sys, time
 sys.path.insert(0, sys.argv[1])
@@ -89,9 +89,9 @@ def break_balls() -> tuple[int, float]:
     return events, seconds
 
 
-def fill_tray(model: Model, count: int, speed: float, share: float = 0.3) -> tuple[Launch, float]:
+def fill_tray(model: Model, count: int, speed: float, share: float = 0.3, seed: int = 1) -> tuple[Launch, float]:
     """Balls that roll about at a share of the area; also the side of the tray, m."""
-    radius, rng = model.ball.radius, np.random.default_rng(1)
+    radius, rng = model.ball.radius, np.random.default_rng(seed)
     side, columns = math.sqrt(count * math.pi * radius**2 / share), math.ceil(math.sqrt(count))
     free = side / columns / 2 - radius
     cells = np.stack(np.divmod(np.arange(count), columns), axis=1)
@@ -100,27 +100,45 @@ def fill_tray(model: Model, count: int, speed: float, share: float = 0.3) -> tup
     return Launch(0.0, states, model.bodies("b" * count)), side
 
 
+def time_tray(count: int, lasts: float) -> dict[str, float]:
+    """CPU time of a tray, s, and of each of its events."""
+    launch, side = fill_tray(Model(), count, 0.3)
+    table, began = Table(box(side, side, 0.8, 0.1), (), 1e-5), time.process_time()
+    motion = solve(Model(), launch, 0.0, lasts, False, table)
+    spent = time.process_time() - began
+    row = {"balls": count, "events": len(motion.events), "us_per_event": 1e6 * spent / len(motion.events)}
+    print(f"{count:6d} balls {lasts:5.2f} s  {row['events']:6d} events  {row['us_per_event']:6.0f} us each", flush=True)
+    return row | {"seconds": spent}
+
+
 def time_trays() -> list[dict[str, float]]:
-    """CPU time per event of trays with ever more balls, some 10 contacts a ball or 20,000 events."""
-    rows = []
-    for count, lasts in ((10, 2.0), (30, 1.0), (100, 0.5), (300, 0.2), (1000, 0.06), (3000, 0.03), (10_000, 0.02)):
-        launch, side = fill_tray(Model(), count, 0.3)
-        table, began = Table(box(side, side, 0.8, 0.1), (), 1e-5), time.process_time()
-        motion = solve(Model(), launch, 0.0, lasts, False, table)
-        spent = time.process_time() - began
-        rows.append({"balls": count, "events": len(motion.events), "us_per_event": 1e6 * spent / len(motion.events)})
-        print(f"{count:6d} balls  {len(motion.events):6d} events  {rows[-1]['us_per_event']:6.0f} us each", flush=True)
-    return rows
+    """CPU time per event of trays with ever more balls, some four events a ball."""
+    return [time_tray(count, 0.05) for count in (10, 30, 100, 300, 1000, 3000, 10_000)]
 
 
-def cool(model: Model, lasts: float) -> dict[str, Any]:
-    """A tray of 100 balls: mean square speed over time, what takes the energy, and how long balls slide."""
-    launch, side = fill_tray(model, 100, 0.3)
-    motion = solve(model, launch, 0.0, lasts, False, Table(box(side, side, 1.0, 0.0), (), 1e-5))
-    times = np.linspace(0, lasts, 41)
+def cool(model: Model, lasts: float, trays: int = 1) -> dict[str, Any]:
+    """Trays of 100 balls: of the first the mean square speed over time and what takes the energy; how long balls slide.
+
+    Of several trays the durations are means, with standard errors.
+    """
+    motions = []
+    for seed in range(1, trays + 1):
+        launch, side = fill_tray(model, 100, 0.3, seed=seed)
+        motions.append(solve(model, launch, 0.0, lasts, False, Table(box(side, side, 1.0, 0.0), (), 1e-5)))
+    times, motion = np.linspace(0, lasts, 41), motions[0]
     found = {"t": times, "temperature": temperature(motion.at(times)), **share_losses(motion, launch.bodies)}
     found |= fit_haff(times, np.array(found["temperature"])) | {"t": times.tolist()}
-    return found | {"sliding": compare_slides(motion, lasts)}
+    return found | {"sliding": average_rows([compare_slides(one, lasts) for one in motions])}
+
+
+def average_rows(tables: list[list[dict[str, float]]]) -> list[dict[str, float]]:
+    """Average the numbers of tables with the same rows; `NAME_error` is the standard error of the mean."""
+    out = []
+    for rows in zip(*tables, strict=True):
+        values = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        errors = {f"{name}_error": float(v.std(ddof=1)) / math.sqrt(len(v)) for name, v in values.items() if len(v) > 1}
+        out.append({name: float(v.mean()) for name, v in values.items()} | errors)
+    return out
 
 
 def compare_slides(motion: Trajectory, lasts: float) -> list[dict[str, float]]:
@@ -218,9 +236,14 @@ def draw_cooling(found: dict[str, Any], path: Path) -> None:
     middle.set(ylabel="share of the energy lost (%)", ylim=(0, 135), yticks=range(0, 101, 20))
     rows = found[names[0]]["sliding"]
     t = [1e3 * r["t"] for r in rows]
-    right.semilogy(t, [r["slide_ms"] for r in rows], "ko-", label="sliding at a stretch")
-    right.semilogy(t, [r["between_ms"] for r in rows], "ks--", label="between contacts of a ball")
-    right.set(xlabel="time (ms)", ylabel="duration (ms)", title=names[0])
+    right.set_yscale("log")
+    for name, style, label in (
+        ("slide_ms", "ko-", "sliding at a stretch"),
+        ("between_ms", "ks--", "between contacts of a ball"),
+    ):
+        errors = [r[f"{name}_error"] for r in rows]
+        right.errorbar(t, [r[name] for r in rows], errors, fmt=style, ms=4, capsize=2, label=label)
+    right.set(xlabel="time (ms)", ylabel="duration (ms)", ylim=(0.2, 150), title=names[0])
     left.legend(fontsize="small", loc="lower left")
     middle.legend(fontsize="small", ncols=4, loc="upper center")
     right.legend(fontsize="small")
@@ -245,10 +268,10 @@ def main() -> None:
         print(
             f"pooltool: {peer['events']} events, {1e3 * peer['seconds']:.1f} ms; ratio of events a second {ratio:.1f}"
         )
-    found["trays"] = time_trays()
+    found["trays"], found["long"] = time_trays(), time_tray(100, 10.0)
     smooth = Model(rolling_drag=0.0, rolling_decel=0.0, sliding_friction=1e-9, spin_transfer=0.0)
     found["cooling"] = {
-        "the paper's plate": cool(Model(effects=(BallFriction(mu=0.15),)), 0.5),
+        "the paper's plate": cool(Model(effects=(BallFriction(mu=0.15),)), 0.5, TRAYS),
         "no friction": cool(smooth, 2.0),
     }
     for name, one in found["cooling"].items():

@@ -369,7 +369,7 @@ class _EventLoop:
             return
         if not self.contact_duration and along_n < slowest * self.mass[i]:
             raise ValueError(f"balls {i} and {j} " + STAYING.format(t))
-        new = {i: _without_bounce(target), j: _without_bounce(striker)}
+        new = {i: self._settle(i, target), j: self._settle(j, striker)}
         after: Array = np.array((new[i], new[j]))
         self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t, drawn))
         self._part(new)
@@ -402,10 +402,16 @@ class _EventLoop:
         before = self.legs[k].now(self.t)
         body = self.radius[k], self.mass[k], self.inertia[k]
         hit = hit_wall(self.model, self.walls[wall], before, body, self._change(k))
-        after = _without_bounce(hit.after)
+        after = self._settle(k, hit.after)
         rows = np.array([before]), np.array([after])
         self.events.append(Event(self.t, "wall", k, wall, *rows, hit.n, hit.impulse_n, hit.impulse_t))
         self._part({k: after})
+
+    def _settle(self, k: int, state: State) -> State:
+        """Drop a vertical velocity too small for a bounce, and what would lift or tilt a body that lies flat."""
+        if self.supports[k] is not None:
+            return (*state[:5], 0.0, 0.0, 0.0, state[8])
+        return state if abs(state[5]) >= MIN_BOUNCE_SPEED_M_S else (*state[:5], 0.0, *state[6:])
 
     def _part(self, states: dict[int, State]) -> None:
         """Start the legs of balls after an impact; those that it presses on the plate land at once."""
@@ -476,11 +482,6 @@ class _EventLoop:
         """Let a ball roll that rolled through a lasting contact."""
         rolls = self.supports[k] is None and math.hypot(*slip_velocity(state, self.radius[k])) < 2 * STICKING_M_S
         return _end_slip(state, self.radius[k], self.inertia[k]) if rolls else state
-
-
-def _without_bounce(state: State) -> State:
-    """Drop a vertical velocity that is too small for a bounce."""
-    return state if abs(state[5]) >= MIN_BOUNCE_SPEED_M_S else (*state[:5], 0.0, *state[6:])
 
 
 def _approach(target: State, striker: State) -> State:
