@@ -171,7 +171,7 @@ def _expectation(error: ErrorDetails) -> str:
 def to_input_error(error: ValidationError, where: str, file: type[BaseModel]) -> InputError:
     """The first complaint of pydantic about `file` as one line: file, dotted key, what was expected."""
     first = error.errors()[0]
-    keys = [p for p in first["loc"] if not re.fullmatch(r"(literal|list)\[.*\]", str(p))]
+    keys = [p for p in first["loc"] if not re.fullmatch(r"(literal|list)\[.*\]|[A-Z]\w*Settings", str(p))]
     key = ".".join(repr(p)[1:-1] if isinstance(p, str) else str(p) for p in keys) or "the whole"
     if first["type"] == "extra_forbidden":
         return InputError(f"{where}: {key}: unknown key{_suggest_key(key, file)}")

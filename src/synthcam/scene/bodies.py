@@ -99,9 +99,9 @@ class BodyLaunchSettings(Settings):
     position: Point
     velocity: Point = Field([0.0, 0.0])
     slip: Point = Field([0.0, 0.0])
-    spin: float = 0.0
-    height: NotNegative = 0.0
-    rise: float = 0.0
+    spin: Annotated[float, Field(ge=-1e5, le=1e5)] = 0.0
+    height: Annotated[float, Field(ge=0, le=1e3)] = 0.0
+    rise: Annotated[float, Field(ge=-1e3, le=1e3)] = 0.0
     time: NotNegative = 0.0
     push: PushSettings | None = None
 
@@ -190,7 +190,7 @@ class ManyBodiesSettings(Settings):
     walls: Annotated[list[WallSettings], Field(max_length=1000)] = Field([])
     support: SupportSettings = SupportSettings()
     scatter: ScatterSettings = ScatterSettings()
-    contact_duration: NotNegative = 1e-5  # s; bounds sequences of impacts without end
+    contact_duration: Annotated[float, Field(ge=0, le=1e-2)] = 1e-5  # s; bounds sequences of impacts without end
     contact_force: ContactForceSettings | None = None
 
 

@@ -94,7 +94,11 @@ def test_a_ball_starts_in_the_air_or_without_rolling():
         (lambda s: s["launches"][1].update(position=[0.05, 0.0]), "launches.1: the body is outside the walls"),
         (lambda s: s.update(walls=[{"centre": [0, 0], "radius": 5e-3}]), "launches.0: the body is beyond wall 0"),
         (lambda s: s.update(bodies=[{}, {}, {}]), "bodies: 3 of them and 2 launches"),
-        (lambda s: s.update(bodies={"shape": "cube"}), "bodies.*shape"),
+        (lambda s: s.update(bodies={"shape": "cube"}), r"bodies\.shape: expected"),
+        (lambda s: s.update(bodies={"mass": -1}), r"bodies\.mass: expected a number above 0"),
+        (lambda s: s.update(contact_duration=10.0), "contact_duration: expected a number of 0.01 or less"),
+        (lambda s: s["launches"][0].update(spin=1e300), r"launches\.0\.spin: expected a number of 100000 or less"),
+        (lambda s: s["launches"][0].update(velocity=[float("nan"), 0]), r"launches\.0\.velocity\.0: expected a finite"),
         (
             lambda s: s.update(support={"kind": "air"}) or s["launches"][0].update(slip=[0.1, 0]),
             "launches.0: slip, height",
