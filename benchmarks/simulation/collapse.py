@@ -15,6 +15,7 @@ python -m benchmarks.simulation.collapse [-o out/collapse]
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ LINES = {"3 balls, r = 0.03": (3, 0.03), "5 balls, r = 0.1": (5, 0.1)}
 STARTS, ALONG = 40, 3.0  # velocity of a whole line over the spread of those of its balls
 RESTITUTIONS = (0.02, 0.03, 0.05, 0.065, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 GAP_M, SPREAD_M_S, DURATION_S, LASTS_S = 1e-3, 0.1, 1e-5, 0.2
-SMOOTH = {"rolling_drag": 0.0, "rolling_decel": 0.0, "sliding_friction": 1e-13, "spin_transfer": 0.0}
+SMOOTH = Model(rolling_drag=0.0, rolling_decel=0.0, sliding_friction=1e-13, spin_transfer=0.0)
 
 
 def draw_starts(count: int, along: float) -> list[Start]:
@@ -99,7 +100,7 @@ def scan_line(count: int, restitution: float) -> list[int]:
 
 def compare_loops(count: int, restitution: float) -> dict[str, list[int]]:
     """Return the most contacts by the event loop, for shares that it resolves, and how many lines agree."""
-    model, out = Model(restitution=restitution, **SMOOTH), dict[str, list[int]](counts=[], agree=[])
+    model, out = replace(SMOOTH, restitution=restitution), dict[str, list[int]](counts=[], agree=[])
     for share in SHARES:
         if share >= RESOLVED:
             table = Table(plate_share=share)
@@ -111,11 +112,11 @@ def compare_loops(count: int, restitution: float) -> dict[str, list[int]]:
     return out
 
 
-def scan_restitution(count: int, along: float, law: dict[str, float]) -> dict[str, list[float]]:
+def scan_restitution(count: int, along: float, plate: Model) -> dict[str, list[float]]:
     """Return by restitution: the share of lines that end in a contact that lasts, and contacts with a bound."""
     out = dict[str, list[float]](lasting=[], most=[])
     for restitution in RESTITUTIONS:
-        model, starts = Model(restitution=restitution, **law), draw_starts(count, along)
+        model, starts = replace(plate, restitution=restitution), draw_starts(count, along)
         out["lasting"].append(sum(run_line(start, model, Table()) < 0 for start in starts) / STARTS)
         bounded = [run_line(start, model, Table(contact_duration=DURATION_S)) for start in starts[::8]]
         out["most"].append(max(bounded))
@@ -159,11 +160,15 @@ def main() -> None:
     found["threshold"] = {f"{known + by:.4f}": scan_line(3, known + by)[0] for by in (-0.003, 0.003)}
     print("collisions of three balls with nothing lost, by restitution:", found["threshold"])
     print("restitution:", *RESTITUTIONS)
-    plates = (("no friction", 0.0, SMOOTH), ("the paper's plate", 0.0, {}), ("the same, line moves", ALONG, {}))
-    for name, along, law in plates:
-        one = found["plates"][name] = scan_restitution(3, along, law)
-        print(f"{name}, 3 balls: lasting contacts in", *(f"{share:.0%}" for share in one["lasting"]))
-        print(f"  most contacts with a contact duration of {DURATION_S:g} s, in {LASTS_S:g} s:", *one["most"])
+    plates = (
+        ("no friction", 0.0, SMOOTH),
+        ("the paper's plate", 0.0, Model()),
+        ("the same, line moves", ALONG, Model()),
+    )
+    for name, along, plate in plates:
+        ends = found["plates"][name] = scan_restitution(3, along, plate)
+        print(f"{name}, 3 balls: lasting contacts in", *(f"{share:.0%}" for share in ends["lasting"]))
+        print(f"  most contacts with a contact duration of {DURATION_S:g} s, in {LASTS_S:g} s:", *ends["most"])
     save(args.output / "figures.json", found)
     draw(found, args.output / "collapse.png")
     print(args.output / "collapse.png")
