@@ -194,8 +194,12 @@ def test_what_bodies_do_beside_gliding_and_rolling_is_in_the_truth():
 
 
 @pytest.mark.parametrize("force", [{"law": "linear", "duration": 2e-3}, {"law": "hertz", "modulus": 1e7}])
-def test_contacts_last_in_a_scene(force):
-    events = check_scene(TRAY | {"contact_force": force}, "scene").draw().solve().events
+@pytest.mark.parametrize("kind", ["plate", "air", "dry"])
+def test_contacts_last_in_a_scene(force, kind):
+    bodies = {"shape": "solid" if kind == "plate" else "disc"}
+    scene = TRAY | {"contact_force": force, "bodies": bodies, "support": {"kind": kind}}
+    scene["launches"] = [TRAY["launches"][0] | {"velocity": [0.6, 0.0]}, TRAY["launches"][1]]
+    events = check_scene(scene, "scene").draw().solve().events
     first, last = (events[events["kind"] == kind].iloc[0] for kind in ("contact", "contact_end"))
     assert 1e-4 < last["t_s"] - first["t_s"] < 3e-3
     assert first["impulse_n"] > 0
