@@ -38,9 +38,11 @@ import numpy as np
 
 from benchmarks.real.hits import READERS, measure_hit
 from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.contacts import Contacts
 from discrepancy.data.launch import T_C, V0
+from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.search import search
 from discrepancy.select.contact_effects import ContactClaim, examine_contacts
 from discrepancy.wording import describe_search
@@ -220,7 +222,7 @@ def run_set(job: tuple[str, str, float, Sequence[MeasuredCollision], Model, str,
     ]
     line["law"] = found.free_law.law.name if found.free_law else None
     shown = [s for s in found.scores if s.identifiable]
-    line["information"] = {s.effect: found.base_fit.information(s.columns)[0].tolist() for s in shown}
+    line["information"] = {s.effect: _measure_information(found.base_fit, s.columns).tolist() for s in shown}
     line["scatter"] = vars(found.data.scatter)
     line["gap"] = [round(x, 3) for x in (found.gap.before, found.gap.after, found.gap.floor)]
     line["stretches"] = [len(found.data.clips), len(found.data.held_out)]
@@ -321,6 +323,13 @@ def relabel_masses(name: str, hits: Sequence[RecordedHit]) -> Iterator[dict[str,
 
 def _find_recoil(rows: Sequence[Mapping[str, Any]], stated: Mapping[int, float]) -> ContactClaim:
     return next(c for c in examine_contacts(Contacts.of(rows, stated)) if c.quantity == "recoil")
+
+
+def _measure_information(fit: ModelFit, columns: Sequence[Array]) -> Array:
+    """Information on an effect's strengths, without the stretch that shows most: alone it makes no claim."""
+    left = [c - q @ (q.T @ c) for c, q in zip(columns, fit.linearisation.launch_bases, strict=True)]
+    each = np.array([float((c**2).sum()) for c in left])
+    return np.asarray(fit.information(columns)[0] * (1 - each.max() / max(each.sum(), 1e-300)))
 
 
 def _find_limit(cause: Cause, information: Sequence[Sequence[float]] | None, sigma: float = 5.0) -> float | None:

@@ -3,7 +3,7 @@
 Real cloth, air and cameras differ from place to place and from shot to shot by more than the noise of positions. No
 parameter that all stretches share describes that. It is a random effect of each stretch (Pinheiro & Bates,
 Mixed-Effects Models in S and S-PLUS, 2000) and part of the covariance of the positions. Restricted maximum likelihood
-gives its sizes. A size is kept only if the likelihood pays its price.
+gives its sizes, if the likelihood pays their price.
 """
 
 from __future__ import annotations
@@ -58,14 +58,15 @@ NO_SCATTER = StretchScatter()
 
 
 def fit_scatter(
-    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, max_clips: int = 30, max_to_noise: float = 10.0
+    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, max_clips: int = 40, max_to_noise: float = 10.0
 ) -> StretchScatter:
     """Fit the sizes to the residuals of a fit of these clips that was made with `noise`.
 
     max_clips: evenly spread, they determine the sizes well enough. max_to_noise: the largest displacement; what exceeds
     it is motion that the model lacks.
 
-    A size that gains less than `SearchPolicy.min_noise_gain` in -2 log likelihood is zero.
+    All are zero if together they gain less in -2 log likelihood than `SearchPolicy.min_noise_gain`, and 2 for each size
+    more. Else each keeps its most likely value: without a real scatter of one size, claims would be too significant.
     """
     indices = np.unique(np.linspace(0, len(clips) - 1, min(max_clips, len(clips))).astype(int)).tolist()
     left = RestrictedResiduals.of(clips, fit, noise, indices)
@@ -80,35 +81,27 @@ def fit_scatter(
         "reach_m": 0.2 * way,
     }
 
-    def build(names: Sequence[str], x: Array) -> StretchScatter:
+    names = [name for name in SIZES if name != "friction" or fit.model.sliding_friction]
+
+    def build(x: Array) -> StretchScatter:
         values = {name: start[name] * float(np.exp(np.clip(v, -7, 7))) for name, v in zip(names, x, strict=True)}
-        if "reach_m" in values:
-            values["displacement_m"] = min(values["displacement_m"], max_to_noise * noise_m)
-            values["reach_m"] = min(max(values["reach_m"], 0.02 * way), 0.5 * way)
+        values["displacement_m"] = min(values["displacement_m"], max_to_noise * noise_m)
+        values["reach_m"] = min(max(values["reach_m"], 0.02 * way), 0.5 * way)
         return StretchScatter(**values)
 
     def cost(scatter: StretchScatter) -> float:
         return replace(left, clips=_add_scatter(bare, moves, scatter)).cost(noise)
 
-    def best(names: Sequence[str], x: Array) -> tuple[float, Array]:
-        def price(y: Array) -> float:
-            return cost(build(names, y))
+    def price(x: Array) -> float:
+        return cost(build(x))
 
-        found = minimise(price, x)
-        return finite_cost(price, found), found
-
-    names = list(SIZES)
-    if not fit.model.sliding_friction:
-        names.remove("friction")
-    least, x = best(names, np.zeros(len(names)))
-    for part in (("loss_m_s2",), ("friction",), ("displacement_m", "reach_m")):
-        if part[0] not in names:
-            continue
-        rest = [name for name in names if name not in part]
-        without, y = best(rest, x[[names.index(name) for name in rest]])
-        if without - least < current_policy().min_noise_gain * len(part):
-            names, least, x = rest, without, y
-    found = build(names, x)
+    x = minimise(price, np.zeros(len(names)))
+    least = current_policy().min_noise_gain + 2 * (len(names) - 1)
+    if cost(NO_SCATTER) - finite_cost(price, x) < least:
+        return NO_SCATTER
+    found = build(x)
+    silent = [n for n in names if n != "reach_m" and getattr(found, n) < 0.02 * start[n]]
+    found = replace(found, **dict.fromkeys(silent, 0.0))
     if not found.displacement_m:
         return found
     some = [RestrictedResiduals.of(clips, fit, noise, [k]).columns[0] for k in indices]
