@@ -230,7 +230,7 @@ def describe_scatter(scatter: StretchScatter) -> list[str]:
         return []
     lines = [f"From stretch to stretch {', '.join(parts[:-1])}{' and ' if parts[1:] else ''}{parts[-1]}."]
     lines.append("The search counts this scatter as noise, so it cannot see causes that are smaller.")
-    if scatter.map_sigma > current_policy().unexplained_sigma:
+    if scatter.map_sigma > current_policy().min_claim_sigma:
         lines.append(
             f"All stretches have the same displacements in the same place ({scatter.map_sigma:.0f} sigma): the map of "
             "the camera is warped. tracker warp corrects it."
