@@ -41,14 +41,15 @@ def _describe_fit(found: SearchOutcome, converged: float = 0.1) -> str:
     base, data, noise = found.base_fit, found.data, found.data.noise
     speeds = [float(c.launch[V0]) for c in data.clips]
     widest = max(abs(float(c.launch[B])) for c in data.clips)
+    oblique = "" if data.is_cut else f" with |b| up to {widest:.2f}"
     shared = ", ".join(base.names) or "nothing"
     numbers = "six" if base.launches.shape[1] < WITH_SPIN else "six to nine"
     gain = gain_of_next_step(base)
     state = "converged" if gain < converged else f"did not converge: a further step would lower chi^2 by {gain:.2g}"
     common = f", {1e6 * noise.common_mode_rms:.2g} um of it common to both balls" if noise.shared else ""
     return (
-        f"The search fitted {len(data.clips)} {data.unit} together, at {min(speeds):.2f} to {max(speeds):.2f} m/s with "
-        f"|b| up to {widest:.2f}. They share {shared}; each has {numbers} launch parameters; the fit {state}. "
+        f"The search fitted {len(data.clips)} {data.unit} together, at {min(speeds):.2f} to {max(speeds):.2f} m/s"
+        f"{oblique}. They share {shared}; each has {numbers} launch parameters; the fit {state}. "
         f"{len(data.held_out)} more {data.unit} were held out. The noise is {noise.scale:.2f} times the standard "
         f"errors of the positions, with a correlation of {noise.correlation:+.2f} between frames{common}."
     )
