@@ -170,8 +170,9 @@ def solve_collisions(
     after = [np.where(free[:, None], *pair) for pair in ((target, hit.target), (striker, hit.striker))]
     run.solve_after_impact(np.concatenate(after), hit.n[:, :2])
     run.out.recontact_candidates = np.setdiff1d(run.out.recontact_candidates, np.flatnonzero(free))
-    odd = sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting} - {*np.flatnonzero(free)})
-    return _solve_one_by_one(model, launches, is_a, run.out, np.array(odd, dtype=np.intp))
+    odd = np.array(sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting}), dtype=np.intp)
+    _solve_free_balls(model, striker, t_c, two, run.out, odd[free[odd]])
+    return _solve_one_by_one(model, launches, is_a, run.out, odd[~free[odd]])
 
 
 def _find_second_contacts(out: CollisionBatch, both: Bodies) -> Ints:
@@ -227,6 +228,22 @@ def _solve_one_by_one(
     most = max(map(len, kinks))
     out.breaks = np.array([row + [np.inf] * (most - len(row)) for row in kinks])
     return out
+
+
+def _solve_free_balls(
+    model: Model, states: Array, t_c: Array, bodies: Bodies, out: CollisionBatch, which: Ints
+) -> None:
+    """Replace the motion of some balls that meet nothing, from their states (n, 9) at t_c on, by that of `solve`."""
+    out.segments = [drop_balls(s, np.isin(s.who % out.size, which)) for s in out.segments]
+    for k in which:
+        rows, time, radius = np.array([k, k + out.size]), np.full(2, t_c[k]), np.full(2, bodies.radius[k])
+        start, until = np.full(2, out.start), np.full(2, out.end)
+        its = solve(model, Launch(t_c[k], states[k][None], bodies[[k]]), t_c[k], out.end, finish_slides=False)
+        if t_c[k] > out.start:
+            out.segments.append(RollSegment(rows, start, time, time, np.tile(states[k], (2, 1)), radius, 0.0, 0.0))
+        out.segments += [TrajectorySegment(rows[[row]], time[:1], until[:1], its) for row in (0, 1)]
+        ends = [e.t for e in its.events if e.kind == "slide_end"]
+        out.slide_ends[rows] = ends[0] if ends else t_c[k]
 
 
 def _group_by_size(who: Ints, size: Array) -> list[Ints]:

@@ -35,7 +35,7 @@ class GroupSettings(Settings):
     arrangement: Literal["random", "lattice", "rack"] = "random"
     centre: Point = Field([0.0, 0.0])
     size: Annotated[list[Annotated[float, Field(gt=0, le=1e3)]], Field(min_length=2, max_length=2)] | None = None
-    gap: NotNegative = 0.0
+    gap: Annotated[float, Field(ge=0, le=1e3)] = 0.0
     velocity: Point = Field([0.0, 0.0])
     rms_speed: NotNegative = 0.0
     body: BodySettings | None = None
@@ -50,6 +50,10 @@ def place_groups(model: Model, drawn: dict[str, Any], seed: tuple[int, int], whe
     listed = kinds if isinstance(kinds, list) else [kinds] * len(launches)
     if isinstance(kinds, list) and any("body" not in group for group in drawn["groups"]):
         raise InputError(f"{where}: bodies: a list beside groups; expected one kind, or a `body` in each group")
+    if isinstance(kinds, list) and len(kinds) != len(launches):
+        raise InputError(
+            f"{where}: bodies: {len(kinds)} of them and {len(launches)} launches; expected as many, or one"
+        )
     taken = np.array([launch["position"] for launch in launches]).reshape(-1, 2)
     radii = np.array([_radius(model, kind) for kind in listed])
     every = list(listed)
@@ -141,10 +145,12 @@ def _sites(size: list[float], spacing: float) -> Floats:
     columns, step = list(_count_columns(size, spacing)), spacing * math.sqrt(3) / 2
     first = -(len(columns) - 1) * step / 2
     rows = [
-        np.column_stack([spacing * (np.arange(n) + row % 2 / 2) - size[0] / 2, np.full(n, first + row * step)])
+        np.column_stack([spacing * (np.arange(n) + row % 2 / 2), np.full(n, first + row * step)])
         for row, n in enumerate(columns)
     ]
-    return np.vstack(rows)
+    sites = np.vstack(rows)
+    sites[:, 0] -= sites[:, 0].max() / 2
+    return sites
 
 
 def _random(

@@ -171,6 +171,19 @@ def test_a_sliding_approach_is_a_parabola_along_its_slip():
         assert there[8] == pytest.approx(spin[2] / bodies.radius[1])
 
 
+def test_a_free_ball_that_stops_on_a_slope_rolls_back():
+    """As `solve` has it; a ball that met nothing stayed where it stopped."""
+    model = Model(rolling_decel=0.005, effects=(library()["plate_tilt"](x=-3e-3),))
+    launches = np.array([[0.0, 0.0, 0.1, 0.02, 0.0, 2.0], [0.01, 0.0, 0.0, 0.03, 1.0, 2.0]])
+    times = np.linspace(0.0, 4.0, 41)
+    batch = solve_collisions(model, launches, 0.0, 4.0).at(times)
+    for row, (x, y, t_c, v0, heading, _) in enumerate(launches):
+        alone = solve(model, Launch.single(model.bodies(("a",)), t_c, v0, heading, (x, y)), t_c, 4.0)
+        late = times > t_c
+        assert batch[:, row, late, :2] == pytest.approx(np.stack([alone.at(times[late])[0][:, :2]] * 2), abs=1e-9)
+        assert batch[1, row, -1, 0] < -0.03
+
+
 def test_a_striker_that_meets_nothing_moves_as_if_alone():
     """From the time of its launch on, and straight on before it."""
     launches = np.array([[0.01, 0.02, 0.1, 0.4, 0.3, 2.0, 0.1, -0.05, 0.0], [0.0, 0.0, 0.05, 0.3, 2.0, 2.0, 0, 0, 0]])

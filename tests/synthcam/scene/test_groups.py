@@ -34,6 +34,11 @@ def test_bodies_keep_their_gap_and_their_area(group, fraction):
     )  # no direction is preferred
 
 
+def test_a_lattice_fills_the_area_from_side_to_side():
+    places, _, _ = states([{"count": 90, "size": [0.03, 0.02], "arrangement": "lattice"}])
+    assert places.max(axis=0) == pytest.approx(-places.min(axis=0), abs=3e-4)
+
+
 def test_random_places_fill_the_area_evenly():
     places = np.vstack([states([{"count": 40, "size": [0.04, 0.04]}], number=k)[0] for k in range(25)])
     counts = np.histogram2d(*(places / 0.04 + 0.5).T, bins=4, range=[[0, 1], [0, 1]])[0]
@@ -100,6 +105,11 @@ def test_the_truth_lists_each_body():
             "at most 20000 bodies in all",
         ),
         ({"groups": [{"count": 2, "size": [1.0, 1.0]}], "bodies": [{}, {}]}, "bodies: a list beside groups"),
+        (
+            {"groups": [{"count": 2, "size": [1.0, 1.0], "body": {}}], "bodies": [{}, {}]},
+            "bodies: 2 of them and 0 launches; expected as many, or one",
+        ),
+        ({"groups": [{"count": 3, "arrangement": "rack", "gap": 1e300}]}, "groups.0.gap: expected"),
         ({"groups": [{"count": 2, "size": [1.0, 1.0]}], "launch": {"v0": 0.2}}, "beside groups of many bodies"),
         (
             {"groups": [{"count": 1, "arrangement": "rack"}], "launches": [{"position": [0.0, 0.0]}]},
