@@ -113,12 +113,17 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
     common = _list_common_errors(row, errors, response, by_mass[:, 0])
     wide = np.sqrt(std**2 + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, _, effect in common))
+    shared = raw["shared"] | dict(_name_effects(*one) for one in common)
     role = _role(row)
     value = value + by_mass[:, 0] * role * errors.log_ratio
-    if errors.log_ratio_std > 0:
+    if errors.log_ratio_std > 0:  # all hits have one ratio, and its error is the only one
         at = LOCAL_NAMES.index("mass_ratio")
         value[at] = np.exp(role * errors.log_ratio)
         wide[at] = value[at] * errors.log_ratio_std
+        for key, block in shared.items():
+            own = {"mass_ratio": float(role * wide[at])} if key == "mass_ratio" else {}
+            others = {name: v for name, v in block["effect"].items() if name != "mass_ratio"}
+            shared[key] = block | {"effect": others | own}
     b, s = (LOCAL_NAMES.index(name) for name in "bs")
     if not abs(value[b]) > MIN_OBLIQUENESS * wide[b]:  # s is a ratio by b
         value[s] = np.nan
@@ -129,7 +134,6 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
         known = name not in raw["unseen"] and np.isfinite(value[k]) and wide[k] <= limit and not folded
         out[column], out[f"{column}_std"] = (float(value[k]), float(wide[k])) if known else (np.nan, np.nan)
     out |= {"local_bias": errors.bias_n, "local_error_n": errors.error_n, "local_error_t": errors.error_t}
-    shared = raw["shared"] | dict(_name_effects(*one) for one in common)
     return out | {"local_hits": errors.hits, "local_shared": json.dumps(shared, separators=(",", ":"))}
 
 

@@ -9,6 +9,7 @@ from tracker_film import CAMERA
 from tracker_local import AT, draw_rows
 
 from tracker.camera.camera import Camera
+from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.estimate import empty_row
 from tracker.measurement.local.local_columns import (
     LocalErrors,
@@ -18,6 +19,7 @@ from tracker.measurement.local.local_columns import (
     empty_columns,
 )
 from tracker.measurement.messages import list_messages
+from tracker.sets.combined_quantity import combine_quantity
 from tracker.settings import FitSettings
 
 
@@ -67,9 +69,12 @@ def test_a_second_calibration_changes_nothing():
     assert json.dumps(calibrate_set(once)) == json.dumps(once)
 
 
-def test_the_mass_ratio_of_two_bodies_is_fitted_from_recoil_on_either_side():
-    """Body 1 is heavier by half: the balance by equal masses is off by its kick times tanh of half the logarithm."""
-    rows, heavier = draw_rows(60, 0.003, 0.003, 0.0), np.log(1.5)
+def draw_unequal_rows(heavier, **more):
+    """Rows of two bodies that strike each other in turn; heavier: logarithm of the mass of body 7 over that of 9.
+
+    The balance by equal masses is off by the kick times tanh of half of it.
+    """
+    rows = draw_rows(60, 0.003, 0.003, 0.0, **more)
     for k, row in enumerate(rows):
         role = 1 if k % 2 else -1
         raw = json.loads(row["local"])
@@ -77,6 +82,12 @@ def test_the_mass_ratio_of_two_bodies_is_fitted_from_recoil_on_either_side():
             raw["response"][AT[name]][8] = change
             raw["value"][AT[name]] -= role * 2 * np.tanh(heavier / 2) * change
         row |= {"particle1": 7 if role > 0 else 9, "particle2": 9 if role > 0 else 7, "local": json.dumps(raw)}
+    return rows
+
+
+def test_the_mass_ratio_of_two_bodies_is_fitted_from_recoil_on_either_side():
+    heavier = np.log(1.5)
+    rows = draw_unequal_rows(heavier)
     errors = calibrate_rows(rows)
     assert errors.log_ratio == pytest.approx(heavier, abs=4 * errors.log_ratio_std)
     assert errors.log_ratio_std < 0.002
@@ -87,6 +98,19 @@ def test_the_mass_ratio_of_two_bodies_is_fitted_from_recoil_on_either_side():
     table = pd.DataFrame([empty_row(Camera.from_dict(CAMERA), "misfit") | row for row in calibrate_set(rows)])
     said = [str(note) for note in list_messages(table)]
     assert any("This takes a number for the same body in all clips" in text for text in said)
+
+
+def test_a_mass_ratio_of_a_set_is_one_value():
+    """Each row repeats it, so that its error is shared, and has no part of the bias or of the camera file."""
+    rows = draw_unequal_rows(np.log(1.5), shared=[("scale", "mass_ratio", 0.1)])
+    table = pd.DataFrame(calibrate_set(rows)).iloc[::2].assign(fit="local")
+    std = table["mass_ratio_std"].to_numpy()
+    effects = shared_effects(table, ("mass_ratio",))
+    np.testing.assert_allclose(np.abs(effects[:, 0]).max(axis=1), std)
+    np.testing.assert_allclose(np.linalg.norm(effects[:, 0], axis=1), std)
+    assert combine_quantity(
+        "mass_ratio", table.assign(value=table["mass_ratio"], std=std, v_n=0.5, result="a"), effects
+    ).mean.std[0] == pytest.approx(std[0], rel=0.01)
 
 
 def test_few_hits_keep_the_prior():
