@@ -37,6 +37,7 @@ class BallTrack:
     # For balls that lie partly in their own shadow, and for video encoded with loss: rms of the shift along either axis
     # that `fixed` has in it and that lasts as a ball moves on, m; the way over which it lasts, m.
     drift: tuple[float, float] = (0.0, 0.0)
+    warp: tuple[float, float] = (0.0, 0.0)  # the same of the camera's warp, whose size no scatter of the tracks shows
     has_errors: bool = True  # whether the table of tracks claims errors
     noise_dof: float = np.inf  # of the tracks' own scatter, if it gave the errors their size; inf: they are as claimed
     error_scale: float = 1.0  # that size over the claimed one
@@ -60,15 +61,20 @@ class BallTrack:
     @cached_property
     def whiten(self) -> PositionWhitener:
         """By the positions' full covariance."""
-        return PositionWhitener(self.position, self.cov, self.fixed, self.width, self.frame, self.rho, self.drift)
+        return PositionWhitener(self.position, self.cov, self.fixed, self.width, self.frame, self.rho, self.drifts)
+
+    @property
+    def drifts(self) -> tuple[tuple[float, float], ...]:
+        """The shifts that last, each with its own way."""
+        return tuple(one for one in (self.drift, self.warp) if one[0] > 0)
 
     def scale_errors(self, size: ScatterRatio) -> BallTrack:
         """The same ball with errors of another size, as its own scatter shows them."""
-        factor = float(np.sqrt(size.ratio))
+        factor, kept = float(np.sqrt(size.ratio)), (1 - size.ratio) * self.warp[0] ** 2 * np.eye(2)
         return replace(
             self,
-            cov=self.cov * size.ratio,
-            fixed=self.fixed * size.ratio,
+            cov=self.cov * size.ratio + kept,
+            fixed=self.fixed * size.ratio + kept,
             drift=(self.drift[0] * factor, self.drift[1]),
             noise_dof=size.dof,
             error_scale=factor * self.error_scale,
@@ -138,8 +144,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera, *, default_glint_width_px: fl
 def _add_warp_error(track: BallTrack, warp: Warp) -> BallTrack:
     """Add the error of the camera's warp, which lasts while a ball moves on, to the errors of positions."""
     own = warp.std**2 * np.eye(2)
-    drift = float(np.hypot(track.drift[0], warp.std)), max(track.drift[1], warp.length)
-    return replace(track, cov=track.cov + own, fixed=track.fixed + own, drift=drift)
+    return replace(track, cov=track.cov + own, fixed=track.fixed + own, warp=(warp.std, warp.length))
 
 
 def _limit_drift(drift: tuple[float, float], cov: Floats, own_share: float = 1e-3) -> tuple[float, float]:

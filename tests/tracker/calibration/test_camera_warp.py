@@ -100,7 +100,7 @@ def test_the_command_finds_a_known_map_within_its_error(tmp_path):
     assert camera.warp.std == pytest.approx(error, rel=0.5)
     track = to_ball_tracks(read_clip(results, 0)[0], camera)[0]
     assert track.fixed[0] == pytest.approx(camera.warp.std**2 * np.eye(2))
-    assert track.drift == (camera.warp.std, camera.warp.length)
+    assert track.warp == (camera.warp.std, camera.warp.length)
     again = CliRunner().invoke(app, ["warp", str(results), "-o", str(results / "camera.json")])
     assert "exists and was not made by" in str(again.exception)
 

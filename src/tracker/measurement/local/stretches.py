@@ -40,8 +40,8 @@ class Stretch:
     cov: Floats  # (n, 2, 2) m^2; positions beside the contact have NEAR_ERRORS times their errors
     fixed: Floats  # (n, 2, 2) the part of it that lasts, as of a `BallTrack`
     near: NDArray[np.bool_]  # (n,) whether beside the contact, where trackers and bodies are less regular
-    width: float = 0.0  # as of a `BallTrack`, and so is `drift`
-    drift: tuple[float, float] = (0.0, 0.0)
+    width: float = 0.0  # as of a `BallTrack`, and so are `drifts`
+    drifts: tuple[tuple[float, float], ...] = ()
 
     def __len__(self) -> int:
         return len(self.time)
@@ -54,7 +54,7 @@ class Stretch:
     @cached_property
     def whiten(self) -> PositionWhitener:
         """By the full covariance of the positions."""
-        return PositionWhitener(self.position, self.cov, self.fixed, self.width, drift=self.drift)
+        return PositionWhitener(self.position, self.cov, self.fixed, self.width, drifts=self.drifts)
 
     def where(self, rows: NDArray[np.bool_]) -> Stretch:
         """The same stretch, only those rows."""
@@ -106,7 +106,7 @@ def cut_stretch(
         fixed=size * track.fixed[rows],
         near=near,
         width=track.width,
-        drift=track.drift,
+        drifts=track.drifts,
     )
     order = np.arange(len(rows)) if after else np.arange(len(rows))[::-1]
     step = -(-(len(rows) - KEPT_POSITIONS) // (MAX_POSITIONS - KEPT_POSITIONS))
@@ -125,7 +125,8 @@ def _average(whole: Stretch, group: NDArray[np.int64]) -> Stretch:
         return np.asarray((np.stack(sums, axis=-1) / count[:, None]).reshape(len(count), *values.shape[1:]))
 
     position, time = mean(whole.position), mean(whole.time)
-    lasting, shares = whole.drift[0] ** 2 * np.eye(2), 1 / count  # a drift lasts over a longer way than a group
+    lasting = sum(size**2 for size, _ in whole.drifts) * np.eye(2)  # a drift lasts over a longer way than a group
+    shares = 1 / count
     if whole.fixed.any() and whole.width > 0:
         first = np.searchsorted(group, np.arange(len(count)))
         parts = (whole.position[k : k + n] for k, n in zip(first, count, strict=True))

@@ -37,7 +37,7 @@ class BallNoise(Protocol):
     @property
     def width(self) -> float: ...
     @property
-    def drift(self) -> tuple[float, float]: ...
+    def drifts(self) -> tuple[tuple[float, float], ...]: ...
     def __len__(self) -> int: ...
 
 
@@ -126,7 +126,7 @@ def _spread(course: BallNoise, windows: slice, over: Floats) -> Floats:
     if course.fixed.any() and course.width > 0:
         position, cov, fixed = course.position[rows], course.cov[rows], course.fixed[rows]
         n = len(position)
-        full = position_covariance(position, cov, fixed, course.width, course.drift).reshape(n, 2, n, 2)
+        full = position_covariance(position, cov, fixed, course.width, course.drifts).reshape(n, 2, n, 2)
         each = np.arange(k)[:, None] + np.arange(WINDOW)
         blocks = full[each[:, :, None], :, each[:, None, :], :]  # (k, WINDOW, WINDOW, 2, 2)
         out += np.einsum("ia,kijxy,jb->kxayb", over, blocks, over)

@@ -9,6 +9,7 @@ Any further correlation from frame to frame is described by a first-order autore
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -28,7 +29,7 @@ class PositionWhitener:
     def __init__(
         self, position: Floats, cov: Floats, fixed: Floats, width: float,
         frame: NDArray[np.int64] | None = None, rho: float = 0.0,
-        drift: tuple[float, float] = (0.0, 0.0),
+        drifts: Sequence[tuple[float, float]] = (),
     ) -> None:  # fmt: skip
         """The arguments are attributes of a `positions.BallTrack`."""
         self.alone = inverse_roots(cov) if len(cov) else cov
@@ -36,9 +37,10 @@ class PositionWhitener:
         if width > 0 and len(cov) and fixed.any():
             step = np.hypot(*np.diff(position, axis=0).T)
             # five widths apart, shifts correlate by less than 0.002
-            for start, end in _split_stretches(step > 5.0 * max(width, drift[1])):
+            longest = max(width, *(length for _, length in drifts), 0.0)
+            for start, end in _split_stretches(step > 5.0 * longest):
                 rows = slice(start, end)
-                whole = position_covariance(position[rows], cov[rows], fixed[rows], width, drift)
+                whole = position_covariance(position[rows], cov[rows], fixed[rows], width, drifts)
                 self.blocks.append((rows, _lower_root(whole)))
         self.kept = None if frame is None or rho == 0 else rho ** np.diff(frame)
 
@@ -77,18 +79,20 @@ def _split_stretches(breaks: NDArray[np.bool_], longest: int = 200) -> list[tupl
 
 
 def position_covariance(
-    position: Floats, cov: Floats, fixed: Floats, width: float, drift: tuple[float, float] = (0.0, 0.0)
+    position: Floats, cov: Floats, fixed: Floats, width: float, drifts: Sequence[tuple[float, float]] = ()
 ) -> Floats:
     """Covariance (2n, 2n), m^2, of positions (n, 2), m; the other arguments are as for `PositionWhitener`."""
     n = len(position)
-    if drift[0]:
-        own = drift[0] ** 2 * np.eye(2)
+    if drifts:
+        own = sum(size**2 for size, _ in drifts) * np.eye(2)
         whole = position_covariance(position, cov - own, fixed - own, width).reshape(n, 2, n, 2)
-        apart = np.sqrt(3) * np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1)) / drift[1]
-        # Matern's kernel (order 3/2), of a shift that changes smoothly
-        near = drift[0] ** 2 * (1 + apart) * np.exp(-apart)
-        for axis in (0, 1):
-            whole[:, axis, :, axis] += near
+        way = np.sqrt(3) * np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
+        for size, length in drifts:
+            apart = way / length
+            # Matern's kernel (order 3/2), of a shift that changes smoothly
+            near = size**2 * (1 + apart) * np.exp(-apart)
+            for axis in (0, 1):
+                whole[:, axis, :, axis] += near
         return whole.reshape(2 * n, 2 * n)
     fixed = fixed * _limit_shared_share(cov, fixed)[:, None, None]
     size, axes = np.linalg.eigh(fixed)

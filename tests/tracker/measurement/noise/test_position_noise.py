@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from tracker_noisy import BENCHMARK, dataset, noisy, truth_of
 
+from tracker.camera.warp import Warp
 from tracker.measurement.estimate import measure
-from tracker.measurement.noise.position_noise import measure_scatter
+from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 
@@ -119,6 +120,18 @@ def test_a_quarter_of_an_encoders_variance_persists_while_a_ball_moves_on(clips)
         np.testing.assert_allclose(after.cov - before.cov, after.fixed, atol=1e-18)
         assert after.drift[1] == pytest.approx(250 * camera.scale)
         assert before.drift == (0.0, 0.0)
+
+
+def test_a_warp_keeps_its_error_when_the_scatter_resizes_the_others(clips):
+    """The error of the map is smooth: that tracks claim five times their noise says nothing about it."""
+    truth, camera = clips[0]
+    knots = np.linspace(-0.1, 0.1, 4)
+    camera = replace(camera, warp=Warp(knots, knots, np.zeros((4, 4)), np.zeros((4, 4)), std=1e-4, length=0.05))
+    ball = to_ball_tracks(noisy(truth, np.random.default_rng(0), 0.075), camera)[0]
+    smaller, own = ball.scale_errors(ScatterRatio(0.04, 50.0)), 1e-8 * np.eye(2)
+    np.testing.assert_allclose(smaller.cov - own, 0.04 * (ball.cov - own))
+    np.testing.assert_allclose(smaller.fixed - own, 0.04 * (ball.fixed - own), atol=1e-20)
+    assert smaller.drifts == ((1e-4, 0.05),)
 
 
 def test_of_an_encoded_film_errors_are_as_large_as_a_free_fit_leaves(clips):
