@@ -191,6 +191,11 @@ def combine(
         parts.append(part.assign(result=name, camera=_describe_view(one)))
         notes += twice
     table = pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
+    if table["camera"].str.contains('"std": ').any():  # of a warp
+        notes.append(
+            "the error of `warp` in camera.json counts as independent from collision to collision; means of collisions "
+            "at the same place are less certain than their errors say"
+        )
     table, calibrated = _calibrate_together(table)
     notes += calibrated
     table["fit"] = _choose_fits(table)

@@ -158,6 +158,15 @@ def test_results_with_few_hits_are_calibrated_together(tmp_path):
     assert set(tracker.combine(parts, quantities=["r"]).table["local_hits"]) == {0}
 
 
+def test_a_note_says_that_the_error_of_a_warp_averages_out(tmp_path):
+    folder = write_local(tmp_path / "a", 5, 0)
+    knots = {"x": [0, 1, 2, 3], "y": [0, 1, 2, 3], "dx": [[0] * 4] * 4, "dy": [[0] * 4] * 4}
+    for warp, said in ((knots, False), (knots | {"std": 1e-4, "length": 0.1}, True)):
+        (folder / "camera.json").write_text(json.dumps(CAMERA | {"warp": warp}))
+        notes = tracker.combine(folder, quantities=["r"]).notes
+        assert any(note.startswith("the error of `warp`") for note in notes) == said
+
+
 def test_errors_of_the_scale_do_not_average_out_in_local_speeds(tmp_path):
     found = write_local(tmp_path / "a", 9, 3, shared=[("scale", "v0", 0.03)])
     mean = tracker.combine(found, quantities=["v0", "r"]).means
