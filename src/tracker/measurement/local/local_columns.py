@@ -39,6 +39,7 @@ class LocalErrors:
     """Errors of velocities beyond their residuals."""
 
     bias_n: float = 0.0  # of the balance along n, over the normal speed of approach
+    bias_std: float = 0.0
     error_n: float = 0.0  # of each component along n, over v0
     error_t: float = 0.0  # of each component along t, over v0
     log_ratio: float = 0.0  # logarithm of the mass of the first particle over that of the second, beyond what is given
@@ -103,7 +104,8 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     """Compute the columns of a row with these errors beyond the residuals.
 
     A bias of the balance may be an error of a velocity along n, a loss of momentum, or unknown masses. So it counts as
-    an error: that of each velocity in turn, in proportion to its weight in the balance.
+    an error: that of each velocity in turn, in proportion to its weight in the balance. So does the error of the bias:
+    a mean of many hits is no more certain than their balance.
     """
     raw = json.loads(row.get("local", "{}"))
     if "value" not in raw:
@@ -146,8 +148,9 @@ def _list_common_errors(
     """
     weights = response[LOCAL_NAMES.index("balance_n")] * np.tile([1.0, 0.0], 4)
     total, out = float(weights @ weights), []
-    if errors.bias_n and total > 0:
-        unit = errors.bias_n * json.loads(row["local"])["vn"] / np.sqrt(total)
+    size = float(np.hypot(errors.bias_n, errors.bias_std))
+    if size and total > 0:
+        unit = size * json.loads(row["local"])["vn"] / np.sqrt(total)
         out = [(f"bias_{VELOCITIES[at][:3]}", errors.bias_n, response[:, at] * unit) for at in np.flatnonzero(weights)]
     if errors.log_ratio_std > 0:
         out.append(("mass_ratio", errors.log_ratio, by_mass * _role(row) * errors.log_ratio_std))
@@ -206,12 +209,13 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
         along, levers, recoil = without, levers[:, :1], []
     weight = 1 / (std[:, 0] ** 2 + (np.exp(along[0]) * spread[:, 0]) ** 2)
     doubt = np.sqrt(np.diag(np.linalg.inv((levers * weight[:, None]).T @ levers)))
-    if abs(along[1]) > doubt[0]:
-        bias = float(along[1])
-    else:  # the errors have to hold without it
-        levers, bias = levers[:, 1:], 0.0
-        along = np.insert(fit(0, levers), 1, 0.0)
-    errors = LocalErrors(bias, float(np.exp(along[0])), float(np.exp(across[0])), hits=len(usable))
+    errors = LocalErrors(
+        bias_n=float(along[1]),
+        bias_std=float(doubt[0]),
+        error_n=float(np.exp(along[0])),
+        error_t=float(np.exp(across[0])),
+        hits=len(usable),
+    )
     if recoil:
         half = float(np.clip(-along[2] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
         errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))
