@@ -87,10 +87,10 @@ def position_covariance(
         own = sum(size**2 for size, _ in drifts) * np.eye(2)
         whole = position_covariance(position, cov - own, fixed - own, width).reshape(n, 2, n, 2)
         way = np.sqrt(3) * np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
-        for size, length in drifts:
+        for rms, length in drifts:
             apart = way / length
             # Matern's kernel (order 3/2), of a shift that changes smoothly
-            near = size**2 * (1 + apart) * np.exp(-apart)
+            near = rms**2 * (1 + apart) * np.exp(-apart)
             for axis in (0, 1):
                 whole[:, axis, :, axis] += near
         return whole.reshape(2 * n, 2 * n)
