@@ -2,6 +2,7 @@
 
 Each case measures collisions of known motion from true centres with noise. A figure NAME.rms_z is the root mean square
 of error / claimed standard error, which is 1 where error bars are true; NAME.errors counts the errors in it.
+`wrong_camera` has those of all wrong keys.
 """
 
 from __future__ import annotations
@@ -95,11 +96,19 @@ def fit_clips_of_each_camera(clips: list[Clip], rng: np.random.Generator) -> Flo
     return np.array(z)
 
 
-def summarise(name: str, z: Floats) -> dict[str, float]:
-    """The figures of one quantity from its errors over the claimed ones; those that are not claimed do not count."""
+def summarise(name: str, z: Floats, *, min_share: float = 0.8) -> dict[str, float]:
+    """The figures of one quantity from its errors over the claimed ones; NaN if fewer than `min_share` are claimed."""
     known = z[np.isfinite(z)]
-    rms = float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+    rms = float(np.sqrt(np.mean(known**2))) if len(known) >= min_share * len(z) else np.nan
     return {f"{name}.rms_z": rms, f"{name}.errors": float(max(len(known), 1))}
+
+
+def pool(figures: dict[str, float]) -> dict[str, float]:
+    """The root mean square of all z of wrong camera files together; the quantities of one clip count as one error."""
+    names = [name.removesuffix(".rms_z") for name in figures if name.startswith("wrong_") and name.endswith(".rms_z")]
+    cases = {name.partition(".")[0] for name in names}
+    squares = [figures[f"{name}.rms_z"] ** 2 for name in names]
+    return {"wrong_camera.rms_z": float(np.sqrt(np.mean(squares))), "wrong_camera.errors": float(len(cases) * CLIPS)}
 
 
 def compare_with_truth(case: str, names: tuple[str, ...], rows: Iterator[dict[str, Any]], clips: list[Clip]) -> Any:
@@ -122,6 +131,7 @@ def measure_error_bars(seed: int) -> dict[str, float]:
         figures |= compare_with_truth(f"wrong_{key}", TOUCHED[key], rows, clips)
     rows = measure_by_wrong_lamp(clips, rng)
     figures |= compare_with_truth("wrong_lamp", TOUCHED["lamp"], rows, clips)
+    figures |= pool(figures)
     same = synthcam.Scene.build("same", **{name: part for name, part in SHAKEN.items() if name != "model"})
     shared = fit_clips_of_each_camera([same.draw(number, seed) for number in range(CAMERAS * CLIPS_OF_EACH)], rng)
     for name, z in zip(("mu_k", "mu_k_mean"), shared.T, strict=True):

@@ -42,7 +42,7 @@ SCENE = "scenes/benchmark.yaml"
 OTHER = "scenes/other_camera.yaml"  # where no default of the tracker's is that of the scene
 VIDEO, TRACKS = 6, 200  # clips
 NOISE_PX = 0.01  # about what a glint of 200 counts gives
-LIMIT = 4.0  # scatters; some 160 figures are looked at
+LIMIT = 4.0  # scatters; some 290 figures are looked at
 ACCEPT = tuple(range(100, 110))
 QUANTITIES = (
     "v0 b t_c r s tau1 tau2 mu_k C v1f v2f energy_fraction momentum_fraction final_angle drag decel w1n w1t w2n w2t"
