@@ -77,7 +77,11 @@ class StretchCutter:
         velocity = (where @ since[:, :, None])[..., 0] / spread[:, None]
         change = np.hypot(*(velocity[k:] - velocity[:-k]).T)
         error = noise * np.sqrt(1 / spread[k:] + 1 / spread[:-k])
-        usual = 2 * float(change.min())  # of a path that bends all along, as of bodies that stick and turn
+        # of a path that bends all along, as of bodies that stick and turn: twice the least change of it elsewhere
+        least = np.full(len(change) + 2 * k, np.inf)
+        least[k:-k] = change
+        elsewhere = np.minimum(np.minimum.accumulate(least)[: -2 * k], np.minimum.accumulate(least[::-1])[::-1][2 * k :])
+        usual = np.where(np.isfinite(elsewhere), 2 * elsewhere, 0.0)
         limit = self.max_acceleration * (middle[k:] - middle[:-k]) + self.kink_sigma * error + usual
         out[k : len(time) - k + 1] = change / limit
         return out

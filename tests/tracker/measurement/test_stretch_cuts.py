@@ -33,6 +33,23 @@ def test_a_kink_is_what_neither_friction_nor_noise_makes(angle, slide, found):
     assert np.abs(ball.time[np.concatenate(parts)][:, None] - np.append(kinks, 0.2)).min() >= 1.5 / FPS - 1e-12
 
 
+@pytest.mark.parametrize("frames", [8, 10, 12, 14])
+def test_a_kink_is_found_in_a_path_so_short_that_all_its_windows_hold_it(frames):
+    """Half of the path lies on either side."""
+    at = (frames - 1) / 2 / FPS
+    ball = bounce(at, frames=frames)
+    kinks = CUTTER.find_kinks(ball.time, CUTTER.measure_kinks(ball.time, ball.position, NOISE))
+    assert kinks == pytest.approx([at], abs=1 / FPS)
+
+
+def test_a_path_that_bends_all_along_has_no_kink():
+    """A body that turns about another at 12 rad/s, 6 cm away, has 8.6 m/s^2 everywhere."""
+    time = np.arange(60) / FPS
+    path = 0.06 * np.column_stack([np.cos(12 * time), np.sin(12 * time)])
+    path = path + np.random.default_rng(1).normal(0, NOISE, path.shape)
+    assert len(CUTTER.find_kinks(time, CUTTER.measure_kinks(time, path, NOISE))) == 0
+
+
 @pytest.mark.parametrize("after", [False, True])
 def test_the_local_estimate_follows_a_ball_to_the_next_contact_only(after):
     """From a hit at .2 s on, or back from one at 1 s, to the bounce at .61 s."""
