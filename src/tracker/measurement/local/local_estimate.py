@@ -102,7 +102,8 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
 def _stay_together(contact: Contact, instant: float, *, least_positions: int = 10) -> bool:
     """Decide whether bodies turn about each other after the hit, as those with tape do: no free motion shows r then.
 
-    Their distance changes by less than a tenth of a diameter, while one of them moves by a third of it.
+    The line between them turns: its end moves by a third of a diameter, while its length changes by less than a tenth of
+    one, and by less than half of what straight motion along the tangent makes. Common motion says nothing.
     """
     one, other = (
         track.where((track.time > instant) & (track.time < instant + contact.pair.settings.local_window_s))
@@ -111,9 +112,9 @@ def _stay_together(contact: Contact, instant: float, *, least_positions: int = 1
     _, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)
     if len(mine) < least_positions:
         return False
-    distance = np.hypot(*(one.position[mine] - other.position[its]).T)
-    way = max(float(np.hypot(*np.ptp(track.position, axis=0))) for track in (one, other))
-    return bool(np.ptp(distance) < 0.1 * contact.pair.diameter < 0.3 * way)
+    line, diameter = one.position[mine] - other.position[its], contact.pair.diameter
+    change, way = float(np.ptp(np.hypot(*line.T))), float(np.hypot(*np.ptp(line, axis=0)))
+    return change < 0.1 * diameter < 0.3 * way and change < way**2 / (4 * diameter)
 
 
 def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[MotionKind, ...]:
@@ -248,10 +249,9 @@ def _list_unseen(solution: LocalSolution) -> list[str]:
         if stretch.after and motion.ends:
             at, ball = problem.start[k] + 6, stretch.ball
             rest = float(stretch.time[-1] - solution.x[0] - np.exp(solution.x[at]))
-            size = float(np.exp(solution.x[5] + solution.x[at - 2])) * GRAVITY
-            off = (
-                size * max(rest, 0.0) ** 2 / 2 / float(np.median(stretch.std) * solution.sizes[k])
-            )  # of a slide that goes on
+            friction = float(np.exp(solution.x[5] + solution.x[at - 2])) * GRAVITY
+            error = float(np.median(stretch.std)) * solution.sizes[k]
+            off = friction * max(rest, 0.0) ** 2 / 2 / error  # at the last position, if the slide went on
             if off < SLIDE_END_SIGMA or not solution.cov[at, at] < 0.04:
                 out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *_AFTER_SLIDES]
         elif stretch.ball == 2 and motion.pushed:

@@ -87,6 +87,17 @@ def test_discs_on_air_of_unequal_masses_show_r_and_their_ratio():
     assert not row["misfit_local"]
 
 
+def test_a_chase_at_high_speed_is_no_staying_together():
+    """Both discs move on at 2 m/s; in the 0.05 s after the hit they part by less than a tenth of a diameter."""
+    camera = {"fps": FPS, "scale": 1e-3, "size": [800, 800], "ball_diameter": 0.05, "exposure": 0.0}
+    s, r = (np.arange(40) / FPS - 0.108)[:, None], 0.9
+    ahead = np.where(s < 0, 2.0, 2.05 + 0.05 * r) * s + 0.025
+    behind = np.where(s < 0, 2.1, 2.05 - 0.05 * r) * s - 0.025
+    paths = [np.hstack([x, 0 * s]) for x in (ahead, behind)]
+    row = measure(film(paths, camera, np.random.default_rng(3), 0.002), camera).rows[0]
+    assert row["r_local"] == pytest.approx(r, abs=4 * row["r_local_std"])
+
+
 def test_bodies_that_turn_about_each_other_after_the_hit_have_no_local_estimate():
     """Tape holds two discs 3 % beyond the diameter of the file, so that no other rule sees that they stay together."""
     camera = {"fps": FPS, "scale": 1e-3, "size": [800, 800], "ball_diameter": 0.05, "exposure": 0.0}
