@@ -270,7 +270,7 @@ class StretchFit:
     """A fit of one stretch alone: its parameters, with the place at the contact."""
 
     values: Floats
-    chi2: float  # by the claimed errors, of the positions that are not beside the contact
+    chi2: float  # by the claimed errors, with those that last, of the positions that are not beside the contact
     dof: float  # degrees of freedom of chi2
 
 
@@ -319,7 +319,8 @@ def _fit_at(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) 
     if motion.rolls:
         out[-1] = 0.05
     counted = ~stretch.near
-    chi2 = float((left[best][counted] ** 2).sum())
+    off = left[best] / weight[:, None]
+    chi2 = float((stretch.where(counted).whiten(off[counted]) ** 2).sum()) if counted.any() else 0.0
     return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
 
 

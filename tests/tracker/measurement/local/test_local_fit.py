@@ -9,10 +9,12 @@ from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Str
 NOISE = 1e-6
 
 
-def make_stretch(path, time, seed=1):
+def make_stretch(path, time, seed=1, lasting=0.0):
     n, noise = len(time), np.random.default_rng(seed).normal(0, NOISE, (len(time), 2))
     cov = np.tile(np.eye(2) * NOISE**2, (n, 1, 1))
-    return Stretch(1, True, time, path + noise, cov, np.zeros_like(cov), np.zeros(n, dtype=bool))
+    fixed = np.tile(np.eye(2) * lasting**2, (n, 1, 1))
+    drifts = ((lasting, 0.5),) if lasting else ()
+    return Stretch(1, True, time, path + noise, cov + fixed, fixed, np.zeros(n, dtype=bool), 1e-4, drifts)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -25,9 +27,13 @@ def test_a_slide_that_outlasts_the_stretch_is_no_short_slide_with_a_large_loss(s
     assert found.chi2 < 2 * found.dof
 
 
-@pytest.mark.parametrize(("force_from", "longest"), [(np.inf, 1.0), (0.12, 0.25)])
-def test_a_window_ends_before_a_force_that_the_motions_lack(force_from, longest):
+@pytest.mark.parametrize(
+    ("force_from", "force", "lasting", "longest"),
+    [(np.inf, 0.0, 0.0, 1.0), (np.inf, 0.0, 1e-5, 1.0), (0.12, 30.0, 0.0, 0.25), (0.12, 0.03, 1e-5, 0.25)],
+)
+def test_a_window_ends_before_a_force_that_the_motions_lack(force_from, force, lasting, longest):
+    """An error of the map that lasts over the whole way hides no force."""
     time = np.arange(1, 51) * 4e-3
-    path = np.outer(time, [0.4, 0.1]) + np.outer(np.maximum(time - force_from, 0) ** 2, [0.0, 30.0])
-    window = choose_window(make_stretch(path, time), 0.0, (SLIDE, ROLL, SLIDE_AND_ROLL))
+    path = np.outer(time, [0.4, 0.1]) + np.outer(np.maximum(time - force_from, 0) ** 2, [0.0, force])
+    window = choose_window(make_stretch(path, time, lasting=lasting), 0.0, (SLIDE,) if lasting else (SLIDE, ROLL, SLIDE_AND_ROLL))
     assert longest * 0.2 <= window.time[-1] <= max(longest * 0.2, min(force_from, 0.2)) + 8e-3
