@@ -80,7 +80,8 @@ class StretchCutter:
         # of a path that bends all along, as of bodies that stick and turn: twice the least change of it elsewhere
         least = np.full(len(change) + 2 * k, np.inf)
         least[k:-k] = change
-        elsewhere = np.minimum(np.minimum.accumulate(least)[: -2 * k], np.minimum.accumulate(least[::-1])[::-1][2 * k :])
+        before, after = np.minimum.accumulate(least), np.minimum.accumulate(least[::-1])[::-1]
+        elsewhere = np.minimum(before[: -2 * k], after[2 * k :])
         usual = np.where(np.isfinite(elsewhere), 2 * elsewhere, 0.0)
         limit = self.max_acceleration * (middle[k:] - middle[:-k]) + self.kink_sigma * error + usual
         out[k : len(time) - k + 1] = change / limit

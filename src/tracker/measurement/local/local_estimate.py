@@ -102,8 +102,8 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
 def _stay_together(contact: Contact, instant: float, *, least_positions: int = 10) -> bool:
     """Decide whether bodies turn about each other after the hit, as those with tape do: no free motion shows r then.
 
-    The line between them turns: its end moves by a third of a diameter, while its length changes by less than a tenth of
-    one, and by less than half of what straight motion along the tangent makes. Common motion says nothing.
+    The line between them turns: its end moves by a third of a diameter, while its length changes by less than a tenth
+    of one, and by less than half of what straight motion along the tangent makes. Common motion says nothing.
     """
     one, other = (
         track.where((track.time > instant) & (track.time < instant + contact.pair.settings.local_window_s))

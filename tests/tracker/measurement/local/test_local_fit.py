@@ -35,5 +35,6 @@ def test_a_window_ends_before_a_force_that_the_motions_lack(force_from, force, l
     """An error of the map that lasts over the whole way hides no force."""
     time = np.arange(1, 51) * 4e-3
     path = np.outer(time, [0.4, 0.1]) + np.outer(np.maximum(time - force_from, 0) ** 2, [0.0, force])
-    window = choose_window(make_stretch(path, time, lasting=lasting), 0.0, (SLIDE,) if lasting else (SLIDE, ROLL, SLIDE_AND_ROLL))
+    motions = (SLIDE,) if lasting else (SLIDE, ROLL, SLIDE_AND_ROLL)
+    window = choose_window(make_stretch(path, time, lasting=lasting), 0.0, motions)
     assert longest * 0.2 <= window.time[-1] <= max(longest * 0.2, min(force_from, 0.2)) + 8e-3
