@@ -1,5 +1,6 @@
 """Rows of local estimates, drawn with known errors."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -36,4 +37,20 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=(), s
             wider = estimate.cov + np.outer(effect, effect)
             estimate = replace(estimate, cov=wider, shared=estimate.shared | {key: (1.0, effect)})
         rows.append({"status": "misfit"} | local_columns(estimate, settings=settings))
+    return rows
+
+
+def draw_unequal_rows(heavier, hits=60, **more):
+    """Rows of two bodies that strike each other in turn; heavier: logarithm of the mass of body 7 over that of 9.
+
+    The balance by equal masses is off by the kick times tanh of half of it.
+    """
+    rows = draw_rows(hits, 0.003, 0.003, 0.0, **more)
+    for k, row in enumerate(rows):
+        role = 1 if k % 2 else -1
+        raw = json.loads(row["local"])
+        for name, change in (("balance_n", 0.9 * raw["v0"]),):
+            raw["response"][AT[name]][8] = change
+            raw["value"][AT[name]] -= role * 2 * np.tanh(heavier / 2) * change
+        row |= {"particle1": 7 if role > 0 else 9, "particle2": 9 if role > 0 else 7, "local": json.dumps(raw)}
     return rows

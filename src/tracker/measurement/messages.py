@@ -42,6 +42,10 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     "free fit have errors as large as its residuals. Film again without compression, or with less of it",
     Flag.STRAIGHT: "the balls move straight after the hit: r is that of straight lines, and nothing shows friction",
 }
+SAME_BODIES = (
+    "This takes a number for the same body in all clips. Tracks of films are numbered in each clip by itself: check "
+    "them, or give ball_masses in the camera file"
+)
 
 
 def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Note]:
@@ -135,8 +139,7 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
         row = fitted.iloc[0]
         texts.append(
             f"masses: the struck particle {row['particle1']} has {row['mass_ratio']:.4g} of the mass of particle"
-            f" {row['particle2']}, by {_count(hits)}. This takes a number for the same body in all clips. Tracks of"
-            " films are numbered in each clip by itself: check them, or give ball_masses in the camera file"
+            f" {row['particle2']}, by {_count(hits)}. {SAME_BODIES}"
         )
     return [Note(NoteKind.FLAG, text) for text in texts]
 

@@ -25,6 +25,7 @@ from tracker.camera.camera_keys import first_line
 from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.joint_fit import fit_all
 from tracker.measurement.local.local_columns import calibrate_set
+from tracker.measurement.messages import SAME_BODIES
 from tracker.recording import Result
 from tracker.results import RUN, clip_folder, finite, load_json
 from tracker.sets.combined_quantity import (
@@ -238,6 +239,11 @@ def _calibrate_together(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
                     f"local estimates of {rows['result'].nunique()} results are calibrated together, by the balance of"
                     f" momentum of {hits} hits of one camera"
                 )
+                before = rows.get("recommended", changed["recommended"])
+                if others := int((changed["recommended"] != before).sum()):
+                    notes[-1] += f"; for {others} of them another estimate is recommended than in estimates.parquet"
+                if changed["local_shared"].str.contains('"mass_ratio"').any():
+                    notes[-1] += f". A mass ratio is fitted too. {SAME_BODIES}"
     return table.drop(columns="camera").sort_index(), notes
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tracker_film import CAMERA
-from tracker_local import draw_rows
+from tracker_local import draw_rows, draw_unequal_rows
 from typer.testing import CliRunner
 
 import tracker
@@ -141,7 +141,11 @@ def test_the_command_writes_a_set_and_replaces_it(tmp_path):
 
 def write_local(folder, hits, seed, **more):
     """RESULTS of local estimates of head-on hits with r = 0.8, whose velocities have errors of 1 %."""
-    rows = [row(k, np.nan) | own for k, own in enumerate(draw_rows(hits, 0.01, 0.01, 0.0, seed, **more))]
+    return write_rows(folder, draw_rows(hits, 0.01, 0.01, 0.0, seed, **more))
+
+
+def write_rows(folder, drawn):
+    rows = [row(k, np.nan) | own for k, own in enumerate(drawn)]
     rows = [one | {"recommended": "local", "b_local": 0.1} for one in rows]
     (folder / "clips").mkdir(parents=True)
     (folder / "camera.json").write_text(json.dumps(CAMERA))
@@ -156,6 +160,16 @@ def test_results_with_few_hits_are_calibrated_together(tmp_path):
     assert combined.quantities["r"].mean.coefficients[0] == pytest.approx(0.8, abs=0.05)
     (parts[1] / "camera.json").write_text(json.dumps(CAMERA | {"fps": 50.0}))
     assert set(tracker.combine(parts, quantities=["r"]).table["local_hits"]) == {0}
+
+
+def test_a_common_calibration_says_what_else_it_changes(tmp_path):
+    """Half of the hits have no recommendation before. The bodies are unequal, as far as their numbers name bodies."""
+    parts = [write_rows(tmp_path / name, draw_unequal_rows(0.4, 7, seed=seed)) for seed, name in enumerate("ab")]
+    table = pd.read_parquet(parts[1] / "estimates.parquet")
+    table.assign(recommended="none").to_parquet(parts[1] / "estimates.parquet")
+    note = tracker.combine(parts, quantities=["r"]).notes[0]
+    assert "for 7 of them another estimate is recommended than in estimates.parquet" in note
+    assert "A mass ratio is fitted too. This takes a number for the same body in all clips" in note
 
 
 def test_a_note_says_that_the_error_of_a_warp_averages_out(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tracker_film import CAMERA
-from tracker_local import AT, draw_rows
+from tracker_local import AT, draw_rows, draw_unequal_rows
 
 from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import shared_effects
@@ -77,22 +77,6 @@ def test_a_second_calibration_changes_nothing():
     assert once[0]["local_hits"] == 30
     assert once[0]["r_local_std"] > 1.5 * rows[0]["r_local_std"]
     assert json.dumps(calibrate_set(once)) == json.dumps(once)
-
-
-def draw_unequal_rows(heavier, **more):
-    """Rows of two bodies that strike each other in turn; heavier: logarithm of the mass of body 7 over that of 9.
-
-    The balance by equal masses is off by the kick times tanh of half of it.
-    """
-    rows = draw_rows(60, 0.003, 0.003, 0.0, **more)
-    for k, row in enumerate(rows):
-        role = 1 if k % 2 else -1
-        raw = json.loads(row["local"])
-        for name, change in (("balance_n", 0.9 * raw["v0"]),):
-            raw["response"][AT[name]][8] = change
-            raw["value"][AT[name]] -= role * 2 * np.tanh(heavier / 2) * change
-        row |= {"particle1": 7 if role > 0 else 9, "particle2": 9 if role > 0 else 7, "local": json.dumps(raw)}
-    return rows
 
 
 def test_the_mass_ratio_of_two_bodies_is_fitted_from_recoil_on_either_side():
