@@ -144,7 +144,7 @@ class FitSettings(Settings):
 
     local_velocity_error: NotNegative = 0.0125
     """Error of each component of a local velocity beyond its residuals, over v0, in a recording alone whose tracks
-    claim no errors. Sets of billiard balls and of pucks show 0.007 to 0.014."""
+    claim no errors. Sets of billiard balls and of pucks show 0.006 to 0.010."""
 
     min_local_velocity_error: NotNegative = 0.003
     """The same where the residuals are as large as the claimed errors. The best of three sets of real tracks shows

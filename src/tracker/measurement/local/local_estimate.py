@@ -99,22 +99,32 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
     return _read_values(solution, contact, camera, masses)
 
 
-def _stay_together(contact: Contact, instant: float, *, least_positions: int = 10) -> bool:
-    """Decide whether bodies turn about each other after the hit, as those with tape do: no free motion shows r then.
+def _stay_together(contact: Contact, instant: float, *, least_positions: int = 10, least_r: float = 0.05) -> bool:
+    """Decide whether bodies stay together after the hit, as those with tape do: no free motion shows r then.
 
-    The line between them turns: its end moves by a third of a diameter, while its length changes by less than a tenth
-    of one, and by less than half of what straight motion along the tangent makes. Common motion says nothing.
+    Tape gives way at first. So the later two thirds of the positions count: the bodies part there by less than
+    `least_r` of the speed of approach, within two errors, and their distance never changes by a tenth of a diameter.
     """
-    one, other = (
-        track.where((track.time > instant) & (track.time < instant + contact.pair.settings.local_window_s))
-        for _, track in contact.pair.balls
-    )
+    (_, one), (_, other) = contact.pair.balls
     _, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)
-    if len(mine) < least_positions:
+    since, distance = one.time[mine] - instant, np.hypot(*(one.position[mine] - other.position[its]).T)
+    window = np.abs(since) < contact.pair.settings.local_window_s
+    before, after = window & (since < 0), window & (since > 0)
+    if after.sum() < least_positions or before.sum() < MIN_POSITIONS:
         return False
-    line, diameter = one.position[mine] - other.position[its], contact.pair.diameter
-    change, way = float(np.ptp(np.hypot(*line.T))), float(np.hypot(*np.ptp(line, axis=0)))
-    return change < 0.1 * diameter < 0.3 * way and change < way**2 / (4 * diameter)
+    late = after & (since > since[after].max() / 3)
+    (approach, _), (parting, error) = (_fit_speed(since[rows], distance[rows]) for rows in (before, late))
+    steady = np.ptp(distance[after]) < 0.1 * contact.pair.diameter
+    return bool(steady and abs(parting) + 2 * error < least_r * abs(approach))
+
+
+def _fit_speed(time: Floats, distance: Floats) -> tuple[float, float]:
+    """Slope of a straight line through distances (n,), and its standard error by their scatter."""
+    since = time - time.mean()
+    spread = float(since @ since)
+    slope = float(since @ distance) / spread
+    left = distance - distance.mean() - slope * since
+    return slope, float(np.sqrt(left @ left / max(len(time) - 2, 1) / spread))
 
 
 def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[MotionKind, ...]:

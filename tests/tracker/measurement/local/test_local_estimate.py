@@ -98,11 +98,12 @@ def test_a_chase_at_high_speed_is_no_staying_together():
     assert row["r_local"] == pytest.approx(r, abs=4 * row["r_local_std"])
 
 
-def test_bodies_that_turn_about_each_other_after_the_hit_have_no_local_estimate():
-    """Tape holds two discs 3 % beyond the diameter of the file, so that no other rule sees that they stay together."""
+@pytest.mark.parametrize("turning", [2.0, 0.0])
+def test_bodies_that_stick_after_the_hit_have_no_local_estimate(turning):
+    """They turn about each other, 1/s, or move on straight. Tape holds two discs 3 % beyond the diameter of the file, so that no other rule sees that they stay together."""
     camera = {"fps": FPS, "scale": 1e-3, "size": [800, 800], "ball_diameter": 0.05, "exposure": 0.0}
     s = (np.arange(90) / FPS - 0.161)[:, None]
-    half, turn = 0.5 * 0.0515 * np.minimum(1, 0.97 + 10 * np.abs(s)), 2.0 * np.maximum(s, 0)
+    half, turn = 0.5 * 0.0515 * np.minimum(1, 0.97 + 10 * np.abs(s)), turning * np.maximum(s, 0)
     middle, arm = np.hstack([0.35 * s, 0 * s]), half * np.hstack([np.cos(turn), np.sin(turn)])
     before = [np.hstack([0.05 + 0 * s, 0 * s]) - [0.025, 0], np.hstack([0.7 * s - 0.025, 0 * s])]
     paths = [np.where(s < 0, early, middle + side * arm) for early, side in zip(before, (1, -1), strict=True)]
