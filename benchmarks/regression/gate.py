@@ -1,9 +1,11 @@
 """The regression gate: has a tracking error grown by more than its own sampling scatter allows?
 
-Three suites are made again each time. The suite "video" has a few filmed clips, for detection, localisation and
+Four suites are made again each time. The suite "video" has a few filmed clips, for detection, localisation and
 identities. The suite "tracks" has many collisions whose true centres get noise of a known size. It gives bias and
 spread of every quantity in units of its claimed error (z_mean, z_std), the median claimed error (std), and the number
-of clips with a claim (n). The suite "error bars" gives the same where the camera file is wrong by its errors (rms_z;
+of clips with a claim (n). The suite "local" gives z_std of local estimates of hits whose impact follows no law of the
+tracker, by their residuals alone: the least error of a velocity would hide errors that are too small. The suite
+"error bars" gives the same where the camera file is wrong by its errors (rms_z;
 `error_bars.py`).
 `baseline.json` holds, for each figure, its accepted mean and its scatter from seed to seed. A figure fails when it is
 worse than the mean by more than LIMIT scatters; z_mean and z_std fail on either side.
@@ -35,6 +37,8 @@ import pandas as pd
 
 from benchmarks.harness import ROOT, run, save
 from benchmarks.regression.error_bars import measure_error_bars
+from benchmarks.tracker.local_estimates import measure_kind
+from tracker.measurement.local.local_columns import LocalErrors, apply_errors
 
 BASELINE = Path(__file__).with_name("baseline.json")
 CHANGELOG = ROOT / "CHANGELOG.md"
@@ -49,6 +53,9 @@ QUANTITIES = (
 ).split()
 # quantities of which a fit tells each apart from the others
 TOGETHER = {"tied": "v0 b t_c r mu_k C drag decel".split(), "free": "v0 b t_c tau1 tau2 v1f v2f drag decel".split()}
+HITS = 60  # of balls, and of discs, with a local estimate
+LOCAL = {"r": ("r",), "velocity": ("v0", "v1ox", "v1oy", "v2ox", "v2oy")}
+MAX_Z = 5.0  # a larger error counts as so many standard errors: one odd hit must not decide
 COVERED = {"cover68": 0.682689, "cover95": 0.95}
 
 Figures = dict[str, float]
@@ -175,11 +182,26 @@ def spreads(claims: pd.DataFrame, truth: pd.DataFrame) -> Figures:
     return figures
 
 
+def local_hits(seed: int, scale: float) -> Figures:
+    """Errors of local estimates by their residuals alone: rms z of r, and of all velocities together."""
+    figures: Figures = {}
+    for kind in ("balls", "discs"):
+        rows = measure_kind(kind, HITS, seed, 0.0, claimed=True)
+        table = pd.DataFrame([row | apply_errors(row, LocalErrors()) for row in rows])
+        for name, parts in LOCAL.items():
+            off, std = (np.array([table[part.format(p)] for p in parts]) for part in ("{}_local", "{}_local_std"))
+            z = (off - np.array([table[f"{p}_true"] for p in parts])) / (std * math.sqrt(scale))
+            figures[f"local_{kind}.{name}.z_std"] = float(np.sqrt(np.nanmean(np.minimum(z**2, MAX_Z**2))))
+            figures[f"local_{kind}.{name}.n"] = float(np.isfinite(z).sum())
+    return figures
+
+
 def measure(seed: int, shift: float, off: float, scale: float) -> Figures:
     folder = Path(tempfile.mkdtemp(prefix="gate-"))
     try:
         other = video(folder, seed, shift, OTHER, "other_camera")
-        return video(folder, seed, shift) | other | tracks(folder, seed, off, scale) | measure_error_bars(seed)
+        local = local_hits(seed, scale)
+        return video(folder, seed, shift) | other | tracks(folder, seed, off, scale) | local | measure_error_bars(seed)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
