@@ -100,7 +100,10 @@ def test_a_chase_at_high_speed_is_no_staying_together():
 
 @pytest.mark.parametrize("turning", [2.0, 0.0])
 def test_bodies_that_stick_after_the_hit_have_no_local_estimate(turning):
-    """They turn about each other, 1/s, or move on straight. Tape holds two discs 3 % beyond the diameter of the file, so that no other rule sees that they stay together."""
+    """They turn about each other, 1/s, or move on straight.
+
+    Tape holds two discs 3 % beyond the diameter of the file, so that no other rule sees that they stay together.
+    """
     camera = {"fps": FPS, "scale": 1e-3, "size": [800, 800], "ball_diameter": 0.05, "exposure": 0.0}
     s = (np.arange(90) / FPS - 0.161)[:, None]
     half, turn = 0.5 * 0.0515 * np.minimum(1, 0.97 + 10 * np.abs(s)), turning * np.maximum(s, 0)
