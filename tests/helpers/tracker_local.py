@@ -25,6 +25,7 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=(), s
         closing = v2i[0]
         response[AT["v0"], 2] = 1.0
         response[AT["r"], [2, 4, 6]] = np.array([-(v1o[0] - v2o[0]) / closing, 1, -1]) / closing
+        response[AT["mass_ratio"], [2, 4, 6]] = np.array([1, -(v2i[0] - v2o[0]) / v1o[0], -1]) / v1o[0]
         value = np.full(len(LOCAL_NAMES), np.nan)
         balance = v1o + v2o - v2i
         for name, v in (("v0", v0), ("r", (v1o[0] - v2o[0]) / closing), ("mass_ratio", (v2i[0] - v2o[0]) / v1o[0])):

@@ -2,10 +2,13 @@
 
 The impact of a real contact is not the same each time: dirt, spin and springs change it. So each quantity is a law of
 the approach plus a deviation of that contact (a random effect), whose size is fitted, plus the error of its estimate.
+Errors that several contacts share, such as the bias of a set, do not average out. They are part of the covariance.
 Each quantity has a few laws, the simplest first. A law with more numbers replaces the simplest only if
 
-- the likelihood gains `SearchPolicy.min_noise_gain` for each number, and
-- each contact, left out in turn, is predicted better, by more than one standard error over recordings.
+- the likelihood gains `SearchPolicy.min_noise_gain` for each number, and more than `min_claim_sigma` in all, and
+- each contact, left out in turn, is predicted better, by more than one standard error over recordings. With few
+  recordings it is the error over contacts. The scatter is not fitted again without the contact, and errors that
+  contacts share are left out of this test.
 
 The same contacts cannot distinguish all causes. Such causes are named together.
 """
@@ -106,6 +109,9 @@ def _by_body(contacts: Contacts) -> Array:
     return np.where(contacts.a_strikes, -1.0, 1.0)[:, None]
 
 
+# The errors of b and r are in the friction and in the regressor of a share, so the data favour a share. Name both.
+_RUBBING = ("spin_transfer", "ball_friction")
+
 LAWS: dict[str, tuple[ContactLaw, ...]] = {
     "restitution": (
         ContactLaw("constant", _ones, (("restitution", "1"),)),
@@ -124,14 +130,14 @@ LAWS: dict[str, tuple[ContactLaw, ...]] = {
     ),
     "friction": (
         ContactLaw("none", _nothing, ()),
-        ContactLaw("Coulomb friction", _across, (("mu", "1"),), ("ball_friction",)),
+        ContactLaw("Coulomb friction", _across, (("mu", "1"),), _RUBBING),
         ContactLaw(
             "Coulomb friction that falls with the slip speed",
             _across_falling,
             (("mu at the median slip speed", "1"), ("decrease from a speed to e times that", "1")),
             ("falling ball_friction",),
         ),
-        ContactLaw("a share of the tangential speed stops", _steepness, (("share", "1"),), ("spin_transfer",)),
+        ContactLaw("a share of the tangential speed stops", _steepness, (("share", "1"),), _RUBBING),
     ),
     "recoil": (
         ContactLaw("as the masses say", _nothing, ()),
@@ -150,17 +156,22 @@ def examine_contacts(contacts: Contacts, least: int = 8) -> tuple[ContactClaim, 
         value, std = getattr(contacts, quantity), getattr(contacts, f"{quantity}_std")
         usable = np.isfinite(value) & np.isfinite(std)
         if usable.sum() >= least:
-            found.append(_choose_law(quantity, contacts.select(usable), laws))
+            found.append(_choose_law(quantity, contacts.select(usable), laws, least))
     return tuple(found)
 
 
-def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw]) -> ContactClaim:
+def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], least: int) -> ContactClaim:
     policy = current_policy()
-    value, std = getattr(contacts, quantity), getattr(contacts, f"{quantity}_std")
-    fits = [_Fit.of(value, std, law.design(contacts)) for law in laws]
+    value, (std, shared) = getattr(contacts, quantity), contacts.split_errors(quantity)
+    fits = [_Fit.of(value, std, shared, law.design(contacts)) for law in laws]
     costs = [fit.cost + policy.min_noise_gain * fit.design.shape[1] for fit in fits]
-    gains = [fits[0].compare(fit, contacts.clip) for fit in fits]
-    usable = [gain > 1 and (quantity == "recoil" or f.is_positive) for f, gain in zip(fits, gains, strict=True)]
+    sigmas = [float(np.sqrt(max(fits[0].cost - fit.cost, 0.0))) for fit in fits]
+    recordings = contacts.clip if len(np.unique(contacts.clip)) >= least else np.arange(len(value))
+    gains = [fits[0].compare(fit, recordings) for fit in fits]
+    usable = [
+        gain > 1 and sigma > policy.min_claim_sigma and (quantity == "recoil" or fit.is_positive)
+        for fit, gain, sigma in zip(fits, gains, sigmas, strict=True)
+    ]
     best = min((k for k in range(len(fits)) if k == 0 or usable[k]), key=lambda k: costs[k])
     limit = costs[best] + policy.rival_excluded_chi2
     near = [k for k in range(1, len(fits)) if k != best and usable[k] and costs[k] < limit]
@@ -169,22 +180,22 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw]) -
         quantity=quantity,
         law=law.name,
         causes=tuple(dict.fromkeys(c for k in (best, *near) for c in laws[k].causes)) if best else (),
-        numbers=_fit_numbers(value, std, fit.design, law.numbers),
+        numbers=_fit_numbers(value, std, shared, fit.design, law.numbers),
         contacts=len(value),
         scatter=fit.scatter,
-        sigma=float(np.sqrt(max(fits[0].cost - fit.cost, 0.0))),
+        sigma=sigmas[best],
         left_out_sigma=gains[best],
         rivals=tuple(laws[k].name for k in near) if best else (),
-        mean=_fit_numbers(value, std, _ones(contacts), ((f"mean {quantity}", "1"),))[0],
+        mean=_fit_numbers(value, std, shared, _ones(contacts), ((f"mean {quantity}", "1"),))[0],
     )
 
 
 def _fit_numbers(
-    value: Array, std: Array, design: Array, names: Sequence[tuple[str, str]]
+    value: Array, std: Array, shared: Array, design: Array, names: Sequence[tuple[str, str]]
 ) -> tuple[ContactNumber, ...]:
     if not names:
         return ()
-    known = fit_random_effects(value, std, design=design)
+    known = fit_random_effects(value, std, shared, design)
     rows = zip(names, known.coefficients.tolist(), known.std.tolist(), strict=True)
     return tuple(ContactNumber(name, v, s, unit) for (name, unit), v, s in rows)
 
@@ -194,27 +205,29 @@ class _Fit:
     """A regression with the most likely scatter; cost: -2 log likelihood."""
 
     value: Array
-    variance: Array  # of each value, with the scatter
+    variance: Array  # of each value alone, with the scatter
+    shared: Array  # (n, k): the effects of errors that several values share
     design: Array
     scatter: float
     cost: float
 
     @classmethod
-    def of(cls, value: Array, std: Array, design: Array) -> _Fit:
+    def of(cls, value: Array, std: Array, shared: Array, design: Array) -> _Fit:
+
         def cost(log_scatter: float) -> float:
-            return _cost(value, std**2 + np.exp(2 * log_scatter), design)
+            return _cost(value, std**2 + np.exp(2 * log_scatter), shared, design)
 
         size = float(np.std(value)) + float(np.median(std))
         best = minimize_scalar(cost, bounds=(np.log(1e-4 * size), np.log(10 * size)), method="bounded")
-        none = _cost(value, std**2, design)
+        none = _cost(value, std**2, shared, design)
         scatter = float(np.exp(best.x)) if best.fun < none - 1e-6 else 0.0
-        return cls(value, std**2 + scatter**2, design, scatter, min(float(best.fun), none))
+        return cls(value, std**2 + scatter**2, shared, design, scatter, min(float(best.fun), none))
 
     @property
     def is_positive(self) -> bool:
         """True if no predicted value is below zero."""
-        root = 1 / np.sqrt(self.variance)
-        solution = np.linalg.lstsq(self.design * root[:, None], self.value * root, rcond=None)[0]
+        white = _whiten(self.variance, self.shared, self.value, self.design)[0]
+        solution = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
         return bool((self.design @ solution >= 0).all())
 
     def compare(self, other: _Fit, recordings: Ints) -> float:
@@ -225,7 +238,10 @@ class _Fit:
         return float(each.sum()) / (scatter * len(each) ** 0.5) if scatter > 0 else 0.0
 
     def _log_densities(self) -> Array:
-        """Log predictive density of each value by all others."""
+        """Log predictive density of each value by all others; errors that they share do not change their differences.
+
+        The scatter is that of all values.
+        """
         root = 1 / np.sqrt(self.variance)
         q, _ = np.linalg.qr(self.design * root[:, None])
         share = 1 - np.minimum((q**2).sum(axis=1), 0.999)
@@ -234,9 +250,15 @@ class _Fit:
         return np.asarray(-0.5 * (left**2 / share + np.log(self.variance / share)))
 
 
-def _cost(value: Array, variance: Array, design: Array) -> float:
-    root = 1 / np.sqrt(variance)
-    q, _ = np.linalg.qr(design * root[:, None])
-    left = value * root
-    left = left - q @ (q.T @ left)
-    return float(left @ left + np.log(variance).sum())
+def _cost(value: Array, variance: Array, shared: Array, design: Array) -> float:
+    white, log_determinant = _whiten(variance, shared, value, design)
+    q, _ = np.linalg.qr(white[:, 1:])
+    left = white[:, 0] - q @ (q.T @ white[:, 0])
+    return float(left @ left + log_determinant)
+
+
+def _whiten(variance: Array, shared: Array, value: Array, design: Array) -> tuple[Array, float]:
+    """Whiten values and design, as columns of one array; and the logarithm of the covariance's determinant."""
+    factor = np.linalg.cholesky(np.diag(variance) + shared @ shared.T)
+    white = np.linalg.solve(factor, np.column_stack([value, design]))
+    return np.asarray(white), float(2 * np.log(np.diag(factor)).sum())

@@ -1,5 +1,7 @@
 """Contacts from rows of the estimates: an impact of two discs that is computed by hand."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from discrepancy.data.contacts import Contacts, read_contacts
 # A disc of 1 kg meets one of 2 kg at rest with 0.8 m/s along the line of centres and 0.6 m/s across it. r is 0.5, and a
 # third of the tangential velocity stops: impulses 0.8 and 0.1333 N s.
 ROW = {"clip": 4, "striker": "b", "motion_local": "glide", "v0_local": 1.0, "b_local": 0.6, "r_local": 0.5}
-ROW |= {"s_local": 2 / 3, "mass_ratio": 2.1}
+ROW |= {"s_local": 2 / 3, "mass_ratio": 2.1, "status": "misfit", "local": "{}", "local_shared": "{}"}
 ROW |= {f"{name}_std": 0.01 for name in ("v0_local", "b_local", "r_local", "s_local", "mass_ratio")}
 
 
@@ -31,3 +33,33 @@ def test_a_quantity_that_the_tracks_do_not_show_is_nan():
 def test_a_table_of_tracks_has_no_contacts(tmp_path):
     assert len(read_contacts(tmp_path / "tracks.csv")) == 0
     assert len(read_contacts([])) == 0
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"r_local": 1.3},
+        {"mass_ratio": 90.0},
+        {"status": "stay_together"},
+        {"local_hits": 20, "balance_n_local": 0.2, "balance_n_local_std": 0.01},
+    ],
+)
+def test_a_contact_without_a_usable_local_estimate_is_left_out(fault):
+    assert len(Contacts.of([ROW, ROW | fault])) == 1
+
+
+def test_shared_errors_follow_into_each_quantity():
+    shared = {"fps": {"of": 50.0, "effect": {"b": 0.004, "r": 0.003, "s": -0.005, "mass_ratio": 0.02}}}
+    given = ROW | {"local_shared": json.dumps(shared)}
+    contacts = Contacts.of([given, given])
+    moved = {f"{n}_local" if n != "mass_ratio" else n: v for n, v in shared["fps"]["effect"].items()}
+    after = Contacts.of([ROW | {name: ROW[name] + v for name, v in moved.items()}])
+    for k, name in enumerate(("restitution", "friction", "recoil")):
+        change = (getattr(after, name) - getattr(contacts, name)[:1])[0]
+        assert contacts.shared[0, k, 0] == pytest.approx(change, rel=0.03)
+
+
+def test_the_error_of_the_friction_has_that_of_the_impact_parameter():
+    exact = ROW | {"s_local_std": 1e-9, "r_local_std": 1e-9}
+    one, other = Contacts.of([exact, exact | {"b_local": 0.61}]).friction
+    assert Contacts.of([exact]).friction_std[0] == pytest.approx(abs(other - one), rel=0.03)

@@ -1,15 +1,19 @@
 """Effects of the impact: contacts that are drawn with a known law, and with none."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+from tracker_local import draw_rows
 
 from discrepancy.data.contacts import Contacts
 from discrepancy.select.contact_effects import examine_contacts
+from tracker.measurement.local.local_columns import calibrate_set
 
 ERROR = {"restitution": 0.02, "friction": 0.01, "recoil": 0.01}
 
 
-def draw(count=60, seed=1, **laws):
+def draw(count=60, seed=1, shared=None, **laws):
     """Contacts at 0.3 to 1.5 m/s; laws: functions of the contacts, plus errors and a scatter of twice their size."""
     rng = np.random.default_rng(seed)
     speed, sine = rng.uniform(0.3, 1.5, count), rng.uniform(0.05, 0.8, count)
@@ -21,12 +25,12 @@ def draw(count=60, seed=1, **laws):
         "speed_t": speed * sine,
     }
     empty = {f"{name}{end}": np.full(count, 0.8) for name in ERROR for end in ("", "_std")}
-    plain = Contacts(**values, **empty)
+    plain = Contacts(**values, **empty, shared=np.zeros((count, 3, 0)))
     usual = {"restitution": lambda c: 0.8, "friction": lambda c: 0.0, "recoil": lambda c: 0.0}
     for name, law in (usual | laws).items():
         own = rng.standard_normal(count) * ERROR[name] * np.sqrt(5)
         values |= {name: law(plain) + own, f"{name}_std": np.full(count, ERROR[name])}
-    return Contacts(**values)
+    return Contacts(**values, shared=np.zeros((count, 3, 0)) if shared is None else shared)
 
 
 def law_of(contacts, quantity):
@@ -84,3 +88,25 @@ def test_nothing_is_named_where_nothing_is_hidden():
 
 def test_few_contacts_name_nothing():
     assert examine_contacts(draw(count=6, restitution=lambda c: 0.9 - 0.3 * c.speed_n)) == ()
+
+
+def test_the_bias_of_a_set_does_not_average_out():
+    rows = calibrate_set(draw_rows(40, 0.003, 0.003, bias=-0.02, seed=1))
+    more = {"striker": "b", "b_local": 0.01, "b_local_std": 0.01}
+    contacts = Contacts.of([row | more | {"clip": k} for k, row in enumerate(rows)])
+    restitution, recoil = (law_of(contacts, quantity) for quantity in ("restitution", "recoil"))
+    assert abs(restitution.mean.value - 0.8) < 3 * restitution.mean.std
+    assert not recoil.causes  # the bias and the recoil are the same balance
+    assert recoil.mean.std > 0.015
+
+
+def test_one_film_of_many_contacts_shows_a_law():
+    contacts = draw(restitution=lambda c: 0.95 - 0.2 * c.speed_n)
+    one_film = dataclasses.replace(contacts, clip=np.zeros(len(contacts), dtype=int))
+    assert law_of(one_film, "restitution").causes == ("velocity_restitution",)
+
+
+def test_an_effect_of_three_sigma_is_not_named():
+    shown = [law_of(draw(seed=k, recoil=lambda c: 0.0095, count=60), "recoil") for k in range(10)]
+    assert all(claim.sigma > 4 for claim in shown if claim.causes)
+    assert sum(not claim.causes for claim in shown) >= 6
