@@ -15,9 +15,11 @@ from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, SLIP, T_C, V0, X, Y
 from discrepancy.data.notes import SearchNote, SearchNoteKind
-from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.gauss_newton import STEP_ERRORS, fit_model
 from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.model import Model
+
+LOSSES = ("sliding_friction", "rolling_decel", "rolling_drag")  # the first two that a model has are fitted
 
 
 def choose_starts(
@@ -28,30 +30,48 @@ def choose_starts(
 ) -> tuple[list[MeasuredCollision], list[SearchNote]]:
     """Choose the start of each stretch, with the friction of the model; leave out those that do not move freely.
 
+    The values of the model may be wrong. So friction and rolling loss are fitted before a stretch is left out, and it
+    stays if it is fitted with a friction and a loss of its own.
+
     slides: shares of a stretch for which its ball may slide. most_chi2: times the median, of a stretch that is used;
     it is large, since those that show a missing effect best must stay.
     Returns the stretches and a note for each that is left out. Bodies glide if the model has no friction.
     """
-    tries = [[replace(clip, launch=_glide(clip)) for clip in clips]]
-    if model.sliding_friction:
-        push = model.sliding_friction * model.gravity
-        tries = [list(clips), *([replace(c, launch=_slide(c, share, push)) for c in clips] for share in slides)]
-    found = []
-    for some in tries:
-        with suppress(ValueError):  # no motion from one of these starts
-            fit = fit_model(some, model, (), Noise(NoiseComponent(1.0)))
-            chi2 = [float(r @ r) / len(r) for r in fit.residuals]
-            found.append([(c, replace(s, launch=own)) for c, s, own in zip(chi2, some, fit.launches, strict=True)])
-    if not found:
+    best, own = _fit_from_each(clips, model, slides), [name for name in LOSSES if getattr(model, name)][:2]
+    if not best:
         return list(clips), []
-    best = [min(each, key=lambda pair: pair[0]) for each in zip(*found, strict=True)]
     limit = most_chi2 * float(np.median([chi2 for chi2, _ in best]))
+    if any(chi2 > limit for chi2, _ in best):
+        with suppress(*STEP_ERRORS):
+            fit = fit_model([clip for chi2, clip in best if chi2 <= limit], model, own, Noise(NoiseComponent(1.0)))
+            best = _fit_from_each(clips, fit.model, slides) or best
+    limit = most_chi2 * float(np.median([chi2 for chi2, _ in best]))
+    for k, (chi2, clip) in enumerate(best):
+        if chi2 > limit:
+            best[k] = min([(chi2, clip), *_fit_from_each([clips[k]], model, slides, own)], key=lambda pair: pair[0])
     kept = [clip for chi2, clip in best if chi2 <= limit]
     return kept, [
         SearchNote(SearchNoteKind.NO_FREE_MOTION, clip.clip, values={"ratio": most_chi2 * chi2 / limit})
         for chi2, clip in best
         if chi2 > limit
     ]
+
+
+def _fit_from_each(
+    clips: Sequence[MeasuredCollision], model: Model, slides: Sequence[float], names: Sequence[str] = ()
+) -> list[tuple[float, MeasuredCollision]]:
+    """The least chi^2 of each stretch, and the stretch with that start; empty if no start has a motion."""
+    tries = [[replace(clip, launch=_glide(clip)) for clip in clips]]
+    if model.sliding_friction:
+        push = model.sliding_friction * model.gravity
+        tries = [list(clips), *([replace(c, launch=_slide(c, share, push)) for c in clips] for share in slides)]
+    found = []
+    for some in tries:
+        with suppress(*STEP_ERRORS):  # no motion from one of these starts
+            fit = fit_model(some, model, names, Noise(NoiseComponent(1.0)))
+            chi2 = [float(r @ r) / len(r) for r in fit.residuals]
+            found.append([(c, replace(s, launch=own)) for c, s, own in zip(chi2, some, fit.launches, strict=True)])
+    return [min(each, key=lambda pair: pair[0]) for each in zip(*found, strict=True)]
 
 
 def _slide(clip: MeasuredCollision, share: float, push: float) -> Array:

@@ -42,3 +42,9 @@ def test_a_stretch_with_a_kink_is_left_out_with_a_note():
     assert len(chosen) == len(cut) - 1
     assert note.kind is SearchNoteKind.NO_FREE_MOTION
     assert note.clip == cut[2].clip
+
+
+def test_stretches_that_contradict_the_friction_of_the_model_stay():
+    wrong = Model().replace({"sliding_friction": 1.5 * Model().sliding_friction})
+    _, left_out = choose_starts(cut_stretches(noisy(exact(Model(), 4, 2), 2)), wrong)
+    assert not left_out
