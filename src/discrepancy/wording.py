@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from discrepancy.data.collisions import EvidenceUnit
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.fitting.model_fit import ModelFit
-from discrepancy.fitting.parameters import find_parameter
+from discrepancy.fitting.parameters import BASE_PARAMETERS, find_parameter
 from discrepancy.fitting.stretch_scatter import StretchScatter
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
@@ -40,7 +40,9 @@ def describe_search(found: SearchOutcome) -> str:
     str
     """
     main = _describe_free_motion(found)
-    return " ".join([main, *describe_scatter(found.data.scatter), *describe_contacts(found.contacts)])
+    return " ".join(
+        [main, *describe_scatter(found.data.scatter), *describe_contacts(found.contacts, found.base_fit.model)]
+    )
 
 
 def _describe_free_motion(found: SearchOutcome) -> str:
@@ -58,7 +60,8 @@ def _describe_free_motion(found: SearchOutcome) -> str:
         return f"{unnamed}: {SearchNote(SearchNoteKind.SMOOTHED)}.{largest}{slow}"
     if found.verdict is Verdict.NONE:
         within = "the noise" if found.data.scatter.is_none else "the noise and the scatter from stretch to stretch"
-        return f"Nothing is missing: model and measurement agree to within {within}.{rejected}{slow}"
+        where = " between contacts" if found.data.is_cut else ""
+        return f"Nothing is missing{where}: model and measurement agree to within {within}.{rejected}{slow}"
     if found.verdict is Verdict.INADEQUATE:
         largest = f" The largest disagreement: {worst}." if worst else ""
         return f"Something is missing, and no candidate passes the held-out test.{largest}{rejected}{slow}"
@@ -230,17 +233,23 @@ def describe_scatter(scatter: StretchScatter) -> list[str]:
         return []
     lines = [f"From stretch to stretch {', '.join(parts[:-1])}{' and ' if parts[1:] else ''}{parts[-1]}."]
     lines.append("The search counts this scatter as noise, so it cannot see causes that are smaller.")
-    if scatter.map_sigma > current_policy().min_claim_sigma:
+    if scatter.map_log_ratio > current_policy().min_claim_sigma ** 2 / 2:
         lines.append(
-            f"All stretches have the same displacements in the same place ({scatter.map_sigma:.0f} sigma): the map of "
-            "the camera is warped. tracker warp corrects it."
+            "All stretches have the same displacements in the same place (the logarithm of the likelihood ratio is "
+            f"{scatter.map_log_ratio:.0f}): the map of the camera is warped. tracker warp corrects it."
         )
     return lines
 
 
-def describe_contacts(claims: Sequence[ContactClaim]) -> list[str]:
-    """Describe what contacts show of the impact, a sentence or more for each quantity."""
-    return [_describe_contact_claim(claim) for claim in claims]
+def describe_contacts(claims: Sequence[ContactClaim], model: Model) -> list[str]:
+    """Describe what contacts show of the impact, a sentence or more for each quantity, and the causes in the model."""
+    lines = [_describe_contact_claim(claim) for claim in claims]
+    if lines:
+        lines.append("These laws were not compared with the impact of the model.")
+        own = {effect.name() for effect in model.effects} | {n for n in BASE_PARAMETERS if getattr(model, n)}
+        if known := dict.fromkeys(cause for claim in claims for cause in claim.causes if cause in own):
+            lines.append(f"The model has {' and '.join(known)} already; compare its value.")
+    return lines
 
 
 def _describe_contact_claim(claim: ContactClaim) -> str:
@@ -261,11 +270,10 @@ def _describe_contact_claim(claim: ContactClaim) -> str:
         }
         return f"{first}; {scatter}. {none[claim.quantity]}."
     numbers = ", ".join(f"{n.name} {_with_error(n)}{'' if n.unit == '1' else f' {n.unit}'}" for n in claim.numbers)
-    certain = "They show" if claim.sigma > current_policy().min_claim_sigma else "They may show"
     others = f" These fit nearly as well: {'; '.join(claim.rivals)}." if claim.rivals else ""
     return (
         f"{first}. The law that fits best: {claim.law} ({numbers}; {claim.sigma:.1f} sigma); {scatter}.{others} "
-        f"{certain} {' or '.join(claim.causes)}.{_advise_measurement(claim.causes)}"
+        f"They show {' or '.join(claim.causes)}.{_advise_measurement(claim.causes)}"
     )
 
 

@@ -1,8 +1,11 @@
 """The words for scatter and contacts: numbers with units and errors, causes, and the next measurement."""
 
+import dataclasses
+
 from discrepancy.fitting.stretch_scatter import StretchScatter
 from discrepancy.select.contact_effects import ContactClaim, ContactNumber
 from discrepancy.wording import describe_contacts, describe_scatter
+from synthcam.model import Model
 
 RECOIL = ContactClaim(
     quantity="recoil",
@@ -19,15 +22,24 @@ RECOIL = ContactClaim(
 
 
 def test_scatter_is_given_in_the_units_of_the_bench():
-    text = " ".join(describe_scatter(StretchScatter(0.054, 0.041, 5.7e-4, 0.15, 8.2)))
-    for part in ("5.4 %", "0.041 m/s^2", "0.57 mm rms", "150 mm", "tracker warp"):
+    text = " ".join(describe_scatter(StretchScatter(0.054, 0.041, 5.7e-4, 0.15, 33.6)))
+    for part in ("5.4 %", "0.041 m/s^2", "0.57 mm rms", "150 mm", "likelihood ratio is 34", "tracker warp"):
         assert part in text
     assert "warp" not in " ".join(describe_scatter(StretchScatter(displacement_m=5.7e-4, reach_m=0.15)))
     assert describe_scatter(StretchScatter()) == []
 
 
 def test_causes_that_contacts_cannot_distinguish_come_with_a_measurement():
-    (text,) = describe_contacts([RECOIL])
+    text, _ = describe_contacts([RECOIL], Model())
     assert "+2 +- 0.4 % more mass" in text
     assert "They show mass_mismatch or hop. Weigh the bodies" in text
     assert "fit nearly as well: ball a is heavier by a share" in text
+
+
+def test_a_cause_that_the_model_has_is_not_called_missing():
+    shares = dataclasses.replace(RECOIL, quantity="friction", causes=("spin_transfer", "ball_friction"))
+    without = Model().replace({"spin_transfer": 0.0})
+    assert "already" not in " ".join(describe_contacts([shares], without))
+    text = " ".join(describe_contacts([shares], without.replace({"spin_transfer": 0.12})))
+    assert "not compared with the impact of the model" in text
+    assert "The model has spin_transfer already" in text

@@ -24,7 +24,10 @@ class SearchNoteKind(Enum):
     )
     UNLIKE_OTHERS = "chi^2 per point is {chi2:.3g}, far above all other clips with every model{held_out}"
     CONTRADICTS_OTHERS = "its shared parameters contradict all other clips by {sigma:.0f} sigma{held_out}"
-    NO_FREE_MOTION = "a stretch with chi^2 {ratio:.2g} times the usual is no free motion, with any friction and rolling loss: its ball may have met another"
+    NO_FREE_MOTION = (
+        "a stretch with chi^2 {ratio:.2g} times the usual is no free motion, with any friction and rolling loss: its "
+        "ball may have met another"
+    )
     # positions that are left out
     STRAYS = "positions of another ball, in frame {frames}, to which a ball jumps and back"
     OUTLIERS = "{count} of {total} positions, in frame {frames}, far off the path through their neighbours"

@@ -35,7 +35,7 @@ class StretchScatter:
     loss_m_s2: float = 0.0  # of the rolling loss
     displacement_m: float = 0.0  # of each axis, as of a camera's map
     reach_m: float = 0.0  # over which a displacement stays the same
-    map_sigma: float = 0.0  # sigma, by the likelihood, that displacements of all stretches are those of one map
+    map_log_ratio: float = 0.0  # log likelihood ratio of displacements by one map to new ones in each stretch
 
     @property
     def is_none(self) -> bool:
@@ -105,7 +105,7 @@ def fit_scatter(
     if not found.displacement_m:
         return found
     some = [RestrictedResiduals.of(clips, fit, noise, [k]).columns[0] for k in indices]
-    return replace(found, map_sigma=_compare_with_map(bare, some, moves, found, noise))
+    return replace(found, map_log_ratio=_compare_with_map(bare, some, moves, found, noise))
 
 
 def _compare_with_map(
@@ -115,10 +115,11 @@ def _compare_with_map(
     scatter: StretchScatter,
     noise: Noise,
 ) -> float:
-    """The sigma by which displacements are rather the same for all stretches in a place than new in each stretch.
+    """The log likelihood ratio of displacements that all stretches share in a place to new ones in each stretch.
 
     columns (n, 2, p) of each clip: what its fit absorbs, and its residuals last. Both kinds of displacement have the
-    same size and reach, so twice the gain of the log likelihood is the square of a sigma.
+    same size and reach. Neither model holds the other, so the ratio is no sigma: if the displacements are new in each
+    stretch, chance gives a ratio above x with a probability of at most 1 / x.
     """
     whites, left = list[Array](), list[Array]()
     for clip, own in zip(_add_scatter(clips, moves, replace(scatter, displacement_m=0.0)), columns, strict=True):
@@ -143,7 +144,7 @@ def _compare_with_map(
         factor = np.linalg.cholesky(np.tril(total) + np.tril(total, -1).T)
         unit = np.linalg.solve(factor, every)
         costs.append(float(unit @ unit + 2 * np.log(np.diag(factor)).sum()))
-    return float(np.sqrt(max(costs[1] - costs[0], 0.0)))
+    return (costs[1] - costs[0]) / 2
 
 
 def _kernel(one: Array, other: Array, scatter: StretchScatter) -> Array:
