@@ -116,7 +116,7 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
         texts.append(
             f"local estimates: the balance of momentum of {hits} hits shows errors beyond the residuals, {along:.2%} of"
             f" v0 along the line of centres and {across:.2%} across it"
-            + (f"; a bias of {bias:.1%} of the normal speed counts as an error" if bias else "")
+            + (f"; a bias of {bias:.1%} of the normal speed counts as an error" if abs(bias) > 5e-4 else "")
         )
     elif along > 0:
         texts.append(
