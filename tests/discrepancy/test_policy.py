@@ -168,7 +168,7 @@ def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
     left.cost = lambda noise: gain * (noise == NOISE)
     left.best = lambda start: (0.0, dataclasses.replace(start, own=NoiseComponent(2.0)))
     within = Made(pairs=[None], own=lambda: NoiseComponent(1.0), cost=lambda noise: worse * (noise != NOISE))
-    monkeypatch.setattr(noise_refit._Residuals, "of", lambda *_: left)
+    monkeypatch.setattr(noise_refit.RestrictedResiduals, "of", lambda *_: left)
     monkeypatch.setattr(noise_refit, "BallPairs", lambda pairs: within)
     return noise_refit.refit_noise((), None, NOISE, explained)
 
