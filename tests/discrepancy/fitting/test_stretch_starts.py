@@ -46,5 +46,5 @@ def test_a_stretch_with_a_kink_is_left_out_with_a_note():
 
 def test_stretches_that_contradict_the_friction_of_the_model_stay():
     wrong = Model().replace({"sliding_friction": 1.5 * Model().sliding_friction})
-    _, left_out = choose_starts(cut_stretches(noisy(exact(Model(), 4, 2), 2)), wrong)
+    _, left_out = choose_starts(cut_stretches(noisy(exact(Model(), 3, 2), 2)), wrong)
     assert not left_out
