@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -56,7 +55,7 @@ class Contacts:
         read = [_read_row(row, (stated or {}).get(int(row["clip"]), 1.0)) for row in every]
         columns = {f.name: np.array([row[f.name] for row in read]) for f in fields(cls) if f.name != "shared"}
         changes = np.array([_differentiate_quantities(row) for row in every]).reshape(-1, len(QUANTITIES), len(NAMES))
-        table = pd.DataFrame({"local_shared": [_list_shared(row) for row in every], "fit": "local"})
+        table = pd.DataFrame({"local_shared": [row["local_shared"] for row in every], "fit": "local"})
         return cls(**columns, shared=changes @ shared_effects(table, NAMES))
 
     def __len__(self) -> int:
@@ -87,15 +86,6 @@ def _is_usable(row: Mapping[Any, Any]) -> bool:
 def _is_known(row: Mapping[Any, Any], name: str) -> bool:
     value, std = row.get(name), row.get(f"{name}_std")
     return value is not None and std is not None and bool(np.isfinite(value) and 0 < std < np.inf)
-
-
-def _list_shared(row: Mapping[Any, Any]) -> str:
-    """The shared errors; that of a ratio of masses which the set shows is its own error too."""
-    shared = json.loads(row["local_shared"])
-    if "mass_ratio" in shared and _is_known(row, "mass_ratio"):
-        ratio, std = row["mass_ratio"], row["mass_ratio_std"]
-        shared["mass_ratio"]["effect"]["mass_ratio"] = float(np.sign(np.log(ratio) * shared["mass_ratio"]["of"]) * std)
-    return json.dumps(shared)
 
 
 def _read_values(row: Mapping[Any, Any]) -> dict[str, tuple[float, float]]:
