@@ -171,6 +171,7 @@ def in_a_folder(page: Path) -> bool:
 
 def main(words: list[str]) -> int:
     if words[:1] == ["--here"]:
+        sys.path.insert(0, "")  # as where a user starts Python in the page's folder
         count, skipped = run_page(Path(words[1]))
         print(f"{Path(words[1]).relative_to(DOCS)}: {count} blocks run, {len(skipped)} not", *skipped, sep="\n  ")
         return 0
