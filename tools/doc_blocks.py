@@ -56,7 +56,7 @@ class Block:
         return f"{self.page.relative_to(DOCS)}:{self.line}"
 
     def asked(self, order: str) -> list[str]:
-        """What the orders of this name say."""
+        """The texts of the orders with this name."""
         return [rest for name, rest in self.orders if name == order]
 
 
@@ -140,7 +140,7 @@ def put(block: Block) -> bool:
 
 
 def shell(text: str) -> str:
-    """What commands print; an error of theirs is raised with all that they said."""
+    """Run commands and return what they print. Raises RuntimeError with their output if one fails."""
     done = subprocess.run(["bash", "-euc", text], capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{text}\nended with {done.returncode}:\n{done.stdout}{done.stderr}")

@@ -117,7 +117,7 @@ def time_trays() -> list[dict[str, float]]:
 
 
 def cool(model: Model, lasts: float, trays: int = 1) -> dict[str, Any]:
-    """Trays of 100 balls: of the first the mean square speed over time and what takes the energy; how long balls slide.
+    """Trays of 100 balls: mean square speed and sinks of energy of the first tray, and how long balls slide in all.
 
     Of several trays the durations are means, with standard errors.
     """

@@ -83,10 +83,10 @@ def refine_tried_values(p: Parameter, value: float, closer: int) -> list[float]:
 
 
 def list_candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
-    """List what a model may lack: base parameters that are zero in it, and the library's effects.
+    """List the effects and the zero base parameters that a model may lack.
 
-    Effects on sliding friction are left out where the model has none. Parameters that are fitted already are no
-    candidates.
+    Effects on sliding friction are left out where the model has none. Parameters that are fitted already are
+    left out.
     """
     multiply_friction = {"friction", "normal_load", "drilling"}
     found = [Candidate(n, (n,)) for n in BASE_PARAMETERS if n not in fitted and model.value(n) == 0]

@@ -369,7 +369,7 @@ class _WarpProblem:
 
 
 def _leave_out_bad(recordings: Sequence[Sequence[FreeStretch]], most: float = 3.0) -> list[list[FreeStretch]]:
-    """The stretches whose residuals are not `most` times as large as usual: others are no free motion."""
+    """Keep the stretches whose residuals are at most `most` times the usual ones; the others are not free motion."""
     sizes = [stretch.chi2 / stretch.dof for one in recordings for stretch in one]
     limit = most**2 * float(np.median(sizes)) if sizes else 0.0
     return [[stretch for stretch in one if stretch.chi2 / stretch.dof <= limit] for one in recordings]

@@ -215,7 +215,7 @@ def combine(
 
 
 def _describe_view(one: str | Path | Result) -> str:
-    """What positions and bodies depend on in the camera file of a result; "" where there is none."""
+    """Name the keys of a camera file on which positions and bodies depend; "" without a file."""
     if isinstance(one, Result):
         keys = one.camera.to_dict()
     else:

@@ -132,7 +132,7 @@ class LocalProblem:
 
     @cached_property
     def _known(self) -> tuple[Floats, Floats]:
-        """What is known, as equations with errors of one: values, and matrix of the parameters.
+        """Prior knowledge as equations with errors of one: values, and matrix of the parameters.
 
         The first rows, of the distance and of the directions of friction, are not linear; they are zero here.
         """
