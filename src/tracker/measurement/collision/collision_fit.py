@@ -27,7 +27,7 @@ from tracker.measurement.collision.lasting_contact import (
     as_collision_fits,
     fit_lasting_contact,
 )
-from tracker.measurement.collision.least_squares import BallPair, CollisionFit, fit_motion
+from tracker.measurement.collision.least_squares import ROUGH, BallPair, CollisionFit, fit_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
 from tracker.measurement.collision.striker import alternative_strikers, is_believable
 from tracker.settings import FitSettings
@@ -144,11 +144,13 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
     if _is_accepted(read):
         return read
     least = better_striker * _reduced_chi2(read)
-    level = contact.pair.settings.rejection_level
     for other in alternative_strikers(contact, guess if isinstance(read, str) else read.tied.parameters):
-        rough = fit_motion(other.contact.pair, True, other.starts, tolerance=1e-4)
+        pair = other.contact.pair
+        if pair.striker_slides and _is_too_bad(pair, *_bound_chi2_of_sliding(pair, other.starts[0]), least):
+            continue
+        rough = fit_motion(pair, True, other.starts, tolerance=ROUGH)
         per = rough.chi2 / max(rough.dof, 1)
-        if per > least and p_value(rough.chi2, rough.dof, other.contact.pair.striker.noise_dof) < level:
+        if _is_too_bad(pair, rough.chi2, rough.dof, least):
             continue
         found = _fit_with_noise(other.contact, [rough.parameters])
         if isinstance(found, str) or found.impossible_values or not is_believable(found.tied, found.free):
@@ -158,6 +160,21 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         if per < least:
             read, least = replace(found, flags=other.flags), better_striker * per
     return read
+
+
+def _is_too_bad(pair: BallPair, chi2: float, dof: int, least: float) -> bool:
+    """Decide whether a fit is rejected, and its chi^2 per degree of freedom is not below `least` either."""
+    return chi2 / max(dof, 1) > least and p_value(chi2, dof, pair.striker.noise_dof) < pair.settings.rejection_level
+
+
+def _bound_chi2_of_sliding(pair: BallPair, start: Floats) -> tuple[float, int]:
+    """A lower bound on chi^2 of a tied fit whose striker slides, and that fit's degrees of freedom.
+
+    It is the least chi^2 of the free motion, of which the tied motions are a part. From a bad start, a descent of the
+    tied motion takes long and ends far above it.
+    """
+    free = fit_motion(pair, False, [np.asarray(tied_to_free(start, pair.spin), dtype=np.float64)], tolerance=ROUGH)
+    return free.chi2, free.dof + len(FREE) - len(TIED)
 
 
 def fit_lasting_collision(
@@ -281,7 +298,10 @@ def _prefer_possible(pair: BallPair, tied: CollisionFit, worse: float = 10.0) ->
     start = tied.parameters.copy()
     for r in (0.9, 0.5):
         start[[TIED.index(name) for name in ("r", "log_mu", "C")]] = r, np.log(1e-3), 0.0
-        other = fit_motion(pair, True, [start])
+        rough = fit_motion(pair, True, [start], ROUGH)
+        if rough.chi2 > (1 + 10 * ROUGH) * (tied.chi2 + worse):
+            continue
+        other = fit_motion(pair, True, [rough.parameters])
         if other.dropped <= tied.dropped and other.chi2 < tied.chi2 + worse and is_possible(other):
             return other
     return tied
@@ -304,7 +324,7 @@ def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[
             seen[i] = False
         elif np.exp(best.parameters[end]) > 0.5 * left:
             endless = _without_slide_end(best.parameters, 1 + i, left)
-            without = fit_motion(pair, False, [endless], 1e-4, whole)
+            without = fit_motion(pair, False, [endless], ROUGH, whole)
             if without.chi2 < best.chi2:
                 best = without = fit_motion(pair, False, [without.parameters], whole=whole)
             ends_in_view = bool(np.exp(best.parameters[end]) < left)

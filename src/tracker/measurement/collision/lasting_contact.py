@@ -39,13 +39,22 @@ from tracker.measurement.collision.derived import (
     derive_from_tied,
     dot,
 )
-from tracker.measurement.collision.least_squares import BROAD_PRIORS, BallPair, CollisionFit, covariance, minimise
+from tracker.measurement.collision.least_squares import (
+    BROAD_PRIORS,
+    FINE,
+    ROUGH,
+    BallPair,
+    CollisionFit,
+    covariance,
+    minimise,
+)
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
 MIN_FRAMES = 4  # outside the contact, before and after it
+MAX_WINDOWS = 12  # of frames in contact that are tried one after the other
 MIN_SIGNIFICANCE = 4.0  # standard errors by which the lines cross at less than one diameter
 STRAIGHT_CHI2 = 16.0  # rise of chi^2 up to which straight lines describe the balls after the hit
 STRAIGHT = (*FREE[:8], "v1x", "v1y", "v2x", "v2y", *FREE[-2:])  # free motions without a slide
@@ -226,10 +235,12 @@ class LastingFit:
     converged: bool
 
     @staticmethod
-    def to(pair: BallPair, kind: str, starts: list[Floats], friction: float | None = None) -> LastingFit:
-        """Fit a motion from starts (p,)."""
+    def to(
+        pair: BallPair, kind: str, starts: list[Floats], friction: float | None = None, tolerance: float = FINE
+    ) -> LastingFit:
+        """Fit a motion from starts (p,); tolerance: as for `minimise`."""
         problem = LastingResiduals(pair, kind, friction)
-        best, converged = minimise(problem, starts)
+        best, converged = minimise(problem, starts, tolerance)
         residual, rows = problem(best)
         n = 2 * len(pair)
         chi2 = float(residual[:n] @ residual[:n])
@@ -394,7 +405,9 @@ def fit_lasting_contact(
     if contact.reason:
         return TOO_FEW
     pair, level = contact.pair, settings.rejection_level
-    for _ in range(12):
+    if window[0] == window[1] and _is_hopeless(pair, window[0], level):
+        return None
+    for _ in range(MAX_WINDOWS):
         outside = _leave_out(pair, *window)
         if outside is None:
             return TOO_FEW
@@ -407,6 +420,7 @@ def fit_lasting_contact(
         window = wider
     assert fit is not None
     outside = fit.problem.pair
+    fit = LastingFit.to(outside, fit.problem.kind, [fit.x])
     correlated = with_correlated_noise(replace(outside, diameter=float(fit.x[-1])), _as_free(fit))
     if correlated is not None:
         outside = replace(correlated, diameter=pair.diameter)
@@ -442,6 +456,22 @@ def fit_lasting_contact(
     return LastingFits(lasting, outside, tied, fit, _slide_ends_seen(fit), hides)
 
 
+def _is_hopeless(pair: BallPair, frame: int, level: float) -> bool:
+    """Decide whether the data reject the free motion in whatever frames a contact at this frame may last.
+
+    That is so if they reject it without the frames that could at most be left out: fewer positions never raise chi^2.
+    """
+    outside = _leave_out(pair, frame - MAX_WINDOWS, frame + MAX_WINDOWS)
+    starts = _guess(pair, frame, frame)
+    if outside is None or not starts:
+        return False
+    fit = LastingFit.to(outside, "free", starts, tolerance=ROUGH)
+    dof = fit.dof + 2 * (len(pair) - len(outside))
+    if not p_value(fit.chi2, dof, pair.striker.noise_dof) < level:
+        return False
+    return with_correlated_noise(replace(outside, diameter=float(fit.x[-1])), _as_free(fit)) is None
+
+
 def _momentum_p(straight: LastingFit) -> float:
     """p-value of the momentum that equal balls gain in a hit, which is none."""
 
@@ -463,19 +493,39 @@ def _sigmas_within(fit: LastingFit) -> float:
 
 
 def _fit_outside(pair: BallPair, window: tuple[int, int], last: LastingFit | None) -> LastingFit | None:
-    """The free fit, of straight lines where the balls do not slide visibly. None if there is no collision."""
+    """A rough free fit, of straight lines where the balls do not slide visibly. None if there is no collision."""
     kind = "free" if last is None else last.problem.kind
     starts = [last.x] if last is not None else _guess(pair, *window)
     if not starts:
         return None
-    free = LastingFit.to(pair, "free", starts) if kind == "free" else None
-    straight = LastingFit.to(pair, "straight", [_straighten(free, pair) if free is not None else starts[0]])
-    dof = pair.striker.noise_dof
-    if p_value(straight.chi2, straight.dof, dof) < 1e-3:
-        return free if free is not None else LastingFit.to(pair, "free", _guess(pair, *window))
+    free = LastingFit.to(pair, "free", starts, tolerance=ROUGH) if kind == "free" else None
+    dof, level = pair.striker.noise_dof, 1e-3
+    if free is not None and p_value(_chi2_of_lines(pair, *window), 2 * len(pair), dof) < level:
+        return free
+    start = _straighten(free, pair) if free is not None else starts[0]
+    straight = LastingFit.to(pair, "straight", [start], tolerance=ROUGH)
     if free is None:
-        free = LastingFit.to(pair, "free", _guess(pair, *window))
+        free = LastingFit.to(pair, "free", _guess(pair, *window), tolerance=ROUGH)
+    if p_value(straight.chi2, straight.dof, dof) < level:
+        return free
     return straight if straight.chi2 < free.chi2 + STRAIGHT_CHI2 else free
+
+
+def _chi2_of_lines(pair: BallPair, first: int, last: int) -> float:
+    """A lower bound on chi^2 of straight motions: each ball by itself, before and after the frames in contact."""
+    square = 0.0
+    for _, track in pair.balls:
+        for rows in (track.frame < first, track.frame > last):
+            part = track.where(rows)
+            if len(part) < 3:
+                continue
+            columns = np.zeros((5, len(part), 2))
+            columns[0, :, 0] = columns[1, :, 1] = 1.0
+            columns[2, :, 0] = columns[3, :, 1] = part.time - part.time.mean()
+            columns[4] = part.position - part.position.mean(axis=0)
+            r = np.linalg.qr(part.whiten(columns).T, mode="r")
+            square += float(np.diag(r)[-1] ** 2)
+    return square
 
 
 def count_frames_within(candidate: ContactCandidate, diameter: float) -> int:

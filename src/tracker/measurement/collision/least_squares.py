@@ -29,6 +29,8 @@ from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
+FINE = 1e-10  # relative change of parameters and chi^2 that ends a descent
+ROUGH = 1e-4  # the same where it is enough to compare minima; a descent that needs over 30 steps is then given up
 
 # name: (centre, width). Wide enough to weigh nothing against data, stated here and nowhere else.
 BROAD_PRIORS: Mapping[str, tuple[float, float]] = {
@@ -176,45 +178,45 @@ class Problem(Protocol):
     def slope(self, x: Floats) -> Floats: ...
 
 
-def minimise(problem: Problem, starts: Sequence[Floats], tolerance: float = 1e-10) -> tuple[Floats, bool]:
+def minimise(problem: Problem, starts: Sequence[Floats], tolerance: float = FINE) -> tuple[Floats, bool]:
     """Find the best of several minima by Levenberg-Marquardt (MINPACK), and whether that descent converged.
 
-    A relative change of parameters and chi^2 by `tolerance` ends the descent from the first start.
+    A relative change of parameters and chi^2 by `tolerance` ends a descent. The descents from all starts but the first
+    are rough until one finds another, better minimum.
     """
-    rough_tolerance = 1e-4  # the same for the other starts: it is enough to compare their minima
     least_gain = 1e-3  # gain in half the chi^2 from which on another start has found another, better minimum
     best, cost, converged = _descend(problem, starts[0], tolerance)
     for start in starts[1:]:
-        other, rough, _ = _descend(problem, start, rough_tolerance)
-        if rough < cost - least_gain:
-            found, better, fine = _descend(problem, other, 1e-10)
-            if better < cost:
-                best, cost, converged = found, better, fine
+        found, better, fine = _descend(problem, start, ROUGH)
+        if better < cost - least_gain and tolerance < ROUGH:
+            found, better, fine = _descend(problem, found, tolerance)
+        if better < cost - least_gain:
+            best, cost, converged = found, better, fine
     return best, converged
 
 
 def _descend(problem: Problem, start: Floats, tolerance: float) -> tuple[Floats, float, bool]:
     """Parameters, half their chi^2, whether a relative step or gain under `tolerance` ended the descent."""
-    x, _, found, _, ended = leastsq(  # type: ignore[call-overload]
+    x, _, found, _, ended = leastsq(
         problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=tolerance,
-        ftol=tolerance, gtol=1e-10, maxfev=100,
+        ftol=tolerance, gtol=1e-10, maxfev=100 if tolerance < ROUGH else 30,
     )  # fmt: skip
     return np.asarray(x, dtype=np.float64), float(found["fvec"] @ found["fvec"]) / 2, ended in (1, 2, 3, 4)
 
 
 def fit_motion(
-    pair: BallPair, tied: bool, starts: list[Floats], tolerance: float = 1e-10, whole: bool = False
+    pair: BallPair, tied: bool, starts: list[Floats], tolerance: float = FINE, whole: bool = False
 ) -> CollisionFit:
     """Fit a tied or free motion to two balls, from starts (16,) or (22,). A few outliers are dropped once.
 
-    tolerance: relative change of parameters and chi^2 that ends a descent; whole: keep the outliers.
+    tolerance: as for `minimise`; whole: keep the outliers.
     """
     problem = WhitenedResiduals(pair, tied)
     best, converged = minimise(problem, [start[problem.index] for start in starts], tolerance)
     problem, dropped = (problem, 0) if whole else _drop_outliers(problem, best)
     if dropped:
-        best, converged = minimise(problem, [best])
-    best, converged = _try_across_frame_edge(problem, best, converged)
+        best, converged = minimise(problem, [best], tolerance)
+    best, converged = _try_across_frame_edge(problem, best, converged, tolerance)
     residual, rows = problem(best)
     n = 2 * len(problem.pair)
     cov, chi2, dof = problem.whole_cov(covariance(rows)), float(residual[:n] @ residual[:n]), n - len(best)
@@ -229,7 +231,9 @@ def covariance(rows: Floats) -> Floats:
     return np.asarray(inverse / np.outer(size, size))
 
 
-def _try_across_frame_edge(problem: WhitenedResiduals, best: Floats, converged: bool) -> tuple[Floats, bool]:
+def _try_across_frame_edge(
+    problem: WhitenedResiduals, best: Floats, converged: bool, tolerance: float
+) -> tuple[Floats, bool]:
     """chi^2 has a kink where t_c crosses an exposure: try the other side when one is near."""
     struck = problem.pair.struck
     residual, rows = problem(best)
@@ -241,9 +245,11 @@ def _try_across_frame_edge(problem: WhitenedResiduals, best: Floats, converged: 
         return best, converged
     other = best.copy()
     other[0] = 2 * near[0] - best[0]
-    found, fine = minimise(problem, [other])
-    better = problem(found)[0]
-    return (found, fine) if better @ better < residual @ residual else (best, converged)
+    least = float(residual @ residual)
+    found, half, fine = _descend(problem, other, ROUGH)
+    if 2 * half < (1 + 10 * ROUGH) * least and tolerance < ROUGH:
+        found, half, fine = _descend(problem, found, tolerance)
+    return (found, fine) if 2 * half < least else (best, converged)
 
 
 def _drop_outliers(problem: WhitenedResiduals, best: Floats) -> tuple[WhitenedResiduals, int]:
