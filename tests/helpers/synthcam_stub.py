@@ -15,12 +15,12 @@ SCENE = {
 }
 
 
-def film(clip):
+def film(clip, every=1):
     """Stands in for Clip.pictures: noise from (seed, clip, frame), a Gaussian dot on each ball."""
     width, height = clip.camera.size
     rows, columns = np.mgrid[:height, :width]
     top = 2**clip.sensor.bits - 1
-    for k in range(clip.frames):
+    for k in range(0, clip.frames, every):
         rng = np.random.default_rng((clip.seed, clip.number, k))
         picture = rng.normal(0.04, 0.004, (height, width))
         at = np.array([(k + 0.05) / clip.camera.fps])

@@ -125,8 +125,13 @@ class Clip:
         """
         return Motion(self.view.motion, self.camera.fps, tuple(self.launch.bodies.radius.tolist()), self.table.walls)
 
-    def pictures(self) -> Iterator[Counts]:
+    def pictures(self, every: int = 1) -> Iterator[Counts]:
         """Render and expose the frames one after the other, for clips too long for memory.
+
+        Parameters
+        ----------
+        every : int
+            Yield every n-th frame only, from the first on. The others are not rendered.
 
         Yields
         ------
@@ -143,7 +148,7 @@ class Clip:
         setup = OpticalSetup(self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish)
         colour = bool(self.drawn["camera"].get("colour"))
         key = (self.seed, self.number)
-        return expose_frames(self.view, setup, self.sensor, self.frames, key, self.orientation, colour)
+        return expose_frames(self.view, setup, self.sensor, self.frames, key, self.orientation, colour, every)
 
     @cached_property
     def orientation(self) -> OrientationHistory | None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.dynamics.kinematics import Array
@@ -39,9 +41,9 @@ class FilmedMotion:
         start, end = min(float(times.min()), 0.0), float(times.max())
         return cls(model, camera, solve(model, launch, start, end, table=table))
 
-    def spans(self, frames: int) -> Array:
-        """Film time at which each exposure opens and closes: (frames, 2), s."""
-        starts = np.arange(frames) / self.camera.fps
+    def spans(self, frames: int, every: int = 1) -> Array:
+        """Film time at which each exposure opens and closes: (frames, 2), s. every: of every n-th frame only."""
+        starts = np.arange(0, frames, every) / self.camera.fps
         return np.stack([starts, starts + self.camera.exposure], axis=1)
 
     def as_drawn(self) -> FilmedMotion:
@@ -65,12 +67,20 @@ class FilmedMotion:
 
     def at(self, film: Array) -> Array:
         """States (balls, m, 9) at film times (m,), s."""
-        times = self.times(film)
-        return self.at_own_times(times) if self._has_own_clock else self.motion.at(times[0])
+        return self.at_own_times(self.times(film))
 
     def at_own_times(self, times: Array) -> Array:
-        """States (balls, m, 9) of each ball at true times of its own (balls, m), s."""
-        return np.stack([self.motion.at(t)[k] for k, t in enumerate(times)])
+        """States (balls, m, 9) of each ball at true times of its own (balls, m), s, as of `times`."""
+        return self._ask_at_own_times(self.motion.at, times)
+
+    def kinds(self, times: Array) -> NDArray[np.str_]:
+        """Kinds of motion (balls, m) of each ball at true times of its own (balls, m), s, as of `times`."""
+        return self._ask_at_own_times(self.motion.motion, times)
+
+    def _ask_at_own_times(self, ask: Callable[[Array], NDArray[Any]], times: Array) -> NDArray[Any]:
+        if not self._has_own_clock:  # one question instead of one for each ball
+            return ask(times[0])
+        return np.stack([ask(t)[k] for k, t in enumerate(times)])
 
     def breaks(self) -> Array:
         """Film times of all events, rising, s."""

@@ -84,22 +84,27 @@ def _spin_transfer(bodies: Bodies, hit: Event) -> float:
 
 
 def tracks(
-    bodies: Bodies, view: FilmedMotion, lamp: Lamp, frames: int, turning: OrientationHistory | None = None
+    bodies: Bodies,
+    view: FilmedMotion,
+    lamp: Lamp,
+    frames: int,
+    turning: OrientationHistory | None = None,
+    every: int = 1,
 ) -> pd.DataFrame:
     """Make the table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure.
 
-    x_mean_px, y_mean_px are means over the exposure. turning: of balls with a pattern.
+    x_mean_px, y_mean_px are means over the exposure. turning: of balls with a pattern. every: of every n-th frame only.
     """
-    spans, camera = view.spans(frames), view.camera
+    spans, camera, numbers = view.spans(frames, every), view.camera, np.arange(0, frames, every)
     times = view.times(spans.mean(axis=1))
     states = view.at_own_times(times)
-    kinds = [view.motion.motion(t)[k] for k, t in enumerate(times)]
+    kinds = view.kinds(times)
     means = view.mean(spans, lambda states: camera.project(states[..., :3]))
     balls = []
     for ball in range(len(states)):
         state, radius = states[ball], float(bodies.radius[ball])
         px, glint = camera.project(state[:, :3]), project_glint(camera, lamp, state[:, :3], radius)
-        columns: dict[str, Any] = {"frame": np.arange(frames), "t_s": times[ball], "particle": np.full(frames, ball)}
+        columns: dict[str, Any] = {"frame": numbers, "t_s": times[ball], "particle": np.full(len(numbers), ball)}
         columns |= {"x_px": px[:, 0], "y_px": px[:, 1], "glint_x_px": glint[:, 0], "glint_y_px": glint[:, 1]}
         columns |= dict(zip(STATE_COLUMNS, state.T, strict=True))
         columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
