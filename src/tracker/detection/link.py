@@ -1,25 +1,28 @@
 """Joins the detections of successive frames into tracks, through collisions, gaps, and balls that come and go.
 
-A ball's position is predicted from its last velocity. Two balls cannot pass through each other: where they would meet,
-the prediction lets them bounce. Detections are assigned to predictions by least squared distance (Hungarian method).
+`motion_filter` predicts each ball, also off another ball that it meets; `assignment` assigns the detections by their
+likelihood.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
+from tracker.detection.assignment import link_frame
 from tracker.detection.glints import Glints, describe_flags
+from tracker.detection.motion_filter import BallStates, MotionNoise
 from tracker.settings import LinkSettings
 
 Ints = NDArray[np.int64]
+MIN_ERROR_PX = 0.05  # of a position, and of its prediction
+EDGE_PX = 40.0  # from the edge of the picture, within which a ball may be seen in a frame or two only
+MAX_ACCELERATION_M_S2 = 3.5  # of a ball that slides
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,23 +73,6 @@ class Tracks:
     def xy(self) -> Array:
         """Positions (n, 2), px."""
         return np.stack([self.x, self.y], axis=1)
-
-
-@dataclass
-class _OpenTrack:
-    """A track being extended, in plain floats: there are few balls and many frames."""
-
-    rows: list[int]
-    frame: int
-    x: float
-    y: float
-    vx: float = 0.0
-    vy: float = 0.0
-    moving: bool = False  # whether a velocity is known
-    ahead: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    bounced: bool = False
-    sure: bool = False  # off a ball that, like this one, has a trusted track
-    struck: tuple[int, float, float, float, float] | None = None  # frame, position, velocity after an unseen hit
 
 
 def link(
@@ -158,10 +144,10 @@ def assign(glints: Glints, camera: Camera, diameter: float | None = None, settin
     ids = np.full(len(glints), -1, dtype=np.int64)
     if len(glints) == 0:
         return ids
-    balls = _follow(glints, camera, diameter or camera.diameter_px, diameter is not None, settings)
+    tracks = _follow(glints, camera, diameter or camera.diameter_px, diameter is not None, settings)
     least = settings.min_track_frames if diameter else 1
-    for number, ball in enumerate(_keep_ball_tracks(balls, glints, least, settings)):
-        ids[ball.rows] = number
+    for number, rows in enumerate(_keep_ball_tracks(tracks, glints, camera, least, settings)):
+        ids[rows] = number
     return ids
 
 
@@ -190,124 +176,64 @@ def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
     return out
 
 
-def _follow(
-    glints: Glints, camera: Camera, diameter: float, seen_whole: bool, settings: LinkSettings
-) -> list[_OpenTrack]:
-    """All tracks, those of false detections included."""
-    reach = settings.max_speed_m_s / camera.fps / camera.scale if camera.metric else settings.max_step_px
-    reach = max(reach, (settings.max_step_diameters if seen_whole else 2.0) * diameter)
-    tolerance = 1.0 if seen_whole else settings.speed_tolerance
-    kept_for = settings.max_gap_frames + 1
+def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool, settings: LinkSettings) -> list[Ints]:
+    """The rows of each track, those of false detections included."""
+    noise = _expect_motion(glints, camera, diameter, seen_whole, settings)
     order = np.argsort(glints.frame, kind="stable")
     frames, starts = np.unique(glints.frame[order], return_index=True)
-    x, y = glints.x.tolist(), glints.y.tolist()
-    done: list[_OpenTrack] = []
-    live: list[_OpenTrack] = []
-    for k, rows in zip(frames.tolist(), np.split(order, starts[1:]), strict=True):
-        done += [b for b in live if k - b.frame > kept_for]
-        live = [b for b in live if k - b.frame <= kept_for]
-        _predict(live, k, diameter, settings)
-        found = rows.tolist()
-        gates = [_gate(b, k, reach, 0.6 * diameter, tolerance) ** 2 for b in live]
-        pairs = _match(live, found, x, y, gates)
-        for ball, row in pairs:
-            _extend(ball, row, k, x[row], y[row])
-        taken, seen = {row for _, row in pairs}, {id(ball) for ball, _ in pairs}
-        for ball in live:
-            if ball.bounced and ball.sure and id(ball) not in seen and ball.struck is None:
-                ball.struck = (k, *ball.ahead)
-        live += [_OpenTrack([row], k, x[row], y[row]) for row in found if row not in taken]
-    return done + live
+    parts, xy = np.split(order, starts[1:]), glints.xy
+    track = np.empty(len(glints), dtype=np.int64)
+    first = len(parts[0])
+    track[parts[0]] = np.arange(first)
+    live, count = BallStates.start(np.arange(first), int(frames[0]), xy[parts[0]], noise), first
+    for k, (frame, rows) in enumerate(zip(frames[1:].tolist(), parts[1:], strict=True), 1):
+        live = live.take(frame - live.seen <= settings.max_gap_frames + 1)
+        follows = k + 1 < len(frames)
+        coming = (xy[parts[k + 1]], int(frames[k + 1]) - frame) if follows else None
+        live, own = link_frame(live, xy[rows], int(frame - frames[k - 1]), frame, coming, noise)
+        new = np.flatnonzero(own < 0)
+        own[new] = count + np.arange(len(new))
+        live = live.join(BallStates.start(own[new], frame, xy[rows[new]], noise))
+        track[rows], count = own, count + len(new)
+    ordered = np.lexsort((glints.frame, track))
+    return np.split(ordered, np.flatnonzero(np.diff(track[ordered])) + 1)
 
 
-def _predict(live: list[_OpenTrack], frame: int, diameter: float, settings: LinkSettings) -> None:
-    """Predict position and velocity of each ball, with the bounces of pairs that meet before."""
-    for ball in live:
-        since, x, y, vx, vy = ball.struck or (ball.frame, ball.x, ball.y, ball.vx, ball.vy)
-        ball.ahead = (x + vx * (frame - since), y + vy * (frame - since), vx, vy)
-        ball.bounced = ball.struck is not None
-    free = [ball for ball in live if ball.struck is None]
-    for i, one in enumerate(free):
-        for two in free[i + 1 :]:
-            _bounce(one, two, frame, diameter, settings)
-
-
-def _bounce(one: _OpenTrack, two: _OpenTrack, frame: int, diameter: float, settings: LinkSettings) -> None:
-    """Let two balls bounce along their line of centres, if they meet before ``frame``."""
-    span = frame - max(one.frame, two.frame)
-    ax, ay = one.x + one.vx * (frame - span - one.frame), one.y + one.vy * (frame - span - one.frame)
-    bx, by = two.x + two.vx * (frame - span - two.frame), two.y + two.vy * (frame - span - two.frame)
-    dx, dy, ux, uy = bx - ax, by - ay, two.vx - one.vx, two.vy - one.vy
-    closing, gap = dx * ux + dy * uy, dx * dx + dy * dy - diameter**2
-    speed = ux * ux + uy * uy
-    root = closing * closing - speed * gap
-    if closing >= 0.0 or root <= 0.0 or speed == 0.0:
-        return
-    wait = max(0.0, (-closing - math.sqrt(root)) / speed)
-    if wait >= span:
-        return
-    nx, ny = dx + ux * wait, dy + uy * wait
-    length = math.hypot(nx, ny) or 1.0
-    nx, ny = nx / length, ny / length
-    push = 0.5 * (1.0 + settings.restitution) * (ux * nx + uy * ny)
-    left = span - wait
-    x, y, vx, vy = one.ahead
-    one.ahead = (x + push * nx * left, y + push * ny * left, vx + push * nx, vy + push * ny)
-    x, y, vx, vy = two.ahead
-    two.ahead = (x - push * nx * left, y - push * ny * left, vx - push * nx, vy - push * ny)
-    one.bounced = two.bounced = True
-    one.sure = two.sure = min(len(one.rows), len(two.rows)) >= settings.min_track_frames
-
-
-def _match(
-    live: list[_OpenTrack], found: list[int], x: list[float], y: list[float], gates: list[float]
-) -> list[tuple[_OpenTrack, int]]:
-    """Pairs of ball and detection of least summed squared distance, none further apart than its gate, px^2."""
-    if not live or not found:
-        return []
-    cost = [[(b.ahead[0] - x[r]) ** 2 + (b.ahead[1] - y[r]) ** 2 for r in found] for b in live]
-    if len(live) == len(found) == 1:
-        chosen = [(0, 0)]
-    else:
-        capped = [[min(c, g) for c in line] for line, g in zip(cost, gates, strict=True)]
-        rows, columns = linear_sum_assignment(np.array(capped))
-        chosen = list(zip(rows.tolist(), columns.tolist(), strict=True))
-    return [(live[i], found[j]) for i, j in chosen if cost[i][j] < gates[i]]
-
-
-def _gate(ball: _OpenTrack, frame: int, reach: float, least: float, tolerance: float) -> float:
-    """How far a detection may be from a ball's predicted position, px."""
-    span = frame - ball.frame
-    if not ball.moving:
-        return reach * span
-    speed = math.hypot(ball.vx, ball.vy)
-    return (least + (1.0 if ball.bounced else tolerance) * speed) * span
-
-
-def _extend(ball: _OpenTrack, row: int, frame: int, x: float, y: float) -> None:
-    """Append a detection to a track."""
-    span = frame - ball.frame
-    if ball.bounced:  # a difference across the bounce is not a velocity
-        ball.vx, ball.vy = ball.ahead[2:]
-    else:
-        ball.vx, ball.vy = (x - ball.x) / span, (y - ball.y) / span
-    ball.moving, ball.struck = True, None
-    ball.rows.append(row)
-    ball.frame, ball.x, ball.y = frame, x, y
+def _expect_motion(
+    glints: Glints, camera: Camera, diameter: float, seen_whole: bool, settings: LinkSettings
+) -> MotionNoise:
+    """What is known of the motion of balls in this film."""
+    reach = settings.max_speed_m_s / camera.fps / camera.scale if camera.metric else settings.max_step_px
+    errors = np.sqrt(np.trace(glints.cov, axis1=1, axis2=2) / 2)
+    error = float(np.median(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else 0.0
+    push = MAX_ACCELERATION_M_S2 / camera.fps**2 / camera.scale if camera.metric else 0.0
+    return MotionNoise(
+        diameter=diameter,
+        reach=max(reach, (settings.max_step_diameters if seen_whole else 2.0) * diameter),
+        position=max(error, MIN_ERROR_PX),
+        acceleration=max(push, MIN_ERROR_PX),
+        tolerance=1.0 if seen_whole else settings.speed_tolerance,
+        restitution=settings.restitution,
+        false_density=1.0 / float(np.prod(camera.size)),
+    )
 
 
 def _keep_ball_tracks(
-    balls: list[_OpenTrack], glints: Glints, min_frames: int, settings: LinkSettings
-) -> list[_OpenTrack]:
-    """Tracks that are balls: not much fainter than the others, and not a blip of a frame or two."""
-    long = [b for b in balls if len(b.rows) >= settings.min_track_frames] or balls
-    fluxes = {id(b): float(np.median(glints.flux[b.rows])) for b in balls}
-    brightest = max(fluxes[id(b)] for b in long)
-    typical = float(np.median([fluxes[id(b)] for b in long if fluxes[id(b)] >= settings.min_relative_flux * brightest]))
-    kept = []
-    for ball in balls:
-        flux = fluxes[id(ball)]
-        whole = len(ball.rows) >= settings.min_track_frames or 0.4 * typical < flux < 2.5 * typical
-        if flux >= settings.min_relative_flux * brightest and whole and len(ball.rows) >= min_frames:
-            kept.append(ball)
-    return sorted(kept, key=lambda b: (glints.frame[b.rows[0]], glints.x[b.rows[0]], glints.y[b.rows[0]]))
+    tracks: list[Ints], glints: Glints, camera: Camera, min_frames: int, settings: LinkSettings
+) -> list[Ints]:
+    """Tracks that are balls: not much fainter than the others, and not a blip of a frame or two.
+
+    A ball may be seen that briefly where it enters or leaves the picture, and where the film begins or ends.
+    """
+    length = np.array([len(rows) for rows in tracks])
+    flux = np.array([np.median(glints.flux[rows]) for rows in tracks])
+    long = length >= settings.min_track_frames
+    least = settings.min_relative_flux * flux[long if long.any() else slice(None)].max()
+    typical = float(np.median(flux[(long if long.any() else True) & (flux >= least)]))
+    first, last = glints.frame.min() + settings.min_track_frames, glints.frame.max() - settings.min_track_frames
+    inside = np.minimum(glints.xy, np.array(camera.size) - 1 - glints.xy).min(axis=1)
+    near = (glints.frame < first) | (glints.frame > last) | (inside < EDGE_PX)
+    brief = np.array([near[rows].any() for rows in tracks]) & (0.4 * typical < flux) & (flux < 2.5 * typical)
+    whole = long | brief
+    kept = [tracks[k] for k in np.flatnonzero((flux >= least) & whole & (length >= min_frames))]
+    return sorted(kept, key=lambda rows: (glints.frame[rows[0]], glints.x[rows[0]], glints.y[rows[0]]))

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from tracker_film import CAMERA, collision, film
 
+import synthcam
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import Recording
-from tracker.detection import link as link_module
+from tracker.detection import assignment
 from tracker.detection.detect import load_linker
 from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.link import assign, estimate_velocities, link
@@ -71,7 +72,8 @@ def test_no_swap_in_four_hundred_collisions():
 
 
 def test_without_the_bounce_identities_are_swapped(monkeypatch):
-    monkeypatch.setattr(link_module, "_bounce", lambda *args: None)
+    none = np.empty(0, np.int64)
+    monkeypatch.setattr(assignment, "find_pairs", lambda *args: (none, none))
     rng = np.random.default_rng(1)
     swapped = 0
     for paths in collisions(rng, 100, speed=20.0):
@@ -123,6 +125,17 @@ def test_three_balls_cross():
     paths = np.concatenate([two, third[:, None]], axis=1)
     found, truth = scattered(rng, paths)
     assert pure(assign(found, CAM), truth)
+
+
+@pytest.mark.parametrize("scene", ["crowd", "tray"])
+def test_a_crowd_keeps_its_identities(scene):
+    """Through contacts, walls, missed balls and spots that are none."""
+    clip, rng = synthcam.Scene.read(scene).draw(seed=1), np.random.default_rng(9)
+    seen = clip.tracks[clip.tracks.visible & (rng.random(len(clip.tracks)) > 0.01)]
+    xy = seen[["x_mean_px", "y_mean_px"]].to_numpy() + 0.05 * rng.standard_normal((len(seen), 2))
+    spots = glints(rng.integers(5, clip.frames - 5, clip.frames), rng.uniform(60, 420, (clip.frames, 2)))
+    ids = assign(Glints.join([glints(seen.frame.to_numpy(), xy), spots]), Camera.from_dict(clip.camera_json))
+    assert pure(ids[: len(seen)], seen.particle.to_numpy())
 
 
 def test_blips_and_faint_companions_are_refused():

@@ -1,0 +1,201 @@
+"""Assigns the detections of a frame to the balls that are predicted there, as one problem of greatest likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from tracker.detection.motion_filter import DENSE, BallStates, Hits, MotionNoise, find_pairs, predict_hits
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+NEAREST = 8  # detections that are compared with a ball
+LOG_SEEN = 3.0  # logarithm of the odds that a ball is seen
+LOG_NEW = -1.0  # of the odds that a detection without a past is a ball
+PLAIN_SIGMA = 3.0  # errors within which each ball of a few must be found for its detection to be taken without more
+UNCONFIRMED = 0.05  # probability that a ball is not found in the frame after the next, where its motion leads
+
+
+def link_frame(
+    before: BallStates,
+    found: Floats,
+    frames: int,
+    frame: int,
+    coming: tuple[Floats, int] | None,
+    noise: MotionNoise,
+) -> tuple[BallStates, Ints]:
+    """Link the detections of a frame: the balls in that frame, and the track (m,) of each detection, or -1.
+
+    before: the balls some `frames` earlier. found: positions (m, 2). coming: those of the next frame, and how many
+    frames later that is. A ball that is not found is where it was predicted.
+    """
+    own = np.full(len(found), -1, dtype=np.int64)
+    if not len(before):
+        return before, own
+    free = before.advance(frames, noise)
+    pairs = find_pairs(before, frames, noise)
+    if not len(pairs[0]) and (plain := _match_plainly(free, found, noise)) is not None:
+        own[plain] = before.number
+        links = np.arange(len(before)), plain, np.full(len(before), -1)
+        return _update(before, free, None, found, links, frames, frame, noise), own
+    hits = predict_hits(before, free, pairs, frames, noise)
+    near = _find_near(free, hits, found, frames, noise)
+    gain, kind = _weigh(before, free, hits, found, near, frames, noise)
+    if coming is not None:
+        _confirm(before, found, near, gain, coming, frames, noise)
+    ball, column = _assign(gain, near, len(found))
+    seen = near[ball, column]
+    own[seen] = before.number[ball]
+    return _update(before, free, hits, found, (ball, seen, kind[ball, column]), frames, frame, noise), own
+
+
+def _match_plainly(free: BallStates, found: Floats, noise: MotionNoise) -> Ints | None:
+    """The detection (n,) of each ball where every ball and every detection has its own; None otherwise."""
+    if len(free) != len(found) or len(free) > DENSE or (free.count < 2).any():
+        return None
+    off = ((free.xy[:, None] - found) ** 2).sum(axis=2)
+    nearest = off.argmin(axis=1)
+    close = off[np.arange(len(free)), nearest] < PLAIN_SIGMA**2 * (free.cov[:, 0] + noise.position**2)
+    return nearest if close.all() and len(set(nearest.tolist())) == len(free) else None
+
+
+def _find_near(free: BallStates, hits: Hits, found: Floats, frames: int, noise: MotionNoise) -> Ints:
+    """The detections (n, k) nearest to each ball, by number; m for none."""
+    m = len(found)
+    if m <= NEAREST:
+        return np.tile(np.arange(m), (len(free), 1))
+    return np.asarray(cKDTree(found).query(free.xy, k=NEAREST, distance_upper_bound=_limit(free, noise, frames))[1])
+
+
+def _limit(free: BallStates, noise: MotionNoise, frames: int) -> float:
+    """The greatest distance at which a detection can be that of a ball, px."""
+    fastest = float(np.hypot(*free.v.T).max())
+    return max(noise.reach * frames, (0.6 * noise.diameter + 2.2 * fastest) * frames)
+
+
+def _weigh(
+    before: BallStates, free: BallStates, hits: Hits, found: Floats, near: Ints, frames: int, noise: MotionNoise
+) -> tuple[Floats, Ints]:
+    """The log likelihood (n, k) of each detection as that of a ball over that of a false one, and how the ball came.
+
+    How: -1 freely, -2 after a hit by something unseen, or the number of one of `hits`.
+    """
+    there = np.append(found, [[np.inf, np.inf]], axis=0)[near]  # (n, k, 2)
+    old = before.count > 1
+    meets = np.ones(len(before))
+    np.multiply.at(meets, hits.ball, 1 - hits.chance)
+    alone = np.log(np.maximum(meets, noise.least_free))
+    off = ((there - free.xy[:, None]) ** 2).sum(axis=2)
+    best = alone[:, None] + _log_density(off, free.cov[:, 0] + noise.position**2)
+    best[~old] = np.where(off[~old] < (noise.reach * frames) ** 2, best[~old] + LOG_NEW, -np.inf)
+    total, kind = best, np.full(near.shape, -1)
+    speed = np.hypot(*before.v.T) * frames
+    lost = 0.6 * noise.diameter * frames + noise.tolerance * speed
+    way = ((there - before.xy[:, None]) ** 2).sum(axis=2)
+    around = (off < lost[:, None] ** 2) | (way < (0.3 * noise.diameter * frames + speed)[:, None] ** 2)
+    level = np.log(noise.unseen_hits / (np.pi * np.maximum(lost, speed) ** 2))
+    unseen = np.where(around & old[:, None], level[:, None], -np.inf)
+    kind[unseen > total] = -2
+    total, best = np.logaddexp(total, unseen), np.maximum(best, unseen)
+    for h in np.flatnonzero(hits.chance > 1e-9):
+        i = hits.ball[h]
+        own = ((there[i] - hits.xy[h]) ** 2).sum(axis=1)
+        more = np.log(hits.chance[h]) + _log_density(own, hits.cov[h, 0] + noise.position**2)
+        kind[i, more > best[i]] = h
+        total[i], best[i] = np.logaddexp(total[i], more), np.maximum(best[i], more)
+    return total + LOG_SEEN - np.log(noise.false_density), kind
+
+
+def _log_density(square: Floats, variance: Floats | float) -> Floats:
+    """Of a normal distribution in a plane, at these squared distances (n, k); variance: (n,)."""
+    var = np.asarray(variance)[..., None]
+    return np.asarray(-np.log(2 * np.pi * var) - square / (2 * var))
+
+
+def _confirm(
+    before: BallStates,
+    found: Floats,
+    near: Ints,
+    gain: Floats,
+    coming: tuple[Floats, int],
+    frames: int,
+    noise: MotionNoise,
+) -> None:
+    """Lower the gain of a first step that no detection of the next frame continues."""
+    i, k = np.nonzero((before.count == 1)[:, None] & (gain > 0))
+    if not len(i):
+        return
+    there = found[near[i, k]]
+    step = (there - before.xy[i]) / frames
+    following, later = coming
+    apart = cKDTree(following).query(there + step * later)[0] if len(following) else np.full(len(i), np.inf)
+    wide = 3 * noise.position + noise.acceleration + noise.bend * np.hypot(*step.T)
+    gain[i, k] += np.log(UNCONFIRMED + np.exp(-((apart / wide) ** 2) / 2))
+
+
+def _assign(gain: Floats, near: Ints, found: int) -> tuple[Ints, Ints]:
+    """Pairs of ball and column of `near` with the greatest sum of gains, none of which is negative."""
+    ball, column = np.nonzero(gain > 0)
+    seen = near[ball, column]
+    single = (np.bincount(ball, minlength=len(gain))[ball] == 1) & (np.bincount(seen, minlength=found + 1)[seen] == 1)
+    out = [np.column_stack([ball[single], column[single]])]
+    ball, column, seen = ball[~single], column[~single], seen[~single]
+    if len(ball):
+        size = len(gain) + found
+        graph = coo_array((np.ones(len(ball)), (ball, len(gain) + seen)), shape=(size, size))
+        part = connected_components(graph, directed=False)[1][ball]
+        for number in np.unique(part):
+            own = part == number
+            rows, i = np.unique(ball[own], return_inverse=True)
+            columns, j = np.unique(seen[own], return_inverse=True)
+            table = np.zeros((len(rows), len(columns)))
+            table[i, j] = gain[ball[own], column[own]]
+            at = np.full(table.shape, -1)
+            at[i, j] = column[own]
+            i, j = linear_sum_assignment(table, maximize=True)
+            good = table[i, j] > 0
+            out.append(np.column_stack([rows[i[good]], at[i[good], j[good]]]))
+    pairs = np.concatenate(out)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _update(
+    before: BallStates,
+    free: BallStates,
+    hits: Hits | None,
+    found: Floats,
+    links: tuple[Ints, Ints, Ints],
+    frames: int,
+    frame: int,
+    noise: MotionNoise,
+) -> BallStates:
+    """The balls with what was found of them; links: ball, detection, and how it came, as `_weigh` says."""
+    ball, seen, kind = links
+    xy, v, cov = free.xy.copy(), free.v.copy(), free.cov.copy()
+    number, last, count = free.seen.copy(), free.last.copy(), free.count.copy()
+    number[ball], last[ball], count[ball] = frame, found[seen], count[ball] + 1
+    if hits is not None:
+        missed = np.ones(len(before), dtype=bool)
+        missed[ball] = False
+        unseen, taken = np.flatnonzero(missed[hits.ball] & (hits.chance > 0.5)), np.flatnonzero(kind >= 0)
+        rows, chosen = np.append(hits.ball[unseen], ball[taken]), np.append(unseen, kind[taken])
+        xy[rows], v[rows], cov[rows] = hits.xy[chosen], hits.v[chosen], hits.cov[chosen]
+    xx, xv, vv = cov[ball].T
+    off, whole = found[seen] - xy[ball], xx + noise.position**2
+    xy[ball] += (xx / whole)[:, None] * off
+    v[ball] += (xv / whole)[:, None] * off
+    cov[ball] = np.column_stack([xx - xx**2 / whole, xv - xx * xv / whole, vv - xv**2 / whole])
+    turned = ball[kind == -2]
+    if len(turned):
+        way = (last[turned] - before.last[turned]) / (frame - before.seen[turned])[:, None]
+        speed = np.hypot(*before.v[turned].T)
+        xy[turned], v[turned] = last[turned], way
+        error = 0.5 * (speed + np.hypot(*way.T)) + 0.1 * noise.diameter
+        cov[turned] = np.column_stack([np.full(len(turned), noise.position**2), 0 * error, error**2])
+    return replace(free, xy=xy, v=v, cov=cov, seen=number, last=last, count=count)

@@ -1,0 +1,144 @@
+"""Predicts where balls are in the next frame, on their way, off each other and off walls, and weighs what is found.
+
+Each ball has a position and a velocity with a covariance (a Kalman filter that is the same along both axes). The next
+position is one of several:
+
+- on its way, at its velocity;
+- off another ball, where the two would meet: the velocities along their line of centres are exchanged;
+- anywhere that it can reach, after a hit by something unseen such as a wall.
+
+The likelihood of a detection is the sum over these. It is compared with that of a false detection and a missed ball.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import ndtr
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+DENSE = 48  # balls, up to which all pairs are looked at
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """How far balls depart from their predictions, in px and frames."""
+
+    diameter: float  # of a ball, px
+    reach: float  # most that a ball moves in its first frame, px
+    position: float  # error of a detection, px
+    acceleration: float  # px per frame^2, of a ball that slides
+    tolerance: float  # how far off a prediction a ball may be, as a share of the distance moved in a frame
+    restitution: float
+    false_density: float  # false detections and balls that appear, per px^2 and frame
+    bend: float = 0.03  # change of a velocity in a frame, as a share of it
+    hit: float = 0.15  # error of the velocity after a hit, over that of the approach
+    distance: float = 0.04  # error of the distance at which balls meet, diameters
+    unseen_hits: float = 0.01  # probability in a frame of a hit by something unseen
+    least_free: float = 1e-3  # probability that balls whose paths overlap do not meet
+
+
+@dataclass(frozen=True, eq=False)
+class BallStates:
+    """The state of n balls in a frame: px and px per frame; the covariance is the same along both axes."""
+
+    number: Ints  # (n,) of the track
+    seen: Ints  # (n,) frame of the last detection
+    count: Ints  # (n,) detections
+    last: Floats  # (n, 2) position of the last detection
+    xy: Floats  # (n, 2)
+    v: Floats  # (n, 2)
+    cov: Floats  # (n, 3): of the position, of both, of the velocity
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> BallStates:
+        """Some of the balls."""
+        return BallStates(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    def join(self, other: BallStates) -> BallStates:
+        """The balls of both."""
+        pairs = ((f.name, getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+        return BallStates(**{name: np.concatenate([one, two]) for name, one, two in pairs})
+
+    @classmethod
+    def start(cls, number: Ints, frame: int, xy: Floats, noise: MotionNoise) -> BallStates:
+        """Balls that are seen for the first time."""
+        n = len(number)
+        cov = np.tile([noise.position**2, 0.0, (noise.reach / 2) ** 2], (n, 1))
+        ones = np.ones(n, dtype=np.int64)
+        return cls(number, frame * ones, ones, xy, xy, np.zeros((n, 2)), cov)
+
+    def advance(self, frames: int, noise: MotionNoise) -> BallStates:
+        """The balls some frames later, if nothing hits them."""
+        t, (xx, xv, vv) = float(frames), self.cov.T
+        push = noise.acceleration**2 + noise.bend**2 * (self.v**2).sum(axis=1)
+        cov = np.column_stack(
+            [xx + 2 * t * xv + t * t * vv + push * t**4 / 4, xv + t * vv + push * t**3 / 2, vv + push * t * t]
+        )
+        return replace(self, xy=self.xy + t * self.v, cov=cov)
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Two balls each that may meet before a frame: a row for either, with its state after the hit."""
+
+    ball: Ints  # (h,) index
+    chance: Floats  # (h,)
+    xy: Floats  # (h, 2)
+    v: Floats  # (h, 2)
+    cov: Floats  # (h, 3)
+
+
+def predict_hits(
+    before: BallStates, after: BallStates, pairs: tuple[Ints, Ints], frames: int, noise: MotionNoise
+) -> Hits:
+    """Predict the hits of pairs of balls between two frames, from their states in the first.
+
+    after: the same balls in the second frame, if they do not meet.
+    """
+    i, j = pairs
+    apart, speed = before.xy[j] - before.xy[i], before.v[j] - before.v[i]
+    closing, square = (apart * speed).sum(axis=1), (speed**2).sum(axis=1)
+    near = (closing < 0) & (square > 1e-12)
+    i, j, apart, speed, closing, square = (values[near] for values in (i, j, apart, speed, closing, square))
+    nearest = np.minimum(-closing / square, frames)
+    least = np.hypot(*(apart + nearest[:, None] * speed).T)
+    spread = np.sqrt((noise.distance * noise.diameter) ** 2 + after.cov[i, 0] + after.cov[j, 0])
+    chance = ndtr((noise.diameter - least) / spread)
+    root = closing**2 - square * ((apart**2).sum(axis=1) - noise.diameter**2)
+    wait = np.clip((-closing - np.sqrt(np.maximum(root, 0.0))) / square, 0.0, frames)
+    normal = apart + wait[:, None] * speed
+    normal /= np.maximum(np.hypot(*normal.T), 1e-9)[:, None]
+    push = 0.5 * (1 + noise.restitution) * ((speed * normal).sum(axis=1))[:, None] * normal
+    left = frames - wait
+    error = noise.hit**2 * square
+    wider = np.column_stack([error * left**2, error * left, error])
+    sides = ((i, push), (j, -push))
+    return Hits(
+        ball=np.concatenate([i, j]),
+        chance=np.tile(chance, 2),
+        xy=np.concatenate([after.xy[k] + kick * left[:, None] for k, kick in sides]),
+        v=np.concatenate([after.v[k] + kick for k, kick in sides]),
+        cov=np.concatenate([after.cov[k] + wider for k, _ in sides]),
+    )
+
+
+def find_pairs(balls: BallStates, frames: int, noise: MotionNoise) -> tuple[Ints, Ints]:
+    """Find the pairs of balls, both seen twice, that may come within a diameter."""
+    rows = np.flatnonzero(balls.count > 1)
+    if len(rows) < 2:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    xy, speed = balls.xy[rows], np.hypot(*balls.v[rows].T) * frames
+    reach = (1 + 3 * noise.distance) * noise.diameter
+    if len(rows) <= DENSE:
+        i, j = np.triu_indices(len(rows), 1)
+    else:
+        i, j = cKDTree(xy).query_pairs(reach + 2 * float(speed.max()), output_type="ndarray").T.astype(np.int64)
+    near = ((xy[i] - xy[j]) ** 2).sum(axis=1) < (reach + speed[i] + speed[j]) ** 2
+    return rows[i[near]], rows[j[near]]
