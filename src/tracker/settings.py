@@ -81,7 +81,7 @@ class LinkSettings(Settings):
 
     speed_tolerance: Positive = 0.35
     """How far a glint may be from its predicted position, as a share of the distance moved in a frame.
-    Friction and small hits change a velocity by less in one frame. After a hit, motion of the balls and restitution set it."""
+    Friction and small hits change a velocity by less in one frame, and the prediction itself counts hits."""
 
     max_step_diameters: Positive = 5.0
     """How far a ball that is seen whole may move in its first frame, in diameters. Outlines are rarely false."""
