@@ -1,4 +1,4 @@
-"""What the boxes of the blind trials hold: the second integrator, the limits, the draws, what is in no library."""
+"""The boxes of the blind trials: the second integrator, the limits, the draws, causes outside the library."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""How the blind trials judge: names, classes, outsiders, goals with their bounds, the gap."""
+"""Judgement of the blind trials: names, classes, outsiders, goals with their bounds, the gap."""
 
 from functools import partial
 from types import SimpleNamespace
@@ -234,7 +234,7 @@ def test_the_page(tmp_path):
 
 @pytest.mark.parametrize("spin", [(), (0.1, 0.02, 0.01)])
 def test_a_model_without_a_motion_closes_nothing(spin, tmp_path):
-    """Of the clips kept out, that is; a truth that leaves the noise alone closes all.
+    """The gap is that of the held-out clips; a truth that leaves only noise closes all of it.
 
     Also where strikers are taken to spin.
     """

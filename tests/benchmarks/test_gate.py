@@ -69,7 +69,7 @@ def drawn(gate, seed):
 
 
 def watched(gate, claims, truth):
-    """What the gate computes of error bars."""
+    """The gate's figures of error bars."""
     out = gate.spreads(claims, truth)
     for q in QUANTITY_NAMES:
         for suffix in ("", "_free"):

@@ -41,7 +41,7 @@ INLINE = re.compile(r"(?<!`)`((?:synthcam|tracker|discrepancy|make|python -m) [^
 
 
 def wrong_in(line, whole=True):
-    """What a command line asks for that is not there; of a whole one also what it lacks."""
+    """List what a command line names that does not exist; for a complete one also what it lacks."""
     words = shlex.split(line, comments=True)
     if not words or words[0] in OTHERS:
         return []
@@ -58,7 +58,7 @@ def wrong_in_make(words):
 
 
 def wrong_in_python(words):
-    """What `python -m` runs is there, and its text has the options that it is given."""
+    """List what `python -m` lacks: its module, or options that the module's text does not have."""
     module, *rest = words
     if module == "pytest":
         return [p for p in rest if p.startswith("tests/") and not (ROOT / p).exists()]

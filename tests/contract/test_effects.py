@@ -43,7 +43,7 @@ def track(*effects):
 
 
 def picture(*effects):
-    """Where a tracker sees the balls, px (2, frames, 2), means over the exposure."""
+    """Compute where a tracker sees the balls, px (2, frames, 2), means over the exposure."""
     model = Model(effects=effects)
     bent = model.laws("camera", NOMINAL, {})
     bent = dataclasses.replace(bent, exposure=float(model.laws("exposure", bent.exposure, {"fps": bent.fps})))

@@ -18,7 +18,7 @@ TOOL = runpy.run_path(str(ROOT / "tools/notebooks.py"))
 
 
 def kinds(cells):
-    """Of each code cell, what its outputs are."""
+    """List the outputs of each code cell."""
     return [[*o.get("data", {o["output_type"]: 0})] for c in cells if c["cell_type"] == "code" for o in c["outputs"]]
 
 

@@ -35,7 +35,7 @@ def run(program: str, *words: str, cwd: Path) -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the README's commands write, with fewer and smaller clips, and a dataset with its results and score."""
+    """Run the README's commands with fewer and smaller clips, and make a dataset with its results and score."""
     folder = tmp_path_factory.mktemp("format")
     blocks = re.findall(r"^```(\w*)\n(.*?)^```$", (ROOT / "README.md").read_text(), re.S | re.M)
     readme = [line for kind, block in blocks for line in block.splitlines() if kind == "sh"]

@@ -20,7 +20,7 @@ SHAPE = (160, 200)
 
 
 def status(tmp_path, frames, camera=CAMERA):
-    """What `track` answers to the frames, by its table of estimates."""
+    """Track the frames, and return the status of each estimate."""
     write_clip(tmp_path / "clip", frames, camera)
     outcome = pipeline.run(tmp_path / "clip", tmp_path / "out", "maximum_likelihood", 1)
     return outcome.estimates["status"].tolist()

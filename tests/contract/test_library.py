@@ -71,7 +71,7 @@ def section(doc, title):
 
 
 def names_in(lines):
-    """What a section lists: "x, y : float" is x and y, "**more" is more."""
+    """List the names in a section: "x, y : float" is x and y, "**more" is more."""
     heads = [line.partition(" : ")[0] for line in lines or () if line and not line[0].isspace()]
     return [name.strip().lstrip("*") for head in heads for name in head.split(",")]
 
@@ -114,7 +114,7 @@ def test_the_examples_of_the_docstrings_run(package, name):
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_an_import_is_light(package):
-    """What a command's --help would pay for is loaded when it is used."""
+    """Slow imports are made when they are used, so that --help stays quick."""
     code = f"import sys, {package}; print([m for m in {HEAVY} if m in sys.modules])"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "[]\n"

@@ -63,7 +63,7 @@ def test_nothing_hidden_is_nothing_found_however_short_the_time(monkeypatch):
 
 
 def test_what_score_tests_show_is_not_nothing_however_short_the_time(monkeypatch):
-    """Where no residual is beyond chance by itself, but an effect's signature is."""
+    """No residual is significant by itself, but the signature of an effect is."""
     only(monkeypatch)
     monkeypatch.setattr("discrepancy.verdict.is_unexplained", lambda where, policy: False)
     clips = collisions(Model().replace(HIDDEN["velocity_restitution"]), 8, 3)

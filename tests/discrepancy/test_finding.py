@@ -27,7 +27,7 @@ def recorded():
 
 @pytest.fixture(scope="module")
 def results(recorded):
-    """What `tracker.measure` gives of the same tables, in another order."""
+    """The result of `tracker.measure` for the same tables, in another order."""
     table = pd.read_csv(recorded / "tracks.csv")
     every = [tracker.measure(part, recorded / "camera.json") for _, part in table.groupby("clip")]
     return [every[k] for k in (3, 1, 0, 5, 4, 2)]

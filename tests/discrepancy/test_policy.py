@@ -237,7 +237,7 @@ def numbered(count):
 
 @pytest.mark.parametrize(("spreads", "gone"), [(6.0, []), (10.0, [3])])
 def test_eight_spreads_make_a_clip_odd(spreads, gone):
-    """Of the logarithm of chi^2: a third of the clips at either side of the median by a known length."""
+    """Spreads of the logarithm of chi^2: a third of the clips lie at either side of the median by a known length."""
     logs = 0.3 * np.tile([-1.0, 0.0, 1.0], 4)
     logs[3] = spreads * 1.4826 * 0.3
     fit = flat(np.exp(logs))
@@ -424,7 +424,7 @@ def test_what_failed_beside_another_and_passes_in_its_place_is_not_rejected(monk
 
 
 def validated_of(monkeypatch, turns, gone=None):
-    """What remains of claims that are tested in these turns; the names of those that fail are added to `gone`."""
+    """Return what remains of claims that are tested in these turns; `gone` gets the names of those that fail."""
 
     class Without(dict):
         def __getitem__(self, name):

@@ -54,7 +54,7 @@ def suite():
 
 @dataclass
 class Given:
-    """What a tracker would have given whose tracks are made of the truth by `change`, which takes (table, rng)."""
+    """The results of a tracker whose tracks are the truth, altered by `change`, which takes (table, rng)."""
 
     suite: object
     change: object = lambda table, rng: table

@@ -18,7 +18,7 @@ def alive(session):
 
 
 def until(so, seconds=10.0):
-    """Whether something comes true within so many seconds."""
+    """Wait until a condition is true, and tell whether it became true within so many seconds."""
     deadline = time.monotonic() + seconds
     while not so() and time.monotonic() < deadline:
         time.sleep(0.02)

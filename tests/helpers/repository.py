@@ -1,4 +1,4 @@
-"""Where the repository stands, for tests that read its other files."""
+"""Path of the repository, for tests that read its other files."""
 
 from pathlib import Path
 

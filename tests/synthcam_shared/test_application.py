@@ -1,4 +1,4 @@
-"""How a command ends: its exit status, and the one line that it leaves."""
+"""The end of a command: its exit status, and its one line of output."""
 
 import os
 import subprocess

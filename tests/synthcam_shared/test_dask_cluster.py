@@ -76,7 +76,7 @@ def test_a_cluster_makes_the_same_bytes(tmp_path):
 
 @needs_dask
 def test_work_is_sent_once_to_a_cluster_not_with_each_number(tmp_path):
-    """Of ten thousand clips it names ten thousand files: the scheduler would hold them for each clip."""
+    """Ten thousand clips have ten thousand file names, which the scheduler would hold for each clip."""
     path = tmp_path / "script.py"
     path.write_text(COUNTING)
     said = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=120)

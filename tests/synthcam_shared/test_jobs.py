@@ -166,7 +166,7 @@ class Counted:
 
 
 def test_work_is_sent_once_to_a_process_not_with_each_number(monkeypatch):
-    """Of ten thousand clips it names ten thousand files."""
+    """Ten thousand clips have ten thousand file names."""
     monkeypatch.setattr(Counted, "sent", 0)
     assert sorted(run_all_jobs(Counted(), range(60), 2, "")) == sorted(n.bit_length() for n in range(60))
     assert Counted.sent == 1

@@ -1,4 +1,4 @@
-"""Where results go: full and read-only disks, and two commands at once."""
+"""Folders of results: full and read-only disks, and two commands at once."""
 
 import ast
 import errno

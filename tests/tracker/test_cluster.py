@@ -45,7 +45,7 @@ if __name__ == "__main__":
 
 
 def same_files(one, other):
-    """How many files are the same in both folders."""
+    """Count the files that are the same in both folders."""
     names = [path.relative_to(one) for path in one.rglob("*") if path.is_file()]
     for path in names:
         assert (other / path).read_bytes() == (one / path).read_bytes(), path
@@ -53,7 +53,7 @@ def same_files(one, other):
 
 
 def by_cluster(folder, *words):
-    """What the script prints, which has a cluster of its own."""
+    """Run a script, which has a cluster of its own, and return what it prints."""
     (folder / "script.py").write_text(SCRIPT)
     said = subprocess.run(
         [sys.executable, "script.py", *words], capture_output=True, text=True, timeout=240, cwd=folder, check=False

@@ -60,7 +60,7 @@ def test_a_ball_that_rolls_has_no_slip_to_be_fitted():
     [(8, 6, True), (8, 5, False), (0, 6, False)],
 )
 def test_where_strikers_spin_that_no_rejected_model_tells_each_may(rejected, told, each):
-    """Of strikers of which six spin, eight others are in clips whose model is rejected; five are too few to tell."""
+    """Six strikers spin, and eight others are in clips whose model is rejected; five are too few to tell."""
     rolls, spins = HITS[0], np.array([*HITS[0], 0.0, 0.0, 0.1])
     every = np.array(
         equalise_launches(told * [spins] + 8 * [rolls], told * [False] + rejected * [True] + (8 - rejected) * [False])

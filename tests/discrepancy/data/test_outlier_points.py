@@ -37,14 +37,14 @@ def row_of(clip, ball, frame):
 
 
 def found_beside_a_model(clips):
-    """What is found beside the base model fitted to the clips, outliers and all: rows."""
+    """Find outliers about the base model, which was fitted to the clips with their outliers: rows."""
     base = fit_base_model(clips, Model(), CLAIMED_NOISE, lambda stage: None)
     return [find_outliers(c, x) for c, x in zip(clips, predict_tracks(base.model, base.launches, clips), strict=True)]
 
 
 @pytest.mark.parametrize(("sigma", "wrong"), [(6.0, False), (11.0, True)])
 def test_a_place_is_an_outlier_beyond_eight_sigma(sigma, wrong):
-    """Of the place and of the parabola through four places on either side: its value in the middle has 708/2064."""
+    """The noise is that of a position and of the parabola through eight others, whose value there has 708/2064."""
     for clip, true in zip(CLIPS, exact(Model(), 8, 3), strict=True):
         row = row_of(clip, 1, 70)
         xy = clip.xy.copy()

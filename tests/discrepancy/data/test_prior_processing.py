@@ -24,7 +24,7 @@ def rounded(clip, step):
 
 
 def thinned(clip, least):
-    """Of a ball that moves, only places at least so far from the last one kept."""
+    """Keep only positions of a moving ball that are at least so far from the last one kept."""
     kept = []
     for ball in (0, 1):
         last = None

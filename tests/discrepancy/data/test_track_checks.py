@@ -21,7 +21,7 @@ def tracks_of(particle, frame, xy):
 
 
 def tracks(one, two):
-    """Of two balls at positions (n, 2), px."""
+    """Make the tracks of two balls at positions (n, 2), px."""
     return tracks_of(np.repeat([0, 1], len(one)), np.tile(np.arange(len(one)), 2), np.concatenate([one, two]))
 
 

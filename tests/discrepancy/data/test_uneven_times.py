@@ -47,7 +47,7 @@ def read(fine, late, start=0.0):
 
 
 def test_places_are_those_of_even_times(fine):
-    """Of balls that go by up to 1 mm in .4 frames: within 3 um, which is less than a place's noise."""
+    """Balls that move by up to 1 mm in .4 frames are found within 3 um, which is less than the noise of a position."""
     late = np.random.default_rng(3).integers(-2, 3, 110)
     late[0] = 0
     even, uneven = read(fine, 0 * late)[0], read(fine, late)[0]

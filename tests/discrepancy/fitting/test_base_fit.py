@@ -1,4 +1,4 @@
-"""What a search begins with: the base fit finds its way from a friction nine hundred times too large."""
+"""The base fit, with which a search begins, converges from a friction nine hundred times too large."""
 
 import dataclasses
 

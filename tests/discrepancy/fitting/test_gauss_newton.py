@@ -184,7 +184,7 @@ def test_with_nothing_shared_only_the_launches_are_fitted():
 
 
 def test_a_lost_frame_is_fitted_where_it_was_found():
-    """Where in the gap between two frames it was lost means nothing: no step of the fit may carry it away."""
+    """The instant within the gap between two frames has no effect: no step of the fit may move it far away."""
     truth = TRUTH.replace({"dropped_frame.lost": 0.5, "dropped_frame.frame": 40.0})
     clips = collisions(truth, 6, 11)
     start = truth.replace({"dropped_frame.lost": 0.3, "dropped_frame.frame": 40.3})

@@ -1,4 +1,4 @@
-"""What a model says the tracks should be, where that can be said without it."""
+"""Predicted tracks, against cases that are known without the model."""
 
 import dataclasses
 

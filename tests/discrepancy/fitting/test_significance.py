@@ -1,4 +1,4 @@
-"""What chance may score: the quantiles of textbook distributions, and |z| that does not jump."""
+"""Scores by chance: quantiles of textbook distributions, and a |z| that does not jump."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def orthonormal(count, points=60):
 
 
 def chance(axes, *rest, **more):
-    """Of candidates with these orthonormal bases (points, k)."""
+    """Compute the threshold of chance for candidates with these orthonormal bases (points, k)."""
     together = np.concatenate(axes, axis=1)
     return chance_threshold(together.T @ together, [a.shape[1] for a in axes], *rest, **more)
 

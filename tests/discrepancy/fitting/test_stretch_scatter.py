@@ -1,4 +1,4 @@
-"""What differs from stretch to stretch: sizes that are put into drawn stretches are found again."""
+"""Scatter from stretch to stretch: the sizes with which stretches were drawn are recovered."""
 
 import dataclasses
 

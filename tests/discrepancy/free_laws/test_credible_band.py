@@ -61,7 +61,7 @@ def drawn(law, size, seed):
 
 
 def bands(law, size, seed):
-    """What the truth is at X, (n,); the band of 95 %, and that of the smooth curve alone, (2, n) each."""
+    """Compute the truth at X, (n,), the band of 95 %, and that of the smooth curve alone, (2, n) each."""
     filled, scale = drawn(law, size, seed)
     mixture = NormalMixture.of(filled, X)
     curve, covariance = filled.curve(X)
@@ -71,7 +71,7 @@ def bands(law, size, seed):
 
 
 def share(truth, band):
-    """Of the places at which it lies in the band."""
+    """Compute the share of positions at which the truth lies in the band."""
     return np.mean((band[0] <= truth) & (truth <= band[1]))
 
 
@@ -84,7 +84,7 @@ def smooth(x):
 
 
 def test_the_band_holds_a_step_as_often_as_it_says():
-    """Of 70 draws; that of the smooth curve alone, about a wiggle, is wider and holds it less."""
+    """In 70 draws the band holds the truth. That of the smooth curve alone, about a wiggle, is wider and holds it less."""
     draws = [bands(step, 10, seed) for seed in range(70)]
     new, alone = (np.array([share(truth, each[k]) for truth, *each in draws]) for k in (0, 1))
     assert new.mean() > binom.ppf(1e-3, len(draws), 0.95) / len(draws) > alone.mean()
@@ -106,7 +106,7 @@ def test_beside_a_smooth_law_nothing_changes(seed):
 
 
 def test_quantiles_of_a_mixture():
-    """Of one normal, of two far apart, and of two about one place, where distributions are known."""
+    """Quantiles of one normal, of two far apart, and of two about one position, whose distributions are known."""
     one = NormalMixture(np.ones(1), np.full((1, 2, 1), 3.0), np.full((1, 2, 1), 0.5))
     assert one.quantile(1.96) == pytest.approx(np.full((2, 1), 3 + 0.98))
     apart = NormalMixture(np.array([0.25, 0.75]), np.array([[[0.0]], [[100.0]]]), np.ones((2, 1, 1)))

@@ -1,4 +1,4 @@
-"""What a free law found, as files have it."""
+"""The summary of a free law, as files have it."""
 
 import dataclasses
 import json

@@ -90,7 +90,7 @@ def test_derivatives_are_those_of_the_forward_model(name):
     ],
 )
 def test_a_constant_law_is_a_number_of_the_model_or_an_effect(name, part, size, numbers):
-    """Of a force on one ball: what a plate's tilt does to that ball."""
+    """A constant force on one ball does what a tilt of the plate does to that ball."""
     law = with_constant(FREE[name])
     ours, known = moved(law.add_to(Model(), size * constant(law, part))), Model().replace(numbers)
     if not numbers:

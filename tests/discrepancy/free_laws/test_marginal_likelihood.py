@@ -1,4 +1,4 @@
-"""What a free curve explains: against the marginal likelihood written out, and against noise alone."""
+"""The share that a free curve explains, against the marginal likelihood written out and against noise alone."""
 
 import dataclasses
 

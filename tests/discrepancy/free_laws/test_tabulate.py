@@ -1,4 +1,4 @@
-"""What a search found outside the library is in its model, and the gap on collisions kept out closes with it."""
+"""A law that a search found outside the library enters its model, and the held-out gap closes with it."""
 
 import dataclasses
 
@@ -96,7 +96,7 @@ def test_what_no_model_holds_has_no_table():
 
 
 def test_the_covariance_of_the_curve_is_that_of_its_band():
-    """Where the law is smooth: 1.96 standard deviations to either side."""
+    """For a smooth law the band has 1.96 standard deviations to either side."""
     said = outsider("force_speed").document()["outside"][0]
     std = np.sqrt(np.diag(np.array(said["covariance"])))
     width = np.array(said["band"])[:, 1] - np.array(said["curve"])

@@ -1,4 +1,4 @@
-"""What the errors of positions depend on is found, is as large as it was made, and is not found where there is none."""
+"""A dependence of the errors of positions is found with its size, and none is found where there is none."""
 
 import dataclasses
 

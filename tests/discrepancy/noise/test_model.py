@@ -265,7 +265,7 @@ def test_noise_at_the_end_of_its_range_is_a_start_like_any_other(part):
 
 
 def test_what_is_new_from_frame_to_frame():
-    """Of an autoregression its innovations, of white noise all: by the spread of differences from the best forecast."""
+    """It is the spread about the best forecast: the innovations of an autoregression, and all of white noise."""
     rng, rho = np.random.default_rng(4), 0.97
     drift, steps = np.zeros(200_000), rng.standard_normal(200_000)
     for k in range(1, len(drift)):

@@ -1,4 +1,4 @@
-"""What is whitened is white, to the last digit, whatever is missing and whoever shares the noise."""
+"""Whitened residuals are white to the last digit, whatever is missing and whichever balls share the noise."""
 
 import dataclasses
 
@@ -28,7 +28,7 @@ def clip(gaps=True):
 
 
 def covariance(c, noise):
-    """Of every measured number with every other, written out: (n, 2, n, 2), m^2."""
+    """Write out the covariance of every measured number with every other: (n, 2, n, 2), m^2."""
     n = len(c.frame)
     lags = noise.own.autocovariances(20)
     roots = np.linalg.cholesky(c.covariance)

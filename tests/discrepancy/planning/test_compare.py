@@ -1,4 +1,4 @@
-"""What a change gains, and how many collisions a limit takes."""
+"""The gain of a change of the experiment, and the number of collisions that a limit needs."""
 
 import dataclasses
 import math

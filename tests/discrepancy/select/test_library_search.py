@@ -107,7 +107,7 @@ def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
 
 @pytest.mark.parametrize(("size", "names"), [(0.0, ["rolling_quadratic"]), (10.0, [])])
 def test_an_effect_is_not_added_where_far_more_is_missing(size, names, monkeypatch):
-    """What closes less than a tenth of the gap could not be claimed afterwards. Here each clip sways its own way."""
+    """An effect that closes less than a tenth of the gap could not be claimed later. Each clip sways differently."""
     few(monkeypatch, ["rolling_quadratic"])
     clips, _, noise = started(Model().replace({"rolling_quadratic.K": 0.02}))
     rng = np.random.default_rng(4)
@@ -255,7 +255,7 @@ def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
 
 
 def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch):
-    """Where all impacts slip, only share times mu is known; at a kink chi^2 bends sharply all the same."""
+    """If all impacts slip, only share times mu is known; chi^2 still bends sharply at a kink."""
     few(monkeypatch, ("ball_friction", "velocity_restitution"))
     truth = {"ball_friction.share": 0.18, "ball_friction.mu": 0.105}
     clips, base, noise = started(Model().replace(truth), count=16, seed=22)

@@ -30,7 +30,7 @@ def test_a_strength_is_paid_for_and_a_shape_by_how_well_it_is_known():
 
 
 def test_what_no_data_tell_apart_is_paid_for_once():
-    """Where all contacts slip, a share and a friction between the balls act as their product."""
+    """If all contacts slip, a share and a friction between the balls act as their product."""
     truth = Model().replace({"ball_friction.share": 0.1, "ball_friction.mu": 0.03})
     clips = collisions(truth, 6, 7)
     base = fit_model(clips, Model(), BASE_PARAMETERS, NOISE)

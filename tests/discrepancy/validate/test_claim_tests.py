@@ -1,4 +1,4 @@
-"""What collisions that had no part in a claim say of it; and what they do not bear is withdrawn."""
+"""Held-out collisions test a claim, and a claim that they reject is withdrawn."""
 
 import dataclasses
 
@@ -102,7 +102,7 @@ def test_a_claim_that_closes_little_of_what_is_missing_does_not_stand():
 
 
 def test_a_claim_that_scatters_from_collision_to_collision_does_not_stand_where_far_more_is_missing():
-    """Of real billiard hits one of 1201 sigma by their noise had 6.6; a true one of real pucks has 29."""
+    """One effect in real billiard hits, 1201 sigma by their noise, had 6.6; a true one of real pucks has 29."""
     held_out = HeldOutTest((648.0, 482.0), 383.0, 362.0)
     assert judge_predictions(held_out, HeldOutTest((496.0, 316.0), 6.6, 8.0)) is Rejection.SCATTERS
     assert judge_predictions(held_out, HeldOutTest((496.0, 316.0), 29.0, 31.0)) is None

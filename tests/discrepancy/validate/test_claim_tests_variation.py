@@ -19,7 +19,7 @@ CLAIMED = Noise(NoiseComponent(1.0))
 
 
 def fitted(hidden, name, seed):
-    """Of 16 collisions with something hidden, the sigma of an effect, and what it changes with most."""
+    """Compute the sigma of an effect in 16 collisions with a hidden cause, and the quantity that it depends on most."""
     clips = collisions(dataclasses.replace(Model(), effects=(hidden,)), 16, seed)
     base = fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED)
     best = fit_model(clips, Model(), [*BASE_PARAMETERS, name], CLAIMED, base.launches)

@@ -70,7 +70,7 @@ def test_noise_makes_no_clip_bad():
 
 
 def test_one_clip_in_ten_may_be_odd_in_all():
-    """Of twelve one, and none once one is gone."""
+    """One of twelve clips is an outlier, and none is once that one is removed."""
     clips = collisions(Model(), 12, 6)
     clips[3] = pushed(clips[3], 8e-3)
     both = fits(clips, "rolling_quadratic.K")

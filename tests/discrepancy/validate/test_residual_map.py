@@ -1,4 +1,4 @@
-"""Where the disagreement lies, before any effect is named."""
+"""The map of the disagreement, before any effect is named."""
 
 import dataclasses
 from functools import cache

@@ -13,7 +13,7 @@ SIZE, EXPOSURE, STACK = (400, 300), 5e-4, 60
 
 
 def stack(chip, level, clip, frames):
-    """What the package keeps of frames: their sum, and its integer form of their variance."""
+    """Compute what the package keeps of frames: their sum, and its integer form of their variance."""
     from emva1288.process.routines import get_int_imgs
 
     plate = np.full(SIZE[::-1], level, np.float32)

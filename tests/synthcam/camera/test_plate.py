@@ -127,7 +127,7 @@ def test_the_plate_mirrors_the_ball():
 
 
 def test_gloss_throws_the_lamp_to_the_eye():
-    """Where lamp and eye stand at equal angles the lobe is brightest; its integral over directions is the gloss."""
+    """The lobe is brightest if lamp and eye have equal angles; its integral over directions is the gloss."""
     surface = Surface(plate_gloss=0.04, plate_roughness=0.1)
     lamp, eye = Lamp(np.array([0.1, 0, 0.5]), 0.01), np.array([-0.1, 0, 0.5])
     points = np.stack([np.linspace(-0.1, 0.1, 201), np.zeros(201), np.zeros(201)], axis=1)

@@ -57,13 +57,13 @@ def test_frames(dataset, what):
 
 
 def offset(dataset):
-    """Where ImageJ starts to read: it takes the first page's position and the number of images in its text."""
+    """Find where ImageJ starts to read: it takes the first page's position and the number of images in its text."""
     with tifffile.TiffFile(dataset / "clips/000000/frames.tif") as tif:
         return tif.pages[0].dataoffsets[0]
 
 
 def test_imagej(dataset):
-    """What ImageJ's own reader looks at: its text in the first page, one uncompressed strip, frames in a row."""
+    """ImageJ's own reader needs its text in the first page, one uncompressed strip, and frames in a row."""
     assert readers(dataset)["ImageJ, Fiji (macro)"] == 'open("clips/000000/frames.tif");'
     with tifffile.TiffFile(dataset / "clips/000000/frames.tif") as tif:
         text = dict(line.split("=", 1) for line in tif.pages[0].description.splitlines() if "=" in line)

@@ -134,7 +134,7 @@ def test_tracks_end_with_the_picture(leaving, tmp_path):
 
 
 def trackmate(path):
-    """What TrackMate's own MATLAB reader of exported tracks takes from a file."""
+    """Read exported tracks as TrackMate's own MATLAB reader does."""
     root = ET.parse(path).getroot()
     assert root.tag == "Tracks"
     about = {k: root.get(k) for k in ("spaceUnits", "timeUnits", "frameInterval", "nTracks")}

@@ -49,7 +49,7 @@ def test_the_files_of_the_contract(dataset):
 
 
 def test_all_truth_lies_under_truth(dataset):
-    """What a tracker may open names none of what it is to find."""
+    """Files that a tracker may open contain nothing that it has to find."""
     secret = set("v0 b r s mu_k C tau1 tau2 v1f v2f restitution heading plate_tilt glint_peak".split())
     camera = (dataset / "clips/000000/camera.json").read_text()
     assert not secret & set(re.findall(r'"(\w+)"', camera))

@@ -1,4 +1,4 @@
-"""What can go wrong while a dataset is made: full and read-only disks, kills, bugs, a second command at once."""
+"""Failures while a dataset is made: full and read-only disks, kills, bugs, a second command at once."""
 
 import errno
 import functools

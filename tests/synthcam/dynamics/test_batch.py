@@ -140,7 +140,7 @@ PAIRED = ("magnetic_attraction",)  # of balls that push each other only rolling 
 
 @pytest.mark.parametrize("kind", [k for n, k in library().items() if n not in PAIRED], ids=lambda k: k.name())
 def test_strikers_that_slide_or_spin_come_to_their_hit(kind):
-    """What led to the contact, found back in time, leads there: from the state at 0 on, forwards, to the same hit."""
+    """The motion before the contact, found backwards in time, leads forwards from the state at 0 to the same hit."""
     model, times = realistic(kind), np.linspace(0.0, END, 31)
     batch = solve_collisions(model, SPUN, 0.0, END)
     for k, (x, y, t_c, v0, heading, b, *spin) in enumerate(SPUN):

@@ -22,7 +22,7 @@ def launched(model, *states):
 
 
 def to_rest(model, v0):
-    """Where and when a ball at rest, hit head-on at v0, is at rest again: (length, time). Rolling loss is constant."""
+    """Compute where and when a ball hit head-on at v0 rests again: (length, time). Rolling loss is constant."""
     v, mu = (1 + model.restitution) / 2 * v0, model.sliding_friction * G
     slip = v + model.spin_transfer * v0  # the striker's contact turns it backwards
     slide = slip / (3.5 * mu)

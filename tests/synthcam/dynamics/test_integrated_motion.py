@@ -1,4 +1,4 @@
-"""What was solved, read: against integrals in closed form."""
+"""Values of an integrated motion, against integrals in closed form."""
 
 import itertools
 

@@ -187,7 +187,7 @@ def test_free_balls_at_rest_are_free():
 
 
 def test_a_ball_is_pulled_off_late_too():
-    """Where the clock's last bit is 2 ps."""
+    """Times so late that the last bit of the clock is 2 ps."""
     model = Model().replace({"magnetic_attraction.pull": 0.2})
     pair = model.bodies("ab")
     states = rolling_state(np.array([[0, 0], [-0.02, 0.5e-3]]), np.array([[0, 0], [0.2, 0]]), 0.0, pair.radius)
@@ -208,7 +208,7 @@ def test_a_target_that_is_pushed_away_all_but_as_fast_as_it_is_chased_is_refused
 
 @pytest.mark.parametrize(("pull", "v0"), [(0.1, 0.0063), (0.3, 0.013), (0.5, 0.0175)])
 def test_a_striker_hardly_faster_than_the_pull_makes_it(pull, v0):
-    """Where its start is hard to find: led forward by scipy from well before the onset."""
+    """A start that is hard to find, against scipy's integration from well before the onset."""
     _, launch, motion = launched(pull, v0, 0.1, -0.4, T_C)
     when, states, onset = forward(pull, motion.at(-0.4)[:, 0])
     assert when - 0.4 == pytest.approx(T_C, abs=1e-7)

@@ -1,4 +1,4 @@
-"""How a run begins."""
+"""The start of a run."""
 
 import numpy as np
 from hypothesis import given

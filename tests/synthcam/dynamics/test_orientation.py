@@ -1,4 +1,4 @@
-"""How balls turn: against a rolling ball's own path, and scipy's integration of the quaternion's equation."""
+"""Orientations, against the path of a rolling ball and scipy's integration of the quaternion's equation."""
 
 from itertools import pairwise
 

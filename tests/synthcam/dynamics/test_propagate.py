@@ -41,7 +41,7 @@ def slides(model, states, bodies):
 
 
 def rolls(model, start, until):
-    """Of one ball, from time 0: the pieces of its path, each with its end; and the last state."""
+    """Follow one ball from time 0: the pieces of its path, each with its end, and the last state."""
     now, pieces = np.zeros(1), []
     while now < until:
         ((_, way),) = propagate(BallStates.without_drilling(model, TWO[:1], start), until - now)
@@ -72,7 +72,7 @@ def test_a_slide_with_everything_bent(bent, k):
 
 
 def test_a_slide_is_smooth_over_its_tail(bent):
-    """Where the closing formula takes over, state and velocity go on without a step."""
+    """State and velocity are continuous where the closing formula takes over."""
     back = np.geomspace(1e-9, 1e-3, 400)[::-1]
     states = bent.motion.at(bent.durations[:, None] - back)
     steepness = np.abs(np.diff(states[..., 3:5], axis=1)).max(axis=2) / -np.diff(back)

@@ -36,7 +36,7 @@ def start(seed, wall_friction, speed=0.4, side=0.025):
 
 
 def energy(states):
-    """Of states (..., 9), over the mass."""
+    """Compute the energy of states (..., 9), over the mass."""
     return ((states[..., 3:6] ** 2).sum(axis=-1) + K * R * R * (states[..., 6:9] ** 2).sum(axis=-1)) / 2
 
 
@@ -46,7 +46,7 @@ def turning(states):
 
 
 def plate(leg):
-    """What the plate gives in a leg, over the mass: impulse, angular impulse and work, by quadrature of its force."""
+    """Compute impulse, angular impulse and work of the plate in a leg, over the mass, by quadrature of its force."""
     times = (leg.t0 + leg.t1) / 2 + (leg.t1 - leg.t0) / 2 * NODES
     states, weights = leg.at(times), WEIGHTS * (leg.t1 - leg.t0) / 2
     x, v = states[:, :2], states[:, 3:5]

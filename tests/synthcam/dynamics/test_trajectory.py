@@ -28,7 +28,7 @@ def test_any_times_in_any_order(motion):
 
 
 def test_means_up_to_a_sudden_end():
-    """Where a spin drills, friction gives way shortly before the slide ends; against a sum over small parts."""
+    """With spin about the vertical, friction fades shortly before the slide ends; against a sum over small parts."""
     model = Model().replace({"drilling_spin.a": 2e-5})
     motion = solve(model, Launch.pair(model.bodies("ab"), 0.1, 0.4, 0.3, 0.5, (0, 0)), 0.0, 0.3)
     for ball in (0, 1):

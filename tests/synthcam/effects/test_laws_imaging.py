@@ -19,7 +19,7 @@ POINTS = np.array([[x, y, z] for x in (-0.04, 0.0, 0.05) for y in (-0.03, 0.02) 
 
 
 def seen(K, dist, turn, t):
-    """Where OpenCV projects POINTS."""
+    """Project POINTS with OpenCV."""
     return cv2.projectPoints(POINTS, Rotation.from_matrix(turn).as_rotvec(), t, K, dist)[0][:, 0]
 
 
@@ -66,7 +66,7 @@ SETUP = {"time": 0.1, "v0": 0.4, "b": 0.3, "heading": 0.7, "contact": (0.003, -0
 
 
 def filmed(model, frames=60, camera=FILE):
-    """How a model's collision is filmed; positions of the balls come by `at`, over exposures by `mean`."""
+    """Film the collision of a model; `at` gives positions of the balls, `mean` their means over exposures."""
     return FilmedMotion.solve(model, Launch.pair(model.bodies("ab"), **SETUP), camera, frames)
 
 

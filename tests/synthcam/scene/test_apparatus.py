@@ -1,4 +1,4 @@
-"""What is set of camera, lamp, surface and sensor is what is drawn with, and what camera.json tells."""
+"""The settings of camera, lamp, surface and sensor are those of the rendering and of camera.json."""
 
 import numpy as np
 import pytest

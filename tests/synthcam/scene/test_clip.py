@@ -1,4 +1,4 @@
-"""What a clip gives in memory is what a dataset of the same scene and seed holds, to the last bit."""
+"""A clip in memory equals that of a dataset of the same scene and seed, to the last bit."""
 
 import json
 
@@ -42,7 +42,7 @@ def test_film_and_camera_are_those_of_the_dataset(scene, dataset, number):
 
 
 def test_seed_and_number_are_those_of_the_noise():
-    """Of clips in which nothing is drawn but the sensor's noise."""
+    """Clips in which only the sensor's noise is drawn."""
     launch, timing = {"v0": 0.3, "b": 0.2, "heading": 0.0}, {"frames": 2, "contact_frame": 1.0}
     scene = Scene.read("painter_behringer", launch=launch, timing=timing, camera=SMALL["camera"])
     plain, seed, number = (scene.draw(k, s) for k, s in ((0, 7), (0, 8), (1, 7)))

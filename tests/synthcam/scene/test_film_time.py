@@ -1,4 +1,4 @@
-"""What a camera with a bent clock, shutter or lens takes, against each law typed out again; its file stays nominal."""
+"""Films of a camera with an altered clock, shutter or lens, against each law written out; its file stays nominal."""
 
 import numpy as np
 import pytest

@@ -32,7 +32,7 @@ def stack(folder, frames):
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
-    """Of one film of a hit, 14.875 px a diameter, glints of width 1.2 px, in which the contact is seen."""
+    """One film of a hit, 14.875 px a diameter, with glints 1.2 px wide; the contact is in view."""
     folder = tmp_path_factory.mktemp("film")
     frames = film(np.random.default_rng(0), collision(60, contact=25.3, speed=2.5), sigma=1.2, profile=0.0)
     return calibrate(stack(folder, frames), DIAMETER, 250.0, 5e-4)

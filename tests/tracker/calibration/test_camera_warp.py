@@ -21,7 +21,7 @@ SLIDE, LOSS = 2.0, 0.05  # m/s^2, mu g of cloth and the loss of a ball that roll
 
 
 def true_shift(at):
-    """What the map lacks, m; of a wave length of about a metre."""
+    """The error of the map, m, with a wave length of about a metre."""
     x, y = at.T
     return 2e-3 * np.column_stack([np.sin(6 * x) * np.cos(5 * y), np.cos(7 * x + 1) * np.sin(6 * y)])
 

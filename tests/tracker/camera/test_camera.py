@@ -61,7 +61,7 @@ def test_scale_holds_at_the_balls_centres():
 
 
 def shortest_path(camera, centre):
-    """Where light from the lamp reaches the camera by the sphere: the least length over the upper half (Fermat)."""
+    """Find where light of the lamp reaches the camera by the sphere: the least length over its upper half (Fermat)."""
     lamp, eye = np.array(camera.lamp.position), camera.position
 
     def point(flat):

@@ -1,4 +1,4 @@
-"""What the camera file leaves out is estimated from the film, near enough and said so."""
+"""Values that the camera file omits are estimated from the film, with a note."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_width_of_the_glints(sigma):
 
 @pytest.mark.parametrize(("gain", "read", "black"), [(20.0, 20.0, 8.0), (5.0, 12.0, 20.0), (70.0, 50.0, 3.0)])
 def test_noise_of_the_sensor(gain, read, black):
-    """Of sensors quieter and noisier than the one that a film's estimate starts from, too."""
+    """Sensors quieter and noisier than the one from which the estimate starts."""
     paths = collision(40, contact=18.3, speed=3.0)
     frames = film(np.random.default_rng(1), paths, peak=220.0, gain=gain, read=read, black=black)
     view = make_view(shown(frames, {"sensor"}, sensor={"bits": 8}))

@@ -10,7 +10,7 @@ SIZE, LAST = (400, 300), 99
 
 
 def tracks(*ways):
-    """Of (first frame, last frame, from, to) each."""
+    """Make tracks, each of (first frame, last frame, from, to)."""
     rows = [np.linspace((a, *start), (b, *end), b - a + 1) for a, b, start, end in ways]
     frame, x, y = np.concatenate(rows).T
     particle = np.repeat(np.arange(len(rows)), [len(r) for r in rows])

@@ -46,7 +46,7 @@ def scattered(rng, paths, noise=0.02, lost=()):
 
 
 def pure(ids, truth):
-    """Whether ids and truth name the same groups."""
+    """Test whether ids and truth have the same groups."""
     pairs = {(int(a), int(b)) for a, b in zip(ids, truth, strict=True)}
     return len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) and (ids >= 0).all()
 

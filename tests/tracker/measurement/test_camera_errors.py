@@ -58,7 +58,7 @@ def test_the_lamps_error_is_not_that_of_outlines(own):
 
 
 def power(data, key, name):
-    """What the error of a key adds to a quantity's standard error, both relative."""
+    """Compute what the error of a key adds to the standard error of a quantity, both relative."""
     truth, camera = truth_of(data, 0)
     tracks = noisy(truth, np.random.default_rng(0))
     (without,), (row,) = (measure(tracks, wrong(camera, key, 0, share)) for share in (0.0, SHARE))

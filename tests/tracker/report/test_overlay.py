@@ -25,7 +25,7 @@ def overlay(dtype=np.uint8, shape=SHAPE, places=PLACES):
 
 
 def coloured(picture):
-    """Whether each pixel is a mark rather than grey."""
+    """Tell for each pixel whether it is coloured."""
     return np.ptp(picture.astype(int), axis=2) > 60
 
 

@@ -1,4 +1,4 @@
-"""What scikit-image measures in a rendered picture, held to closed forms: outline, centre, streak."""
+"""Outline, centre and streak in a rendered picture, measured by scikit-image, against closed forms."""
 
 import numpy as np
 import pytest

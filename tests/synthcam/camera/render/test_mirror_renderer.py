@@ -84,7 +84,7 @@ def square(middle, side):
 
 
 def nearest(camera, centres, radii, order, middle):
-    """Where near a pixel the lamp is seen best by so many bounces, if at all."""
+    """Find where near a pixel the lamp is seen best by so many bounces, if at all."""
     half = 0.08
     for _ in range(8):
         grid = square(middle, np.linspace(-half, half, 41))

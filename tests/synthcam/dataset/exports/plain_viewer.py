@@ -1,4 +1,4 @@
-"""What pyrender, told no more than a glTF file says, shows of its plate and of the glint on ball0: JSON on stdout.
+"""Show by pyrender, from the glTF file alone, its plate and the glint on ball0: JSON on stdout.
 
 python plain_viewer.py FILE WIDTH HEIGHT. Light is linear, 1 is white.
 """

@@ -211,7 +211,7 @@ def test_a_landing(down, vx, vy, wx, wy, wz, bounce, mu):
 
 @given(encounters(), st.floats(0, 0.9), st.floats(0.01, 0.3), st.floats(0, 0.5), st.floats(0.1, 0.7))
 def test_no_impact_tells_a_tangential_restitution_from_a_larger_share(encounter, share, mu, beta, c):
-    """Where C is free: share (1 + beta) and mu / (1 + beta) do the same, and what C does beside them."""
+    """If C is free, share (1 + beta) and mu / (1 + beta) act alike; C acts beside them."""
     before, bodies, _ = encounter
     wider = share * (1 + beta)
     assume(wider < 0.95)

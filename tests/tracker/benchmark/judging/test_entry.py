@@ -1,4 +1,4 @@
-"""What would have been published: a weighted mean of errors, by hand."""
+"""The published figure: a weighted mean of errors, computed by hand."""
 
 import math
 

@@ -165,7 +165,7 @@ def test_noise_that_lasts_is_counted(own, monkeypatch):
 
 
 def test_noise_is_read_where_the_impact_has_no_part(hopping, monkeypatch):
-    """What the model lacks just after the hit is not taken for noise that lasts, even without any doubt before."""
+    """A misfit of the model just after the hit is not mistaken for lasting noise, even if all fits before."""
     monkeypatch.setattr(noise_correlation, "MIN_CORRELATION_SIGMA", -np.inf)
     table = measured(hopping, 2)
     assert (table["noise_rho"] == 0).all()

@@ -17,7 +17,7 @@ def clip(tmp_path_factory):
 
 
 def test_a_start_that_leads_astray_is_not_the_last(clip, monkeypatch):
-    """Of tracks by H.264 the fit from the likeliest start of a grid ended in chi^2 of 400 a degree of freedom."""
+    """For tracks by H.264, the fit from the likeliest start of a grid ended at chi^2 of 400 a degree of freedom."""
     tracks, camera, restitution = clip
     found = collision_fit.guess_parameters
 

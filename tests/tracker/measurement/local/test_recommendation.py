@@ -1,4 +1,4 @@
-"""Which estimate is recommended, from the columns of a row."""
+"""The recommended estimate, from the columns of a row."""
 
 import json
 import math
