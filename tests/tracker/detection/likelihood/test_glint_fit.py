@@ -26,7 +26,7 @@ def shown(rng, n, peak, half=4):
 
 
 def negative_loglik(theta, counts, middle, half=4):
-    """Negative logarithm of the likelihood of one window with a free bowl about a middle; clipped pixels are censored."""
+    """Negative log-likelihood of one window with a free bowl about a middle; clipped pixels are censored."""
     x, y, flux, level, bowl = theta
     side = 2 * half + 1
     offsets = np.arange(-half, half + 1.0)
