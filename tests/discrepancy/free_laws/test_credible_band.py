@@ -84,7 +84,7 @@ def smooth(x):
 
 
 def test_the_band_holds_a_step_as_often_as_it_says():
-    """In 70 draws the band holds the truth. That of the smooth curve alone is wider about a wiggle and holds it less."""
+    """In 70 draws the band holds the truth. That of the smooth curve alone is wider about a wiggle and holds less."""
     draws = [bands(step, 10, seed) for seed in range(70)]
     new, alone = (np.array([share(truth, each[k]) for truth, *each in draws]) for k in (0, 1))
     assert new.mean() > binom.ppf(1e-3, len(draws), 0.95) / len(draws) > alone.mean()
