@@ -20,6 +20,9 @@ Float32 = NDArray[np.float32]
 Index = NDArray[np.intp]
 Box = tuple[slice, slice]
 
+BALLS_IN_BOXES = 4  # balls in a picture, up to which their pixels are drawn in boxes
+UNCHANGED = 1e-5  # smallest change, over the peak of a glint, by which a pixel differs from the plate
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -28,6 +31,7 @@ class Picture:
     plate: Float32  # the image (h, w) without balls; the same array for a whole film
     boxes: tuple[Box, ...]  # disjoint rows and columns outside of which the image is the plate
     parts: tuple[Float32, ...]  # the image in each box
+    changed: Index | None = None  # of many balls: numbers of the pixels in the boxes that differ from the plate
 
     @cached_property
     def image(self) -> Float32:
@@ -40,11 +44,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class SubExposures:
-    """Sub-exposures: times (T,), s, each with its weight (T,) in the mean of its frame, of number frames (T,)."""
+    """Sub-exposures, each with its weight in the mean of its frame."""
 
-    times: Array
-    weights: Array
-    frames: Index
+    times: Array  # (T,), s
+    weights: Array  # (T,)
+    frames: Index  # numbers (T,)
+    pieces: Index  # of the exposures, to which they belong (T,)
 
 
 def split_at_breaks(intervals: Array, breaks: Array) -> tuple[Array, Array, Index]:
@@ -79,7 +84,9 @@ def place_sub_exposures(
         nodes, shares = _gauss_legendre(n)
         times.append(middle + half * nodes)
         parts.append(weight / 2 * shares)
-    return SubExposures(np.concatenate(times), np.concatenate(parts), np.repeat(frames, counts))
+    return SubExposures(
+        np.concatenate(times), np.concatenate(parts), *(np.repeat(x, counts) for x in (frames, np.arange(len(frames))))
+    )
 
 
 _gauss_legendre = cache(np.polynomial.legendre.leggauss)
@@ -194,3 +201,33 @@ def merge_boxes(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
             b, d = max(b, *(q[1] for q in touching)), max(d, *(q[3] for q in touching))
         apart.append((a, b, c, d))
     return tuple((slice(a, b), slice(c, d)) for a, b, c, d in apart)
+
+
+def add_to_plate(
+    plate: Float32, corners: Sequence[tuple[int, int, int, int]], changes: Sequence[tuple[Box, Float32, Float32 | None]]
+) -> Picture:
+    """Add the changes that balls make, one or two in each box, to a plate. corners: of the boxes.
+
+    Boxes that touch are merged, and few boxes stay. The merged boxes of many balls would hold much of the plate: the
+    picture is then one box, with a list of its changed pixels.
+    """
+    many = len(corners) > BALLS_IN_BOXES
+    if many:
+        boxes: tuple[Box, ...] = ((slice(0, plate.shape[0]), slice(0, plate.shape[1])),)
+        changed = np.zeros(plate.shape, bool)
+    else:
+        boxes = merge_boxes(corners)
+    parts = [plate[box].copy() for box in boxes]
+    for (here, *added), (top, bottom, left, right) in zip(changes, corners, strict=True):
+        rows, columns, part = next(
+            (rows, columns, part)
+            for (rows, columns), part in zip(boxes, parts, strict=True)
+            if rows.start <= top < rows.stop and columns.start <= left < columns.stop
+        )
+        image = part[top - rows.start : bottom - rows.start, left - columns.start : right - columns.start]
+        for change in added:
+            if change is not None:
+                image += change
+                if many:
+                    changed[here] |= np.abs(change) > UNCHANGED
+    return Picture(plate, boxes, tuple(parts), np.flatnonzero(changed) if many else None)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,22 +35,27 @@ def find_glints(
     light: Array | NDArray[np.bool_],
     surface: Surface = STEEL_ON_BLACK,
     cell: float = np.inf,
+    faintest: float = reflections.FAINTEST,
+    bounces: range = range(1, 99),
 ) -> GlintImages:
     """Find the images of a lamp, without the further ones behind it, in balls.
 
-    Images weaker than 1e-4 of the primary are left out (`reflections.widest_pairs`). The image of a cell is the cell
-    under the exact derivative of the reflected path. Its flux and its second moments are therefore exact to first order
-    in its size. The path of its middle decides whether it is hidden.
+    Images weaker than `faintest` of the primary are left out (`reflections.iterate_chains`). The image of a cell is the
+    cell under the exact derivative of the reflected path. Its flux and its second moments are therefore exact to first
+    order in its size. The path of its middle decides whether it is hidden.
 
     centres: (T, N, 3), m, at each moment. radii: (N,), m. light: (T, N), brightness of the lamp relative to its mean;
     0 for balls whose images are not wanted. cell: a wider lamp is cut into cells of this half-width, m, each with its
-    own image.
+    own image. bounces: of the images that are wanted.
     """
     eye, cells, axes = camera.centre, lamp.cells(cell), lamp.axes
     found = []
-    for balls, when in _batch_chains(
-        reflections.iterate_chains(centres, radii, surface.head_on), light != 0, len(cells.areas)
-    ):
+    most, mirror = bounces[-1], surface.head_on
+    widest = radii.max() * reflections.find_widest(mirror, faintest, most)
+    reach = reflections.find_reach(cells.positions, eye, centres, radii, widest)
+    near = reflections.find_neighbours(centres, reach)
+    lengths = reflections.iterate_chains(len(centres), radii, near, mirror, faintest, most)
+    for balls, when in _batch_chains(lengths, light != 0, bounces, MAX_PATHS_AT_ONCE // len(cells.areas)):
         part = np.tile(np.arange(len(cells.areas)), len(when))
         moment, balls = (np.repeat(x, len(cells.areas), axis=0) for x in (when, balls))
         source, (uu, vv, uv) = cells.positions[part], cells.spread[part].T[..., None]
@@ -63,7 +67,7 @@ def find_glints(
         flux = area * np.prod(surface.mirror(paths.cosines), axis=1) * light[moment, balls[:, -1]]
         u, v = shape[..., 0], shape[..., 1]
         spread = u * u * uu + v * v * vv + 2 * u * v * uv
-        seen = paths.exists & ~reflections.find_hidden(source, eye, paths, balls, centres[moment], radii)
+        seen = paths.exists & ~reflections.find_hidden(source, eye, paths, balls, centres, radii, moment, near)
         if lamp.towards is not None:
             seen &= (paths.points[:, 0] - source) @ axes[:, 2] > 0
         order, ball = np.full(len(moment), balls.shape[1]), balls[:, -1]
@@ -81,22 +85,23 @@ def find_glints(
 
 
 def _batch_chains(
-    chains: Iterable[tuple[tuple[int, ...], NDArray[np.bool_]]], wanted: NDArray[np.bool_], cells: int
+    lengths: Iterable[tuple[Index, Index]], wanted: NDArray[np.bool_], bounces: range, paths: int
 ) -> Iterator[tuple[Index, Index]]:
-    """Batch the chains of one length: balls (n, k) and sub-exposures (n,)."""
-    for _, of_length in groupby(chains, key=lambda found: len(found[0])):
-        balls: list[Index] = []
-        moments: list[Index] = []
-        for chain, active in of_length:
-            when = np.flatnonzero(active & wanted[:, chain[-1]])
-            if len(when):
-                balls.append(np.tile(np.array(chain, np.intp), (len(when), 1)))
-                moments.append(when)
-            if sum(map(len, moments)) * cells > MAX_PATHS_AT_ONCE:
-                yield np.concatenate(balls), np.concatenate(moments)
-                balls, moments = [], []
-        if moments:
-            yield np.concatenate(balls), np.concatenate(moments)
+    """Batch the chains of each length: balls (n, k) and moments (n,), with all moments of a chain in one batch.
+
+    wanted: (T, N). A batch ends as soon as it has more than `paths`.
+    """
+    for chains, moments in lengths:
+        if chains.shape[1] not in bounces:
+            continue
+        seen = np.flatnonzero(wanted[moments, chains[:, -1]])
+        balls, when = chains[seen], moments[seen]
+        ends = np.append(np.flatnonzero((balls[1:] != balls[:-1]).any(axis=1)) + 1, len(balls))
+        first = 0
+        while first < len(balls):
+            last = int(ends[min(int(np.searchsorted(ends, first + paths, "right")), len(ends) - 1)])
+            yield balls[first:last], when[first:last]
+            first = last
 
 
 def narrow_cell(camera: PinholeCamera, lamp: Lamp, seen: Array) -> float:

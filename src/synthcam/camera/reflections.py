@@ -5,15 +5,18 @@ solid balls, either every corner is on a surface and reflects outwards, or none 
 most one path, which Newton's method on the spheres finds.
 """
 
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+FAINTEST = 1e-4  # flux of a secondary glint over that of the primary, below which it is left out
 
 
 @dataclass(frozen=True)
@@ -132,67 +135,144 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
 
 
 def find_hidden(
-    lamp: Array, eye: Array, paths: Paths, balls: NDArray[np.intp], centres: Array, radii: Array
+    lamp: Array, eye: Array, paths: Paths, balls: Index, centres: Array, radii: Array, moment: Index, near: "Neighbours"
 ) -> NDArray[np.bool_]:
-    """Find the paths (M,) that a third ball blocks: balls (M, k) of each path, centres (M, N, 3), radii (N,)."""
-    ends = _join(lamp, paths.points, eye)
+    """Find the paths (M,) that a third ball blocks.
+
+    balls: (M, k) of each path. centres: (T, N, 3). radii: (N,). moment: (M,) of each path. near: within the reach that
+    `find_reach` gives. Only balls near a ball of the path can block it: its legs join such balls, or leave the layer
+    in which balls are.
+    """
+    ends, order, ceiling = _join(lamp, paths.points, eye), balls.shape[1], (centres[..., 2] + radii).max()
     blocked = np.zeros(len(balls), bool)
-    for leg in range(balls.shape[1] + 1):
-        touching = balls[:, max(leg - 1, 0) : leg + 1]
-        start, way = ends[:, leg], ends[:, leg + 1] - ends[:, leg]
-        for ball in range(len(radii)):
-            third = ~(touching == ball).any(axis=1)
-            if third.any():
-                offset = centres[:, ball] - start
-                along = np.clip((offset * way).sum(1) / (way * way).sum(1), 0, 1)
-                blocked |= third & (np.linalg.norm(offset - along[:, None] * way, axis=1) < radii[ball])
+    for leg in range(order + 1):
+        ball, start, end = balls[:, max(leg - 1, 0)], ends[:, max(leg, 1)], ends[:, leg + 1 if leg else 0]
+        length = np.linalg.norm(end - start, axis=1)
+        if leg in (0, order):
+            length *= np.clip((ceiling - start[:, 2]) / np.maximum(end[:, 2] - start[:, 2], 1e-30), 0, 1)
+        far = length + radii[ball] + radii.max()
+        row = moment * len(radii) + ball
+        for k in range(int(near.counts[row].max(initial=0))):
+            path = np.flatnonzero((k < near.counts[row]) & ~blocked)
+            entry = near.first[row[path]] + k
+            close = near.distance[entry] < far[path]
+            path, third = path[close], near.other[entry[close]]
+            if not len(path):
+                break
+            free = ~(balls[path, max(leg - 1, 0) : leg + 1] == third[:, None]).any(axis=1)
+            path, third = path[free], third[free]
+            start, way = ends[path, leg], ends[path, leg + 1] - ends[path, leg]
+            offset = centres[moment[path], third] - start
+            along = np.clip((offset * way).sum(1) / (way * way).sum(1), 0, 1)
+            blocked[path] = np.linalg.norm(offset - along[:, None] * way, axis=1) < radii[third]
     return blocked
 
 
-@cache
-def widest_pairs(mirror: float, faintest: float = 1e-4, most_bounces: int = 24) -> dict[int, float]:
-    """By number of bounces, the largest distance of two balls that show such a glint, in mean radii.
+def find_reach(lamps: Array, eye: Array, centres: Array, radii: Array, leg: float) -> Array:
+    """Distance (N,), m, from a ball within which another can block a path of light between balls up to `leg` apart.
 
-    The glint must carry `faintest` of the primary. Between mirrors in contact, the flux falls slowly with the number of
-    bounces, more slowly for a larger reflectance `mirror`. The distance is found with lamp and eye far overhead.
+    lamps: (L, 3). From lamp and eye, light is among balls only in the lowest layer.
+    """
+    ceiling, longest = (centres[..., 2] + radii).max(), leg
+    for apex in (*np.atleast_2d(lamps), eye):
+        away = np.abs(apex[:2] - centres[..., :2]).max(axis=(0, 1)) + radii.max()
+        high = apex[2] - ceiling
+        share = min(ceiling / high, 1.0) if high > 0 else 1.0
+        longest = max(longest, float(np.hypot(np.hypot(*away), apex[2]) * share))
+    return np.full(len(radii), longest + 2 * radii.max())
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """Neighbours of N balls at T moments, those of one ball and moment together and nearest first."""
+
+    other: Index  # the neighbour (P,)
+    distance: Array  # of the centres (P,), m
+    first: Index  # number in these of the first neighbour of ball i at moment t (T N,), at t N + i
+    counts: Index  # how many there are (T N,)
+
+
+def find_neighbours(centres: Array, reach: Array) -> Neighbours:
+    """Find the balls whose centres are within reach (N,), m, of that of a ball. centres: (T, N, 3), m."""
+    count, balls = centres.shape[:2]
+    flat, furthest = centres.reshape(-1, 3), float(reach.max()) * (1 + 1e-9)
+    # Moments lie apart along a fourth axis, so that one tree serves all of them.
+    apart = np.repeat(np.arange(count) * 2 * furthest, balls)
+    pairs = cKDTree(np.column_stack([flat, apart])).query_pairs(furthest, output_type="ndarray")
+    own, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+    distance = np.linalg.norm(flat[own] - flat[other], axis=-1)
+    order = np.lexsort([other, distance, own])
+    order = order[distance[order] < reach[own[order] % balls]]
+    counts = np.bincount(own[order], minlength=count * balls)
+    return Neighbours(other[order] % balls, distance[order], np.cumsum(counts) - counts, counts)
+
+
+@cache
+def tabulate_pair_brightness(mirror: float, faintest: float = FAINTEST, most_bounces: int = 24) -> tuple[Array, Array]:
+    """Brightness (K, n) of the glints of 1 to K bounces between two balls, over that of the primary.
+
+    The balls are at distances (n,), in mean radii, which are returned first; lamp and eye are far overhead. The glint
+    of K bounces is the last that carries `faintest` of the primary at contact. Two bounces fall as the inverse square
+    of the distance. Between mirrors in contact, the flux falls slowly with the number of bounces, more slowly for a
+    larger reflectance `mirror`.
     """
     apart = 2 + np.append(0, np.geomspace(1e-3, 60, 90))
     pair = np.zeros((len(apart), 2, 3))
     pair[:, 0, 0], pair[:, 1, 0] = -apart / 2, apart / 2
     far = np.array([0.0, 0.0, 400.0])
-    widest: dict[int, float] = {}
+    found = list[Array]()
     for order in range(1, most_bounces + 1):
         paths = reflect(far, far, pair[:, np.arange(order) % 2], np.ones((len(apart), order)))
         bright = np.abs(np.linalg.det(paths.transfer[:, :2, :2])) * mirror**order * paths.exists
-        if order == 1:
-            primary = bright
-        elif bright[0] < faintest * primary[0]:
+        if found and bright[0] < faintest * found[0][0]:
             break
-        else:
-            widest[order] = float(apart[np.argmin(bright > faintest * primary)])
-    return widest
+        found.append(bright)
+    return apart, np.array(found) / found[0]
 
 
-def iterate_chains(centres: Array, radii: Array, mirror: float) -> Iterator[tuple[tuple[int, ...], NDArray[np.bool_]]]:
-    """Iterate over the chains of balls to follow, each with the times (T,) at which it may show.
+def find_widest(mirror: float, faintest: float = FAINTEST, most_bounces: int = 24) -> float:
+    """Distance of two balls, in mean radii, beyond which every secondary glint is fainter than `faintest`."""
+    apart, bright = tabulate_pair_brightness(mirror, faintest)
+    if min(len(bright), most_bounces) == 1:
+        return 0.0
+    return float(apart[min((bright[1] > faintest).sum(), len(apart) - 1)])
 
-    centres: (T, N, 3). radii: (N,). mirror: reflectance of the balls. Chains of more than 4 bounces are followed only
-    between two balls: in a heap, all others would be too many.
+
+def iterate_chains(
+    moments: int, radii: Array, near: Neighbours, mirror: float, faintest: float = FAINTEST, most_bounces: int = 24
+) -> Iterator[tuple[Index, Index]]:
+    """Iterate over the lengths k of the chains of balls to follow: balls (M, k) and moments (M,), in their order.
+
+    radii: (N,). near: at so many moments, within the reach of `find_widest`. mirror: reflectance of the balls. A chain
+    is left out if it is fainter than `faintest` of the primary, by an upper limit: from its longest leg to its
+    shortest, each dims the glint as one more bounce does between two balls at that distance. Chains of more than 4
+    bounces are followed only between two balls: in a heap, all others would be too many.
     """
-    times, balls = centres.shape[:2]
-    widest_pair = widest_pairs(mirror)
-    gaps = np.linalg.norm(centres[:, :, None] - centres[:, None], axis=-1)
-    gaps /= (radii[:, None] + radii) / 2
-    gaps[:, np.arange(balls), np.arange(balls)] = np.inf
-    growing: deque[tuple[tuple[int, ...], NDArray[np.bool_], Array]]
-    growing = deque(((ball,), np.ones(times, bool), np.zeros(times)) for ball in range(balls))
-    while growing:
-        chain, mask, widest = growing.popleft()
-        yield chain, mask
-        order = len(chain) + 1
-        for ball in range(balls) if order in widest_pair else ():
-            if ball != chain[-1] and (order <= 4 or len({*chain, ball}) == 2):
-                widened = np.maximum(widest, gaps[:, chain[-1], ball])
-                mask = widened < widest_pair[order]
-                if mask.any():
-                    growing.append(((*chain, ball), mask, widened))
+    balls = len(radii)
+    apart, bright = tabulate_pair_brightness(mirror, faintest)
+    moment, ball = np.divmod(np.arange(moments * balls), balls)
+    order = np.lexsort([moment, ball])
+    chains, moment, gaps = ball[order][:, None], moment[order], np.zeros((moments * balls, 0))
+    yield chains, moment
+    for length in range(2, min(len(bright), most_bounces) + 1):
+        row = moment * balls + chains[:, -1]
+        many = near.counts[row]
+        grown = np.repeat(np.arange(len(chains)), many)
+        entry = np.repeat(near.first[row] - np.cumsum(many) + many, many) + np.arange(len(grown))
+        other = near.other[entry]
+        gap = near.distance[entry] / ((radii[chains[grown, -1]] + radii[other]) / 2)
+        legs = np.sort(np.column_stack([gaps[grown], gap]), axis=1)[:, ::-1]
+        place = np.clip(np.searchsorted(apart, legs, "right") - 1, 0, len(apart) - 1)
+        step = [bright[k + 1, place[:, k]] / np.maximum(bright[k, place[:, k]], 1e-300) for k in range(length - 1)]
+        kept = (gap < apart[-1]) & (np.prod(step, axis=0) > faintest)
+        if length > 4:
+            there = np.column_stack([chains[grown], other])
+            kept &= (there[:, 2:] == there[:, :-2]).all(axis=1)
+        grown, other = grown[kept], other[kept]
+        chains, moment = np.column_stack([chains[grown], other]), moment[grown]
+        gaps = np.column_stack([gaps[grown], gap[kept]])
+        order = np.lexsort([moment, *chains.T[::-1]])
+        chains, moment, gaps = chains[order], moment[order], gaps[order]
+        if not len(chains):
+            return
+        yield chains, moment

@@ -62,15 +62,19 @@ class Renderer:
     def _split_exposures(
         self, centres: Centres, spans: Array, cuts: Array, low: Array | int, high: Array | int
     ) -> tuple[Array, Array, Index, Array]:
-        """Bounds, weights and frames of the pieces of exposures (F, 2), s, as of `split_at_breaks`, and travel.
+        """Bounds, weights and frames of the pieces of exposures (F, 2), s, as of `split_at_breaks`, and moves.
 
-        The travel (P,) is over the blur's sigma. Balls outside of the pixels `low` to `high` are ignored.
+        The moves (P, N, 2) of the balls are in px; 0 of balls outside of the pixels `low` to `high`.
         """
         bounds, weights, frames = split_at_breaks(spans, cuts)
         ends = self.camera.project(np.asarray(centres(bounds.ravel()), float)).reshape(len(bounds), 2, -1, 2)
         near = np.all((ends > low) & (ends < high), axis=(1, 3))
-        travel = np.where(near, np.linalg.norm(ends[:, 1] - ends[:, 0], axis=2), 0).max(axis=1, initial=0)
-        return bounds, weights, frames, travel / np.hypot(self.camera.psf_sigma_px, 12**-0.5)
+        return bounds, weights, frames, np.where(near[..., None], ends[:, 1] - ends[:, 0], 0)
+
+    def _travel(self, moves: Array) -> Array:
+        """The longest (P,) of the moves (P, N, 2), px, over the blur's sigma."""
+        longest = np.linalg.norm(moves, axis=2).max(axis=1, initial=0)
+        return np.asarray(longest / np.hypot(self.camera.psf_sigma_px, 12**-0.5))
 
     def _see_balls(self, positions: Array) -> tuple[Array, Array]:
         """Pixels (T, N, 2), and half widths (T, N) px of the region that each ball at positions (T, N, 3) changes."""

@@ -39,6 +39,11 @@ class Sensor:
     hot_pixels: float = 0.0  # share of the pixels that leak
     hot_dark: float = 1e6  # mean of their exponentially distributed dark currents, e-/s
 
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a dark pixel from frame to frame, counts."""
+        return float(np.hypot(self.read_noise / self.gain, 12**-0.5))
+
 
 class Chip:
     """One copy of a sensor. Its fixed pattern depends on root_seed alone: it is the same in every clip.
@@ -74,7 +79,10 @@ class Chip:
         if background.deep:
             return self._exact(picture.image, slice(None), slice(None), rng)
         counts = background.expose(rng)
-        for (rows, columns), part in zip(picture.boxes, picture.parts, strict=True):
+        if picture.changed is not None:
+            at = np.unravel_index(picture.changed, counts.shape)
+            counts[at] = self._exact(picture.image[at], at[0], at[1], rng)
+        for (rows, columns), part in zip(picture.boxes, picture.parts, strict=True) if picture.changed is None else ():
             counts[rows, columns] = self._exact(part, rows, columns, rng)
         if len(self.hot):  # they do not fit into the tables of the others
             at = np.unravel_index(self.hot, counts.shape)

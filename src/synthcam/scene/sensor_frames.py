@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.pinhole import Lamp, PinholeCamera
+from synthcam.camera.reflections import FAINTEST
 from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.sensor import Chip, Sensor
 from synthcam.camera.surface import Surface
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
+
+FAINTEST_OVER_NOISE = 0.2  # of a dark pixel: a spot below it changes no position and no brightness noticeably
 
 
 class OpticalSetup(NamedTuple):
@@ -33,6 +36,7 @@ class OpticalSetup(NamedTuple):
     surface: Surface  # of mirror balls on a black plate
     finish: SurfaceFinish | None = None  # of matte balls, or of a plate with texture
     varnish: Surface | None = None  # the mirror on the balls of a `finish`; None: they are dull
+    faintest: float = FAINTEST  # what many mirror balls leave out of a picture, over the peak of a glint
 
 
 def expose_frames(
@@ -54,6 +58,7 @@ def expose_frames(
     apart = 1 << 64  # the seeds of the three chips are further apart than any two seeds that a user may give
     camera = setup.camera
     chips = [_chip(sensor, camera.size, camera.exposure, seed + c * apart) for c in range(3 if colour else 1)]
+    setup = setup._replace(faintest=FAINTEST_OVER_NOISE * sensor.noise / sensor.glint_peak)
     renderer = _renderer(pickle.dumps(tuple(setup)))
     motion = motion.as_drawn()
 
@@ -80,14 +85,14 @@ def _renderer(setup: bytes) -> Any:
 
     setup: pickled, because arrays have no hash.
     """
-    camera, lamp, radii, room, surface, finish, varnish = pickle.loads(setup)
+    camera, lamp, radii, room, surface, finish, varnish, faintest = pickle.loads(setup)
     if finish:
         from synthcam.camera.room.room_renderer import RoomRenderer
 
         return RoomRenderer(camera, lamp, radii, finish, varnish)
     from synthcam.camera.render import MirrorRenderer  # here alone: everything else works without OpenGL
 
-    return MirrorRenderer(camera, lamp, radii, room, surface)
+    return MirrorRenderer(camera, lamp, radii, room, surface, faintest)
 
 
 _chip = lru_cache(maxsize=6)(Chip)  # of all clips of a camera: its fixed pattern takes as long to draw as many frames

@@ -6,8 +6,9 @@ This is the only module that imports pyrender and PyOpenGL.
 import ctypes
 import os
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,14 @@ BUFFER_SIDE = 1024  # usual side of the buffer, samples
 MAX_BALLS_PER_CALL = 2048
 
 
+class Batch(NamedTuple):
+    """Balls that one program draws."""
+
+    jobs: Float32  # instance matrices (n, 4, 4)
+    others: Float32  # their neighbours (n, k, 4)
+    defines: dict[str, int]  # of the shader
+
+
 class _Programs(pyrender.shader_program.ShaderProgramCache if pyrender else object):  # type: ignore[misc]
     """pyrender's shader programs, each compiled with the defines of its drawing."""
 
@@ -53,7 +62,7 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
         shaders = Path(__file__).with_name("shaders")
         self._program_cache: Any = _Programs(shader_dir=str(shaders))
         self.uniforms: dict[str, Any] = {}
-        self.jobs = np.zeros((0, 4, 4), np.float32)
+        self.batches: list[Batch] = []
         self.rows = BUFFER_SIDE
         self._others: Any = None
         self._main_fb: Any
@@ -73,22 +82,27 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
             self._main_fb_dims = size
 
     def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
-        for name, value in self.uniforms.items():
-            if GL.glGetUniformLocation(program._program_id, name) >= 0:  # otherwise the program does not use it
-                program.set_uniform(name, value)
-        GL.glActiveTexture(GL.GL_TEXTURE0)
-        GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
+        """Nothing to do: the programs of the batches have their uniforms."""
 
     def _bind_and_draw_primitive(self, primitive: Any, pose: Any, program: Any, flags: int) -> None:
-        primitive._bind()
-        GL.glBindBuffer(GL.GL_ARRAY_BUFFER, primitive._buffers[1])  # pyrender's instance matrices
-        GL.glBufferSubData(GL.GL_ARRAY_BUFFER, 0, self.jobs.nbytes, self.jobs)
         GL.glDisable(GL.GL_CULL_FACE)
         GL.glDisable(GL.GL_DEPTH_TEST)
         GL.glEnable(GL.GL_BLEND)
         GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE)
-        count = primitive.indices.size
-        GL.glDrawElementsInstanced(primitive.mode, count, GL.GL_UNSIGNED_INT, None, len(self.jobs))
+        for batch in self.batches:
+            self._program_cache.wanted = batch.defines
+            own = self._get_primitive_program(primitive, flags, pyrender.constants.ProgramFlags.USE_MATERIAL)
+            own._bind()
+            primitive._bind()  # again: a program that is new has bound another array
+            GL.glBindBuffer(GL.GL_ARRAY_BUFFER, primitive._buffers[1])  # pyrender's instance matrices
+            for name, value in self.uniforms.items():
+                if GL.glGetUniformLocation(own._program_id, name) >= 0:  # otherwise the program does not use it
+                    own.set_uniform(name, value)
+            self._load_others(np.ascontiguousarray(batch.others))
+            jobs = np.ascontiguousarray(batch.jobs)
+            GL.glBufferSubData(GL.GL_ARRAY_BUFFER, 0, jobs.nbytes, jobs)
+            count = primitive.indices.size
+            GL.glDrawElementsInstanced(primitive.mode, count, GL.GL_UNSIGNED_INT, None, len(jobs))
         primitive._unbind()
 
     def _read_main_framebuffer(self, scene: Any, flags: int) -> Float32:
@@ -96,11 +110,12 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
         read = GL.glReadPixels(0, 0, self.viewport_width, self.rows, GL.GL_RED, GL.GL_FLOAT)
         return np.frombuffer(read, np.float32).reshape(self.rows, self.viewport_width)
 
-    def load_others(self, others: Float32) -> None:
+    def _load_others(self, others: Float32) -> None:
         """Load the neighbours (n, k, 4) of each ball, which the shader reads as rows of a texture."""
         if self._others is None:
             # Two: for one, PyOpenGL 3.1.0, which pyrender needs, passes a ctypes pointer that Python 3.12 refuses.
             self._others = int(GL.glGenTextures(2)[0])
+        GL.glActiveTexture(GL.GL_TEXTURE0)
         GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
         for setting in (GL.GL_TEXTURE_MIN_FILTER, GL.GL_TEXTURE_MAG_FILTER):
             GL.glTexParameteri(GL.GL_TEXTURE_2D, setting, GL.GL_NEAREST)
@@ -145,25 +160,21 @@ class Canvas:
         self._scene.add(pyrender.Mesh.from_trimesh(quad, poses=room_for_jobs))
         self._scene.add(pyrender.IntrinsicsCamera(1, 1, 0, 0))  # pyrender requires one; the shader ignores it
 
-    def draw(
-        self, jobs: Float32, others: Float32, size: tuple[int, int], uniforms: dict[str, Any], **defines: int
-    ) -> Float32:
-        """Draw all jobs (n, 4, 4) with their neighbours (n, k, 4); return the buffer (rows, columns) of that size.
-
-        uniforms, defines: of the shader.
-        """
-        self._renderer._program_cache.wanted = defines
+    def draw(self, batches: Sequence[Batch], size: tuple[int, int], uniforms: dict[str, Any]) -> Float32:
+        """Draw all jobs; return the buffer (rows, columns) of that size. uniforms: of the shaders."""
         screen, drawn = self._screen, []
         screen.viewport_height, screen.viewport_width = max(BUFFER_SIDE, size[0]), max(BUFFER_SIDE, size[1])
         self._renderer.rows = size[0]
         atlas = np.array([screen.viewport_width, screen.viewport_height], float)
         self._renderer.uniforms = uniforms | {"atlas": atlas, "others": 0}
-        for first in range(0, len(jobs), MAX_BALLS_PER_CALL):
-            batch = slice(first, first + MAX_BALLS_PER_CALL)
-            jobs[batch, 3, 2] = np.arange(len(jobs[batch]))
-            self._renderer.jobs = np.ascontiguousarray(jobs[batch])
+        for first in range(0, max(len(batch.jobs) for batch in batches), MAX_BALLS_PER_CALL):
+            part = slice(first, first + MAX_BALLS_PER_CALL)
+            parts = [Batch(batch.jobs[part], batch.others[part], batch.defines) for batch in batches]
+            self._renderer.batches = [batch for batch in parts if len(batch.jobs)]
+            for batch in self._renderer.batches:
+                batch.jobs[:, 3, 2] = np.arange(len(batch.jobs))
+            self._renderer._program_cache.wanted = self._renderer.batches[0].defines
             screen._platform.make_current()
-            self._renderer.load_others(np.ascontiguousarray(others[batch]))
             drawn.append(screen.render(self._scene))
         return np.asarray(sum(drawn[1:], drawn[0]))[:, : size[1]]
 

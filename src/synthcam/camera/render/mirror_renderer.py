@@ -5,6 +5,7 @@ bright; they are added from their exact positions, fluxes and second moments.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
@@ -17,22 +18,25 @@ from synthcam.camera.exposure import (
     Picture,
     PixelPatches,
     SubExposures,
+    add_to_plate,
     blur_matrix,
     blur_tiles,
     integrate_spots,
-    merge_boxes,
     outline_half_width,
     place_sub_exposures,
 )
 from synthcam.camera.glints import GlintImages, find_glints, join_glints, narrow_cell
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.plate import BLACK_PLATE_RADIANCE, gloss, grain, irradiance, is_plain, plate_points, shadow_casters
-from synthcam.camera.render.canvas import BUFFER_SIDE, get_canvas
+from synthcam.camera.reflections import FAINTEST, find_neighbours
+from synthcam.camera.render.canvas import BUFFER_SIDE, Batch, get_canvas
 from synthcam.camera.renderer import Centres, Renderer
 from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
 
 FINENESS = 3  # samples of a ball per pixel, along rows and along columns
-EXPOSURES_PER_BATCH = 128
+EXPOSURES_PER_BATCH, BALLS_PER_BATCH = 128, 1024  # whichever is reached first: for many balls, to save memory
+PAIR_REACH_RADII = 60.0  # further away, single precision no longer suffices, and an image is 1e-5 of the ball
+NEIGHBOURS_OF_PROGRAMS = 0, 1, 2, 3, 4, 6, 8  # numbers of neighbours for which there are programs
 
 
 class Drawn(IntEnum):
@@ -48,7 +52,8 @@ class MirrorRenderer(Renderer):
     """The view of one camera on a black plate under one lamp or two, with any number of steel balls.
 
     radii: one a ball, m. room: radiance of the dim surroundings that a ball shows at its top, over the peak of its
-    glint; towards the horizon it fades to the radiance of the plate.
+    glint; towards the horizon it fades to the radiance of the plate. faintest: the brightness over that peak below
+    which a secondary glint or the image of a neighbour is left out; for more than two balls.
 
     Raises NoGL if OpenGL cannot draw, ValueError if a lamp is in view or the lens bends too strongly within one ball.
     """
@@ -60,6 +65,7 @@ class MirrorRenderer(Renderer):
         radii: Sequence[float],
         room: float = 0.02,
         surface: Surface = STEEL_ON_BLACK,
+        faintest: float = FAINTEST,
     ) -> None:
         self._canvas = get_canvas()
         self.room, self.surface = room, surface
@@ -75,6 +81,8 @@ class MirrorRenderer(Renderer):
             "gloss": surface.plate_gloss,
             "lamp": np.zeros(3),
         }
+        self.faintest = FAINTEST if len(self.radii) <= 2 else faintest
+        self._mirror_reach, self._shade_reach = self._find_reaches()
         self._defines = ({"PAIR": 1} if len(self.radii) <= 2 else {}) | ({"METAL": 1} if surface.steel else {})
         self._plain = is_plain(lamp, surface)
         self._slope = 0.0 if self._plain else self._find_steepest()
@@ -99,6 +107,21 @@ class MirrorRenderer(Renderer):
             return float(1 / (glints.flux * rows[0, 0] * columns[0, 0])[0])
         spot = ((rows * glints.flux[:, None]).T @ columns)[None].astype(np.float32)
         return float(1 / self.psf.spread(spot).max())
+
+    def _find_reaches(self) -> tuple[Array, Array]:
+        """Distances (N,), m, within which balls mirror each other, and shade each other's surroundings.
+
+        A ball's image in a neighbour at distance d covers .1 (r R / d)^2, for radii r and R. Through optics and pixel
+        of together s^2, this spot has a peak of the room's radiance times its area over 2 pi s^2.
+        """
+        limit = PAIR_REACH_RADII * self.radii
+        if len(self.radii) <= 2:
+            return limit, limit
+        wide = self.camera.psf_sigma_px**2 + self.camera.defocus_px**2 / 4 + 1 / 12
+        peak = self.room * 0.1 * (self.radii.max() / self.camera.scale) ** 2 / (2 * np.pi * wide)
+        bright = self.radii * np.sqrt(peak / self.faintest)
+        touching = 2.5 * (self.radii + self.radii.max())  # what may cover a ball is drawn with it
+        return np.minimum(limit, np.maximum(bright, touching)), limit
 
     def _check_lens(self) -> None:
         """Refuse a lens that is not nearly linear within a ball: its curvature must be far below a sample."""
@@ -128,7 +151,8 @@ class MirrorRenderer(Renderer):
         jobs[0, 0, 2:] = middle
         jobs[0, 3] = 0, np.maximum(middle, [w, h] - middle).max() + 1, 0, BLACK_PLATE_RADIANCE * self.room
         uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
-        plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms, SCENE=Drawn.PLATE_ALONE)
+        alone = Batch(jobs, np.zeros((1, 1, 4), np.float32), {"SCENE": Drawn.PLATE_ALONE})
+        plate = self._canvas.draw([alone], (h, w), uniforms)
         return plate.copy() if self._vignette is None else plate * self._vignette
 
     def _compute_plate(self) -> Float32:
@@ -196,21 +220,21 @@ class MirrorRenderer(Renderer):
                     0
                 ]
         else:
-            for first in range(0, len(spans), EXPOSURES_PER_BATCH):
-                yield from self._expose(centres, spans[first : first + EXPOSURES_PER_BATCH], cuts)
+            many = min(EXPOSURES_PER_BATCH, max(1, BALLS_PER_BATCH // len(self.radii)))
+            for first in range(0, len(spans), many):
+                yield from self._expose(centres, spans[first : first + many], cuts)
 
     def _expose(self, centres: Centres, spans: Array, cuts: Array) -> Iterator[Picture]:
-        moments, coarse = self._place_moments(centres, spans, cuts)
-        positions = np.asarray(centres(moments.times), float)
+        moments, coarse, smear = self._place_moments(centres, spans, cuts)
+        positions, few = (np.asarray(centres(each.times), float) for each in (moments, coarse))
         pixels, slope = self.camera.project_with_slope(positions)
         extent = self._reach(positions, slope)
         patches = PixelPatches(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
-        wanted = patches.number[moments.frames] >= 0
-        found = []
-        for lamp, cell in zip(self.lamp.all, self._cells, strict=True):
-            light = wanted * lamp.light(moments.times)[:, None]
-            found.append(find_glints(self.camera, lamp, positions, self.radii, light, self.surface, cell))
-        glints = join_glints(found)
+        many = len(self.radii) > 2
+        shown = [(moments, self._find_glints(moments, positions, patches, range(1, 2 if many else 99)))]
+        if many:
+            faint = self._find_glints(coarse, few, patches, range(2, 99))
+            shown.append((coarse, replace(faint, spread=faint.spread + smear[faint.moment, faint.ball])))
         drawn: dict[int, Float32] = {}
         shades: dict[int, Float32] = {}
         for width in np.unique(patches.widths):
@@ -219,52 +243,65 @@ class MirrorRenderer(Renderer):
             room_for = max(1, BUFFER_SIDE // tile) ** 2
             for first in range(0, len(same), room_for):
                 selected = same[first : first + room_for]
-                images = self._draw_balls(
-                    centres, coarse, patches, selected, Drawn.BALLS if self._plain else Drawn.ON_PLATE
-                )
-                self._add_glints(images, glints, moments, patches, selected)
+                bodies = Drawn.BALLS if self._plain else Drawn.ON_PLATE
+                images = self._draw_balls(few, coarse, patches, selected, bodies)
+                for at, found in shown:
+                    self._add_glints(images, found, at, patches, selected)
                 drawn |= zip(selected.tolist(), self.psf.spread(images), strict=True)
                 if not self._plain:
-                    shade = self._draw_balls(centres, coarse, patches, selected, Drawn.SHADES)
+                    shade = self._draw_balls(few, coarse, patches, selected, Drawn.SHADES)
                     shades |= zip(selected.tolist(), self.psf.spread(shade), strict=True)
         for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
             (plate,) = self._plates_in(bright)
             numbers = patches.number[frame][patches.number[frame] >= 0].tolist()
             corners = [patches.box(number, self.camera.size) for number in numbers]
-            boxes = merge_boxes(corners)
-            parts = [plate[box].copy() for box in boxes]
+            changes = []
             for number, (top, bottom, left, right) in zip(numbers, corners, strict=True):
                 here = np.s_[top:bottom, left:right]
                 x, y = patches.origins[number]
                 there = np.s_[top - y : bottom - y, left - x : right - x]
                 ball = drawn[number][there]
-                rows, columns, part = next(
-                    (rows, columns, part)
-                    for (rows, columns), part in zip(boxes, parts, strict=True)
-                    if rows.start <= top < rows.stop and columns.start <= left < columns.stop
-                )
-                image = part[top - rows.start : bottom - rows.start, left - columns.start : right - columns.start]
-                image += ball if self._vignette is None else ball * self._vignette[here]
-                if number in shades:
-                    image += self._lit[here] * shades[number][there]
-            yield Picture(plate, boxes, tuple(parts))
+                change = ball if self._vignette is None else ball * self._vignette[here]
+                changes.append((here, change, self._lit[here] * shades[number][there] if number in shades else None))
+            yield add_to_plate(plate, corners, changes)
 
-    def _place_moments(self, centres: Centres, spans: Array, cuts: Array) -> list[SubExposures]:
-        """Sub-exposures for the glints, and fewer for the balls, which are wide and faint."""
+    def _find_glints(
+        self, moments: SubExposures, positions: Array, patches: PixelPatches, bounces: range
+    ) -> GlintImages:
+        wanted = patches.number[moments.frames] >= 0
+        found = []
+        for lamp, cell in zip(self.lamp.all, self._cells, strict=True):
+            light = wanted * lamp.light(moments.times)[:, None]
+            about = self.surface, cell, self.faintest, bounces
+            found.append(find_glints(self.camera, lamp, positions, self.radii, light, *about))
+        return join_glints(found)
+
+    def _place_moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[SubExposures, SubExposures, Array]:
+        """Sub-exposures for the glints, and fewer for the balls, which are wide and faint.
+
+        Of more than two balls the faint glints are at the fewer ones too. A faint spot at the one moment of a piece
+        gets the variance (T, N, 2), px^2, of its motion in that piece, which is returned last. A ball at one moment
+        lacks it: the steepest edge, of contrast c, then changes by .01 c u^2 for a travel of u sigma.
+        """
         size = np.array(self.camera.size)
-        bounds, weights, frames, travel = self._split_exposures(centres, spans, cuts, -size, 2 * size)
+        bounds, weights, frames, moves = self._split_exposures(centres, spans, cuts, -size, 2 * size)
         waves = [2 * np.pi * lamp.flicker.frequency for lamp in self.lamp.all if lamp.flicker.depth]
         wave = np.diff(bounds, axis=1)[:, 0] * max(waves, default=0.0)
-        return [place_sub_exposures(bounds, weights, frames, path, wave) for path in (travel, travel / 4)]
+        travel = self._travel(moves)
+        few = travel / 4
+        if len(self.radii) > 2:
+            few = np.where(travel < min(2.0, 10 * np.sqrt(self.faintest / max(self.room, 1e-30))), 0.0, few)
+        fine, coarse = (place_sub_exposures(bounds, weights, frames, path, wave) for path in (travel, few))
+        alone = np.bincount(coarse.pieces, minlength=len(bounds))[coarse.pieces] == 1
+        return fine, coarse, np.where(alone[:, None, None], moves[coarse.pieces] ** 2 / 12, 0)
 
     def _draw_balls(
-        self, centres: Centres, moments: SubExposures, patches: PixelPatches, selected: Index, scene: Drawn
+        self, positions: Array, moments: SubExposures, patches: PixelPatches, selected: Index, scene: Drawn
     ) -> Float32:
         """Draw blurred balls minus the plate behind them: (n, width, width) for n patches of one width.
 
-        scene: not PLATE_ALONE.
+        positions: (T, N, 3) at the moments. scene: not PLATE_ALONE.
         """
-        positions = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(positions)
         extent = self._reach(positions, slope)
         width, margin = int(patches.widths[selected[0]]), patches.margin
@@ -282,31 +319,54 @@ class MirrorRenderer(Renderer):
         if scene != Drawn.BALLS:
             others = self._with_notes(jobs, others, positions[moment, ball], ball, scene)
         rows = -(-len(selected) // across)
-        defines = {"SCENE": scene} | self._defines
-        drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms, **defines)
+        batches = self._sort_by_neighbours(jobs, others, scene)
+        drawn = self._canvas.draw(batches, (rows * tile, across * tile), self._uniforms)
         tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(selected)]
         blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
         return blur_tiles(tiles, blur)
 
     def _neighbours(self, jobs: Float32, positions: Array, moment: Index, ball: Index, ordered: bool) -> Float32:
-        """Neighbours (n, N - 1, 4) of each ball in its own radii, nearest first; writes their number into the jobs.
+        """Neighbours (n, k, 4) of each ball in its own radii, nearest first; writes their number into the jobs.
 
         ordered: balls of lower number have negative radii.
         """
-        total = len(self.radii)
-        if total == 1:
-            return np.zeros((len(jobs), 1, 4), np.float32)
-        others = np.array([[k for k in range(total) if k != own] for own in range(total)])[ball]
-        offsets = positions[moment[:, None], others] - positions[moment, ball][:, None]
-        distance = np.linalg.norm(offsets, axis=2)
-        order = np.argsort(distance, axis=1, kind="stable")
-        found = np.concatenate([offsets @ self.camera.R.T, self.radii[others][..., None]], axis=2)
+        used, rank = np.unique(moment, return_inverse=True)
+        near = find_neighbours(positions[used], self._shade_reach if ordered else self._mirror_reach)
+        row = rank * len(self.radii) + ball
+        counts = near.counts[row]
+        found = np.zeros((len(jobs), max(1, int(counts.max(initial=0))), 4))
+        job = np.repeat(np.arange(len(jobs)), counts)
+        column = np.arange(len(job)) - np.repeat(np.cumsum(counts) - counts, counts)
+        other = near.other[near.first[row[job]] + column]
+        found[job, column, :3] = (positions[moment[job], other] - positions[moment[job], ball[job]]) @ self.camera.R.T
+        found[job, column, 3] = self.radii[other]
         found /= self.radii[ball][:, None, None]
         if ordered:
-            found[..., 3] *= np.where(others < ball[:, None], -1, 1)
-        # Further away, the image of a neighbour is less than 1e-5 of the ball, and single precision no longer suffices.
-        jobs[:, 3, 0] = (distance < 60 * self.radii[ball][:, None]).sum(axis=1)
-        return np.take_along_axis(found, order[..., None], axis=1).astype(np.float32)
+            found[job, column, 3] *= np.where(other < ball[job], -1, 1)
+        jobs[:, 3, 0] = counts
+        return found.astype(np.float32)
+
+    def _sort_by_neighbours(self, jobs: Float32, others: Float32, scene: Drawn) -> list[Batch]:
+        """Sort balls by their number of neighbours: in a program for so many, a neighbour costs a third."""
+        defines = {"SCENE": int(scene)} | self._defines
+        if len(self.radii) <= 2 or scene == Drawn.SHADES:
+            return [Batch(jobs, others, defines)]
+        # A neighbour whose outline meets the ball's in the picture covers a part of it, or is covered.
+        eye = jobs[:, None, 2, :3] / np.linalg.norm(jobs[:, None, 2, :3], axis=-1, keepdims=True)
+        aside = others[..., :3] - (others[..., :3] * eye).sum(-1, keepdims=True) * eye
+        counts = jobs[:, 3, 0].astype(int)
+        listed = np.arange(others.shape[1]) < counts[:, None]
+        meets = (listed & (np.linalg.norm(aside, axis=-1) < 1.1 * (1 + others[..., 3]) + 0.1)).any(axis=1)
+        kinds = np.append(NEIGHBOURS_OF_PROGRAMS, others.shape[1])
+        kind = np.searchsorted(NEIGHBOURS_OF_PROGRAMS, counts)
+        batches = []
+        for k, meet in sorted(set(zip(kind.tolist(), meets.tolist(), strict=True))):
+            own = np.flatnonzero((kind == k) & (meets == meet))
+            many = {"NEAR": int(kinds[k])} if k < len(NEIGHBOURS_OF_PROGRAMS) else {}
+            apart = {} if meet else {"APART": 1}
+            width = others.shape[1] if scene != Drawn.BALLS else max(1, int(kinds[k]))
+            batches.append(Batch(jobs[own], others[own, :width], defines | many | apart))
+        return batches
 
     def _with_notes(self, jobs: Float32, others: Float32, positions: Array, ball: Index, scene: int) -> Float32:
         """Append the depth of the plate and the lamps to the neighbours, as the shader reads them."""

@@ -110,8 +110,8 @@ class RoomRenderer(Renderer):
     def _expose(self, centres: Centres, turns: Turns, span: Array, cuts: Array) -> Pictures:
         """One exposure of a global shutter."""
         far = 3 * max(self.camera.size)
-        bounds, weights, frames, travel = self._split_exposures(centres, span[None], cuts, -far, far)
-        moments = place_sub_exposures(bounds, weights, frames, travel / 2)
+        bounds, weights, frames, moves = self._split_exposures(centres, span[None], cuts, -far, far)
+        moments = place_sub_exposures(bounds, weights, frames, self._travel(moves) / 2)
         positions = np.asarray(centres(moments.times), float)
         turned = turns(moments.times)
         boxes = merge_boxes(self._find_boxes(positions))

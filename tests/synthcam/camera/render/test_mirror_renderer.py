@@ -1,6 +1,7 @@
 """The film against a ray tracer written here: plain float64, one ray a sample, nothing shared with the program."""
 
 from functools import cache
+from itertools import pairwise, product
 
 import cv2
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from scipy.ndimage import correlate1d, minimum_filter
 from scipy.special import ndtr
 
+from benchmarks.camera import camera_reference
+from synthcam.camera import reflections
 from synthcam.camera.exposure import merge_boxes
 from synthcam.camera.glints import find_glints
 from synthcam.camera.pinhole import Lamp, PinholeCamera
@@ -179,6 +182,37 @@ def test_every_lamp_image_stands_and_shines_as_traced(name):
         np.testing.assert_allclose(glints.spread[k], variance, rtol=0.03, atol=3e-6)
 
 
+def test_glints_among_many_neighbours_are_all_there_and_stand_as_traced():
+    around = (0.1, 2.0), (1.2, 2.3), (2.4, 3.5), (3.3, 2.05), (4.4, 2.6), (5.4, 5.0), (5.5, 14.0)
+    rings = [[0.01 + far * R * np.cos(turn), far * R * np.sin(turn), R] for turn, far in around]
+    centres, radii, faint = np.array([[0.01, 0, R], *rings]), np.full(8, R), 1e-3
+    glints = find_glints(overhead(), LAMP, centres[None], radii, np.ones((1, 8), bool), faintest=faint)
+    bright, eye = glints.flux > faint * glints.flux.max(), overhead().centre
+    for order in (2, 3):
+        chains = [c for c in product(range(8), repeat=order) if all(a != b for a, b in pairwise(c))]
+        paths = reflections.reflect(LAMP.position, eye, centres[np.array(chains)], np.full((len(chains), order), R))
+        open_ = 0
+        for chain, points, transfer, cosines, exists in zip(
+            chains, paths.points, paths.transfer, paths.cosines, paths.exists, strict=True
+        ):
+            slope = overhead().project_with_slope(points[-1])[1] @ transfer[:, :2]
+            kept = np.prod(STEEL_REFLECTANCE + (1 - STEEL_REFLECTANCE) * (1 - cosines) ** 5)
+            flux = abs(np.linalg.det(slope)) * kept * np.pi * LAMP.radius**2
+            ends = np.array([LAMP.position, *points, eye])
+            hidden = any(
+                np.linalg.norm(np.cross(b - a, centres[k] - a)) < R * np.linalg.norm(b - a)
+                and 0 < (centres[k] - a) @ (b - a) < (b - a) @ (b - a)
+                for leg, (a, b) in enumerate(pairwise(ends))
+                for k in set(range(8)) - {*chain[max(leg - 1, 0) : leg + 1]}
+            )
+            open_ += bool(exists and not hidden and flux > faint * glints.flux.max())
+        assert open_ == (glints.order[bright] == order).sum() > 5
+    for k in np.flatnonzero(glints.ball == 0):
+        found = camera_reference.lamp_image(overhead(), LAMP, centres, radii, glints.pixels[k], int(glints.order[k]))
+        np.testing.assert_allclose(glints.pixels[k], found[0], atol=0.003)
+        assert glints.flux[k] == pytest.approx(found[1], rel=0.01)
+
+
 def test_the_share_of_light_in_higher_orders_at_contact():
     glints = find_glints(overhead(), LAMP, np.array([[[0, 0, R], [0, 2 * R, R]]]), np.full(2, R), np.ones((1, 2), bool))
     share = [glints.flux[glints.order == k].mean() / glints.flux[glints.order == 1].mean() for k in (2, 3, 4)]
@@ -337,6 +371,29 @@ def test_a_pair_is_drawn_as_balls_in_any_number_are():
     centres = np.array([[0, 0, R], [1.7 * R, 1.1 * R, R], [1.0, 0, R]])
     pair, many = (one_frame(MirrorRenderer(overhead(), LAMP, [R] * n), *centres[:n]).image for n in (2, 3))
     np.testing.assert_allclose(pair, many, atol=1e-7)
+
+
+def test_a_crowd_leaves_out_less_than_the_noise():
+    """Faint glints and images of far neighbours are left out, and balls that move little are drawn at one moment."""
+    rng = np.random.default_rng(5)
+    places = 3.4 * R * np.stack(np.meshgrid(range(-2, 3), range(-2, 3)), -1).reshape(-1, 2) + rng.uniform(
+        -6e-4, 6e-4, (25, 2)
+    )
+    start, speed = (
+        np.pad(places, ((0, 0), (0, 1)), constant_values=R),
+        np.pad(rng.uniform(-0.2, 0.2, (25, 2)), ((0, 0), (0, 1))),
+    )
+    noise = 5e-3
+    every, few = (MirrorRenderer(overhead(), LAMP, [R] * 25, faintest=faint) for faint in (1e-5, 0.2 * noise))
+    shown = [next(film.frames(lambda t: start + t[:, None, None] * speed, [[0.0, 5e-4]])) for film in (every, few)]
+    off = np.abs(shown[0].image - shown[1].image)
+    assert off.max() < 0.5 * noise
+    assert np.sqrt((off**2)[shown[0].image != few.plate].mean()) < 0.1 * noise
+    # The sensor draws the listed pixels: all that differ from the plate, and far fewer than lie in merged boxes.
+    listed = np.zeros(few.plate.shape, bool)
+    listed.flat[shown[1].changed] = True
+    assert np.abs(shown[1].image - few.plate)[~listed].max() < 1e-4
+    assert 25 * 150 < listed.sum() < 25 * 500
 
 
 def test_frames_do_not_depend_on_their_company(monkeypatch):

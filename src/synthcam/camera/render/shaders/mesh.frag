@@ -7,8 +7,9 @@ uniform sampler2D others; // one row an instance: neighbours' centres and radii
 uniform vec3 up;          // the plate's normal
 uniform vec3 lamp;        // from the centre of the plate's quad
 // SCENE is 0 for balls on an even plate, 1 for balls and their images in the plate, 2 for what they take from its
-// light, 3 for the even plate itself; PAIR says that no ball has two neighbours. Programs of their own, for software
-// OpenGL runs every branch there is, and a fetch costs as much as a bounce.
+// light, 3 for the even plate itself; PAIR says that no ball has two neighbours, NEAR that none has more, APART that the
+// picture shows each ball apart from the others. Programs of their own, for software OpenGL runs every branch there is,
+// and a fetch costs as much as a bounce.
 uniform float gloss;      // reflectance of the plate
 uniform float zenith;     // radiance of the room overhead
 uniform float steel;      // reflectance at normal incidence, by Schlick's law
@@ -18,7 +19,15 @@ flat in vec4 place;
 flat in vec4 lens;
 flat in vec4 eye;
 flat in vec4 rest;
+#ifndef NEAR
 flat in vec4 nearest;
+#define COUNT int(rest.x)
+#else
+#define COUNT NEAR
+#if NEAR > 0
+flat in vec4 near_by[NEAR];
+#endif
+#endif
 
 out vec4 picture;
 
@@ -30,7 +39,14 @@ vec4 ball(int k) {
 #ifdef PAIR
     vec4 neighbour = nearest;
 #else
+#ifdef NEAR
+    vec4 neighbour = vec4(0.0);
+#if NEAR > 0
+    for (int j = 0; j < NEAR; j++) if (j == k) neighbour = near_by[j];
+#endif
+#else
     vec4 neighbour = texelFetch(others, ivec2(k, int(rest.z)), 0);
+#endif
 #endif
     return k == SELF ? vec4(0.0, 0.0, 0.0, 1.0) : neighbour;
 }
@@ -89,10 +105,9 @@ int next_ball(vec3 point, vec3 way, int here, float after, out float near) {
         next = other;
     }
 #else
-    for (int k = SELF; k < int(rest.x); k++) {
-        if (k == here) continue;
+    for (int k = SELF; k < COUNT; k++) {
         float far = entry(point, way, ball(k));
-        if (far > after && far < near) {
+        if (k != here && k < int(rest.x) && far > after && far < near) {
             near = far;
             next = k;
         }
@@ -148,11 +163,13 @@ float touch(vec3 from, vec3 way, vec4 sphere) {
 // Shares of a sample in which this ball is in front, and in which there is none.
 vec2 shares(vec3 from, vec3 way) {
     float own = cover(from, way, ball(SELF)), open = 1.0 - own, near = touch(from, way, ball(SELF));
-    for (int k = 0; k < int(rest.x); k++) {
-        float share = cover(from, way, ball(k));
+#ifndef APART
+    for (int k = 0; k < COUNT; k++) {
+        float share = k < int(rest.x) ? cover(from, way, ball(k)) : 0.0;
         open *= 1.0 - share;
         if (touch(from, way, ball(k)) < near) own *= 1.0 - share;
     }
+#endif
     return vec2(own, open);
 }
 

@@ -10,13 +10,25 @@ flat out vec4 place;      // tile's corner in the buffer, centre in the tile; sa
 flat out vec4 lens;       // columns of the map from samples to ball radii, in the plane through the centre
 flat out vec4 eye;        // camera from the centre, radii, camera axes; weight
 flat out vec4 rest;       // number of neighbours, half extent, row, plate's radiance
+#ifndef NEAR
 flat out vec4 nearest;    // neighbour
+#else
+#if NEAR > 0
+flat out vec4 near_by[NEAR];  // neighbours
+#endif
+#endif
 
 void main() {
     place = job[0];
     lens = job[1];
     eye = job[2];
     rest = job[3];
+#ifndef NEAR
     nearest = texelFetch(others, ivec2(0, int(rest.z)), 0);
+#else
+#if NEAR > 0
+    for (int k = 0; k < NEAR; k++) near_by[k] = texelFetch(others, ivec2(k, int(rest.z)), 0);
+#endif
+#endif
     gl_Position = vec4(2.0 * (place.xy + place.zw + corner.xy * rest.y) / atlas - 1.0, 0.0, 1.0);
 }
