@@ -1,10 +1,11 @@
-# make install | demo | test | lint | types | gate | coverage | notebooks | paper | docs | docs-links | docs-test | bench-NAME    each does its own set-up; doing it twice costs nothing.
+# make install | demo | test | test-app | lint | types | gate | coverage | notebooks | paper | docs | docs-links | docs-test | bench-NAME    each does its own set-up; doing it twice costs nothing.
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 DOCS_READY := .venv/ready-docs
+BROWSER_READY := .venv/ready-browser
 
-.PHONY: install demo test lint types gate coverage notebooks paper docs docs-links docs-test clean
+.PHONY: install demo test test-app lint types gate coverage notebooks paper docs docs-links docs-test clean
 
 install: $(READY)
 
@@ -24,6 +25,14 @@ types: $(READY)
 
 test: lint types
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+
+$(BROWSER_READY): requirements-browser.lock $(READY)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-browser.lock
+	@touch $@
+
+# the workbench in a headless Chromium, which has to be installed
+test-app: $(BROWSER_READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -rs tests/in_browser/workbench.py
 
 gate: $(READY)
 	$(BIN)/python -m benchmarks.regression.gate

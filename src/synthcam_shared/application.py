@@ -17,6 +17,7 @@ from synthcam_shared.interruption import raise_if_interrupted, was_interrupted, 
 
 UsageError: Any = typer.BadParameter.__mro__[1]  # of click, or of the copy of click in typer
 PROGRESS_INTERVAL_S = 30.0  # between two lines of progress if there is no terminal for a bar
+PROGRESS_INTERVAL = "SYNTHCAM_PROGRESS_S"  # the variable of the environment by which a program asks for another one
 
 # Set before numpy is loaded. Matrices are small here: BLAS's threads would wait for each other longer than they work,
 # even more so beside other processes.
@@ -129,8 +130,12 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def print_progress(what: str) -> Callable[[int, int], None]:
-    """Return a function that prints the progress and the time left, at most once in PROGRESS_INTERVAL_S."""
+    """Return a function that prints the progress and the time left, at most once in PROGRESS_INTERVAL_S.
+
+    Another interval may stand in the environment, as PROGRESS_INTERVAL.
+    """
     began = printed = time.monotonic()
+    interval = float(os.environ.get(PROGRESS_INTERVAL, PROGRESS_INTERVAL_S))
     before: int | None = None  # done by an earlier run
 
     def progress(done: int, total: int) -> None:
@@ -138,7 +143,7 @@ def print_progress(what: str) -> Callable[[int, int], None]:
         raise_if_interrupted()
         before = done if before is None else before
         now = time.monotonic()
-        if now - printed < PROGRESS_INTERVAL_S or done >= total:
+        if now - printed < interval or done >= total:
             return
         printed = now
         left = f", about {(now - began) / (done - before) * (total - done):.0f} s left" if done > before else ""

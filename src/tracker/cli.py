@@ -1,4 +1,4 @@
-"""tracker: track, measure, combine, export, score, compare, benchmark, calibrate, warp."""
+"""tracker: open, track, measure, combine, export, score, compare, benchmark, calibrate, warp."""
 
 from __future__ import annotations
 
@@ -114,6 +114,34 @@ def track(
     if _wants_pages(pages, outcome, output):
         extra["page"] = _pages(outcome, output, source, workers or 0)
     _report(outcome, output, extra, as_json)
+
+
+@app.command("open")
+def open_workbench(
+    source: Annotated[Path, typer.Argument(metavar="FILM", help="Dataset, clip, stack, video, pictures or array.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FOLDER", help="Where runs are written; default: FILM_workbench."),
+    ] = None,
+    camera: Annotated[Path | None, typer.Option(help="camera.json that replaces the source's own.")] = None,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address alone.")] = False,
+) -> None:
+    """Open a film in a page on this machine: look at it, point at scale and balls, track it, read the result.
+
+    Example: tracker open film.mp4
+    """
+    from tracker.camera.recordings import open_source
+
+    films = open_source(source, camera)
+    try:
+        from tracker.app.server import serve
+    except ModuleNotFoundError as error:
+        if error.name not in ("starlette", "uvicorn"):
+            raise
+        raise InputError("tracker open needs the extra app; type: pip install 'synthcam[app]'") from None
+    from tracker.app.workbench import Workbench
+
+    serve(Workbench(films, output), not no_browser)
 
 
 @app.command()

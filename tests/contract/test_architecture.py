@@ -43,7 +43,7 @@ LAYERS = {
         "recording calibration",
         "pipeline sets",
         "scoring",
-        "benchmark",
+        "benchmark app",
         "cli",
         "__main__",
     ],
@@ -139,6 +139,12 @@ LAYERS = {
         "column_names",
         "formats",
         "read",
+    ],
+    "tracker.app": [
+        "film_view track_process local_only",
+        "frame_detector run_settings",
+        "workbench",
+        "server",
     ],
     "tracker.sets": [
         "combined_quantity",

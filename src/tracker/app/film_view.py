@@ -1,0 +1,151 @@
+"""Shows one film frame by frame: pictures as JPEG or PNG, with brightness, channel and size as asked for."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam_shared.errors import InputError
+from tracker.camera.camera_keys import CHANNELS, PLANES
+from tracker.camera.film_options import FilmOptions
+from tracker.camera.frames import GREY, Frames
+from tracker.camera.recordings import Recording, RecordingSource, make_recording
+from tracker.detection.candidates import spread_frames
+
+COLOUR = "colour film"  # the channel of the page that shows all colours
+MAX_KEPT_BYTES = 128 << 20  # of decoded frames, for steps to and fro
+MAX_REDUCTION = 16
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a picture is shown.
+
+    low, high: shares of white that become black and white; reduce: film pixels per pixel of the picture, along one
+    side; box: left, top, width, height of the part that is shown, px, or all.
+    """
+
+    channel: str = GREY
+    low: float = 0.0
+    high: float = 1.0
+    reduce: int = 1
+    box: tuple[int, int, int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.low < self.high <= 1:
+            raise InputError(f"brightness: expected 0 <= low < high <= 1, not {self.low:g} and {self.high:g}")
+        if not 1 <= self.reduce <= MAX_REDUCTION:
+            raise InputError(f"reduce: expected 1 to {MAX_REDUCTION}, not {self.reduce}")
+
+
+class FilmView:
+    """One clip of a source. Its frames are read one at a time, by one thread at a time."""
+
+    def __init__(self, source: RecordingSource, index: int) -> None:
+        self.source, self.index = source, index
+        self.number, frames = source.open_film(index)
+        self.location = source.clips[index][1]
+        self._lock = threading.RLock()
+        self.frames = self._read_by_one_thread(frames)
+        self.clip = make_recording(self.number, self.frames, None, (f"{self.location}", ""))
+        self._planes: dict[str, Frames] = {GREY: self.clip.frames}
+        self._kept: OrderedDict[tuple[str, int], NDArray[Any]] = OrderedDict()
+
+    def _read_by_one_thread(self, frames: Frames) -> Frames:
+        def read(k: int) -> Any:
+            with self._lock:
+                return frames[k]
+
+        out, colours = frames.with_fetch(read), frames.colours
+        out.faults = frames.faults
+        if colours is not None:
+
+            def read_colours(k: int) -> Any:
+                with self._lock:
+                    return colours(k)
+
+            out.colours = read_colours
+        return out
+
+    def open_recording(self, keys: Any, options: FilmOptions) -> Recording:
+        """The same clip with a camera, or None, and with options. Raises InputError."""
+        return make_recording(self.number, self.frames, keys, (f"{self.location}", "the camera"), options)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, px."""
+        return self.clip.frames.shape[2], self.clip.frames.shape[1]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that can be shown, the first one at the start."""
+        if self.clip.frames.colours is None:
+            return (GREY,)
+        return (COLOUR, *CHANNELS, *PLANES)
+
+    @cached_property
+    def white(self) -> float:
+        """The count that is shown as white where brightness is not changed."""
+        frames = self.clip.frames
+        return frames.white([] if frames.dtype == np.uint8 else self._sample)
+
+    @cached_property
+    def levels(self) -> tuple[float, float]:
+        """Shares of white between which nearly all pixels lie, for a film that is dark or faint."""
+        low, high = (
+            float(np.quantile([np.quantile(picture[::3, ::3], share) for picture in self._sample], edge)) / self.white
+            for share, edge in ((0.005, 0.0), (0.9995, 1.0))
+        )
+        return round(max(low, 0.0), 3), round(min(max(high, low + 0.02), 1.0), 3)
+
+    @cached_property
+    def _sample(self) -> list[NDArray[Any]]:
+        return [np.asarray(self.clip.frames[k]) for k in sorted({*spread_frames(self.clip.frames)})]
+
+    def read(self, k: int, channel: str = GREY) -> NDArray[Any]:
+        """Counts of a frame in one channel, (h, w) or, of all colours, (h, w, 3). Raises InputError."""
+        if not 0 <= k < len(self.clip.frames):
+            raise InputError(f"frame {k}: expected 0 to {len(self.clip.frames) - 1}")
+        if channel not in self.channels:
+            raise InputError(f"channel: expected one of {', '.join(self.channels)}, not {channel!r}")
+        with self._lock:
+            key = channel, k
+            if key not in self._kept:
+                self._kept[key] = self._decode(k, channel)
+                while len(self._kept) > 1 and sum(p.nbytes for p in self._kept.values()) > MAX_KEPT_BYTES:
+                    self._kept.popitem(last=False)
+            self._kept.move_to_end(key)
+            return self._kept[key]
+
+    def _decode(self, k: int, channel: str) -> NDArray[Any]:
+        if channel == COLOUR:
+            assert self.clip.frames.colours is not None
+            return np.asarray(self.clip.frames.colours(k))[..., :3]
+        if channel not in self._planes:
+            self._planes[channel] = self.clip.frames.select_channel(channel)
+        return np.asarray(self._planes[channel][k])
+
+    def draw(self, k: int, look: Look, kind: str) -> bytes:
+        """A frame as a picture, of the kind "jpg" or "png". Raises InputError."""
+        picture = self.read(k, look.channel)
+        if look.box is not None:
+            left, top, width, height = look.box
+            left, top = min(max(left, 0), self.size[0] - 1), min(max(top, 0), self.size[1] - 1)
+            picture = picture[top : top + max(height, 1), left : left + max(width, 1)]
+        if look.reduce > 1:
+            shown = [max(n // look.reduce, 1) for n in (picture.shape[1], picture.shape[0])]
+            picture = cv2.resize(np.ascontiguousarray(picture), shown, interpolation=cv2.INTER_AREA)
+        white = 255.0 if picture.dtype == np.uint8 else self.white
+        counts = np.arange(256 if picture.dtype == np.uint8 else 65536)
+        share = (counts / white - look.low) / (look.high - look.low)
+        shown_8 = np.clip(np.rint(255 * share), 0, 255).astype(np.uint8)[picture]
+        bgr = shown_8[..., ::-1] if shown_8.ndim == 3 else shown_8
+        settings = [cv2.IMWRITE_JPEG_QUALITY, 90] if kind == "jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 1]
+        return cv2.imencode(f".{kind}", bgr, settings)[1].tobytes()

@@ -1,0 +1,106 @@
+"""Prepares the detector of a film once, then finds the balls of any one frame."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tracker.camera.recordings import Recording
+from tracker.detection.choose import select_channel, select_detector
+from tracker.detection.detect import (
+    blank_outside,
+    detected_point,
+    detector_name,
+    load_detector,
+    make_view,
+    run_detector,
+)
+from tracker.detection.detector import AnyDetector, View
+from tracker.detection.glints import Glints, PositionFlag
+
+MAX_SURVEYED_FRAMES = 400  # of a longer film a detector of outlines surveys so many, spread over it
+
+
+@dataclass(frozen=True, eq=False)
+class FrameDetector:
+    """A detector that knows its film. `detect` may be called from any thread."""
+
+    clip: Recording
+    view: View
+    name: str
+    detector: AnyDetector
+    notes: tuple[str, ...] = ()
+    rows: np.ndarray[Any, Any] | None = None  # indices of the frames that were surveyed; None: all
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def point(self) -> str:
+        """What a position is: "glint" or "centre"."""
+        return detected_point(self.name, self.clip.camera)
+
+    @property
+    def radius_px(self) -> float:
+        """Radius of a ball, px, as the detector takes it."""
+        return float(getattr(self.detector, "radius", self.view.camera.diameter_px / 2))
+
+    def detect(self, k: int) -> Glints:
+        """The balls of frame index `k`, as a run finds them but for what it learns from neighbouring frames."""
+        with self._lock:
+            numbers = self.clip.frames.numbers
+            if self.view.takes is not None:
+                near = k if self.rows is None else int(np.abs(self.rows - k).argmin())
+                own = min(self._surveyed, key=lambda row: abs(row - near))
+                found = run_detector(self.detector, [(own, np.asarray(self.clip.frames[k]))], self.name).glints
+            else:  # two neighbours show the motion of a glint, and so its blur
+                rows = range(max(k - 1, 0), min(k + 2, len(numbers)))
+                frames = [(int(numbers[row]), np.asarray(self._blanked.frames[row])) for row in rows]
+                found = run_detector(self.detector, frames, self.name).glints
+                found = found.take(found.frame == numbers[k])
+        if self.clip.area is not None and len(found):
+            size = self.view.camera.size
+            x, y = (np.clip(np.rint(at), 0, n - 1).astype(int) for at, n in zip(found.xy.T, size, strict=True))
+            found = found.take(self.clip.area[y, x])
+        return found
+
+    @cached_property
+    def _blanked(self) -> Recording:
+        return blank_outside(self.clip, self.view)
+
+    @cached_property
+    def _surveyed(self) -> list[int]:
+        assert self.view.takes is not None
+        return sorted(self.view.takes.scene_of_frames())
+
+
+def prepare_detector(clip: Recording, channel: str | None) -> FrameDetector:
+    """Choose channel and detector as a run does, and survey the film. Raises InputError."""
+    clip, chosen = select_channel(clip, channel)
+    name, why = select_detector(clip)
+    rows, surveyed = None, clip
+    if detected_point(name, clip.camera) == "centre" and len(clip.frames) > MAX_SURVEYED_FRAMES:
+        rows = np.linspace(0, len(clip.frames) - 1, MAX_SURVEYED_FRAMES).round().astype(np.int64)
+        surveyed = replace(clip, frames=clip.frames.take(rows), balls=())
+    view = make_view(surveyed, name)
+    notes = tuple(note for note in (chosen, why) if note)
+    return FrameDetector(clip, view, detector_name(name), load_detector(name)(view), notes, rows)
+
+
+def list_balls(found: Glints) -> list[dict[str, Any]]:
+    """The balls of a frame for the page: position and error, px, correlation, light or area, names of the flags."""
+    std = np.sqrt(np.diagonal(found.cov, axis1=1, axis2=2))
+    return [
+        {
+            "x": round(float(found.x[i]), 4),
+            "y": round(float(found.y[i]), 4),
+            "x_std": float(f"{std[i, 0]:.3g}"),
+            "y_std": float(f"{std[i, 1]:.3g}"),
+            "correlation": round(float(found.cov[i, 0, 1] / std[i].prod()), 3),
+            "flux": float(f"{found.flux[i]:.4g}"),
+            "flags": [flag.word for flag in PositionFlag if found.flags[i] & flag],
+        }
+        for i in range(len(found))
+    ]

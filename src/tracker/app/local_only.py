@@ -1,0 +1,75 @@
+"""Lets in only this machine's own page: the loopback address, the session's token, requests of its own pages."""
+
+from __future__ import annotations
+
+import hmac
+from urllib.parse import parse_qs
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import cookie_parser
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+OWN_PAGE = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
+    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+REPORT = (  # a file of ours with its scripts and styles in it; it may ask for its own files alone
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data:; "
+    "media-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+MAX_BODY_BYTES = 1 << 16
+
+
+class LocalOnly:
+    """Wraps the application and refuses what does not come from the page that the command has opened."""
+
+    def __init__(self, app: ASGIApp, port: int, token: str) -> None:
+        self.app, self.token = app, token
+        self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self.cookie = f"workbench_{port}"  # browsers send cookies to every port of a host
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return
+        headers, path = Headers(scope=scope), scope["path"]
+        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        response: Response | None = None
+        if headers.get("host", "") not in self.hosts:
+            response = PlainTextResponse("this page answers to 127.0.0.1 alone", 403)
+        elif path == "/" and self._is_token(given):
+            response = RedirectResponse("/", 303)
+            response.set_cookie(self.cookie, self.token, httponly=True, samesite="strict")
+        elif not self._is_token(cookie_parser(headers.get("cookie", "")).get(self.cookie, "")):
+            response = PlainTextResponse("open the address that `tracker open` has printed", 403)
+        elif scope["method"] not in ("GET", "HEAD"):
+            response = self._refuse_foreign(headers)
+
+        def finish(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                out = MutableHeaders(scope=message)
+                out["Content-Security-Policy"] = REPORT if path.startswith("/report/") else OWN_PAGE
+                out["X-Content-Type-Options"] = "nosniff"
+                out["Referrer-Policy"] = "no-referrer"
+                out["Cross-Origin-Resource-Policy"] = "same-origin"
+                out.setdefault("Cache-Control", "no-store")
+
+        async def send_finished(message: Message) -> None:
+            finish(message)
+            await send(message)
+
+        await (response or self.app)(scope, receive, send_finished)
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self.token.encode())
+
+    def _refuse_foreign(self, headers: Headers) -> Response | None:
+        """The refusal of a request that changes something and does not come from the page; None for the page's own."""
+        if headers.get("origin", "") not in {f"http://{host}" for host in self.hosts}:
+            return PlainTextResponse("a request of another page", 403)
+        if headers.get("content-type", "") != "application/json":
+            return PlainTextResponse("expected JSON", 415)
+        length = headers.get("content-length", "")
+        if not length.isdecimal() or int(length) > MAX_BODY_BYTES:
+            return PlainTextResponse(f"expected at most {MAX_BODY_BYTES} bytes", 413)
+        return None

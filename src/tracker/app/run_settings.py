@@ -1,0 +1,98 @@
+"""What is set on the page, as camera.json and as the command line that does the same."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from synthcam_shared.errors import InputError
+from synthcam_shared.settings import Settings
+from tracker.camera.camera import Camera
+from tracker.camera.film_options import FilmOptions
+from tracker.camera.recordings import Recording
+from tracker.detection.choose import name_channel
+
+GEOMETRY = ("K", "R", "t", "dist", "view_errors", "warp", "scale_std", "calibration")  # void with another scale
+NEEDED = {"scale": "a scale (two points and the length between them)", "fps": "the frames a second"}
+Text = Annotated[str, Field(max_length=100)]
+
+
+class RunSettings(Settings):
+    """The settings of a run. Lengths in m, times in s; None or "" where nothing is set."""
+
+    scale: float | None = None
+    scale_std: float | None = None
+    fps: float | None = None
+    ball_diameter: float | None = None
+    exposure: float | None = None
+    balls: list[Text] = Field(default_factory=list, max_length=100)
+    region: Text = ""
+    frames: Text = ""
+    channel: Text = ""
+
+    def camera_keys(self, given: Mapping[str, Any] | None, size: tuple[int, int]) -> dict[str, Any] | None:
+        """The keys of camera.json: those of the film's own file, and what is set; None without both.
+
+        Raises InputError for a scale without a rate, and the reverse.
+        """
+        names = ("scale", "scale_std", "fps", "ball_diameter", "exposure")
+        own = {name: value for name in names if (value := getattr(self, name)) is not None}
+        if not own:
+            return dict(given) if given is not None else None
+        kept = dict(given or {"size": list(size)})
+        missing = [words for name, words in NEEDED.items() if given is None and name not in own]
+        if missing:
+            raise InputError(f"camera.json needs {' and '.join(missing)}, too")
+        if "scale" in own and own["scale"] != kept.get("scale"):
+            kept = {name: value for name, value in kept.items() if name not in GEOMETRY}
+        return {**kept, **own, "assumed": [n for n in kept.get("assumed", []) if n not in own]} if given else kept | own
+
+    @property
+    def options(self) -> FilmOptions:
+        """How the film is read. Raises InputError."""
+        return FilmOptions(frames=self.frames, region=self.region, ball=tuple(self.balls))
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Checked settings: the recording that they make, the keys of its camera, whether these need a file."""
+
+    settings: RunSettings
+    recording: Recording
+    keys: dict[str, Any] | None
+    needs_file: bool
+
+    def write_command(self, film: Path, camera: Path | None, output: Path) -> list[str]:
+        """The words of `tracker track` that does the same."""
+        words = ["tracker", "track", f"{film}", "-o", f"{output}"]
+        words += ["--camera", f"{camera}"] if camera is not None else []
+        for ball in self.settings.balls:
+            words += ["--ball", ball]
+        for name in ("region", "frames", "channel"):
+            words += [f"--{name}", value] if (value := getattr(self.settings, name)) else []
+        return words
+
+
+def make_plan(settings: RunSettings, film: Any, given: Mapping[str, Any] | None, *, where: str = "camera.json") -> Plan:
+    """Check settings with the code that checks files and options. `film` is a FilmView. Raises InputError.
+
+    given: the keys of the film's own camera file.
+    """
+    keys = settings.camera_keys(given, film.size)
+    channel = name_channel(settings.channel or None, "")
+    recording = film.open_recording(None if keys is None else Camera.from_dict(keys, where), settings.options)
+    if channel is not None:
+        recording.select_channel(channel)
+    return Plan(settings, recording, keys, keys is not None and keys != given)
+
+
+def join_words(words: list[str]) -> str:
+    """A command line for a shell. Raises InputError for a word that no terminal shows."""
+    if any(not word.isprintable() for word in words):
+        raise InputError("command: a name in it has characters that cannot be printed; rename the file")
+    return shlex.join(words)

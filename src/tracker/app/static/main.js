@@ -1,0 +1,163 @@
+// The page: puts its parts together, hears the keys, and follows the state of the server.
+
+import { get, newestOnly, post } from "/static/api.js";
+import { Inspector } from "/static/ball.js";
+import { Player } from "/static/player.js";
+import { Pointing } from "/static/pointing.js";
+import { Run } from "/static/run.js";
+import { Stage } from "/static/stage.js";
+
+const element = (id) => document.getElementById(id);
+const TOOLS = ["look", "scale", "ball", "region"];
+
+function tell(text) {
+  element("message").textContent = text;
+  element("message").hidden = text === "";
+}
+
+async function begin() {
+  let film = await get("/api/film");
+  const stage = new Stage(element("stage")), player = new Player(stage, film, tell);
+  const inspector = new Inspector(stage, player), pointing = new Pointing(stage, player, inspector);
+  const run = new Run(pointing, tell);
+  let detector = film.status.detector;
+
+  function open(next) {
+    film = next;
+    document.title = `${film.film.split("/").at(-1)} – workbench`;
+    element("film-name").textContent = `${film.film} · ${film.size.join(" × ")} px · ${film.frames} frames`;
+    element("clip-choice").hidden = film.clips.length < 2;
+    element("clip").replaceChildren(...film.clips.map((number, k) => new Option(number, k, false, k === film.clip)));
+    element("channel").replaceChildren(...film.channels.map((name) => new Option(name, name)));
+    element("channel").disabled = film.channels.length < 2;
+    element("search-choice").hidden = film.channels.length < 2;
+    if (film.settings.channel) element("channel").value = player.look.channel = film.settings.channel;
+    setBrightness(0, 1);
+    pointing.open(film);
+    tell(film.notes.filter((note) => note.startsWith("truncated") || note.startsWith("damaged")).join("; "));
+    hear(film.status);
+  }
+
+  const findBalls = newestOnly(async (index) => {
+    if (detector.state !== "ready") return;
+    try {
+      const found = await get(`/api/balls/${index}`);
+      if (index !== player.index) return;
+      Object.assign(stage.marks, { balls: found.balls, radius: found.radius });
+      inspector.point = found.point;
+      stage.canvas.dataset.balls = found.balls.length; // for tests and screen readers
+      element("detector").textContent = found.read
+        ? `${found.balls.length} ball${found.balls.length === 1 ? "" : "s"} here, by ${detector.name}${detector.channel === "grey" ? "" : ` in ${detector.channel}`}.`
+        : "This frame is not among those of --frames.";
+      element("stage").setAttribute("aria-label", `Frame ${player.number}, ${found.balls.length} balls found`);
+      stage.draw();
+      inspector.look();
+    } catch (error) {
+      if (error.status !== 409) element("detector").textContent = error.message;
+    }
+  });
+
+  function hear(status) {
+    const changed = status.detector.state !== detector.state || status.version !== hear.version;
+    detector = status.detector;
+    hear.version = status.version;
+    if (detector.state === "preparing") element("detector").textContent = "Looking through the film for balls …";
+    if (detector.state === "failed") element("detector").textContent = detector.error;
+    if (detector.state !== "ready") stage.marks.balls = [];
+    else if (changed) findBalls(player.index);
+    element("detector").title = detector.notes.join("\n");
+    run.show(status.run);
+    stage.draw();
+  }
+
+  function setBrightness(low, high) {
+    element("low").value = Math.round(low * 100);
+    element("high").value = Math.max(Math.round(high * 100), Number(element("low").value) + 1);
+    Object.assign(player.look, { low, high: Math.max(high, low + 0.005) });
+    player.show();
+  }
+
+  player.addEventListener("frame", () => {
+    stage.marks.balls = [];
+    delete stage.canvas.dataset.balls;
+    findBalls(player.index);
+  });
+  player.addEventListener("picture", () => { stage.canvas.dataset.frame = player.shown; inspector.look(); });
+  element("channel").addEventListener("change", () => {
+    player.look.channel = element("channel").value;
+    player.show();
+    if (element("search-channel").checked) pointing.send();
+  });
+  for (const id of ["low", "high"]) {
+    element(id).addEventListener("input", () => {
+      const [low, high] = [Number(element("low").value) / 100, Number(element("high").value) / 100];
+      setBrightness(id === "low" ? low : Math.min(low, high - 0.01), id === "high" ? high : Math.max(high, low + 0.01));
+    });
+  }
+  element("auto").addEventListener("click", () => setBrightness(...film.levels));
+  element("plain").addEventListener("click", () => setBrightness(0, 1));
+  element("zoom-in").addEventListener("click", () => stage.zoomBy(1.5));
+  element("zoom-out").addEventListener("click", () => stage.zoomBy(1 / 1.5));
+  element("fit").addEventListener("click", () => stage.fit());
+  element("clip").addEventListener("change", async () => {
+    try {
+      const next = await post("/api/clip", Number(element("clip").value));
+      player.open(next);
+      open(next);
+    } catch (error) {
+      tell(error.message);
+    }
+  });
+
+  let nextBall = 0;
+  function jumpToBall() {
+    const { balls } = stage.marks;
+    if (balls.length === 0) return;
+    const ball = balls[nextBall++ % balls.length];
+    stage.point([ball.x, ball.y]);
+    stage.draw();
+  }
+
+  const keys = {
+    ArrowLeft: (big) => player.go(player.index - (big ? 10 : 1)),
+    ArrowRight: (big) => player.go(player.index + (big ? 10 : 1)),
+    Home: () => player.go(0),
+    End: () => player.go(film.frames - 1),
+    " ": () => player.toggle(),
+    "+": () => stage.zoomBy(1.5),
+    "=": () => stage.zoomBy(1.5),
+    "-": () => stage.zoomBy(1 / 1.5),
+    0: () => stage.fit(),
+    n: jumpToBall,
+  };
+  TOOLS.forEach((tool, k) => { keys[k + 1] = () => pointing.choose(tool); });
+  const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+  document.addEventListener("keydown", (event) => {
+    const { target } = event, plain = !event.ctrlKey && !event.metaKey;
+    const isSlider = target.type === "range" && target.id !== "frame";
+    if (!plain || isSlider || target.matches("select, textarea, summary, iframe, input:not([type=range], [type=radio], [type=checkbox])")) return;
+    const presses = target.matches("button, input[type=checkbox], input[type=radio]");
+    if (presses && (event.key === " " || (target.type === "radio" && event.key.startsWith("Arrow")))) return;
+    if (event.altKey && moves[event.key]) {
+      const step = event.shiftKey ? 10 : 1;
+      stage.canvas.focus({ preventScroll: true });
+      stage.moveCross(...moves[event.key].map((v) => v * step));
+    } else if (event.key === "Enter" && target === stage.canvas) {
+      stage.press(stage.cross);
+    } else if (keys[event.key] && !event.altKey) {
+      keys[event.key](event.shiftKey);
+    } else {
+      return;
+    }
+    event.preventDefault();
+  });
+
+  open(film);
+  const stream = new EventSource("/api/status");
+  stream.addEventListener("message", (event) => hear(JSON.parse(event.data)));
+  stream.addEventListener("error", () => tell("The workbench does not answer. If it has ended, start tracker open again."));
+  stream.addEventListener("open", () => { if (element("message").textContent.startsWith("The workbench does not")) tell(""); });
+}
+
+begin().catch((error) => tell(error.message));

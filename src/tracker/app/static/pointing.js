@@ -1,0 +1,225 @@
+// What is set: scale, balls, region, frames, numbers of the camera. The server checks it and gives the command line.
+
+import { newestOnly, post } from "/static/api.js";
+
+const POINTING_ERROR_PX = 1; // of each end of a length
+const element = (id) => document.getElementById(id);
+const rounded = (value, digits = 6) => Number(value.toPrecision(digits));
+const HINTS = {
+  look: "Drag to move the picture; turn the wheel to zoom.",
+  scale: "Click both ends of a known length, then type the length.",
+  ball: "Click the middle of a ball: an example for --ball. Not needed if the balls are found.",
+  region: "Drag a rectangle: balls are searched in it alone.",
+};
+
+export class Pointing {
+  constructor(stage, player, inspector) {
+    Object.assign(this, { stage, player, inspector, ballTexts: [], given: {} });
+    this.send = newestOnly(() => this.apply());
+    for (const id of ["fps", "diameter", "exposure", "first", "last", "region"]) {
+      element(id).addEventListener("input", () => this.send());
+    }
+    for (const id of ["length", "points"]) element(id).addEventListener("input", () => this.setScale());
+    element("no-scale").addEventListener("click", () => this.clearScale());
+    element("region").addEventListener("input", () => this.markRegion());
+    element("add-ball").addEventListener("click", () => this.addTypedBall());
+    element("settings").addEventListener("submit", (event) => { event.preventDefault(); this.addTypedBall(); });
+    element("search-channel").addEventListener("change", () => this.send());
+    for (const radio of document.querySelectorAll("input[name=tool]")) {
+      radio.addEventListener("change", () => this.choose(radio.value));
+    }
+    for (const button of document.querySelectorAll("[data-copy]")) {
+      button.addEventListener("click", () => this.copy(button));
+    }
+    stage.addEventListener("press", (event) => this.press(event.detail));
+    player.addEventListener("frame", () => this.markHints());
+    this.choose("look");
+  }
+
+  open(film) {
+    const { settings } = film, given = film.given ?? {};
+    const number = (id, value, factor = 1) => { element(id).value = value == null ? "" : rounded(value * factor, 9); };
+    this.scale = settings.scale;
+    this.scaleStd = settings.scale_std;
+    this.given = given;
+    this.ballTexts = [...settings.balls];
+    number("fps", settings.fps ?? given.fps);
+    number("diameter", settings.ball_diameter ?? given.ball_diameter, 1e3);
+    number("exposure", settings.exposure ?? given.exposure, 1e3);
+    const [first, last] = settings.frames.split(":");
+    element("first").value = first ?? "";
+    element("last").value = last ?? "";
+    element("region").value = settings.region;
+    element("points").value = element("length").value = "";
+    element("search-channel").checked = settings.channel !== "";
+    this.searched = settings.channel;
+    element("film-fps").textContent = film.fps ? `The file says ${rounded(film.fps)}.` : "The file does not say.";
+    element("use-fps").hidden = !film.fps;
+    element("use-fps").onclick = () => { element("fps").value = rounded(film.fps); this.send(); };
+    this.stage.marks.scale = [];
+    this.stage.marks.pending = null;
+    this.markRegion();
+    this.listBalls();
+    this.showScale();
+    this.showPlan(film.plan);
+  }
+
+  choose(tool) {
+    this.stage.tool = tool;
+    this.stage.marks.pending = null;
+    element(`hint`).textContent = HINTS[tool];
+    document.querySelector(`input[name=tool][value=${tool}]`).checked = true;
+    this.stage.draw();
+  }
+
+  press([x, y]) {
+    const { marks, tool } = this.stage, [width, height] = this.stage.size;
+    const at = [Math.min(Math.max(x, 0), width - 1), Math.min(Math.max(y, 0), height - 1)].map((v) => rounded(v, 5));
+    if (tool === "ball") {
+      const seen = this.inspector.find(at), [bx, by] = seen ? [seen.x, seen.y] : at;
+      this.addBall(`${bx.toFixed(1)},${by.toFixed(1)}@${this.player.number}`);
+    } else if (tool !== "look" && !marks.pending) {
+      marks.pending = at;
+    } else if (tool === "scale") {
+      const show = (point) => point.map((v) => v.toFixed(1)).join(",");
+      element("points").value = `${show(marks.pending)} ${show(at)}`;
+      marks.pending = null;
+      this.setScale();
+      element("length").focus();
+    } else if (tool === "region") {
+      const [a, b] = [marks.pending, at];
+      marks.pending = null;
+      const corners = [Math.min(a[0], b[0]), Math.min(a[1], b[1]), Math.max(a[0], b[0]), Math.max(a[1], b[1])];
+      element("region").value = corners.map((v) => Math.round(v)).join(",");
+      this.markRegion();
+      this.send();
+    }
+    this.stage.draw();
+  }
+
+  setScale() {
+    const numbers = element("points").value.split(/[\s,;]+/).filter(Boolean).map(Number);
+    const valid = numbers.length === 4 && numbers.every(Number.isFinite);
+    this.stage.marks.scale = valid ? [numbers.slice(0, 2), numbers.slice(2)] : [];
+    this.stage.draw();
+    const length = Number(element("length").value) / 1e3;
+    const pixels = valid ? Math.hypot(numbers[2] - numbers[0], numbers[3] - numbers[1]) : 0;
+    if (!(length > 0 && pixels > 0)) return;
+    this.scale = rounded(length / pixels, 7);
+    this.scaleStd = rounded((this.scale * Math.SQRT2 * POINTING_ERROR_PX) / pixels, 2);
+    this.showScale();
+    this.send();
+  }
+
+  clearScale() {
+    this.scale = this.scaleStd = null;
+    element("points").value = element("length").value = "";
+    this.stage.marks.scale = [];
+    this.showScale();
+    this.stage.draw();
+    this.send();
+  }
+
+  showScale() {
+    const own = this.scale ?? this.given.scale;
+    const error = this.scale != null ? this.scaleStd : this.given.scale_std;
+    const from = this.scale == null && own != null ? " (camera.json)" : "";
+    element("scale").textContent = own == null
+      ? "not set"
+      : `${rounded(own * 1e3, 5)}${error ? ` ± ${rounded(error * 1e3, 2)}` : ""} mm/px${from}`;
+    element("no-scale").hidden = this.scale == null;
+  }
+
+  addTypedBall() {
+    const text = element("new-ball").value.trim();
+    if (!text) return;
+    this.addBall(text);
+    element("new-ball").value = "";
+  }
+
+  addBall(text) {
+    this.ballTexts.push(text);
+    this.listBalls();
+    this.send();
+  }
+
+  listBalls() {
+    element("balls").replaceChildren(...this.ballTexts.map((text, k) => {
+      const item = document.createElement("li"), button = document.createElement("button");
+      item.append(text);
+      button.type = "button";
+      button.textContent = "Remove";
+      button.setAttribute("aria-label", `Remove ball ${text}`);
+      button.addEventListener("click", () => {
+        this.ballTexts.splice(k, 1);
+        this.listBalls();
+        this.send();
+      });
+      item.append(button);
+      return item;
+    }));
+    this.markHints();
+  }
+
+  markHints() {
+    const parse = (text, k) => {
+      const found = /^([\d.]+),([\d.]+)(?:,([\d.]+))?@(\d+)$/.exec(text.replaceAll(" ", ""));
+      return found && { x: Number(found[1]), y: Number(found[2]), radius: this.radii?.[k] ?? undefined, frame: Number(found[4]) };
+    };
+    this.stage.marks.hints = this.ballTexts.map(parse).filter((hint) => hint && hint.frame === this.player.number);
+    this.stage.draw();
+  }
+
+  markRegion() {
+    const numbers = element("region").value.split(",").map(Number);
+    this.stage.marks.region = numbers.length === 4 && numbers.every(Number.isFinite) ? numbers : null;
+    this.stage.draw();
+  }
+
+  collect() {
+    const number = (id, factor = 1) => (element(id).value === "" ? null : rounded(Number(element(id).value) * factor, 12));
+    const own = (value, name) => (value === (this.given[name] ?? null) ? null : value);
+    const [first, last] = [element("first").value, element("last").value];
+    const channel = this.player.look.channel;
+    return {
+      scale: this.scale,
+      scale_std: this.scaleStd,
+      fps: own(number("fps"), "fps"),
+      ball_diameter: own(number("diameter", 1e-3), "ball_diameter"),
+      exposure: own(number("exposure", 1e-3), "exposure"),
+      balls: this.ballTexts,
+      region: element("region").value.trim(),
+      frames: first || last ? `${first}:${last}` : "",
+      channel: element("search-channel").checked && channel !== "colour film" ? channel : "",
+    };
+  }
+
+  async apply() {
+    try {
+      this.showPlan(await post("/api/settings", this.collect()));
+      element("settings-error").textContent = "";
+    } catch (error) {
+      element("settings-error").textContent = error.message;
+    }
+  }
+
+  showPlan(plan) {
+    element("command").textContent = plan.command;
+    element("camera-box").hidden = plan.camera == null;
+    element("run-note").hidden = plan.camera != null;
+    element("camera").textContent = plan.camera ?? "";
+    this.radii = plan.radii;
+    this.markHints();
+  }
+
+  async copy(button) {
+    const text = element(button.dataset.copy);
+    try {
+      await navigator.clipboard.writeText(text.textContent);
+      button.textContent = "Copied";
+      setTimeout(() => { button.textContent = "Copy"; }, 1500);
+    } catch { // without a right to the clipboard the text is selected
+      getSelection().selectAllChildren(text);
+    }
+  }
+}

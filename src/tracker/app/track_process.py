@@ -1,0 +1,122 @@
+"""Runs `tracker track` as a child process: its progress, its end, and how it is cancelled."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import IO, Any, Literal
+
+from synthcam_shared.application import PROGRESS_INTERVAL
+
+State = Literal["idle", "running", "done", "failed", "cancelled"]
+PROGRESS = re.compile(r"(\w+): (\d+) of (\d+) after ")
+MAX_LINES = 200  # of the child's messages that are kept
+
+
+@dataclass(frozen=True)
+class RunStatus:
+    """A run as the page shows it. summary: what `tracker track --json` prints; lines: its messages."""
+
+    number: int = 0
+    state: State = "idle"
+    what: str = ""
+    done: int = 0
+    total: int = 0
+    lines: tuple[str, ...] = ()
+    error: str = ""
+    summary: dict[str, Any] = field(default_factory=dict)
+
+
+class TrackProcess:
+    """One child process at a time. `changed` is called, from another thread, when the status changes."""
+
+    def __init__(
+        self,
+        changed: Callable[[], None] = lambda: None,
+        program: Sequence[str] = (sys.executable, "-m", "tracker"),
+    ) -> None:
+        self.status = RunStatus()
+        self._changed, self._program = changed, program
+        self._child: subprocess.Popen[str] | None = None
+        self._reader: threading.Thread | None = None
+        self._cancelled = False
+
+    @property
+    def is_running(self) -> bool:
+        """True until the child has ended and its output is read."""
+        return self.status.state == "running"
+
+    def start(self, number: int, words: list[str]) -> None:
+        """Start the command, without its first word, as a process group of its own."""
+        assert not self.is_running
+        self._cancelled = False
+        printed = tempfile.TemporaryFile("w+")  # noqa: SIM115  # a pipe that nobody empties would stop the child
+        self._child = subprocess.Popen(
+            [*self._program, *words[1:], "--json"],
+            stdin=subprocess.DEVNULL,
+            stdout=printed,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            env={**os.environ, PROGRESS_INTERVAL: "0.2"},
+            start_new_session=True,
+        )
+        self._set(RunStatus(number=number, state="running"))
+        self._reader = threading.Thread(target=self._read, args=(self._child, printed), daemon=True)
+        self._reader.start()
+
+    def cancel(self, patience_s: float = 10.0) -> None:
+        """Interrupt the child as Ctrl-C does, and kill it if that does not end it."""
+        child = self._child
+        if child is None or not self.is_running:
+            return
+        self._cancelled = True
+        self._signal(child, signal.SIGINT)
+        threading.Timer(patience_s, self._signal, (child, signal.SIGKILL)).start()
+
+    def close(self) -> None:
+        """Cancel, and wait until the child has ended."""
+        self.cancel(3.0)
+        if self._reader is not None:
+            self._reader.join()
+
+    @staticmethod
+    def _signal(child: subprocess.Popen[str], number: int) -> None:
+        if child.poll() is None:
+            with suppress(ProcessLookupError):
+                os.killpg(child.pid, number)
+
+    def _set(self, status: RunStatus) -> None:
+        self.status = status
+        self._changed()
+
+    def _read(self, child: subprocess.Popen[str], printed: IO[str]) -> None:
+        assert child.stderr is not None
+        with printed, child.stderr:
+            for line in child.stderr:
+                if match := PROGRESS.match(line):
+                    what, done, total = match[1], int(match[2]), int(match[3])
+                    self._set(replace(self.status, what=what, done=done, total=total))
+                else:
+                    lines = (*self.status.lines, line.strip().removeprefix("tracker: "))[-MAX_LINES:]
+                    self._set(replace(self.status, lines=lines))
+            code = child.wait()
+            printed.seek(0)
+            text = printed.read()
+        if code == 0:
+            self._set(replace(self.status, state="done", summary=json.loads(text)))
+        elif self._cancelled:
+            self._set(replace(self.status, state="cancelled"))
+        else:
+            last = self.status.lines[-1] if self.status.lines else ""
+            ended = f"ended by signal {-code}" if code < 0 else f"exit status {code}"
+            self._set(replace(self.status, state="failed", error=f"{last or 'tracker track'} ({ended})"))

@@ -1,0 +1,283 @@
+"""The state behind the page: the film in view, its settings, the detector of one frame, and the run."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import check_writable, write_atomically
+from synthcam_shared.settings import build_settings
+from tracker.app.film_view import FilmView
+from tracker.app.frame_detector import FrameDetector, list_balls, prepare_detector
+from tracker.app.run_settings import Plan, RunSettings, join_words, make_plan
+from tracker.app.track_process import TrackProcess
+from tracker.camera.camera_json import read_source
+from tracker.camera.recordings import RecordingSource
+from tracker.detection.choose import measure_radius
+from tracker.report.estimates_text import (
+    METHODS,
+    describe_recommendation,
+    describe_status,
+    list_quantities,
+    order_methods,
+    rows_as_dicts,
+)
+from tracker.results import finite
+
+MAX_COLLISIONS = 20  # whose numbers the page lists; the report has all
+QUANTITIES = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction", "momentum_fraction")
+
+
+@dataclass(frozen=True)
+class DetectorStatus:
+    """How far the preparation of the detector is: state "preparing", "ready" or "failed"."""
+
+    state: str = "preparing"
+    name: str = ""
+    point: str = ""
+    channel: str = ""
+    seconds: float = 0.0
+    notes: tuple[str, ...] = ()
+    error: str = ""
+
+
+class Workbench:
+    """One page's work on one source. Methods may be called from any thread."""
+
+    def __init__(self, source: RecordingSource, folder: Path | None = None) -> None:
+        beside = source.path.resolve()
+        self.source = source
+        self.folder = (folder or beside.with_name(f"{beside.stem}_workbench")).absolute()
+        if self.folder.exists() and not self.folder.is_dir():
+            raise InputError(f"{self.folder}: a file, expected a folder for the results")
+        if beside.is_dir() and beside in (self.folder, *self.folder.parents):
+            raise InputError(f"{self.folder}: lies in {source.path}, expected a folder outside it")
+        self.process = TrackProcess(self._note_change)
+        self.made: set[int] = set()  # numbers of the runs of this session
+        self.version = 0  # grows with every change of detector and run
+        self._lock = threading.RLock()
+        self._wake = threading.Event()
+        self._closed = False
+        self.open_clip(0)
+        self._worker = threading.Thread(target=self._prepare_always, daemon=True)
+        self._worker.start()
+
+    def close(self) -> None:
+        """End the run, if one is under way, and the preparation."""
+        self._closed = True
+        self._wake.set()
+        self.process.close()
+
+    def _note_change(self) -> None:
+        self.version += 1
+
+    # --- the film
+
+    def open_clip(self, index: int) -> None:
+        """Show another clip of the source, without settings. Raises InputError."""
+        if not 0 <= index < len(self.source):
+            raise InputError(f"clip: expected 0 to {len(self.source) - 1}, not {index}")
+        if self.process.is_running:
+            raise InputError("clip: a run is under way; wait for it, or cancel it")
+        view = FilmView(self.source, index)
+        file = replace(self.source, clips=(self.source.clips[index],)).camera_files()
+        given: Mapping[str, Any] | None = read_source(file[0]) if file else None
+        plan = make_plan(RunSettings(), view, given, where=f"{file[0]}" if file else "")
+        with self._lock:
+            self.view, self.given = view, given
+            self._take(plan)
+
+    @property
+    def film(self) -> Path:
+        """The film in view, as `tracker track` takes it."""
+        if not self.source.dataset:
+            return self.source.path
+        return self.view.location.parent
+
+    def describe(self) -> dict[str, Any]:
+        """All that the page needs when it is loaded."""
+        frames, view = self.view.clip.frames, self.view
+        even = bool((frames.numbers == np.arange(len(frames))).all())
+        return {
+            "film": f"{self.film}",
+            "clips": [number for number, _ in self.source.clips],
+            "clip": view.index,
+            "frames": len(frames),
+            "numbers": None if even else frames.numbers.tolist(),
+            "size": view.size,
+            "fps": round(frames.fps, 6),
+            "channels": view.channels,
+            "levels": view.levels,
+            "notes": [str(note) for note in view.clip.notes],
+            "given": None if self.given is None else finite(dict(self.given)),
+            "folder": f"{self.folder}",
+            "settings": self.plan.settings.model_dump(),
+            "plan": self.describe_plan(),
+            "status": self.describe_status(),
+        }
+
+    # --- settings
+
+    def apply(self, values: Any) -> dict[str, Any]:
+        """Check settings and take them: camera.json and command line. Raises InputError."""
+        settings = build_settings(values, RunSettings, "settings")
+        with self._lock:
+            self._take(make_plan(settings, self.view, self.given))
+            return self.describe_plan()
+
+    def describe_plan(self) -> dict[str, Any]:
+        """The settings as camera.json and as a command line, and the radii of the balls pointed at, px."""
+        with self._lock:
+            number, plan = self._next_number(), self.plan
+            camera = self._camera_file(number) if plan.needs_file else self.source.camera
+            command = join_words(plan.write_command(self.film, camera, self._results(number)))
+            return {
+                "camera": None if plan.keys is None else json.dumps(finite(plan.keys), indent=1),
+                "camera_file": f"{camera}" if plan.needs_file else "",
+                "command": command,
+                "radii": self._radii,
+            }
+
+    def _take(self, plan: Plan) -> None:
+        """Use a plan from now on, and prepare its detector if that may differ."""
+        self.plan = plan
+        frames = plan.recording.frames
+        self._radii = [
+            ball.radius or measure_radius(np.asarray(frames[int(np.searchsorted(frames.numbers, ball.frame))]), ball)
+            for ball in plan.recording.balls
+        ]
+        mark = json.dumps([plan.keys, *vars(plan.settings.options).values(), plan.settings.channel, self.view.index])
+        if mark != getattr(self, "_mark", ""):
+            self._mark, self.detector, self.detector_status = mark, None, DetectorStatus()
+            self._note_change()
+            self._wake.set()
+
+    # --- the detector of one frame
+
+    detector: FrameDetector | None
+
+    def _prepare_always(self) -> None:
+        while not self._closed:
+            self._wake.wait()
+            self._wake.clear()
+            if self._closed:
+                return
+            with self._lock:
+                mark, plan, view = self._mark, self.plan, self.view
+            if self.detector is not None:
+                continue
+            began, ready, status = time.monotonic(), None, DetectorStatus("failed")
+            try:
+                view.levels  # noqa: B018  # the first look reads frames, too
+                ready = prepare_detector(plan.recording, plan.settings.channel or None)
+                status = DetectorStatus(
+                    state="ready",
+                    name=ready.name,
+                    point=ready.point,
+                    channel=ready.clip.channel,
+                    seconds=round(time.monotonic() - began, 2),
+                    notes=ready.notes,
+                )
+            except InputError as error:
+                status = replace(status, error=f"{error}")
+            except Exception as error:  # the film can still be looked at
+                status = replace(status, error=f"this film cannot be searched ({type(error).__name__}: {error})")
+            with self._lock:
+                if mark == self._mark:
+                    self.detector, self.detector_status = ready, status
+                    self._note_change()
+
+    def find_balls(self, index: int) -> dict[str, Any] | None:
+        """The balls of a frame of the film; None while the detector is prepared. Raises InputError."""
+        with self._lock:
+            detector, numbers = self.detector, self.view.clip.frames.numbers
+        if not 0 <= index < len(numbers):
+            raise InputError(f"frame {index}: expected 0 to {len(numbers) - 1}")
+        if detector is None:
+            return None
+        began, own = time.monotonic(), detector.clip.frames.numbers
+        row = int(np.searchsorted(own, numbers[index]))
+        inside = row < len(own) and bool(own[row] == numbers[index])
+        balls = list_balls(detector.detect(row)) if inside else []
+        spent = round(1e3 * (time.monotonic() - began), 1)
+        return {"balls": balls, "radius": detector.radius_px, "point": detector.point, "ms": spent, "read": inside}
+
+    # --- the run
+
+    def _next_number(self) -> int:
+        """The first number that no file of an earlier run has, nor one that was interrupted."""
+        taken = {path.name.removesuffix(".partial") for path in self.folder.glob("*_*")}
+        names = ({self._camera_file(n).name, self._results(n).name} for n in count(1))
+        return next(n for n, own in enumerate(names, 1) if not own & taken)
+
+    def _camera_file(self, number: int) -> Path:
+        return self.folder / f"camera_{number}.json"
+
+    def _results(self, number: int) -> Path:
+        return self.folder / f"results_{number}"
+
+    def start_run(self) -> dict[str, Any]:
+        """Start `tracker track` with the settings of the page. Raises InputError."""
+        with self._lock:
+            if self.process.is_running:
+                raise InputError("run: one is under way; wait for it, or cancel it")
+            number, plan = self._next_number(), self.plan
+            check_writable(self.folder)
+            self.folder.mkdir(parents=True, exist_ok=True)
+            camera = self.source.camera
+            if plan.needs_file:
+                camera = self._camera_file(number)
+                write_atomically(camera, json.dumps(finite(plan.keys), indent=1) + "\n")
+            self.made.add(number)
+            self.process.start(number, plan.write_command(self.film, camera, self._results(number)))
+            return self.describe_status()
+
+    def describe_status(self) -> dict[str, Any]:
+        """State of the detector and of the run."""
+        run = self.process.status
+        return {
+            "version": self.version,
+            "detector": vars(self.detector_status),
+            "run": {key: value for key, value in vars(run).items() if key != "summary"},
+        }
+
+    def describe_results(self, number: int) -> dict[str, Any]:
+        """The recommended numbers of a run of this session, with their errors. Raises InputError."""
+        folder = self.find_results(number)
+        table = pd.read_parquet(folder / "estimates.parquet")
+        return {
+            "folder": f"{folder}",
+            "collisions": [_describe_collision(row) for row in rows_as_dicts(table.head(MAX_COLLISIONS))],
+            "more": max(len(table) - MAX_COLLISIONS, 0),
+            "page": f"/report/{number}/index.html" if (folder / "index.html").is_file() else "",
+        }
+
+    def find_results(self, number: int) -> Path:
+        """The folder of a run that was made in this session. Raises InputError."""
+        if number not in self.made or not (self._results(number) / "estimates.parquet").is_file():
+            raise InputError(f"run {number}: not one of this page")
+        return self._results(number)
+
+
+def _describe_collision(row: Mapping[str, Any]) -> dict[str, Any]:
+    methods = order_methods(row)
+    return {
+        "title": f"Collision {row['collision']}",
+        "status": describe_status(row),
+        "why": describe_recommendation(row),
+        "method": METHODS[next(iter(methods))],
+        "rows": [
+            [line.quantity.plain_symbol, line.values[0], line.quantity.unit, line.quantity.meaning]
+            for line in list_quantities(row, QUANTITIES)
+        ],
+    }

@@ -1,0 +1,221 @@
+"""The workbench from end to end, in a headless Chromium. `make test-app` runs it; `make test` does not, by its name."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import tifffile
+from tracker_film import CAMERA, collision, film
+
+api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make test-app installs it")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+if CHROMIUM is None:
+    pytest.skip("no Chromium on this machine: apt-get install chromium", allow_module_level=True)
+
+PATHS = collision(60)  # equal balls; 0.8 and 0.2 of the speed along the line of centres after the hit: r is 0.6
+
+
+@pytest.fixture(scope="session")
+def films(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("films")
+    tifffile.imwrite(folder / "<i>hit & run.tif", film(np.random.default_rng(0), PATHS), imagej=True)
+    tifffile.imwrite(folder / "long.tif", np.tile(film(np.random.default_rng(1), PATHS[:8]), (120, 1, 1)), imagej=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def browser():
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def workbench(film, output):
+    """The command, and the address that it prints; it has to end by itself."""
+    words = [sys.executable, "-m", "tracker", "open", str(film), "--no-browser", "-o", str(output)]
+    command = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield command, command.stdout.readline().strip()
+    finally:
+        if command.poll() is None:
+            command.send_signal(signal.SIGINT)
+        command.communicate(timeout=20)
+
+
+@contextmanager
+def opened(browser, address, **kwargs):
+    """A page whose scripts raise no error."""
+    context, errors = browser.new_context(viewport={"width": 1280, "height": 900}, **kwargs), []
+    page = context.new_page()
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(address)
+    page.wait_for_selector("#stage[data-frame='0'][data-balls]")
+    yield page
+    context.close()
+    assert errors == []
+
+
+def at(page, x, y):
+    """Where a position of the film is on the screen while the whole film is shown."""
+    box = page.locator("#stage").bounding_box()
+    zoom = min(box["width"] / 200, box["height"] / 160)
+    return box["x"] + box["width"] / 2 + (x - 99.5) * zoom, box["y"] + box["height"] / 2 + (y - 79.5) * zoom
+
+
+def shown(page, frame):
+    page.wait_for_selector(f"#stage[data-frame='{frame}'][data-balls]")
+    return int(page.get_attribute("#stage", "data-balls"))
+
+
+def says(page, selector, text):
+    page.locator(selector, has_text=re.compile(text)).wait_for(state="attached")
+
+
+def test_from_a_film_to_a_number(films, browser, tmp_path):
+    with workbench(films / "<i>hit & run.tif", tmp_path / "bench") as (command, address):
+        with opened(browser, address) as page:
+            # look
+            assert page.text_content("#film-name").startswith(str(films / "<i>hit & run.tif"))
+            page.keyboard.press("ArrowRight")
+            page.keyboard.press("Shift+ArrowRight")
+            assert shown(page, 11) == 1
+            page.keyboard.press("End")
+            shown(page, 59)
+            page.keyboard.press("Home")
+            assert shown(page, 0) == 1
+            page.mouse.move(*at(page, *PATHS[0, 0]))
+            says(page, "#ball", "Glint at")
+            x, y = re.search(r"([\d.]+), ([\d.]+) px", page.text_content("#ball")).groups()
+            assert np.hypot(float(x) - PATHS[0, 0, 0], float(y) - PATHS[0, 0, 1]) < 0.1
+            # point
+            page.keyboard.press("2")
+            page.mouse.click(*at(page, 20, 30))
+            page.mouse.click(*at(page, 120, 30))
+            page.keyboard.type("16")
+            says(page, "#scale", r"0\.16(0\d*)? ± 0\.0023 mm/px")
+            says(page, "#settings-error", "needs the frames a second, too")
+            page.fill("#fps", "250")
+            page.fill("#diameter", "2.38")
+            says(page, "#camera", '"ball_diameter": 0.00238')
+            page.check("input[value=region]")
+            page.mouse.move(*at(page, 2, 3))
+            page.mouse.down()
+            page.mouse.move(*at(page, 90, 90))
+            page.mouse.move(*at(page, 197, 156))
+            page.mouse.up()
+            says(page, "#command", "--region 2,3,197,156")
+            # run
+            page.click("#run")
+            page.wait_for_selector("#results table", timeout=60_000)
+            value, error = re.search(r"r(0\.\d+)\((\d+)\)", page.text_content("#results table")).groups()
+            assert abs(float(value) - 0.6) < 4 * int(error) * 10.0 ** -len(value.partition(".")[2])
+            says(page.frame_locator("#report"), "h1", "hit & run")
+            says(page, "#command", "results_2")
+            # load again
+            page.reload()
+            page.wait_for_selector("#results table")
+            assert page.input_value("#region") == "2,3,197,156"
+            says(page, "#scale", r"0\.16")
+        assert command.wait(20) == 0  # the page is closed
+    assert (tmp_path / "bench/camera_1.json").is_file()
+    assert (tmp_path / "bench/results_1/estimates.parquet").is_file()
+
+
+def test_everything_by_keyboard(films, browser, tmp_path):
+    with workbench(films / "<i>hit & run.tif", tmp_path / "bench") as (_, address), opened(browser, address) as page:
+        page.focus("#stage")
+        page.keyboard.press("n")
+        says(page, "#ball", "Glint at")
+        page.keyboard.press("3")
+        page.keyboard.press("Enter")
+        says(page, "#command", r"--ball (99|100|101)\.\d,(79|80|81)\.\d@0")
+        page.click("#balls button")
+        page.keyboard.press("4")
+        page.focus("#stage")
+        for _ in range(2):
+            page.keyboard.press("Enter")
+            page.keyboard.press("Alt+Shift+ArrowRight")
+            page.keyboard.press("Alt+Shift+ArrowDown")
+        says(page, "#command", r"--region 100,80,110,90")
+        assert "--ball" not in page.text_content("#command")
+        before = page.evaluate("document.activeElement.id")
+        page.keyboard.press("+")
+        assert before == "stage"
+        page.focus("#fps")
+        page.keyboard.type("25 0")  # keys in a field are text
+        assert page.get_attribute("#stage", "data-frame") == "0"
+
+
+def test_hints_that_are_wrong_are_said(films, browser, tmp_path):
+    with workbench(films / "<i>hit & run.tif", tmp_path / "bench") as (_, address), opened(browser, address) as page:
+        page.fill("#new-ball", "<b>here</b>")
+        page.click("#add-ball")
+        says(page, "#settings-error", "expected X,Y@FRAME")
+        assert page.locator("#balls b").count() == 0
+        page.click("#run")
+        says(page, "#run-state", "expected X,Y@FRAME")
+
+
+def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, tmp_path):
+    with workbench(films / "long.tif", tmp_path / "bench") as (command, address), opened(browser, address) as page:
+        page.click("#run")
+        says(page, "#run-state", r"Tracking \d+ of 960 frames")
+        page.click("#cancel")
+        says(page, "#run-state", "Cancelled")
+        page.click("#run")
+        says(page, "#run-state", r"Tracking \d+ of 960 frames")
+        children = subprocess.run(["pgrep", "-P", str(command.pid)], capture_output=True, text=True).stdout.split()
+        for child in children:
+            os.kill(int(child), signal.SIGKILL)
+        says(page, "#run-state", "ended by signal 9")
+        page.click("#run")
+        says(page, "#run-state", r"Tracking \d+ of 960 frames")
+        command.send_signal(signal.SIGINT)  # Ctrl-C ends the child, too
+        assert command.wait(20) == 130
+        says(page, "#message", "does not answer")
+    assert subprocess.run(["pgrep", "-f", f"{tmp_path}/bench"], capture_output=True).stdout == b""
+
+
+def test_nobody_else_gets_in(films, browser, tmp_path):
+    with workbench(films / "<i>hit & run.tif", tmp_path / "bench") as (_, address), opened(browser, address) as page:
+        bare = address.partition("?")[0]
+        stranger = browser.new_context().new_page()
+        assert stranger.goto(bare).status == 403
+        stranger.set_content(f"<img src='{bare}frame/0.jpg'><p>other</p>")
+        assert page.evaluate("document.cookie") == ""  # scripts do not see it
+        stranger.context.close()
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (1280, "dark"), (400, "light"), (400, "dark")])
+def test_nothing_is_wider_than_the_screen(films, browser, tmp_path, width, scheme):
+    with (
+        workbench(films / "<i>hit & run.tif", tmp_path / "bench") as (_, address),
+        opened(browser, address, color_scheme=scheme) as page,
+    ):
+        page.set_viewport_size({"width": width, "height": 800})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        if folder := os.environ.get("SCREENSHOTS"):
+            page.screenshot(path=f"{folder}/workbench_{width}_{scheme}.png", full_page=True)
+
+
+def test_clips_of_a_dataset(films, browser, tmp_path):
+    for number in (3, 4):
+        folder = tmp_path / f"data/clips/{number:06d}"
+        folder.mkdir(parents=True)
+        shutil.copy(films / "<i>hit & run.tif", folder / "frames.tif")
+        (folder / "camera.json").write_text(json.dumps(CAMERA))
+    with workbench(tmp_path / "data", tmp_path / "bench") as (_, address), opened(browser, address) as page:
+        says(page, "#scale", "0.16 mm/px .camera.json.")
+        page.select_option("#clip", label="4")
+        says(page, "#film-name", "clips/000004")
+        shown(page, 0)
+        assert "data/clips/000004" in page.text_content("#command")

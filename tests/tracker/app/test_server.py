@@ -1,0 +1,202 @@
+"""The addresses of the page: who is let in, what is served, what is refused."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from processes import until
+from repository import ROOT
+from tracker_film import CAMERA, collision, film, write_clip
+
+pytest.importorskip("starlette", reason="the extra app is not installed")
+from starlette.testclient import TestClient
+
+from synthcam_shared.errors import InputError
+from tracker.app.server import STATIC, Presence, make_application
+from tracker.app.workbench import Workbench
+from tracker.camera.recordings import open_source
+
+HOME = "http://127.0.0.1:8000"
+SCALE = {"scale": 2e-4, "fps": 250}
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    paths = collision(30, contact=13.4, speed=2.5)
+    return paths, film(np.random.default_rng(0), paths)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory, pictures):
+    folder = tmp_path_factory.mktemp("bench") / "<b>clip"
+    write_clip(folder, pictures[1])
+    bench = Workbench(open_source(folder))
+    assert until(lambda: bench.detector_status.state == "ready")
+    yield bench
+    bench.close()
+
+
+def enter(bench):
+    client = TestClient(make_application(bench, 8000, "secret"), HOME, headers={"Origin": HOME})
+    client.get("/?token=secret")
+    return client
+
+
+@pytest.fixture
+def client(bench):
+    client = enter(bench)
+    yield client
+    client.post("/api/settings", json={})
+
+
+def test_the_token_lets_in_and_leaves_a_strict_cookie(bench):
+    client = TestClient(make_application(bench, 8000, "secret"), HOME)
+    assert client.get("/").status_code == 403
+    assert client.get("/?token=wrong").status_code == 403
+    assert client.get("/api/film?token=secret").status_code == 403
+    answer = client.get("/?token=secret", follow_redirects=False)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/")
+    assert {"HttpOnly", "SameSite=strict"} <= set(answer.headers["set-cookie"].split("; "))
+    page = client.get("/")
+    assert page.status_code == 200
+    assert "default-src 'none'; script-src 'self'" in page.headers["content-security-policy"]
+    assert page.headers["x-content-type-options"] == "nosniff"
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "change", "code"),
+    [
+        ("GET", "/", {"Host": "evil.example"}, 403),
+        ("GET", "/", {"Host": "127.0.0.1:8001"}, 403),
+        ("GET", "/", {"Host": "localhost:8000"}, 200),
+        ("POST", "/api/settings", {"Origin": "http://evil.example"}, 403),
+        ("POST", "/api/settings", {"Origin": "null"}, 403),
+        ("POST", "/api/settings", {"Content-Type": "text/plain"}, 415),
+        ("POST", "/api/settings", {"Content-Length": "70000"}, 413),
+        ("POST", "/api/settings", {}, 200),
+        ("DELETE", "/api/settings", {}, 405),
+        ("GET", "/static/main.js", {}, 200),
+        ("GET", "/static/..%2fserver.py", {}, 404),
+        ("GET", "/static/../../server.py", {}, 404),
+        ("GET", "/static/none.js", {}, 404),
+        ("GET", "/report/1/index.html", {}, 422),
+        ("GET", "/frame/0.jpg", {}, 200),
+        ("GET", "/frame/0.exe", {}, 404),
+        ("GET", "/frame/30.jpg", {}, 422),
+        ("GET", "/frame/0.jpg?low=x", {}, 422),
+        ("GET", "/frame/0.png?box=1,2,3", {}, 422),
+        ("GET", "/api/balls/30", {}, 422),
+    ],
+)
+def test_who_is_let_in_and_what_is_served(client, method, path, change, code):
+    headers = {"Content-Type": "application/json", **change}
+    assert client.request(method, path, headers=headers, content=None if method == "GET" else b"{}").status_code == code
+
+
+@pytest.mark.parametrize("body", ["{", "[" * 50_000, "null", '{"scale": NaN}', "7"])
+def test_bodies_that_are_no_settings(client, body):
+    answer = client.post("/api/settings", content=body, headers={"Content-Type": "application/json"})
+    assert answer.status_code == 422
+    assert "\n" not in answer.json()["error"]
+
+
+def test_the_film_is_described_and_its_balls_are_found(client, bench, pictures):
+    about = client.get("/api/film").json()
+    assert (about["frames"], about["size"], about["channels"]) == (30, [200, 160], ["grey"])
+    assert about["given"]["scale"] == CAMERA["scale"]
+    assert about["status"]["detector"]["name"] == "maximum_likelihood"
+    found = client.get("/api/balls/20").json()
+    places = pictures[0][20]
+    assert len(found["balls"]) == len(places)
+    assert all(min(np.hypot(b["x"] - x, b["y"] - y) for b in found["balls"]) < 0.1 for x, y in places)
+
+
+def test_settings_make_a_camera_file_and_a_command(client, bench):
+    plan = client.post("/api/settings", json={**SCALE, "frames": "2:20", "balls": ["100,80@3"]}).json()
+    assert json.loads(plan["camera"])["scale"] == 2e-4
+    assert "--ball 100,80@3 --frames 2:20" in plan["command"]
+    assert plan["radii"][0] > 1
+    assert client.get("/api/film").json()["settings"]["frames"] == "2:20"  # a page that is loaded again has them
+    assert until(lambda: bench.detector_status.state == "ready")
+    assert client.get("/api/balls/25").json()["read"] is False
+    wrong = client.post("/api/settings", json={"region": "1,2"})
+    assert (wrong.status_code, wrong.json()["error"].partition(":")[0]) == (422, "--region '1,2'")
+
+
+def test_a_run_writes_the_camera_file_and_serves_its_report_alone(client, bench, monkeypatch):
+    def finish(number, words):
+        folder = bench.folder / f"results_{number}"
+        folder.mkdir()
+        (folder / "index.html").write_text("the report")
+        (folder / "run.json").write_text("{}")
+        (folder / "estimates.parquet").touch()
+        (folder / "out.html").symlink_to(ROOT / "README.md")
+        started.append(words)
+
+    started = []
+    monkeypatch.setattr(bench.process, "start", finish)
+    client.post("/api/run", json=SCALE)
+    camera = bench.folder / "camera_1.json"
+    assert json.loads(camera.read_text())["scale"] == 2e-4
+    assert started[0][:6] == ["tracker", "track", f"{bench.film}", "-o", f"{bench.folder / 'results_1'}", "--camera"]
+    report = client.get("/report/1/index.html")
+    assert (report.text, report.status_code) == ("the report", 200)
+    assert "frame-ancestors 'self'" in report.headers["content-security-policy"]
+    for name in ("run.json", "..%2fcamera_1.json", "out.html", "none.html"):
+        assert client.get(f"/report/1/{name}").status_code == 404
+    assert client.get("/report/2/index.html").status_code == 422
+    assert "results_2" in client.post("/api/settings", json={}).json()["command"]
+
+
+def test_one_run_at_a_time(client, bench, monkeypatch):
+    monkeypatch.setattr(type(bench.process), "is_running", True)
+    for path, body in (("/api/run", {}), ("/api/clip", 0)):
+        answer = client.post(path, json=body)
+        assert (answer.status_code, "under way" in answer.json()["error"]) == (422, True)
+
+
+def test_clips_of_a_dataset_are_chosen_by_their_index(tmp_path, pictures):
+    for number in (3, 7):
+        write_clip(tmp_path / f"data/clips/{number:06d}", pictures[1][: number + 3])
+    bench = Workbench(open_source(tmp_path / "data"))
+    client = enter(bench)
+    about = client.post("/api/clip", json=1).json()
+    assert (about["clips"], about["clip"], about["frames"]) == ([3, 7], 1, 10)
+    assert about["film"].endswith("data/clips/000007")
+    assert "data_workbench" in about["folder"]
+    for wrong in (2, -1, True, "0", 0.5):
+        assert client.post("/api/clip", json=wrong).status_code == 422
+    bench.close()
+
+
+def test_folders_that_cannot_hold_results(tmp_path, pictures):
+    write_clip(tmp_path / "clip", pictures[1])
+    (tmp_path / "file").touch()
+    for folder in ("file", "clip", "clip/inside"):
+        with pytest.raises(InputError, match="expected a folder"):
+            Workbench(open_source(tmp_path / "clip"), tmp_path / folder)
+
+
+def test_the_session_ends_some_seconds_after_the_last_page():
+    now = [100.0]
+    presence = Presence(lambda: now[0])
+    assert not presence.is_over()  # no page yet
+    presence.enter()
+    presence.enter()
+    presence.leave()
+    now[0] += 60
+    assert not presence.is_over()
+    presence.leave()
+    assert not presence.is_over()  # a reload takes a moment
+    now[0] += 6
+    assert presence.is_over()
+    presence.enter()
+    assert not presence.is_over()
+
+
+def test_data_never_becomes_markup_and_nothing_comes_from_elsewhere():
+    texts = {path.name: path.read_text() for path in STATIC.iterdir()}
+    assert {"index.html", "main.js", "workbench.css"} <= set(texts)
+    for name, text in texts.items():
+        assert not re.search(r"innerHTML|outerHTML|insertAdjacent|document\.write|eval\(|https?://", text), name
