@@ -26,7 +26,8 @@ def film(clip, every=1):
         at = np.array([(k + 0.05) / clip.camera.fps])
         for x, y in clip.camera.project(clip.view.at(at)[:, 0, :3]):
             picture += 0.7 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / 2.4)
-        yield (np.clip(picture, 0, 1) * top).astype(np.uint8 if clip.sensor.bits == 8 else np.uint16)
+        counts = (np.clip(picture, 0, 1) * top).astype(np.uint8 if clip.sensor.bits == 8 else np.uint16)
+        yield np.stack([counts, counts // 2, counts // 3], axis=-1) if clip.drawn["camera"].get("colour") else counts
 
 
 def quiet(done, total):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from synthcam.scene import ground_truth
 from synthcam.scene.clip import Clip
 from synthcam.scene.outlines import find_boxes, label_pixels
-from synthcam.scene.scene import check_scene
+from synthcam.scene.scene import rebuild_clip
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def label_recorded(clip: RecordedClip) -> Iterator[LabelledFrame]:
     """Read the frames of a recorded clip, and label them. Raises InputError if it has no film."""
     if not clip.video:
         raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
-    drawn = check_scene(clip.drawn, f"{clip.folder}, scene.json").draw(clip.number)
+    drawn = rebuild_clip(clip.number, clip.drawn, f"{clip.folder}, scene.json")
     return _label(drawn, clip.tracks, clip.pictures(), 1)
 
 

@@ -233,6 +233,14 @@ class Scene:
         return build_clip(number, _validate(draw(self.settings, number, seed), where), seed, where)
 
 
+def rebuild_clip(number: int, drawn: dict[str, Any], where: str) -> Clip:
+    """Build a clip from its `drawn` settings, as a dataset records them: its camera, lamp and bodies are the film's.
+
+    Raises InputError, which begins with `where`.
+    """
+    return build_clip(number, _validate(drawn, where), where=where)
+
+
 def _plain(value: Any) -> Any:
     """Convert numpy's numbers, arrays and tuples to the types that YAML gives."""
     if isinstance(value, Mapping):

@@ -244,7 +244,7 @@ def test_withheld_truth_is_given_apart(dataset, tmp_path, monkeypatch):
 
 def test_bad_input(dataset, tmp_path):
     for folder, kind, message in (
-        (dataset, "avi", "--format avi: no such format; there are ffv1, gltf, h264, mjpeg, mot, ptc"),
+        (dataset, "avi", "--format avi: no such format; there are coco, ctc, ffv1, gltf, h264, mjpeg, mot, ptc"),
         (tmp_path, "mot", r"clips\.parquet: no such file"),
     ):
         with pytest.raises(InputError, match=message):

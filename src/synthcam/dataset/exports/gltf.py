@@ -22,7 +22,7 @@ from synthcam.camera.lamp import Lamp
 from synthcam.camera.plate import BLACK_PLATE_RADIANCE, irradiance
 from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.scene.clip import Clip
-from synthcam.scene.scene import check_scene
+from synthcam.scene.scene import rebuild_clip
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
 
     for clip in clips:
         balls = []
-        drawn = check_scene(clip.drawn, f"{clip.stack.parent}, scene.json").draw(0, 0)
+        drawn = rebuild_clip(clip.number, clip.drawn, f"{clip.folder}, scene.json")
         finish, matte = drawn.finish, drawn.drawn["surface"].get("ball") == "matte"
         tracks, events = clip.tracks.sort_values("frame"), clip.events
         jumps = events[events["kind"].isin(("contact", "land"))]  # of velocity and spin

@@ -7,9 +7,9 @@ flag says whether the ball is whole in view (0: not to be scored), the class is 
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 
+from synthcam.dataset.labelled_frame import encode_png
 from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam_shared.track_formats import MOT_CORNER_PX, mot_box
 
@@ -23,8 +23,7 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
         if clip.video:
             (own / "img1").mkdir()
             for k, frame in enumerate(clip.pictures(), 1):
-                data = cv2.imencode(".png", frame[..., ::-1] if frame.ndim == 3 else frame)[1]
-                (own / "img1" / f"{k:06d}.png").write_bytes(data.tobytes())
+                (own / "img1" / f"{k:06d}.png").write_bytes(encode_png(frame))
 
 
 def _info(clip: RecordedClip) -> str:
