@@ -51,6 +51,24 @@ def workbench(film, output):
         command.communicate(timeout=20)
 
 
+@pytest.fixture(scope="module")
+def kept(films, browser, tmp_path_factory):
+    """The address of one workbench for several tests, and a page that keeps it going."""
+    with workbench(films / "<i>hit & run.tif", tmp_path_factory.mktemp("bench")) as (_, address):
+        page = browser.new_page()
+        page.goto(address)
+        yield address, page
+        page.close()
+
+
+@pytest.fixture
+def address(kept):
+    """The same, without settings afterwards."""
+    address, page = kept
+    yield address
+    page.evaluate("import('/static/api.js').then((api) => api.post('/api/settings', {}))")
+
+
 @contextmanager
 def opened(browser, address, **kwargs):
     """A page whose scripts raise no error."""
@@ -130,8 +148,8 @@ def test_from_a_film_to_a_number(films, browser, tmp_path):
     assert (tmp_path / "bench/results_1/estimates.parquet").is_file()
 
 
-def test_everything_by_keyboard(films, browser, tmp_path):
-    with workbench(films / "<i>hit & run.tif", tmp_path / "bench") as (_, address), opened(browser, address) as page:
+def test_everything_by_keyboard(address, browser):
+    with opened(browser, address) as page:
         page.focus("#stage")
         page.keyboard.press("n")
         says(page, "#ball", "Glint at")
@@ -155,8 +173,8 @@ def test_everything_by_keyboard(films, browser, tmp_path):
         assert page.get_attribute("#stage", "data-frame") == "0"
 
 
-def test_hints_that_are_wrong_are_said(films, browser, tmp_path):
-    with workbench(films / "<i>hit & run.tif", tmp_path / "bench") as (_, address), opened(browser, address) as page:
+def test_hints_that_are_wrong_are_said(address, browser):
+    with opened(browser, address) as page:
         page.fill("#new-ball", "<b>here</b>")
         page.click("#add-ball")
         says(page, "#settings-error", "expected X,Y@FRAME")
@@ -185,8 +203,8 @@ def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, t
     assert subprocess.run(["pgrep", "-f", f"{tmp_path}/bench"], capture_output=True).stdout == b""
 
 
-def test_nobody_else_gets_in(films, browser, tmp_path):
-    with workbench(films / "<i>hit & run.tif", tmp_path / "bench") as (_, address), opened(browser, address) as page:
+def test_nobody_else_gets_in(address, browser):
+    with opened(browser, address) as page:
         bare = address.partition("?")[0]
         stranger = browser.new_context().new_page()
         assert stranger.goto(bare).status == 403
@@ -196,11 +214,8 @@ def test_nobody_else_gets_in(films, browser, tmp_path):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (1280, "dark"), (400, "light"), (400, "dark")])
-def test_nothing_is_wider_than_the_screen(films, browser, tmp_path, width, scheme):
-    with (
-        workbench(films / "<i>hit & run.tif", tmp_path / "bench") as (_, address),
-        opened(browser, address, color_scheme=scheme) as page,
-    ):
+def test_nothing_is_wider_than_the_screen(address, browser, width, scheme):
+    with opened(browser, address, color_scheme=scheme) as page:
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         if folder := os.environ.get("SCREENSHOTS"):

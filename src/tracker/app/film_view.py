@@ -94,19 +94,19 @@ class FilmView:
     def white(self) -> float:
         """The count that is shown as white where brightness is not changed."""
         frames = self.clip.frames
-        return frames.white([] if frames.dtype == np.uint8 else self._sample)
+        return frames.white([] if frames.dtype == np.uint8 else self._read_sample())
 
     @cached_property
     def levels(self) -> tuple[float, float]:
         """Shares of white between which nearly all pixels lie, for a film that is dark or faint."""
+        thin = [picture[::3, ::3] for picture in self._read_sample()]
         low, high = (
-            float(np.quantile([np.quantile(picture[::3, ::3], share) for picture in self._sample], edge)) / self.white
-            for share, edge in ((0.005, 0.0), (0.9995, 1.0))
+            float(edge([np.quantile(picture, share) for picture in thin])) / self.white
+            for share, edge in ((0.005, np.min), (0.9995, np.max))
         )
         return round(max(low, 0.0), 3), round(min(max(high, low + 0.02), 1.0), 3)
 
-    @cached_property
-    def _sample(self) -> list[NDArray[Any]]:
+    def _read_sample(self) -> list[NDArray[Any]]:
         return [np.asarray(self.clip.frames[k]) for k in sorted({*spread_frames(self.clip.frames)})]
 
     def read(self, k: int, channel: str = GREY) -> NDArray[Any]:

@@ -24,8 +24,9 @@ MAX_BODY_BYTES = 1 << 16
 class LocalOnly:
     """Wraps the application and refuses what does not come from the page that the command has opened."""
 
-    def __init__(self, app: ASGIApp, port: int, token: str) -> None:
+    def __init__(self, app: ASGIApp, port: int, token: str, ticket: str = "") -> None:
         self.app, self.token = app, token
+        self.ticket = ticket  # lets in once: other users of the machine can see the address that a browser is given
         self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self.cookie = f"workbench_{port}"  # browsers send cookies to every port of a host
 
@@ -37,7 +38,7 @@ class LocalOnly:
         response: Response | None = None
         if headers.get("host", "") not in self.hosts:
             response = PlainTextResponse("this page answers to 127.0.0.1 alone", 403)
-        elif path == "/" and self._is_token(given):
+        elif path == "/" and (self._is_token(given) or self._takes_ticket(given)):
             response = RedirectResponse("/", 303)
             response.set_cookie(self.cookie, self.token, httponly=True, samesite="strict")
         elif not self._is_token(cookie_parser(headers.get("cookie", "")).get(self.cookie, "")):
@@ -62,6 +63,11 @@ class LocalOnly:
 
     def _is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self.token.encode())
+
+    def _takes_ticket(self, given: str) -> bool:
+        fits = bool(self.ticket) and hmac.compare_digest(given.encode(), self.ticket.encode())
+        self.ticket = "" if fits else self.ticket
+        return fits
 
     def _refuse_foreign(self, headers: Headers) -> Response | None:
         """The refusal of a request that changes something and does not come from the page; None for the page's own."""

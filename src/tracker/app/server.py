@@ -63,8 +63,10 @@ class Presence:
         return self.open == 0 and self.left_at > 0 and self.clock() - self.left_at > grace_s
 
 
-def make_application(bench: Workbench, port: int, token: str, presence: Presence | None = None) -> ASGIApp:
-    """The application of a session: all addresses of the page, behind `LocalOnly`."""
+def make_application(
+    bench: Workbench, port: int, token: str, ticket: str = "", presence: Presence | None = None
+) -> ASGIApp:
+    """The application of a session: all addresses of the page, behind `LocalOnly`, which explains token and ticket."""
     here = presence or Presence()
 
     def show_page(request: Request) -> Response:
@@ -155,7 +157,7 @@ def make_application(bench: Workbench, port: int, token: str, presence: Presence
         Route("/api/cancel", cancel_run, methods=["POST"]),
         Route("/api/status", stream_status),
     ]
-    return LocalOnly(Starlette(routes=routes, exception_handlers={InputError: tell_error}), port, token)
+    return LocalOnly(Starlette(routes=routes, exception_handlers={InputError: tell_error}), port, token, ticket)
 
 
 async def _read_body(request: Request) -> Any:
@@ -182,11 +184,12 @@ def serve(bench: Workbench, browser: bool) -> None:
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen()  # before the address is known to anybody
-        port, token, presence = listener.getsockname()[1], secrets.token_urlsafe(24), Presence()
-        address = f"http://127.0.0.1:{port}/?token={token}"
+        port, presence = listener.getsockname()[1], Presence()
+        token, ticket = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
+        address = f"http://127.0.0.1:{port}/?token="
         server = uvicorn.Server(
             uvicorn.Config(
-                make_application(bench, port, token, presence),
+                make_application(bench, port, token, ticket, presence),
                 log_level="critical",
                 access_log=False,
                 lifespan="off",
@@ -203,10 +206,10 @@ def serve(bench: Workbench, browser: bool) -> None:
                     server.should_exit = True
 
         threading.Thread(target=watch, daemon=True).start()
-        print(address, flush=True)
+        print(address + token, flush=True)
         print("tracker: close the page or press Ctrl-C to end", file=sys.stderr, flush=True)
         if browser and _has_screen():
-            threading.Timer(0.3, webbrowser.open, (address,)).start()
+            threading.Timer(0.3, webbrowser.open, (address + ticket,)).start()
         try:
             server.run(sockets=[listener])
         finally:

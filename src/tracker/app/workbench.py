@@ -65,9 +65,12 @@ class Workbench:
         self.process = TrackProcess(self._note_change)
         self.made: set[int] = set()  # numbers of the runs of this session
         self.version = 0  # grows with every change of detector and run
+        self.detector: FrameDetector | None = None
+        self.detector_status = DetectorStatus()
+        self._mark = ""  # what the detector depends on
         self._lock = threading.RLock()
         self._wake = threading.Event()
-        self._closed = False
+        self._closed = self._prepared_before = False
         self.open_clip(0)
         self._worker = threading.Thread(target=self._prepare_always, daemon=True)
         self._worker.start()
@@ -157,28 +160,29 @@ class Workbench:
             for ball in plan.recording.balls
         ]
         mark = json.dumps([plan.keys, *vars(plan.settings.options).values(), plan.settings.channel, self.view.index])
-        if mark != getattr(self, "_mark", ""):
+        if mark != self._mark:
             self._mark, self.detector, self.detector_status = mark, None, DetectorStatus()
             self._note_change()
             self._wake.set()
 
     # --- the detector of one frame
 
-    detector: FrameDetector | None
-
-    def _prepare_always(self) -> None:
-        while not self._closed:
+    def _prepare_always(self, *, pause_s: float = 0.3) -> None:
+        """Prepare the detector of the newest settings, when they have not changed for a moment: somebody types."""
+        while True:
             self._wake.wait()
-            self._wake.clear()
+            while self._wake.is_set() and not self._closed:
+                self._wake.clear()
+                if self._prepared_before:
+                    self._wake.wait(pause_s)
             if self._closed:
                 return
             with self._lock:
-                mark, plan, view = self._mark, self.plan, self.view
+                mark, plan = self._mark, self.plan
             if self.detector is not None:
                 continue
             began, ready, status = time.monotonic(), None, DetectorStatus("failed")
             try:
-                view.levels  # noqa: B018  # the first look reads frames, too
                 ready = prepare_detector(plan.recording, plan.settings.channel or None)
                 status = DetectorStatus(
                     state="ready",
@@ -195,6 +199,7 @@ class Workbench:
             with self._lock:
                 if mark == self._mark:
                     self.detector, self.detector_status = ready, status
+                    self._prepared_before = True
                     self._note_change()
 
     def find_balls(self, index: int) -> dict[str, Any] | None:

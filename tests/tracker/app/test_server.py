@@ -51,8 +51,10 @@ def client(bench):
 
 
 def test_the_token_lets_in_and_leaves_a_strict_cookie(bench):
-    client = TestClient(make_application(bench, 8000, "secret"), HOME)
+    application = make_application(bench, 8000, "secret", "ticket")
+    client = TestClient(application, HOME)
     assert client.get("/").status_code == 403
+    assert client.get("/?token=").status_code == 403
     assert client.get("/?token=wrong").status_code == 403
     assert client.get("/api/film?token=secret").status_code == 403
     answer = client.get("/?token=secret", follow_redirects=False)
@@ -60,6 +62,9 @@ def test_the_token_lets_in_and_leaves_a_strict_cookie(bench):
     assert {"HttpOnly", "SameSite=strict"} <= set(answer.headers["set-cookie"].split("; "))
     page = client.get("/")
     assert page.status_code == 200
+    for code in (303, 403):  # the address that a browser is started with lets in once
+        once = TestClient(application, HOME)
+        assert once.get("/?token=ticket", follow_redirects=False).status_code == code
     assert "default-src 'none'; script-src 'self'" in page.headers["content-security-policy"]
     assert page.headers["x-content-type-options"] == "nosniff"
 

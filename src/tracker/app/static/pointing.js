@@ -38,7 +38,12 @@ export class Pointing {
 
   open(film) {
     const { settings } = film, given = film.given ?? {};
-    const number = (id, value, factor = 1) => { element(id).value = value == null ? "" : rounded(value * factor, 9); };
+    const number = (id, value, factor = 1) => {
+      element(id).value = value == null ? "" : rounded(value * factor, 9);
+      this.loaded[id] = element(id).value;
+    };
+    this.settings = settings;
+    this.loaded = {};
     this.scale = settings.scale;
     this.scaleStd = settings.scale_std;
     this.given = given;
@@ -177,16 +182,19 @@ export class Pointing {
   }
 
   collect() {
-    const number = (id, factor = 1) => (element(id).value === "" ? null : rounded(Number(element(id).value) * factor, 12));
-    const own = (value, name) => (value === (this.given[name] ?? null) ? null : value);
+    const number = (id, name, factor = 1) => { // what nobody has typed over stays as it was, with all its digits
+      const text = element(id).value;
+      if (text === this.loaded[id]) return this.settings[name];
+      return text === "" ? null : rounded(Number(text) * factor, 12);
+    };
     const [first, last] = [element("first").value, element("last").value];
     const channel = this.player.look.channel;
     return {
       scale: this.scale,
       scale_std: this.scaleStd,
-      fps: own(number("fps"), "fps"),
-      ball_diameter: own(number("diameter", 1e-3), "ball_diameter"),
-      exposure: own(number("exposure", 1e-3), "exposure"),
+      fps: number("fps", "fps"),
+      ball_diameter: number("diameter", "ball_diameter", 1e-3),
+      exposure: number("exposure", "exposure", 1e-3),
       balls: this.ballTexts,
       region: element("region").value.trim(),
       frames: first || last ? `${first}:${last}` : "",
