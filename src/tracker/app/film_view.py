@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import CHANNELS, PLANES
 from tracker.camera.film_options import FilmOptions
 from tracker.camera.frames import GREY, Frames
@@ -22,6 +23,7 @@ from tracker.detection.candidates import spread_frames
 COLOUR = "colour film"  # the channel of the page that shows all colours
 MAX_KEPT_BYTES = 128 << 20  # of decoded frames, for steps to and fro
 MAX_REDUCTION = 16
+STEPS_BACK = 12  # frames that are decoded at once when one goes back: a video is decoded from a key frame on
 
 
 @dataclass(frozen=True)
@@ -52,31 +54,43 @@ class FilmView:
         self.source, self.index = source, index
         self.number, frames = source.open_film(index)
         self.location = source.clips[index][1]
-        self._lock = threading.RLock()
-        self.frames = self._read_by_one_thread(frames)
+        self._lock, self._last = threading.RLock(), -1
+        self.frames = frames
         self.clip = make_recording(self.number, self.frames, None, (f"{self.location}", ""))
         self._planes: dict[str, Frames] = {GREY: self.clip.frames}
         self._kept: OrderedDict[tuple[str, int], NDArray[Any]] = OrderedDict()
 
-    def _read_by_one_thread(self, frames: Frames) -> Frames:
+    def open_recording(self, camera: Camera | None, options: FilmOptions, *, apart: bool = False) -> Recording:
+        """The same clip with a camera and options. Raises InputError.
+
+        apart: its frames are read beside those of the page, so that a pass over the film and looking at it do not
+        disturb each other.
+        """
+        frames = self._apart if apart else self.frames
+        return make_recording(self.number, frames, camera, (f"{self.location}", "the camera"), options)
+
+    @cached_property
+    def _apart(self) -> Frames:
+        """The film once more, with the frames that the page has decoded."""
+        frames, lock = self.source.open_film(self.index)[1], threading.RLock()
+
         def read(k: int) -> Any:
-            with self._lock:
+            kept = self._kept.get((GREY, k)) if frames.aspect == 1 else None
+            if kept is not None:
+                return kept
+            with lock:
                 return frames[k]
 
-        out, colours = frames.with_fetch(read), frames.colours
-        out.faults = frames.faults
+        out = frames.with_fetch(read)
+        out.faults, colours = frames.faults, frames.colours
         if colours is not None:
 
             def read_colours(k: int) -> Any:
-                with self._lock:
+                with lock:
                     return colours(k)
 
             out.colours = read_colours
         return out
-
-    def open_recording(self, keys: Any, options: FilmOptions) -> Recording:
-        """The same clip with a camera, or None, and with options. Raises InputError."""
-        return make_recording(self.number, self.frames, keys, (f"{self.location}", "the camera"), options)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -118,11 +132,22 @@ class FilmView:
         with self._lock:
             key = channel, k
             if key not in self._kept:
-                self._kept[key] = self._decode(k, channel)
-                while len(self._kept) > 1 and sum(p.nbytes for p in self._kept.values()) > MAX_KEPT_BYTES:
-                    self._kept.popitem(last=False)
+                back = self._count_steps_back() if k + 1 == self._last else 0
+                for row in range(max(k - back, 0), k + 1):
+                    self._keep(row, channel)
+            self._last = k
             self._kept.move_to_end(key)
             return self._kept[key]
+
+    def _count_steps_back(self) -> int:
+        size = next(reversed(self._kept.values())).nbytes
+        return min(STEPS_BACK, MAX_KEPT_BYTES // (2 * size))
+
+    def _keep(self, k: int, channel: str) -> None:
+        if (channel, k) not in self._kept:
+            self._kept[channel, k] = self._decode(k, channel)
+            while len(self._kept) > 1 and sum(p.nbytes for p in self._kept.values()) > MAX_KEPT_BYTES:
+                self._kept.popitem(last=False)
 
     def _decode(self, k: int, channel: str) -> NDArray[Any]:
         if channel == COLOUR:

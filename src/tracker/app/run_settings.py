@@ -12,6 +12,7 @@ from pydantic import Field
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Settings
+from tracker.app.film_view import FilmView
 from tracker.camera.camera import Camera
 from tracker.camera.film_options import FilmOptions
 from tracker.camera.recordings import Recording
@@ -62,10 +63,16 @@ class RunSettings(Settings):
 class Plan:
     """Checked settings: the recording that they make, the keys of its camera, whether these need a file."""
 
+    film: FilmView
     settings: RunSettings
     recording: Recording
     keys: dict[str, Any] | None
     needs_file: bool
+
+    def open_apart(self) -> Recording:
+        """The recording again, whose frames are read beside those of the page."""
+        camera = None if self.keys is None else Camera.from_dict(self.keys)
+        return self.film.open_recording(camera, self.settings.options, apart=True)
 
     def write_command(self, film: Path, camera: Path | None, output: Path) -> list[str]:
         """The words of `tracker track` that does the same."""
@@ -78,8 +85,10 @@ class Plan:
         return words
 
 
-def make_plan(settings: RunSettings, film: Any, given: Mapping[str, Any] | None, *, where: str = "camera.json") -> Plan:
-    """Check settings with the code that checks files and options. `film` is a FilmView. Raises InputError.
+def make_plan(
+    settings: RunSettings, film: FilmView, given: Mapping[str, Any] | None, *, where: str = "camera.json"
+) -> Plan:
+    """Check settings with the code that checks files and options. Raises InputError.
 
     given: the keys of the film's own camera file.
     """
@@ -88,7 +97,7 @@ def make_plan(settings: RunSettings, film: Any, given: Mapping[str, Any] | None,
     recording = film.open_recording(None if keys is None else Camera.from_dict(keys, where), settings.options)
     if channel is not None:
         recording.select_channel(channel)
-    return Plan(settings, recording, keys, keys is not None and keys != given)
+    return Plan(film, settings, recording, keys, keys is not None and keys != given)
 
 
 def join_words(words: list[str]) -> str:

@@ -22,6 +22,7 @@ from tracker.app.frame_detector import FrameDetector, list_balls, prepare_detect
 from tracker.app.run_settings import Plan, RunSettings, join_words, make_plan
 from tracker.app.track_process import TrackProcess
 from tracker.camera.camera_json import read_source
+from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource
 from tracker.detection.choose import measure_radius
 from tracker.report.estimates_text import (
@@ -183,7 +184,7 @@ class Workbench:
                 continue
             began, ready, status = time.monotonic(), None, DetectorStatus("failed")
             try:
-                ready = prepare_detector(plan.recording, plan.settings.channel or None)
+                ready = prepare_detector(plan.open_apart(), plan.settings.channel or None)
                 status = DetectorStatus(
                     state="ready",
                     name=ready.name,
@@ -210,6 +211,8 @@ class Workbench:
             raise InputError(f"frame {index}: expected 0 to {len(numbers) - 1}")
         if detector is None:
             return None
+        if detector.clip.channel == GREY:
+            self.view.read(index)  # the page asks for it, too: it is decoded once
         began, own = time.monotonic(), detector.clip.frames.numbers
         row = int(np.searchsorted(own, numbers[index]))
         inside = row < len(own) and bool(own[row] == numbers[index])

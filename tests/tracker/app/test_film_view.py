@@ -8,6 +8,7 @@ import tifffile
 from synthcam_shared.errors import InputError
 from tracker.app import film_view
 from tracker.app.film_view import COLOUR, FilmView, Look
+from tracker.camera.film_options import FilmOptions
 from tracker.camera.recordings import open_source
 
 
@@ -57,6 +58,25 @@ def test_memory_is_bounded(tmp_path, monkeypatch):
     for k in (0, 4, 8, 3, 8, 0):
         assert view.read(k).max() == k
         assert len(view._kept) <= 3
+
+
+def test_going_back_decodes_several_frames_at_once(tmp_path, monkeypatch):
+    counts = np.arange(40, dtype=np.uint8)[:, None, None] * np.ones((1, 20, 30), np.uint8)
+    view, asked = view_of(tmp_path, counts, imagej=True), []
+    decode = view._decode
+    monkeypatch.setattr(view, "_decode", lambda k, channel: asked.append(k) or decode(k, channel))
+    for k in (30, 29, 28, 5, 4):
+        assert view.read(k).max() == k
+    assert asked == [30, *range(17, 30), 5, *range(5)]
+
+
+def test_frames_apart_are_those_of_the_film(tmp_path):
+    counts = np.random.default_rng(2).integers(0, 256, (5, 20, 30), np.uint8)
+    view = view_of(tmp_path, counts, imagej=True)
+    view.read(2)
+    apart = view.open_recording(None, FilmOptions(), apart=True).frames
+    np.testing.assert_array_equal(np.array(apart), counts)
+    assert apart[2] is view.read(2)
 
 
 @pytest.mark.parametrize(
