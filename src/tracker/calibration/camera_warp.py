@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import eigh, null_space
-from scipy.stats import t
+from scipy.special import stdtr
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
@@ -348,7 +348,7 @@ class _WarpProblem:
         noise = float(np.median(np.concatenate([stretch.std for group in self.groups for stretch in group])))
         dof = _Sums.total(self.sums).dof
         before, after = (noise * float(np.sqrt(square / dof)) for square in (total, left))
-        return before, after, float(t.sf(np.mean(gains) / max(error, 1e-300), len(gains) - 1))
+        return before, after, float(stdtr(len(gains) - 1, -np.mean(gains) / max(error, 1e-300)))
 
     def displace(self, coefficients: Floats) -> Floats:
         """Displacements (n, 2, ...) of all positions by coefficients (p, ...)."""

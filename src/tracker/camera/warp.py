@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
 
 from tracker.camera.lens import Array
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RectBivariateSpline
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,8 @@ class Warp:
 
     @cached_property
     def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
+        from scipy.interpolate import RectBivariateSpline  # takes a tenth of a second to import; few cameras need it
+
         one, other = (RectBivariateSpline(self.x, self.y, shift.T) for shift in (self.dx, self.dy))
         return one, other
 

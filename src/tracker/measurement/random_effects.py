@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import chi2, norm, t
+from scipy.special import chdtrc, chdtri, ndtri, stdtr, stdtrit
 
 Floats = NDArray[np.float64]
 
@@ -133,28 +133,28 @@ def fit_random_effects(
     by_values = np.diag(own.fit(variance)[1])
     systematic = np.maximum(np.diag(whole) - by_values, 0.0)
     statistical = by_values * max(factor, 1.0)
-    normal = float(norm.isf(tail))
-    student = float(t.isf(tail, dof)) if dof else normal
+    normal = -float(ndtri(tail))
+    student = -float(stdtrit(dof, tail)) if dof else normal
     half, error = np.sqrt(student**2 * statistical + normal**2 * systematic), np.sqrt(statistical + systematic)
-    bounds = [float(np.sqrt(problem.find_variance(chi2.isf(p, dof)))) if dof else np.nan for p in (tail, 1 - tail)]
+    bounds = [float(np.sqrt(problem.find_variance(chdtri(dof, p)))) if dof else np.nan for p in (tail, 1 - tail)]
     w = (std.min() / std) ** 2
     trace = w.sum() - np.trace(np.linalg.solve((design.T * w) @ design, (design.T * w**2) @ design))
     typical = float(dof * std.min() ** 2 / trace) if dof else np.nan  # variance of an error
-    is_mean = design.shape[1] == 1
+    predicts = design.shape[1] == 1 and dof > 1
     return RandomEffects(
         coefficients=coefficients,
         std=error,
         low=coefficients - half,
         high=coefficients + half,
         shared_std=np.sqrt(systematic),
-        p_value=np.asarray(2 * t.sf(np.abs(coefficients) / error, dof) if dof else np.full(len(error), np.nan)),
+        p_value=np.asarray(2 * stdtr(dof, -np.abs(coefficients) / error) if dof else np.full(len(error), np.nan)),
         scatter=float(np.sqrt(variance)) if dof else np.nan,
         scatter_low=bounds[0],
         scatter_high=bounds[1],
-        prediction=float(t.isf(tail, dof - 1) * np.hypot(variance**0.5, error[0])) if is_mean and dof > 1 else np.nan,
+        prediction=-float(stdtrit(dof - 1, tail) * np.hypot(variance**0.5, error[0])) if predicts else np.nan,
         q=q,
         dof=dof,
-        q_value=float(chi2.sf(q, dof)) if dof else np.nan,
+        q_value=float(chdtrc(dof, q)) if dof else np.nan,
         i2=variance / (variance + typical),
         birge=float(np.sqrt(q / dof)) if dof else np.nan,
         factor=factor,

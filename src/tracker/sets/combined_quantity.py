@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import f
+from scipy.special import fdtrc
 
 from synthcam_shared.report.numbers import format_with_error
 from tracker.measurement.camera_errors import remove_shared
@@ -132,7 +132,7 @@ def _compare(value: Floats, std: Floats, shared: Floats, groups: Mapping[str, ND
     means, cov, left = problem.fit(problem.find_variance(n - k))
     apart = np.diff(means)
     between = apart @ np.linalg.solve(np.diff(np.diff(cov, axis=0), axis=1), apart) / (k - 1)
-    return float(f.sf(between / max(left / (n - k), 1.0), k - 1, n - k))
+    return float(fdtrc(k - 1, n - k, between / max(left / (n - k), 1.0)))
 
 
 def _describe(fit: RandomEffects, index: int = 0) -> dict[str, Any]:
