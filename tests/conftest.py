@@ -78,3 +78,9 @@ def own(tmp_path, monkeypatch):
         forget()
     for name in [n for n in sys.modules if n.startswith("synthcam_effects_of_a_folder")]:
         del sys.modules[name]
+
+
+@pytest.fixture
+def not_local(monkeypatch):
+    """For tests of the tied and the free fit: nothing is estimated locally, which takes a third of the time."""
+    monkeypatch.setattr("tracker.measurement.estimate.estimate_locally", lambda *_: "not estimated")

@@ -14,6 +14,8 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure
 from tracker.results import to_centres
 
+pytestmark = pytest.mark.usefixtures("not_local")
+
 SHARE = 0.004
 KEYS = ("scale", "fps", "ball_diameter")
 

@@ -13,6 +13,8 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure, motion_table
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
+pytestmark = pytest.mark.usefixtures("not_local")
+
 CLIPS = 32
 
 

@@ -15,6 +15,8 @@ from tracker.detection.detect import make_view
 from tracker.measurement.collision.adequacy import Flag
 from tracker.measurement.messages import list_messages
 
+pytestmark = pytest.mark.usefixtures("not_local")
+
 HIT = SoftHit(0.0, 0.85, v0=0.3, friction=0.2, b=0.2, fps=500.0)
 
 

@@ -6,6 +6,8 @@ from tracker_contacts import LAWS, PIXEL, SoftHit
 
 import tracker
 
+pytestmark = pytest.mark.usefixtures("not_local")
+
 
 def measure(hit, seed=0):
     return tracker.measure(hit.tracks(np.random.default_rng(seed)), hit.camera, unit="m").estimates

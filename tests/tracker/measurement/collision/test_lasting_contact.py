@@ -20,6 +20,8 @@ from tracker.measurement.positions import BallTrack
 from tracker.report.estimates_text import format_for_terminal
 from tracker.settings import FitSettings
 
+pytestmark = pytest.mark.usefixtures("not_local")
+
 
 def measure(hit, seed=0):
     """The row of a hit, and the result."""

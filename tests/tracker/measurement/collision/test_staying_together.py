@@ -7,6 +7,8 @@ from tracker_contacts import SoftHit
 import tracker
 from tracker.report.estimates_text import format_for_terminal
 
+pytestmark = pytest.mark.usefixtures("not_local")
+
 
 def measure(hit, seed=0):
     return tracker.measure(hit.tracks(np.random.default_rng(seed)), hit.camera, unit="m").estimates

@@ -8,6 +8,8 @@ from tracker_forces import R, spring_collision, tied
 from tracker import measure
 from tracker.measurement.collision.adequacy import MISFIT
 
+pytestmark = pytest.mark.usefixtures("not_local")
+
 CAMERA = {"fps": 250.0, "scale": 1.6e-4, "size": [800, 800], "ball_diameter": 2 * R, "exposure": 0.0}
 NOISE = 0.01  # px
 WHEN = np.arange(90) / 250

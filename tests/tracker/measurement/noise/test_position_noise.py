@@ -11,6 +11,8 @@ from tracker.measurement.estimate import measure
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
+pytestmark = pytest.mark.usefixtures("not_local")
+
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
