@@ -1,0 +1,361 @@
+"""Finds the contacts in the tracks of any number of balls: which balls, when, where, and how sure that is.
+
+A contact is a kink of two paths at a distance of one diameter. A kink of one path alone is a wall, or something unseen.
+Short paths before and after a contact are parabolas whose curvature is at most that of a sliding ball. The contact is
+the instant at which they meet and the balls are a diameter apart. Its evidence is the chi^2 by which two such paths fit
+better than one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from tracker.measurement.collision.contacts import find_near_pairs
+from tracker.measurement.positions import BallTrack
+from tracker.measurement.stretch_cuts import StretchCutter, measure_noise
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+NO_BALL = -1  # in place of a second ball: a wall, or something unseen
+CUTTER = StretchCutter(kink_positions=3, max_acceleration=2.4, kink_sigma=4.0)  # candidates only
+_NOTHING = np.full(2, np.nan)
+STEPS_IN_GAP = 8  # instants between two frames that are tried
+
+
+@dataclass(frozen=True)
+class FinderSettings:
+    """How contacts are found."""
+
+    positions: int = 6  # of a path before a contact
+    positions_after: int = 4  # and after it, where a slide may end
+    least_positions: int = 2
+    curvature: float = 2.0  # rms acceleration of a ball, m/s^2
+    distance_share: float = 0.016  # error of the distance at which balls touch, diameters
+    near_share: float = 0.05  # farther than a diameter by this, balls do not touch
+    prior_log_odds: float = -10.0  # of a contact at a place and time where one is looked for
+    least_confidence: float = 0.5
+    same_frames: float = 1.5  # within which two contacts of a ball are one kink
+    vague_frames: float = 3.5  # the same, where the instants are not yet known
+    other_frames: float = 0.5  # from which on another contact of a ball is not this one
+    event_frames: float = 0.1  # from an event to the first position that counts
+    turns: int = 3
+    least_impulse_sigma: float = 3.0
+
+
+@dataclass(frozen=True)
+class TrackContact:
+    """A contact of two balls, or of one with a wall.
+
+    Attributes
+    ----------
+    time, time_std : float
+        Instant and its standard error, s.
+    one, other : int
+        Particles; `other` is NO_BALL for a wall.
+    xy : (2,) array
+        Where the surfaces touch, m; of a wall the centre of the ball.
+    normal : (2,) array
+        Unit vector along which ball `one` is pushed.
+    kick, kick_std : float
+        Change of the velocity of `one` along `normal`, m/s; of two balls half the change of their relative velocity.
+    gain : float
+        chi^2 by which the contact fits better than none.
+    confidence : float
+        Probability that there is a contact.
+    """
+
+    time: float
+    time_std: float
+    one: int
+    other: int
+    xy: Floats
+    normal: Floats
+    kick: float
+    kick_std: float
+    gain: float
+    confidence: float
+
+    @property
+    def balls(self) -> tuple[int, ...]:
+        """Its particles."""
+        return (self.one,) if self.other == NO_BALL else (self.one, self.other)
+
+
+class _Path(NamedTuple):
+    """A parabola: position, velocity and half the acceleration at its origin of time, with their covariance."""
+
+    value: Floats  # (3, 2)
+    cov: Floats  # (3, 3)
+    chi2: float
+
+    def at(self, time: Floats) -> tuple[Floats, Floats]:
+        """Positions (m, 2) and their variances (m,)."""
+        powers = np.stack([np.ones_like(time), time, time**2], axis=1)
+        return powers @ self.value, np.einsum("mi,ij,mj->m", powers, self.cov, powers)
+
+    def velocity(self, time: float) -> tuple[Floats, float]:
+        """Velocity (2,) and its variance."""
+        powers = np.array([0.0, 1.0, 2 * time])
+        return powers @ self.value, float(powers @ self.cov @ powers)
+
+
+def _fit_path(time: Floats, position: Floats, variance: float, curvature: float) -> _Path:
+    basis = np.stack([np.ones_like(time), time, time**2], axis=1)
+    square = basis.T @ basis / variance
+    square[2, 2] += 4 / curvature**2
+    cov = np.asarray(np.linalg.inv(square), dtype=np.float64)
+    value = cov @ (basis.T @ position) / variance
+    left = position - basis @ value
+    return _Path(value, cov, float((left**2).sum() / variance + (2 * value[2] ** 2).sum() * 2 / curvature**2))
+
+
+class _Found(NamedTuple):
+    """The best instant of a contact, and what is known there."""
+
+    time: float
+    time_std: float
+    chi2: float
+    smooth: float  # chi^2 without a contact
+    places: Floats  # (balls, 2)
+    before: Floats  # (balls, 2) velocities; NaN where too few positions show one
+    after: Floats
+    velocity_std: Floats  # (balls,) of the change
+
+
+def find_track_contacts(
+    balls: Sequence[BallTrack], diameter: float, settings: FinderSettings | None = None
+) -> list[TrackContact]:
+    """Find all contacts in the tracks of a recording, in order of time; diameter: m."""
+    settings = settings or FinderSettings()
+    noise = measure_noise([(ball.frame, ball.position) for ball in balls])
+    kinks = {ball.particle: _find_kinks(ball, noise) for ball in balls}
+    by_number = {ball.particle: ball for ball in balls}
+    frame_s = _frame_duration(balls)
+    pairs = [
+        (one, other, frame)
+        for one, other in find_near_pairs(list(balls), diameter, 1.0)
+        for frame in _find_approaches(one, other, diameter, settings)
+    ]
+    # of each ball, when something may have happened to it
+    events = {n: [*at.tolist(), *(f for a, b, f in pairs if n in (a.particle, b.particle))] for n, at in kinks.items()}
+    found = list[TrackContact]()
+    for turn in range(settings.turns):  # each with better instants of the contacts before and after
+        away = settings.other_frames if turn else settings.vague_frames
+        tried = [
+            contact
+            for one, other, frame in pairs
+            if (contact := _examine((one, other), frame, events, away, frame_s, diameter, settings)) is not None
+        ]
+        found = list[TrackContact]()
+        for contact in sorted(tried, key=lambda contact: -contact.gain):
+            if not _is_explained(contact, found, frame_s, settings):
+                found.append(contact)
+        events = {n: _list_events(by_number[n], kinks[n], found, settings) for n in kinks}
+        centres = {(c.one, c.other): c for c in found}
+        pairs = [(one, other, _refine(one, other, frame, centres, settings)) for one, other, frame in pairs]
+    for ball in balls:
+        own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
+        for frame in kinks[ball.particle].tolist():
+            if min((abs(at - frame) for at in own), default=np.inf) > settings.same_frames:
+                contact = _examine((ball,), frame, events, settings.other_frames, frame_s, diameter, settings)
+                if contact is not None:
+                    found.append(contact)
+    return sorted(found, key=lambda contact: contact.time)
+
+
+def _list_events(
+    ball: BallTrack, kinks: Floats, found: Sequence[TrackContact], settings: FinderSettings
+) -> list[float]:
+    """Frames, with parts of them, of what happened to a ball: its contacts, and kinks that none explains."""
+    own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
+    free = [at for at in kinks.tolist() if min((abs(at - f) for f in own), default=np.inf) > settings.vague_frames]
+    return [*own, *free]
+
+
+def _refine(
+    one: BallTrack,
+    other: BallTrack,
+    frame: float,
+    found: dict[tuple[int, int], TrackContact],
+    settings: FinderSettings,
+) -> float:
+    """The frame of a contact of two balls as it was found, if it was."""
+    contact = found.get((one.particle, other.particle))
+    at = np.inf if contact is None else float(np.interp(contact.time, one.time, one.frame))
+    return at if abs(at - frame) < settings.vague_frames else frame
+
+
+def _frame_duration(balls: Sequence[BallTrack]) -> float:
+    steps = [np.diff(ball.time) / np.diff(ball.frame) for ball in balls if len(ball) > 1]
+    return float(np.median(np.concatenate(steps))) if steps else np.nan
+
+
+def _find_kinks(ball: BallTrack, noise: float) -> Floats:
+    """Frames, with halves, at which the path of a ball has a kink."""
+    at = CUTTER.find_kinks(ball.time, CUTTER.measure_kinks(ball.time, ball.position, noise))
+    return np.interp(at, ball.time, ball.frame)
+
+
+def _find_approaches(one: BallTrack, other: BallTrack, diameter: float, settings: FinderSettings) -> list[float]:
+    """Frames at which two balls are nearest to one another, and near enough to touch."""
+    frames, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)
+    if len(frames) < 2 * settings.least_positions:
+        return []
+    apart = np.hypot(*(one.position[mine] - other.position[its]).T)
+    step = np.abs(np.diff(apart))
+    reach = np.maximum(np.append(step, 0.0), np.append(0.0, step))
+    least = (apart <= np.append(apart[1:], np.inf)) & (apart < np.append(np.inf, apart[:-1]))
+    return [float(f) for f in frames[least & (apart < diameter * (1 + settings.near_share) + 1.5 * reach)]]
+
+
+def _examine(
+    pair: tuple[BallTrack, ...],
+    frame: float,
+    events: dict[int, list[float]],
+    away: float,
+    frame_s: float,
+    diameter: float,
+    settings: FinderSettings,
+) -> TrackContact | None:
+    """The contact of two balls, or of one with a wall, at about a frame; None if there is none.
+
+    events: by particle, frames at which other things happen. away: frames within which they are the same as this.
+    """
+    best: _Found | None = None
+    parts = [_cut(ball, frame, events[ball.particle], away, settings) for ball in pair]
+    if max(len(part) for part in parts) < 2 * settings.least_positions:
+        return None
+    gaps = np.unique(np.concatenate([part.frame for part in parts]))
+    gaps = gaps[(gaps >= frame - 2.5) & (gaps <= frame + 2.5)]
+    for left, right in pairwise(gaps):
+        here = _fit_gap(parts, int(left), int(right), frame_s, diameter, settings)
+        if here is not None and (best is None or here.chi2 < best.chi2):
+            best = here
+    return None if best is None else _judge(pair, best, diameter, settings)
+
+
+def _cut(ball: BallTrack, frame: float, events: list[float], away: float, settings: FinderSettings) -> BallTrack:
+    """The positions of a ball about a frame, up to its next event on either side."""
+    low = max((at for at in events if at < frame - away), default=-np.inf)
+    high = min((at for at in events if at > frame + away), default=np.inf)
+    rows = (ball.frame > low + settings.event_frames) & (ball.frame < high - settings.event_frames)
+    rows &= (ball.frame >= frame - settings.positions - 2) & (ball.frame <= frame + settings.positions_after + 2)
+    return ball.where(rows)
+
+
+def _fit_gap(
+    parts: Sequence[BallTrack], left: int, right: int, frame_s: float, diameter: float, settings: FinderSettings
+) -> _Found | None:
+    """The best instant between two frames; None where a ball has too few positions before or after."""
+    if min(map(len, parts)) == 0:
+        return None
+    zero = float(np.mean([_time_of((left + right) / 2, part, frame_s) for part in parts]))
+    low, high = (
+        max(_time_of(left, part, frame_s) for part in parts) - zero,
+        min(_time_of(right, part, frame_s) for part in parts) - zero,
+    )
+    if not low < high:
+        return None
+    times = np.linspace(low, high, STEPS_IN_GAP + 1)
+    cost, smooth, dof = np.zeros(len(times)), 0.0, 1
+    places, spread, ways = list[Floats](), list[Floats](), list[tuple[_Path | None, _Path | None]]()
+    for part in parts:
+        early, late = part.frame <= left, part.frame >= right
+        seen = [rows.sum() >= settings.least_positions for rows in (early, late)]
+        if not any(seen) or not (all(seen) or len(parts) == 2):
+            return None
+        variance = float(np.median(np.trace(part.cov, axis1=1, axis2=2))) / 2
+        sides = [
+            _fit_path(part.time[rows] - zero, part.position[rows], variance, settings.curvature) if known else None
+            for rows, known in zip((early, late), seen, strict=True)
+        ]
+        known_sides = [(side.chi2, *side.at(times)) for side in sides if side is not None]
+        chi2, (place, var) = sum(side[0] for side in known_sides), known_sides[0][1:]
+        cost += chi2
+        if len(known_sides) == 2:
+            other, other_var = known_sides[1][1:]
+            cost += ((place - other) ** 2).sum(axis=1) / (var + other_var)
+            weight = (other_var / (var + other_var))[:, None]
+            place, var = place * weight + other * (1 - weight), var * weight[:, 0]
+            chi2 = _fit_path(part.time - zero, part.position, variance, settings.curvature).chi2
+        smooth += chi2
+        dof += max(2 * len(part) - 4 * len(known_sides), 0)
+        places.append(place)
+        spread.append(var)
+        ways.append((sides[0], sides[1]))
+    if not any(None not in way for way in ways):
+        return None
+    if len(parts) == 2:
+        apart = np.hypot(*(places[0] - places[1]).T)
+        variance_of_distance = (settings.distance_share * diameter) ** 2 + spread[0] + spread[1]
+        cost += (apart - diameter) ** 2 / variance_of_distance
+    k = int(np.argmin(cost))
+    inner = min(max(k, 1), len(times) - 2)
+    step = times[1] - times[0]
+    bend = max((cost[inner + 1] - 2 * cost[inner] + cost[inner - 1]) / step**2, 1e-300)
+    slope = (cost[inner + 1] - cost[inner - 1]) / (2 * step)
+    at = float(np.clip(times[inner] - slope / bend, low, high)) if 0 < k < len(times) - 1 else float(times[k])
+    velocities = [[None if side is None else side.velocity(at) for side in way] for way in ways]
+    return _Found(
+        time=zero + at,
+        time_std=float(np.sqrt(2 / bend * max(cost[k] / dof, 1.0))),
+        chi2=float(cost[k]),
+        smooth=smooth,
+        places=np.array([place[k] for place in places]),
+        before=np.array([_NOTHING if first is None else first[0] for first, _ in velocities]),
+        after=np.array([_NOTHING if second is None else second[0] for _, second in velocities]),
+        velocity_std=np.sqrt([np.nan if None in way else sum(side[1] for side in way if side) for way in velocities]),
+    )
+
+
+def _time_of(frame: float, part: BallTrack, frame_s: float) -> float:
+    """The instant, s, of a frame that a track may lack."""
+    k = int(np.argmin(np.abs(part.frame - frame)))
+    return float(part.time[k] + (frame - part.frame[k]) * frame_s)
+
+
+def _judge(
+    pair: tuple[BallTrack, ...], found: _Found, diameter: float, settings: FinderSettings
+) -> TrackContact | None:
+    """The contact, if the paths show one."""
+    turn = found.after - found.before
+    gain = found.smooth - found.chi2
+    confidence = float(expit(gain / 2 + settings.prior_log_odds))
+    if not confidence >= settings.least_confidence:
+        return None
+    if len(pair) == 1:
+        size = float(np.hypot(*turn[0]))
+        normal, place, kick, error = turn[0] / max(size, 1e-12), found.places[0], size, float(found.velocity_std[0])
+    else:
+        normal = found.places[0] - found.places[1]
+        apart = float(np.hypot(*normal))
+        if apart > (1 + settings.near_share) * diameter:
+            return None
+        normal, place = normal / apart, found.places.mean(axis=0)
+        kicks = np.array([turn[0] @ normal, -turn[1] @ normal])  # equal, if the balls are
+        kick, error = (
+            float(np.nanmean(kicks)),
+            float(np.sqrt(np.nanmean(found.velocity_std**2) / np.isfinite(kicks).sum())),
+        )
+        approach = float((found.before[0] - found.before[1]) @ normal)
+        if approach > settings.least_impulse_sigma * error or not kick > settings.least_impulse_sigma * error:
+            return None
+    other = pair[1].particle if len(pair) == 2 else NO_BALL
+    return TrackContact(
+        found.time, found.time_std, pair[0].particle, other, place, normal, kick, error, gain, confidence
+    )
+
+
+def _is_explained(
+    contact: TrackContact, found: Sequence[TrackContact], frame_s: float, settings: FinderSettings
+) -> bool:
+    """Decide whether other contacts of both balls at that instant explain the kinks."""
+    near = [c for c in found if abs(c.time - contact.time) < settings.same_frames * frame_s]
+    return set(contact.balls) <= {n for c in near for n in c.balls}
