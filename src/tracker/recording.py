@@ -115,6 +115,16 @@ class Result:
         """
         return results.estimates_table({"clip": self.number, **row} for row in self.rows)
 
+    @cached_property
+    def contacts(self) -> pd.DataFrame:
+        """All contacts of more than two balls, with one another and with walls: the columns of ``contacts.parquet``.
+
+        Empty for one or two balls, and without a scale.
+        """
+        from tracker.measurement.crowd.contact_table import tabulate_contacts
+
+        return tabulate_contacts(self.found, self.camera, self.rows)
+
     def __repr__(self) -> str:
         balls = len(np.unique(self.found.particle))
         seen = f" in {self.frames} frames" if self.frames else ""

@@ -31,6 +31,7 @@ from tracker.tables.content import Content
 from tracker.tables.rows import check_columns, to_csv, to_tracks, tracks_table
 
 RUN = "run.json"
+CONTACTS = "contacts.parquet"
 SEEN = "exposure_seen_s"  # by clip, where the motion blur is not as long as the camera file's exposure makes it, s
 
 
@@ -85,12 +86,31 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
     plain = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None)
     _write_parquet(partial / "estimates.parquet", plain)
     write_json(partial / "fit.json", fit_all(table))
+    _write_contacts(partial, order)
     cameras = {n: load_json(clip_folder(partial, n) / "camera.json") for n in order}
     if seen := {n: camera[SEEN] for n, camera in cameras.items() if SEEN in camera}:
         write_json(partial / RUN, load_json(partial / RUN) | {SEEN: seen})
     write_atomically(partial / "camera.json", (clip_folder(partial, order[0]) / "camera.json").read_bytes())
     os.replace(partial, final)
     return table
+
+
+def _write_contacts(results: Path, numbers: Sequence[int]) -> None:
+    """Write contacts.parquet and contacts.csv of the clips with more than two balls, if there are any."""
+    from tracker.measurement.crowd.contact_table import tabulate_contacts
+
+    parts = []
+    for number in numbers:
+        rows = read_rows(results, number)
+        tracks, camera = read_clip(results, number)
+        table = tabulate_contacts(tracks, camera, rows)
+        if len(table):
+            parts.append(table.assign(clip=number)[["clip", *table.columns]])
+    if parts:
+        every = pd.concat(parts, ignore_index=True)
+        plain = pa.Table.from_pandas(every, preserve_index=False).replace_schema_metadata(None)
+        _write_parquet(results / CONTACTS, plain)
+        write_atomically(results / "contacts.csv", every.to_csv(index=False, lineterminator="\n"))
 
 
 def calibrate_local(results: Path, numbers: Sequence[int]) -> None:

@@ -138,6 +138,9 @@ class FitSettings(Settings):
     """Prior of the friction coefficient of the plate in the local estimate, known within a factor of 2. Cloth, glass
     and steel have 0.1 to 0.35."""
 
+    local_friction_factor: Positive = 0.7
+    """Standard error of the logarithm of that prior."""
+
     local_rolling_loss_m_s2: Positive = 0.05
     """Prior of the deceleration of a rolling ball in the local estimate, m/s^2, with a standard error of the same size.
     Cloth has 0.03 to 0.12."""
@@ -152,6 +155,10 @@ class FitSettings(Settings):
 
     contact_distance_tolerance: Positive = 0.03
     """Deviation from one diameter, in diameters, at which balls that touch are not yet flagged."""
+
+    crowd_particles: Count = 6
+    """Particles of a clip from which on it is a crowd: the local estimate alone measures each contact. Fits of whole
+    collisions take seconds each, and other contacts disturb most of them."""
 
     max_particles: Count = 2000
     """Most particles of a clip that are measured. 2000 take some 20 s; the time grows with the square of the number."""

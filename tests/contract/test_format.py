@@ -16,6 +16,7 @@ from repository import ROOT
 import discrepancy.cli
 import synthcam.cli
 import tracker.cli
+from synthcam import Scene
 from synthcam.library import library
 
 PAGE = (ROOT / "docs" / "format.md").read_text()
@@ -49,7 +50,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         f"synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 2 {small}",
         "tracker track out/benchmark -o out/benchmark_results",
         "tracker score out/benchmark_results --truth out/benchmark -o out/score",
+        "tracker measure crowd.csv --camera crowd.json -o out/crowd",
     ]
+    crowd = Scene.read("tray", timing={"frames": 60}).draw(seed=1)
+    crowd.tracks[["frame", "particle"]].assign(x=crowd.tracks.x_mean_px, y=crowd.tracks.y_mean_px).to_csv(
+        folder / "crowd.csv", index=False
+    )
+    (folder / "crowd.json").write_text(json.dumps(crowd.camera_json))
     (folder / "scenes").symlink_to(ROOT / "scenes")
     for command in [*readme, *scored]:
         fewer = command.replace("--clips 20", f"--clips 6 {small}")  # a search needs 6
@@ -72,6 +79,7 @@ def listed(name: str) -> list[str]:
         ("truth/tracks.parquet", "benchmark/clips/000000/truth/tracks.parquet"),
         ("truth/events.parquet", "benchmark/clips/000000/truth/events.parquet"),
         ("motion.parquet", "benchmark_results/clips/000000/motion.parquet"),
+        ("contacts.parquet", "crowd/contacts.parquet"),
     ],
 )
 def test_columns_stand_on_the_page_in_order(made: Path, name: str, path: str) -> None:

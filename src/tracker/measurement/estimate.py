@@ -31,6 +31,7 @@ from tracker.measurement.camera_errors import (
     measure_contact_distance,
 )
 from tracker.measurement.collision.adequacy import (
+    CROWD,
     HIDDEN_SLIDE,
     MEASURED,
     MISFIT,
@@ -63,6 +64,8 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_frames_within
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, Stay, find_stays
+from tracker.measurement.crowd.crowd_rows import estimate_contacts
+from tracker.measurement.crowd.track_contacts import find_track_contacts
 from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.joint_fit import fit_all
 from tracker.measurement.local.local_columns import empty_columns, local_columns
@@ -96,6 +99,7 @@ def measure(tracks: Tracks, camera: Camera, settings: FitSettings | None = None)
     - "ok";
     - "misfit": the data reject the tied fit or its values are impossible, and NAME has no error;
     - "stay_together": the balls meet and do not part, so that r is 0;
+    - "crowd": there are many balls, and each contact has the local estimate alone;
     - "no_collision": v0, drag and decel are those of the ball that rolls;
     - or the reason why nothing can be measured.
     """
@@ -109,6 +113,8 @@ def measure(tracks: Tracks, camera: Camera, settings: FitSettings | None = None)
     if size is None or abs(size.sigmas) < settings.noise_sigma:
         return _measure_balls(balls, camera, settings)
     resized = [track.scale_errors(size) for track in balls]
+    if len(balls) >= settings.crowd_particles:  # few contacts have fits of their own, which could confirm the size
+        return _measure_balls(resized if size.ratio > 1 else balls, camera, settings)
     if size.ratio > 1:
         rows = _measure_balls(resized, camera, settings)
         too_good = p_free(rows, size) > 1 - settings.rejection_level
@@ -141,6 +147,8 @@ def _measure_balls(balls: list[BallTrack], camera: Camera, settings: FitSettings
     if len(balls) > 1 and not camera.knows_diameter:
         reason = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
         return [empty_row(camera, reason) | noise]
+    if len(balls) >= settings.crowd_particles:
+        return _measure_crowd(balls, camera, settings) or [empty_row(camera, "no_collision") | noise]
     found = find_contacts(balls, camera.ball_diameter) if len(balls) > 1 else []
     near = find_near_pairs(balls, MAX_DISTANCE * camera.ball_diameter, 1.0) if len(balls) > 1 else ()
     together = [stay for a, b in near for stay in find_stays(a, b, camera.ball_diameter)]
@@ -162,6 +170,22 @@ def _measure_balls(balls: list[BallTrack], camera: Camera, settings: FitSettings
         return rows
     flags = {"flags": str(Flag.NO_TOUCH)} if found else {}
     return [empty_row(camera, "no_collision") | noise | _lone_ball(balls, camera, settings) | flags]
+
+
+def _measure_crowd(balls: list[BallTrack], camera: Camera, settings: FitSettings) -> list[dict[str, Any]]:
+    """A row for each contact of two balls, measured by the local estimate alone."""
+    found, rows = find_track_contacts(balls, camera.ball_diameter), []
+    pairs = [contact for contact in found if len(contact.balls) == 2]
+    estimates = estimate_contacts(found, balls, camera, settings)
+    for index, (seen, (contact, local)) in enumerate(zip(pairs, estimates, strict=True)):
+        row = empty_row(camera, CROWD, index) | {"particle1": seen.one, "particle2": seen.other}
+        if contact is not None:
+            row |= {f"particle{i}": track.particle for i, track in contact.pair.balls}
+            frames = np.concatenate([track.frame for _, track in contact.pair.balls])
+            row |= {"frame_first": int(frames.min()), "frame_last": int(frames.max())}
+        row |= _noise_columns(balls[0], camera) | local_columns(local, settings=settings)
+        rows.append(row | recommend(row))
+    return rows
 
 
 def _measure_collisions(

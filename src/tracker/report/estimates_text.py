@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from synthcam_shared.report.numbers import NOT_KNOWN, format_with_error
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT, ONE_BALL, TOGETHER, Flag
+from tracker.measurement.collision.adequacy import CROWD, MEASURED, MISFIT, ONE_BALL, TOGETHER, Flag
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.local.recommendation import recommended_suffix
 from tracker.report.quantities import QUANTITIES, Quantity
@@ -113,6 +113,16 @@ def format_value(row: Mapping[str, Any], column: str) -> str:
     return format_with_error(*(None if x is None else float(x) * factor for x in (value, std)))
 
 
+def describe_contacts(table: pd.DataFrame) -> str:
+    """Say in a sentence how many contacts there are in a film of more than two balls, and how many have values."""
+    walls = int((table["kind"] == "wall").sum())
+    known = int(table["r"].notna().sum())
+    return (
+        f"{len(table) - walls} contacts of two balls and {walls} with walls or with something unseen. "
+        f"r is known in {known} of them; contacts.csv lists all."
+    )
+
+
 def describe_status(row: Mapping[str, Any]) -> str:
     """Say in a sentence what the tracks of a row show."""
     if row["status"] == TOGETHER:
@@ -122,6 +132,8 @@ def describe_status(row: Mapping[str, Any]) -> str:
         return "No two balls touch"
     if row["status"] == ONE_BALL:
         return f"One ball is followed, and its track is written. There is {ONE_BALL.removeprefix('one ball: ')}"
+    if row["status"] == CROWD:
+        return f"Balls {row['particle1']} and {row['particle2']} of many collide"
     if row["status"] not in MEASURED:
         return f"Not measured: {row['status']}"
     if is_straight(row):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from synthcam_shared.outputs import as_input_error, write_atomically
+from synthcam_shared.report.numbers import format_with_error
 from synthcam_shared.report.page import (
     Block,
     PageFigure,
@@ -28,7 +30,8 @@ from tracker.camera.camera import Camera
 from tracker.camera.frames import Frames
 from tracker.camera.recordings import RecordingSource
 from tracker.detection.link import Tracks
-from tracker.measurement.collision.adequacy import MEASURED
+from tracker.measurement.collision.adequacy import CROWD, MEASURED
+from tracker.measurement.crowd.contact_table import summarise_contacts, tabulate_contacts
 from tracker.measurement.local.recommendation import recommended_suffix
 from tracker.measurement.messages import list_messages
 from tracker.notes import Note
@@ -43,6 +46,7 @@ from tracker.report.collision_figures import (
 )
 from tracker.report.estimates_text import (
     describe_contact,
+    describe_contacts,
     describe_fit,
     describe_frames,
     describe_recommendation,
@@ -61,6 +65,7 @@ from tracker.report.quantities import QUANTITIES
 from tracker.report.refusals import REFUSALS
 
 PAGE = "index.html"
+MAX_CONTACTS_OF_A_PAGE = 300  # the first; contacts.csv has all
 CAPTIONS = {
     "tracks": "Tracks of both balls. Right: the balls at the moment of contact. Error bars are smaller than the lines.",
     "separation": "Distance between the centres of the balls against time. Below: measurement minus tied fit.",
@@ -97,22 +102,58 @@ class RecordingPage:
 
     def write(self, folder: Path, command: str) -> Path:
         """Write FOLDER/index.html, and FOLDER/overlay.mp4, the film that it also holds; return the path of the page."""
-        views = [self._view(row) for row in self.rows]
-        results_tables = [block for row in self.rows for block in self._results(row)]
-        titles = [f"Collision {row['collision']}" for row in self.rows]
+        fitted = [row for row in self.rows if row["status"] != CROWD]
+        views = [self._view(row) for row in fitted]
+        results_tables = [block for row in fitted for block in self._results(row)]
+        titles = [f"Collision {row['collision']}" for row in fitted]
         sections = [
             Section("", results_tables),
             *([self._refusals(folder)] if self.refusals else []),
+            *([] if self.contacts.empty else [Section("Contacts", self._contacts())]),
             Section("How to read the table", [self._how_to_read()] if results_tables else []),
             Section("Film with measured positions", [self._film(folder, views)]),
             *(Section(title, self._figures(view)) for title, view in zip(titles, views, strict=True)),
             Section("Whole recording", self._overview()),
             Section("Camera settings used", [self._camera_table()]),
         ]
-        summary = [self._describe(row) for row in self.rows]
+        summary = [] if self.contacts.empty else [describe_contacts(self.contacts)]
+        summary += [self._describe(row) for row in fitted]
         estimates = pd.DataFrame([{"clip": 0, **row} for row in self.rows])
         warnings = [*map(str, list_messages(estimates)), *map(str, self.notes)]
         return write_page(folder / PAGE, self.name, sections, command, summary, warnings)
+
+    @cached_property
+    def contacts(self) -> pd.DataFrame:
+        """All contacts of a film of more than two balls."""
+        return tabulate_contacts(self.tracks, self.camera, self.rows)
+
+    def _contacts(self) -> list[Block]:
+        """The physics that the contacts share, and a table of them."""
+        means = [
+            (name, str(len(mean.weights)), format_with_error(mean.coefficients[0], mean.std[0]), f"{mean.scatter:.2g}")
+            for name, mean in summarise_contacts(self.contacts).items()
+        ]
+        shared = PageTable(["quantity", "contacts", "mean", "scatter"], means, "Random-effects means over the contacts")
+        columns = {"v_n": 1e2, "r": 1.0, "mu_bb": 1.0, "impulse": 1e2, "energy_lost": 1e4}
+        rows = []
+        for row in self.contacts.head(MAX_CONTACTS_OF_A_PAGE).to_dict("records"):
+            other = "wall" if row["kind"] == "wall" else str(row["particle2"])
+            at = format_with_error(1e3 * row["t_s"], 1e3 * row["t_s_std"])
+            values = [format_with_error(f * row[name], f * row[f"{name}_std"]) for name, f in columns.items()]
+            rows.append((str(row["contact"]), at, str(row["particle1"]), other, *values, row["why"]))
+        heads = [
+            "contact",
+            "t / ms",
+            "ball",
+            "with",
+            "v_n / cm/s",
+            "r",
+            "mu_bb",
+            "impulse / cm/s",
+            "energy lost / cm²/s²",
+        ]
+        title = "Contacts in order of time; impulse and energy per unit mass"
+        return [*([shared] if means else []), PageTable([*heads, "estimate"], rows, title)]
 
     def _how_to_read(self) -> str:
         straight = [str(row["collision"]) for row in self.collisions if is_straight(row)]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tracker.detection.background.windows import Region, find_regions
 from tracker.detection.candidates import estimate_noise, median_of_nine, spread_frames
-from tracker.measurement.collision.adequacy import MEASURED, NO_SCALE, ONE_BALL
+from tracker.measurement.collision.adequacy import CROWD, MEASURED, NO_SCALE, ONE_BALL
 from tracker.notes import Note, NoteKind
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class NotedPicture:
 def is_failure(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
     """True if a clip has no track, or no collision that could be measured for a reason other than a missing scale."""
     states = [str(row["status"]) for row in rows]
-    return len(tracks) == 0 or not any(state in (*MEASURED, NO_SCALE, ONE_BALL) for state in states)
+    return len(tracks) == 0 or not any(state in (*MEASURED, CROWD, NO_SCALE, ONE_BALL) for state in states)
 
 
 def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28) -> NotedPicture:

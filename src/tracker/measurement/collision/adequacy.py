@@ -15,6 +15,7 @@ from tracker.settings import FitSettings
 
 MISFIT = "misfit"
 TOGETHER = "stay_together"
+CROWD = "crowd"
 HIDDEN_SLIDE = "the contact lasts as long as the balls may slide: it hides how they part"
 SHORT_SLIDE = "the balls move straight after the hit: they slide without friction, or roll at once"
 TOO_FEW = "too few frames outside the contact"

@@ -77,7 +77,12 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
     lasts = contact.end > contact.start
     settings = contact.pair.settings
-    known = LocalPriors(contact.pair.diameter, friction=settings.local_friction, loss=settings.local_rolling_loss_m_s2)
+    known = LocalPriors(
+        contact.pair.diameter,
+        friction=settings.local_friction,
+        friction_factor=settings.local_friction_factor,
+        loss=settings.local_rolling_loss_m_s2,
+    )
     instant = _guess_instant(contact, camera)
     if _stay_together(contact, instant):
         return "the bodies stay together after the hit"

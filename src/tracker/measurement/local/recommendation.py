@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from tracker.measurement.collision.adequacy import MISFIT, TOGETHER
+from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER
 
 TIED, FREE, LOCAL, NONE = "tied", "free", "local", "none"
 SUFFIXES = {TIED: "", FREE: "_free", LOCAL: "_local"}  # of the columns of each estimate
@@ -40,6 +40,8 @@ def recommend(row: Mapping[str, Any]) -> dict[str, str]:
     reason = "the tracks reject the tied fit" if row["status"] == MISFIT else "the tied fit does not show r"
     if foreign and row["status"] == "ok":
         reason = foreign
+    elif row["status"] == CROWD:
+        reason = "of many balls, each contact is measured by itself"
     elif row["status"] not in ("ok", MISFIT):
         reason = f"there is no tied fit ({row['status']})"
     rolls = row.get("motion_local") != "glide"  # as the free fit assumes

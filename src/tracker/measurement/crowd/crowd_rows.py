@@ -1,0 +1,97 @@
+"""Measures each contact of a crowd by its local estimate, with the friction that all contacts of the film share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tracker.camera.camera_json import BODIES
+from tracker.measurement.collision.collision_model import GRAVITY
+from tracker.measurement.collision.contacts import Contact, ContactCandidate, prepare_contact
+from tracker.measurement.crowd.track_contacts import TrackContact
+from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate, estimate_locally
+from tracker.measurement.positions import BallTrack
+from tracker.settings import FitSettings
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+
+BOTH_SLIDE = "both balls still slide from an earlier contact"
+WINDOW_IN_SLIDES = 10.0  # durations of the slide after a contact, up to which its stretches reach
+MIN_WINDOW_S = 0.05
+SLIDE_MARGIN = 1.5  # factor on the duration of a slide, within which a ball may still slide
+MIN_FRICTIONS = 5  # contacts that show the friction of the plate, from which on the others take it
+MAX_FRICTION_ERROR = 0.2  # relative, of a contact that counts
+FILM_FRICTION_FACTOR = 0.1  # error of the logarithm of the friction that a film shows
+
+
+def estimate_contacts(
+    found: Sequence[TrackContact], balls: Sequence[BallTrack], camera: Camera, settings: FitSettings
+) -> list[tuple[Contact | None, LocalEstimate | str]]:
+    """Estimate each contact of two balls: its two balls, and the local estimate or the reason why there is none.
+
+    found: all contacts of the film; those with walls end the stretches of a ball. The friction of the plate is that
+    which the contacts with long slides show; the others take it as known.
+    """
+    tracks = {ball.particle: ball for ball in balls}
+    known = camera
+    if not camera.support and camera.body == BODIES["ball"]:
+        known = replace(camera, support="cloth")  # contacts of slow balls hide that they slide
+    first = [_estimate(c, found, tracks, known, settings) for c in found if len(c.balls) == 2]
+    at = LOCAL_NAMES.index("mu_k")
+    seen = [(each.value[at], each.std[at]) for _, each in first if isinstance(each, LocalEstimate)]
+    friction = [mu for mu, std in seen if mu > 0 and 0 < std < MAX_FRICTION_ERROR * mu]
+    if len(friction) < MIN_FRICTIONS:
+        return first
+    common = float(np.median(friction))
+    closer = settings.model_copy(update={"local_friction": common, "local_friction_factor": FILM_FRICTION_FACTOR})
+    return [_estimate(c, found, tracks, known, closer) for c in found if len(c.balls) == 2]
+
+
+def _estimate(
+    contact: TrackContact,
+    found: Sequence[TrackContact],
+    tracks: Mapping[int, BallTrack],
+    camera: Camera,
+    settings: FitSettings,
+) -> tuple[Contact | None, LocalEstimate | str]:
+    window = WINDOW_IN_SLIDES * _slide_duration(contact, settings)
+    own = settings.model_copy(update={"local_window_s": float(np.clip(window, MIN_WINDOW_S, settings.local_window_s))})
+    one, other = (_cut(tracks[n], contact, found, camera) for n in contact.balls)
+    frame = round(float(np.interp(contact.time, tracks[contact.one].time, tracks[contact.one].frame)))
+    try:
+        prepared = prepare_contact(ContactCandidate(one, other, frame), camera.ball_diameter, {}, own)
+        if prepared.reason:
+            return None, prepared.reason
+        pair = prepared.pair
+        sliding = [_still_slides(track.particle, contact, found, settings) for _, track in pair.balls]
+        if all(sliding):
+            return prepared, BOTH_SLIDE
+        if sliding[0]:  # only the striker may slide before the hit; roles do not change what is measured
+            pair = replace(pair, struck=pair.striker, striker=pair.struck, target_moves=True)
+        prepared = replace(prepared, pair=pair)
+        return prepared, estimate_locally(prepared, camera, (1.0, 1.0))
+    except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others
+        return None, f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
+
+
+def _slide_duration(contact: TrackContact, settings: FitSettings) -> float:
+    """How long a ball slides after a contact, s, by the change of its velocity."""
+    return 2 * contact.kick / (7 * settings.local_friction * GRAVITY)
+
+
+def _still_slides(particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> bool:
+    before = [c for c in found if particle in c.balls and c.time < contact.time]
+    return bool(before) and contact.time - before[-1].time < SLIDE_MARGIN * _slide_duration(before[-1], settings)
+
+
+def _cut(track: BallTrack, contact: TrackContact, found: Sequence[TrackContact], camera: Camera) -> BallTrack:
+    """The positions of a ball between the contacts before and after this one, without those beside them."""
+    times = np.array([c.time for c in found if track.particle in c.balls and c is not contact])
+    low = times[times <= contact.time].max(initial=-np.inf)
+    high = times[times > contact.time].min(initial=np.inf)
+    beside = track.exposure / 2 + 0.5 / camera.fps
+    return track.where((track.time > low + beside) & (track.time < high - beside))
