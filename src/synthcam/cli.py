@@ -1,4 +1,4 @@
-"""The command `synthcam`: generate, merge, verify, preview, export, schema, effects, doctor."""
+"""The command `synthcam`: generate, stream, merge, verify, preview, export, schema, effects, doctor."""
 
 from __future__ import annotations
 
@@ -75,15 +75,14 @@ def generate(
     Example: synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 100
     """
     add_effect_folders(effects_dir)
-    from synthcam.dataset.generate import GenerationPlan, generate_dataset
+    from synthcam.dataset.generate import MAX_CLIPS, GenerationPlan, generate_dataset
     from synthcam.dataset.partial_dataset import check_apart
     from synthcam.scene.scene import read_scene
     from synthcam.scene.visibility import describe_unseen_balls
 
     started = time.monotonic()
-    most_clips = 1_000_000  # numbered by six digits
-    if clips * len(scenes) > most_clips:
-        raise InputError(f"--clips {clips}: expected at most {most_clips} clips in all")
+    if clips * len(scenes) > MAX_CLIPS:
+        raise InputError(f"--clips {clips}: expected at most {MAX_CLIPS} clips in all")
     if withhold_truth:
         check_apart(output, withhold_truth)
     if withhold_truth and seed is None:
@@ -148,6 +147,55 @@ def _compression(name: str) -> str:
     if name == "zstd" and importlib.util.find_spec("imagecodecs") is None:
         raise InputError("--compression zstd: imagecodecs is not installed; type: pip install 'synthcam[zstd]'")
     return name
+
+
+@app.command()
+def stream(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A scene file (YAML).")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="Folder for the shards.")],
+    frames: Annotated[int | None, typer.Option(min=1, help="Write clips with at least so many frames.")] = None,
+    clips: Annotated[int | None, typer.Option(min=1, help="Write so many clips.")] = None,
+    shards_of: Annotated[int | None, typer.Option(min=1, help="Clips of a shard; default: about 1,000 frames.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Make every n-th frame of a clip only.")] = 1,
+    kind: Annotated[str, typer.Option("--format", metavar="NAME", help="webdataset or zarr.")] = "webdataset",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: as many as are quickest.")] = None,
+    set_: Set = None,
+    model: ModelFile = None,
+    effects_dir: EffectsDir = None,
+    as_json: Json = False,
+) -> None:
+    """Write frames with boxes and masks of their balls, for training, until --frames, --clips or Ctrl-C.
+
+    Each shard appears when it is complete. The same command continues; with more --clips, it goes further.
+
+    Example: synthcam stream scenes/tray.yaml -o out/stream --frames 10000
+    """
+    add_effect_folders(effects_dir)
+    from synthcam.dataset.shards import plan_shards, write_shards
+    from synthcam.scene.scene import read_scene
+    from synthcam.scene.visibility import describe_unseen_balls
+
+    started = time.monotonic()
+    read = read_scene(scene, tuple(set_ or ()), model)
+    plan = plan_shards(read, seed, frames, clips, shards_of, every, kind)
+    _print_hint(describe_unseen_balls(read, 0, seed))
+    with progress_bar("clips") as progress:
+        outcome = write_shards(plan, output, workers or 0, progress)
+    for line in outcome.left_out:
+        _print_hint(line)
+    seconds = time.monotonic() - started
+    summary = {
+        "output": str(output),
+        "format": kind,
+        "clips": plan.clips,
+        "shards": outcome.shards,
+        "frames": outcome.frames,
+        "left_out": list(outcome.left_out),
+        "seconds": round(seconds, 2),
+    }
+    made = f"{outcome.shards} shards with {outcome.frames} frames made in this run, in {seconds:.1f} s"
+    _print_result(summary, as_json, f"{output}: {plan.clips} clips, {made}")
 
 
 @app.command()
@@ -352,7 +400,7 @@ def _print_result(summary: dict[str, Any], as_json: bool, text: str) -> None:
 
 def main() -> None:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
-    run_command(app, "synthcam", (InputError, NoGL), ("generate", "merge"))
+    run_command(app, "synthcam", (InputError, NoGL), ("generate", "merge", "stream"))
 
 
 if __name__ == "__main__":

@@ -111,7 +111,7 @@ def _name_alternatives(options: re.Match[str]) -> str:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar with an estimate on a terminal, elsewhere a line on stderr now and then."""
+    """Show a bar with an estimate on a terminal, elsewhere a line on stderr now and then. A total of 0: without end."""
     if not sys.stderr.isatty():
         yield print_progress(what)
         return
@@ -124,7 +124,7 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
 
         def show(done: int, total: int) -> None:
             raise_if_interrupted()
-            bar.update(task, completed=done, total=total)
+            bar.update(task, completed=done, total=total or None)
 
         yield show
 
@@ -143,10 +143,12 @@ def print_progress(what: str) -> Callable[[int, int], None]:
         raise_if_interrupted()
         before = done if before is None else before
         now = time.monotonic()
-        if now - printed < interval or done >= total:
+        if now - printed < interval or 0 < total <= done:
             return
         printed = now
-        left = f", about {(now - began) / (done - before) * (total - done):.0f} s left" if done > before else ""
-        print(f"{what}: {done} of {total} after {now - began:.0f} s{left}", file=sys.stderr, flush=True)
+        seconds = (now - began) / (done - before) * (total - done) if done > before else 0.0
+        left = f", about {seconds:.0f} s left" if seconds > 0 else ""
+        of = f" of {total}" if total else ""
+        print(f"{what}: {done}{of} after {now - began:.0f} s{left}", file=sys.stderr, flush=True)
 
     return progress

@@ -113,6 +113,12 @@ MISTAKES = {
     "synthcam verify results": "results",
     "synthcam preview s.yaml -o frame.png --from-above --frame 1": "--frame: of a film",
     "synthcam preview s.yaml -o frame.jpg": "expected a name that ends in .png, .gif or .mp4",
+    "synthcam stream sceen.yaml -o new": "sceen.yaml: no such file",
+    "synthcam stream s.yaml -o new --format tar": "--format tar: no such format; there are webdataset, zarr",
+    "synthcam stream s.yaml -o new --frames 9 --clips 2": "--clips 2: beside --frames; expected one of the two",
+    "synthcam stream s.yaml -o new --clips 2000000": "--clips 2000000: expected at most 1000000",
+    "synthcam stream s.yaml -o new --every 0": "--every",
+    "synthcam stream s.yaml -o full --clips 1": "full: exists and holds something else",
     "synthcam effects plate_tlt": "did you mean plate_tilt?",
     "tracker track datset -o new": "datset: no such file or folder",
     "tracker track s.yaml -o new": "not a .yaml file",
@@ -239,6 +245,15 @@ def test_without_a_terminal_progress_is_lines(monkeypatch, capsys):
     out, err = capsys.readouterr()
     assert out == ""
     assert err == "clips: 21 of 30 after 30 s, about 270 s left\nclips: 23 of 30 after 90 s, about 210 s left\n"
+
+
+def test_progress_without_an_end(monkeypatch, capsys):
+    clock = iter([0.0, 4.0, 40.0])
+    monkeypatch.setattr(synthcam_shared.application.time, "monotonic", lambda: next(clock))
+    with synthcam_shared.application.progress_bar("clips") as progress:
+        progress(0, 0)
+        progress(7, 0)
+    assert capsys.readouterr().err == "clips: 7 after 40 s\n"
 
 
 def test_two_at_one_output(bench, monkeypatch, capsys):

@@ -25,6 +25,14 @@ from synthcam_shared.interruption import raise_if_interrupted
 from synthcam_shared.job_result import LostJob
 from synthcam_shared.jobs import Progress, Trial, run_jobs
 
+MAX_CLIPS = 1_000_000  # of one folder: six digits number them
+
+
+def hash_effect_files(*scenes: Scene) -> dict[str, str]:
+    """The SHA-256 of the files of those effects of the scenes that users added, by name."""
+    used = sorted({name for scene in scenes for name in scene.settings.get("effects") or {}})
+    return {name: found for name in used if (found := digest(name))}
+
 
 @dataclass(frozen=True)
 class GenerationPlan:
@@ -54,8 +62,7 @@ class GenerationPlan:
 
     def document(self) -> dict[str, Any]:
         """Everything that must agree for two runs to make the same dataset, or the same shard of it."""
-        used = sorted({name for s in self.scenes for name in s.settings.get("effects") or {}})
-        files = {name: found for name in used if (found := digest(name))}  # SHA-256 of those that users added
+        files = hash_effect_files(*self.scenes)
         return {
             "scenes": [s.settings for s in self.scenes],
             "clips_per_scene": self.clips,

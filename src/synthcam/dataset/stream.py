@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Literal, overload
 
@@ -94,14 +94,19 @@ def stream(
         raise InputError(f"by: expected 'frame' or 'clip', not {by!r}")
     read = scene if isinstance(scene, Scene) else Scene.read(scene)
     numbers = itertools.count(start, step) if stop is None else range(start, stop, step)
-    clips = _make_clips(read, seed, iter(numbers), every)
+    clips = make_clips(read, seed, numbers, every, lambda line: warnings.warn(line, RuntimeWarning, stacklevel=2))
     if by == "frame":
         return itertools.chain.from_iterable(clips)
     return map(list, clips)
 
 
-def _make_clips(scene: Scene, seed: int, numbers: Iterator[int], every: int) -> Iterator[Iterator[LabelledFrame]]:
-    """Yield the frames of each clip that can be made."""
+def make_clips(
+    scene: Scene, seed: int, numbers: Iterable[int], every: int, leave_out: Callable[[str], None]
+) -> Iterator[Iterator[LabelledFrame]]:
+    """Yield the frames of each clip that can be made. leave_out: takes a line about each other one.
+
+    Raises InputError if too many in a row cannot be made.
+    """
     failed: list[str] = []
     for number in numbers:
         try:
@@ -113,7 +118,8 @@ def _make_clips(scene: Scene, seed: int, numbers: Iterator[int], every: int) -> 
                 reason = f"{len(failed)} clips in a row cannot be made; the last: {error}"
                 raise InputError(f"{scene.where}: {' '.join(reason.split())}") from None
             continue
-        for line in failed:
-            warnings.warn(line, RuntimeWarning, stacklevel=2)
-        failed.clear()
+        while failed:
+            leave_out(failed.pop(0))
         yield itertools.chain([first], frames)
+    for line in failed:
+        leave_out(line)
