@@ -36,7 +36,7 @@ CHUNK_BYTES = 4_000_000  # of the arrays of a Zarr store
 
 @dataclass(frozen=True)
 class ShardPlan:
-    """What the shards of a stream hold.
+    """The content of the shards of a stream.
 
     clips: numbered from 0; None: without end. clips_per_shard: the last shard may have fewer. every: every n-th frame
     of a clip only. kind: a key of `FORMATS`.
@@ -227,8 +227,10 @@ def _write_tar(frames: Iterator[LabelledFrame], path: Path) -> None:
                 file = io.BytesIO()
                 tifffile.imwrite(file, frame.image, photometric="rgb" if frame.image.ndim == 3 else "minisblack")
                 end, image = "tif", file.getvalue()
+            few = len(frame.clip.launch.bodies.radius) < 256
+            labels = encode_png(frame.labels.astype(np.uint8) if few else frame.labels)
             truth = json.dumps(_describe(frame)).encode()
-            for name, data in ((end, image), ("labels.png", encode_png(frame.labels)), ("json", truth)):
+            for name, data in ((end, image), ("labels.png", labels), ("json", truth)):
                 member = tarfile.TarInfo(f"{frame.clip.number:06d}-{frame.frame:06d}.{name}")
                 member.size = len(data)
                 tar.addfile(member, io.BytesIO(data))

@@ -1,8 +1,8 @@
 """COCO: images/ and annotations/instances.json, with a box, a mask and the ball's number for each ball and frame.
 
-Lin et al. 2014, arXiv:1405.0312. Pixels count from the picture's corner, (0, 0). A box goes round the ball's outline,
-cut at the rim of the picture; a mask, in compressed run lengths, has the pixels that the ball covers, and area is their
-number. Pictures have 8 bits: the upper ones of the counts.
+Lin et al. 2014, arXiv:1405.0312. Pixels count from the picture's corner, (0, 0). A box goes round the ball's outline
+and is cut at the rim of the picture. A mask, in compressed run lengths, has the pixels that the ball covers; area is
+their number. Pictures have 8 bits: the upper ones of the counts.
 """
 
 import json
