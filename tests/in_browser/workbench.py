@@ -138,6 +138,7 @@ def test_from_a_film_to_a_number(films, browser, tmp_path):
             assert abs(float(value) - 0.6) < 4 * int(error) * 10.0 ** -len(value.partition(".")[2])
             says(page.frame_locator("#report"), "h1", "hit & run")
             says(page, "#command", "results_2")
+            page.wait_for_selector("#show-tracks")
             # load again
             page.reload()
             page.wait_for_selector("#results table")

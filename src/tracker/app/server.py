@@ -104,6 +104,9 @@ def make_application(
     def describe_results(request: Request) -> Response:
         return JSONResponse(bench.describe_results(request.path_params["number"]))
 
+    def list_tracks(request: Request) -> Response:
+        return JSONResponse(bench.list_tracks(request.path_params["number"]))
+
     async def open_clip(request: Request) -> Response:
         index = await _read_body(request)
         if not isinstance(index, int) or isinstance(index, bool):
@@ -117,6 +120,9 @@ def make_application(
     async def start_run(request: Request) -> Response:
         await run_in_threadpool(bench.apply, await _read_body(request))
         return JSONResponse(await run_in_threadpool(bench.start_run))
+
+    async def start_calibration(request: Request) -> Response:
+        return JSONResponse(await run_in_threadpool(bench.start_calibration, await _read_body(request)))
 
     async def cancel_run(request: Request) -> Response:
         bench.process.cancel()
@@ -151,9 +157,11 @@ def make_application(
         Route("/api/film", describe),
         Route("/api/balls/{index:int}", find_balls),
         Route("/api/results/{number:int}", describe_results),
+        Route("/api/tracks/{number:int}", list_tracks),
         Route("/api/clip", open_clip, methods=["POST"]),
         Route("/api/settings", apply, methods=["POST"]),
         Route("/api/run", start_run, methods=["POST"]),
+        Route("/api/calibrate", start_calibration, methods=["POST"]),
         Route("/api/cancel", cancel_run, methods=["POST"]),
         Route("/api/status", stream_status),
     ]

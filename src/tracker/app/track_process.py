@@ -1,4 +1,4 @@
-"""Runs `tracker track` as a child process: its progress, its end, and how it is cancelled."""
+"""Runs `tracker track` or `calibrate` as a child process: its progress, its end, and how it is cancelled."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ MAX_LINES = 200  # of the child's messages that are kept
 
 @dataclass(frozen=True)
 class RunStatus:
-    """A run as the page shows it. summary: what `tracker track --json` prints; lines: its messages."""
+    """A run of a command as the page shows it. summary: what the command prints with --json; lines: its messages."""
 
+    command: str = ""
     number: int = 0
     state: State = "idle"
     what: str = ""
@@ -70,7 +71,7 @@ class TrackProcess:
             env={**os.environ, PROGRESS_INTERVAL: "0.2"},
             start_new_session=True,
         )
-        self._set(RunStatus(number=number, state="running"))
+        self._set(RunStatus(command=words[1], number=number, state="running"))
         self._reader = threading.Thread(target=self._read, args=(self._child, printed), daemon=True)
         self._reader.start()
 
@@ -117,6 +118,6 @@ class TrackProcess:
         elif self._cancelled:
             self._set(replace(self.status, state="cancelled"))
         else:
-            last = self.status.lines[-1] if self.status.lines else ""
+            last = self.status.lines[-1] if self.status.lines else f"tracker {self.status.command}"
             ended = f"ended by signal {-code}" if code < 0 else f"exit status {code}"
-            self._set(replace(self.status, state="failed", error=f"{last or 'tracker track'} ({ended})"))
+            self._set(replace(self.status, state="failed", error=f"{last} ({ended})"))

@@ -36,6 +36,7 @@ from tracker.report.estimates_text import (
 from tracker.results import finite
 
 MAX_COLLISIONS = 20  # whose numbers the page lists; the report has all
+MAX_POSITIONS = 200_000  # of tracks that the page draws
 QUANTITIES = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction", "momentum_fraction")
 
 
@@ -63,7 +64,7 @@ class Workbench:
             raise InputError(f"{self.folder}: a file, expected a folder for the results")
         if beside.is_dir() and beside in (self.folder, *self.folder.parents):
             raise InputError(f"{self.folder}: lies in {source.path}, expected a folder outside it")
-        self.process = TrackProcess(self._note_change)
+        self.process = TrackProcess(self._hear_process)
         self.made: set[int] = set()  # numbers of the runs of this session
         self.version = 0  # grows with every change of detector and run
         self.detector: FrameDetector | None = None
@@ -84,6 +85,12 @@ class Workbench:
 
     def _note_change(self) -> None:
         self.version += 1
+
+    def _hear_process(self) -> None:
+        status = self.process.status
+        if (status.command, status.state) == ("calibrate", "done"):
+            self._take_camera(self._calibrated(status.number))
+        self._note_change()
 
     # --- the film
 
@@ -225,7 +232,8 @@ class Workbench:
     def _next_number(self) -> int:
         """The first number that no file of an earlier run has, nor one that was interrupted."""
         taken = {path.name.removesuffix(".partial") for path in self.folder.glob("*_*")}
-        names = ({self._camera_file(n).name, self._results(n).name} for n in count(1))
+        paths = ((self._camera_file(n), self._calibrated(n), self._results(n)) for n in count(1))
+        names = ({path.name for path in own} for own in paths)
         return next(n for n, own in enumerate(names, 1) if not own & taken)
 
     def _camera_file(self, number: int) -> Path:
@@ -234,14 +242,49 @@ class Workbench:
     def _results(self, number: int) -> Path:
         return self.folder / f"results_{number}"
 
+    def _calibrated(self, number: int) -> Path:
+        return self.folder / f"calibrated_{number}.json"
+
+    def start_calibration(self, values: Any) -> dict[str, Any]:
+        """Start `tracker calibrate`, which measures the scale by the balls. Raises InputError.
+
+        When it is done, its camera file becomes that of the film.
+        """
+        settings = build_settings(values, RunSettings, "settings")
+        wanted = {"--diameter": settings.ball_diameter, "--fps": settings.fps, "--exposure": settings.exposure}
+        given = self.given or {}
+        wanted["--diameter"] = wanted["--diameter"] or given.get("ball_diameter")
+        wanted["--fps"] = wanted["--fps"] or given.get("fps")
+        if not (wanted["--diameter"] and wanted["--fps"]):
+            raise InputError("calibrate: set the ball diameter and the frames a second; the balls then give the scale")
+        with self._lock:
+            number = self._prepare_run()
+            words = ["tracker", "calibrate", f"{self.film}", "-o", f"{self._calibrated(number)}"]
+            for name, value in wanted.items():
+                words += [name, f"{value:.12g}"] if value else []
+            self.process.start(number, words)
+            return self.describe_status()
+
+    def _take_camera(self, file: Path) -> None:
+        """Use another camera file for the film, and keep the settings that it does not contain."""
+        with self._lock:
+            kept = self.plan.settings.model_dump(include={"balls", "region", "frames", "channel"})
+            self.source, self.given = replace(self.source, camera=file), read_source(file)
+            self._take(make_plan(build_settings(kept, RunSettings, "settings"), self.view, self.given, where=f"{file}"))
+
+    def _prepare_run(self) -> int:
+        """The number of the next run, whose folder can be written. Raises InputError."""
+        if self.process.is_running:
+            raise InputError("run: one is under way; wait for it, or cancel it")
+        number = self._next_number()
+        check_writable(self.folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        return number
+
     def start_run(self) -> dict[str, Any]:
         """Start `tracker track` with the settings of the page. Raises InputError."""
         with self._lock:
-            if self.process.is_running:
-                raise InputError("run: one is under way; wait for it, or cancel it")
-            number, plan = self._next_number(), self.plan
-            check_writable(self.folder)
-            self.folder.mkdir(parents=True, exist_ok=True)
+            number, plan = self._prepare_run(), self.plan
             camera = self.source.camera
             if plan.needs_file:
                 camera = self._camera_file(number)
@@ -269,6 +312,17 @@ class Workbench:
             "more": max(len(table) - MAX_COLLISIONS, 0),
             "page": f"/report/{number}/index.html" if (folder / "index.html").is_file() else "",
         }
+
+    def list_tracks(self, number: int) -> list[dict[str, Any]]:
+        """The tracks of a run of this session, each with its frames and positions, px. Raises InputError."""
+        (file,) = (self.find_results(number) / "clips").glob("*/tracks.parquet")
+        table = pd.read_parquet(file, columns=["frame", "particle", "x", "y"])
+        if len(table) > MAX_POSITIONS:
+            raise InputError(f"tracks: {len(table)} positions, the page draws at most {MAX_POSITIONS}")
+        return [
+            {"particle": name, **table[table["particle"] == name][["frame", "x", "y"]].round(3).to_dict("list")}
+            for name in table["particle"].unique().tolist()
+        ]
 
     def find_results(self, number: int) -> Path:
         """The folder of a run that was made in this session. Raises InputError."""

@@ -4,9 +4,10 @@ import json
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
+import tifffile
 from processes import until
-from repository import ROOT
 from tracker_film import CAMERA, collision, film, write_clip
 
 pytest.importorskip("starlette", reason="the extra app is not installed")
@@ -14,6 +15,7 @@ from starlette.testclient import TestClient
 
 from synthcam_shared.errors import InputError
 from tracker.app.server import STATIC, Presence, make_application
+from tracker.app.track_process import RunStatus
 from tracker.app.workbench import Workbench
 from tracker.camera.recordings import open_source
 
@@ -124,7 +126,8 @@ def test_settings_make_a_camera_file_and_a_command(client, bench):
     assert plan["radii"][0] > 1
     assert client.get("/api/film").json()["settings"]["frames"] == "2:20"  # a page that is loaded again has them
     assert until(lambda: bench.detector_status.state == "ready")
-    assert client.get("/api/balls/25").json()["read"] is False
+    left_out = client.get("/api/balls/25").json()
+    assert (left_out["read"], left_out["balls"]) == (False, [])
     wrong = client.post("/api/settings", json={"region": "1,2"})
     assert (wrong.status_code, wrong.json()["error"].partition(":")[0]) == (422, "--region '1,2'")
 
@@ -136,7 +139,11 @@ def test_a_run_writes_the_camera_file_and_serves_its_report_alone(client, bench,
         (folder / "index.html").write_text("the report")
         (folder / "run.json").write_text("{}")
         (folder / "estimates.parquet").touch()
-        (folder / "out.html").symlink_to(ROOT / "README.md")
+        (folder / "clips/000000").mkdir(parents=True)
+        table = pd.DataFrame({"frame": [4, 5, 4], "particle": [0, 0, 1], "x": [1.0, 2.0, 7.0], "y": 3.0})
+        table.to_parquet(folder / "clips/000000/tracks.parquet")
+        (bench.folder / "other.html").write_text("not of this run")
+        (folder / "out.html").symlink_to(bench.folder / "other.html")
         started.append(words)
 
     started = []
@@ -148,15 +155,39 @@ def test_a_run_writes_the_camera_file_and_serves_its_report_alone(client, bench,
     report = client.get("/report/1/index.html")
     assert (report.text, report.status_code) == ("the report", 200)
     assert "frame-ancestors 'self'" in report.headers["content-security-policy"]
-    for name in ("run.json", "..%2fcamera_1.json", "out.html", "none.html"):
+    tracks = client.get("/api/tracks/1").json()
+    assert tracks[0] == {"particle": 0, "frame": [4, 5], "x": [1.0, 2.0], "y": [3.0, 3.0]}
+    assert [track["particle"] for track in tracks] == [0, 1]
+    for name in ("run.json", "..%2fother.html", "out.html", "none.html"):
         assert client.get(f"/report/1/{name}").status_code == 404
     assert client.get("/report/2/index.html").status_code == 422
     assert "results_2" in client.post("/api/settings", json={}).json()["command"]
 
 
+def test_a_calibration_gives_the_film_its_camera_file(tmp_path, pictures, monkeypatch):
+    tifffile.imwrite(tmp_path / "film.tif", pictures[1], imagej=True)
+    bench, started = Workbench(open_source(tmp_path / "film.tif")), []
+    client = enter(bench)
+    client.post("/api/settings", json={"region": "0,0,150,90"})
+    monkeypatch.setattr(bench.process, "start", lambda number, words: started.append((number, words)))
+    assert "set the ball diameter and" in client.post("/api/calibrate", json={"fps": 250}).json()["error"]
+    client.post("/api/calibrate", json={"fps": 250, "ball_diameter": 2.38e-3})
+    ((number, words),) = started
+    file = bench.folder / f"calibrated_{number}.json"
+    film = ["tracker", "calibrate", f"{tmp_path / 'film.tif'}", "-o", f"{file}"]
+    assert words == [*film, "--diameter", "0.00238", "--fps", "250"]
+    file.write_text(json.dumps(CAMERA))
+    bench.process._set(RunStatus(command="calibrate", number=number, state="done"))
+    about = client.get("/api/film").json()
+    assert (about["given"]["scale"], about["settings"]["region"]) == (CAMERA["scale"], "0,0,150,90")
+    assert f"--camera {file}" in about["plan"]["command"]
+    assert "results_2" in about["plan"]["command"]
+    bench.close()
+
+
 def test_one_run_at_a_time(client, bench, monkeypatch):
     monkeypatch.setattr(type(bench.process), "is_running", True)
-    for path, body in (("/api/run", {}), ("/api/clip", 0)):
+    for path, body in (("/api/run", {}), ("/api/clip", 0), ("/api/calibrate", {"fps": 9, "ball_diameter": 0.1})):
         answer = client.post(path, json=body)
         assert (answer.status_code, "under way" in answer.json()["error"]) == (422, True)
 

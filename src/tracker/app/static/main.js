@@ -19,11 +19,17 @@ async function begin() {
   let film = await get("/api/film");
   const stage = new Stage(element("stage")), player = new Player(stage, film, tell);
   const inspector = new Inspector(stage, player), pointing = new Pointing(stage, player, inspector);
-  const run = new Run(pointing, tell);
+  const run = new Run(pointing, stage, tell, async () => { takeSettings(await get("/api/film")); });
   let detector = film.status.detector;
+
+  function takeSettings(next) {
+    film = next;
+    pointing.open(film);
+  }
 
   function open(next) {
     film = next;
+    run.open(film.status.run);
     document.title = `${film.film.split("/").at(-1)} – workbench`;
     element("film-name").textContent = `${film.film} · ${film.size.join(" × ")} px · ${film.frames} frames`;
     element("clip-choice").hidden = film.clips.length < 2;
@@ -102,6 +108,7 @@ async function begin() {
   element("clip").addEventListener("change", async () => {
     try {
       const next = await post("/api/clip", Number(element("clip").value));
+      run.clear();
       player.open(next);
       open(next);
     } catch (error) {

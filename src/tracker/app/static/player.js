@@ -46,6 +46,7 @@ export class Player extends EventTarget {
   }
 
   show() {
+    this.stage.frame = this.number;
     this.dispatchEvent(new Event("frame"));
     return this.load(this.index, this.stage.reduction);
   }

@@ -43,6 +43,7 @@ export class Pointing {
       this.loaded[id] = element(id).value;
     };
     this.settings = settings;
+    element("settings-error").textContent = "";
     this.loaded = {};
     this.scale = settings.scale;
     this.scaleStd = settings.scale_std;

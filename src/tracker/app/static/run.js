@@ -6,27 +6,35 @@ const element = (id) => document.getElementById(id);
 const cell = (kind, text) => Object.assign(document.createElement(kind), { textContent: text });
 
 export class Run {
-  constructor(pointing, tell) {
-    this.pointing = pointing;
-    this.tell = tell;
-    this.shown = 0;
-    element("run").addEventListener("click", () => this.start());
+  constructor(pointing, stage, tell, whenCalibrated) {
+    Object.assign(this, { pointing, stage, tell, whenCalibrated, shown: 0 });
+    element("run").addEventListener("click", () => this.start("/api/run"));
+    element("calibrate").addEventListener("click", () => this.start("/api/calibrate"));
+    element("show-tracks").addEventListener("change", () => {
+      stage.marks.showTracks = element("show-tracks").checked;
+      stage.draw();
+    });
     element("cancel").addEventListener("click", () => post("/api/cancel").catch((error) => tell(error.message)));
   }
 
-  async start() {
-    element("run").disabled = true;
+  async start(address) {
+    element("run").disabled = element("calibrate").disabled = true;
     try {
-      this.show((await post("/api/run", this.pointing.collect())).run);
+      this.show((await post(address, this.pointing.collect())).run);
     } catch (error) {
-      element("run").disabled = false;
-      element("run-state").textContent = error.message;
+      element("run").disabled = element("calibrate").disabled = false;
+      element(address === "/api/run" ? "run-state" : "settings-error").textContent = error.message;
     }
+  }
+
+  // After the page is loaded again: a calibration that has ended is part of the film's description.
+  open(run) {
+    if (run.command === "calibrate" && run.state === "done") this.shown = run.number;
   }
 
   show(run) {
     const running = run.state === "running", progress = element("progress");
-    element("run").disabled = running;
+    element("run").disabled = element("calibrate").disabled = running;
     element("cancel").hidden = progress.hidden = !running;
     if (running && run.total) {
       progress.max = run.total;
@@ -35,15 +43,17 @@ export class Run {
       progress.removeAttribute("value");
     }
     const counted = run.total ? ` ${run.done} of ${run.total} ${run.what}` : "";
-    const words = { idle: "", running: `Tracking${counted}`, done: "Done.", cancelled: "Cancelled.", failed: run.error };
+    const calibrates = run.command === "calibrate", doing = calibrates ? "Measuring the scale" : "Tracking";
+    const done = calibrates ? "The balls give the scale." : "Done.";
+    const words = { idle: "", running: `${doing}${counted}`, done, cancelled: "Cancelled.", failed: run.error };
     element("run-state").textContent = words[run.state];
     element("run-state").className = run.state === "failed" ? "error" : "";
     element("log-box").hidden = run.lines.length === 0;
     element("log").replaceChildren(...run.lines.map((line) => cell("li", line)));
     if (run.state === "done" && this.shown !== run.number) {
       this.shown = run.number;
-      this.showResults(run.number);
-      this.pointing.send(); // the next run has another folder
+      if (calibrates) this.whenCalibrated();
+      else this.showResults(run.number);
     }
   }
 
@@ -59,8 +69,29 @@ export class Run {
     if (found.more) parts.push(cell("p", `${found.more} more collisions are in the report.`));
     parts.push(Object.assign(cell("p", `Written to ${found.folder}`), { className: "note" }));
     element("results").replaceChildren(...parts);
+    this.pointing.send(); // the next run has another folder
+    this.showTracks(number);
     element("report-box").hidden = !found.page;
     if (found.page) element("report").src = found.page;
+  }
+
+  async showTracks(number) {
+    try {
+      this.stage.marks.tracks = await get(`/api/tracks/${number}`);
+      this.stage.marks.showTracks = element("show-tracks").checked;
+      element("tracks-choice").hidden = false;
+      this.stage.draw();
+    } catch (error) {
+      this.tell(error.message);
+    }
+  }
+
+  // Another clip has other tracks.
+  clear() {
+    this.stage.marks.tracks = [];
+    element("tracks-choice").hidden = element("report-box").hidden = true;
+    element("results").replaceChildren();
+    element("report").removeAttribute("src");
   }
 
   describe({ title, status, why, method, rows }) {

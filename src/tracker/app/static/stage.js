@@ -1,6 +1,7 @@
 // The picture: zoom and pan, marks drawn over it, and presses as positions in the film (pixel centres at whole numbers).
 
 const BALL = "#E69F00", HINT = "#56B4E9", SCALE = "#009E73", REGION = "#F0E442", CROSS = "#CC79A7";
+const TRACKS = ["#56B4E9", "#F0E442", "#009E73", "#D55E00", "#CC79A7"], DASHES = [[], [8, 4], [2, 3]];
 
 export class Stage extends EventTarget {
   constructor(canvas) {
@@ -11,7 +12,8 @@ export class Stage extends EventTarget {
     this.at = [0, 0]; // film position in the upper left corner
     this.fitted = true;
     this.picture = null;
-    this.marks = { balls: [], radius: 8, hints: [], scale: [], region: null, pending: null };
+    this.marks = { balls: [], radius: 8, hints: [], scale: [], region: null, pending: null, tracks: [], showTracks: true };
+    this.frame = 0; // number of the frame in view
     this.cross = null;
     this.tool = "look";
     this.pointers = new Map();
@@ -149,6 +151,7 @@ export class Stage extends EventTarget {
     const [left, top] = this.toScreen([-0.5, -0.5]);
     if (this.picture) pen.drawImage(this.picture, left, top, this.size[0] * this.zoom, this.size[1] * this.zoom);
     const { balls, radius, hints, scale, region, pending } = this.marks;
+    if (this.marks.showTracks) this.marks.tracks.forEach((track, k) => this.drawTrack(pen, track, k));
     for (const ball of balls) this.ring(pen, ball, radius, BALL, []);
     for (const hint of hints) this.ring(pen, hint, hint.radius ?? radius, HINT, [6, 4]);
     if (region) this.outline(pen, region, REGION);
@@ -168,6 +171,22 @@ export class Stage extends EventTarget {
       pen.stroke();
     }
     pen.setLineDash([]);
+  }
+
+  // A track: a line through all its positions, and its number beside the one of this frame.
+  drawTrack(pen, { particle, frame, x, y }, k) {
+    this.stroke(pen, TRACKS[k % TRACKS.length], () => {
+      frame.forEach((_, row) => pen.lineTo(...this.toScreen([x[row], y[row]])));
+    }, DASHES[k % DASHES.length]);
+    const row = frame.indexOf(this.frame);
+    if (row < 0) return;
+    const [left, top] = this.toScreen([x[row], y[row]]), away = Math.max(this.marks.radius * this.zoom, 5) + 4;
+    pen.font = "600 14px sans-serif";
+    pen.lineWidth = 4;
+    pen.strokeStyle = "#000";
+    pen.fillStyle = "#fff";
+    pen.strokeText(particle, left + away, top - away / 2);
+    pen.fillText(particle, left + away, top - away / 2);
   }
 
   ring(pen, ball, radius, colour, dash) {
