@@ -109,6 +109,7 @@ def test_without_a_camera_there_are_pixels(clip):
     assert len(result.tracks) > 90
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("point", ["centre", "glint"])
 def test_measured_as_the_command_measures(result, clip, tmp_path, point):
     table = result.tracks.assign(clip=1)

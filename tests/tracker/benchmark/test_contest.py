@@ -60,6 +60,7 @@ def test_leaderboard_and_page(report):
     assert "https://" not in page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_same_call_does_nothing_twice(report, monkeypatch):
     folder, entries = report
     monkeypatch.setattr(module, "make_entry", lambda *words: pytest.fail("scored again"))

@@ -10,6 +10,7 @@ from tracker.cli import app
 from tracker.results import clip_folder
 
 CLIPS = 2
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 def run(*words):
