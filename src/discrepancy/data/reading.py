@@ -166,9 +166,10 @@ def _read_table(path: Path, given: ClipTracks) -> Iterator[_Source]:
     base, tables = given.camera, given.clips
     if why := detect_wrong_units((tracks, base) for tracks, _ in tables.values()):
         raise InputError(f"{path}: {why}")
+    settings = FitSettings(local_window_s=0)  # a search of a table needs no local estimate
     for number, (tracks, striker) in sorted(tables.items()):
         own = replace(base, striker=striker) if striker is not None else base
-        check_particles(tracks, number, FitSettings(), "A search needs the two balls of a collision in each clip")
+        check_particles(tracks, number, settings, "A search needs the two balls of a collision in each clip")
         repaired = repair_tracks(tracks, own, number)
         tracks, strays = remove_strays(repaired.tracks, own)
-        yield _Source(number, tracks, own, partial(measure, tracks, own), strays, repaired.notes)
+        yield _Source(number, tracks, own, partial(measure, tracks, own, settings), strays, repaired.notes)

@@ -300,6 +300,8 @@ def _measure_collision(
 
 def _estimate_locally(contact: Contact, masses: tuple[float, float], camera: Camera) -> LocalEstimate | str:
     """The local estimate, or the reason why there is none."""
+    if contact.pair.settings.local_window_s == 0:
+        return "the setting local_window_s is 0"
     try:
         return estimate_locally(contact, camera, masses)
     except (ArithmeticError, ValueError, IndexError) as error:  # the other estimates stand without it

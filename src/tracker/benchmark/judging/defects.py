@@ -24,6 +24,7 @@ from tracker.benchmark.suite.folder import Suite, covariances
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.recording import measure_clip
+from tracker.settings import FitSettings
 from tracker.tables.rows import to_tracks
 
 Floats = NDArray[np.float64]
@@ -89,7 +90,7 @@ def simulate_at_bound(suite: Suite, part: SuitePart, clip: int, seed: int = 21) 
 def measure_collision(table: pd.DataFrame, camera: Camera) -> Mapping[str, Any]:
     """Measure the first collision in tracks; an empty row where there is none."""
     columns = ["frame", "particle", "x", "y", "x_std", "y_std", "cov_xy"]
-    rows, _ = measure_clip(to_tracks(table[columns], "true tracks"), camera)
+    rows, _ = measure_clip(to_tracks(table[columns], "true tracks"), camera, FitSettings(local_window_s=0))
     return next((row for row in rows if row["status"] in MEASURED), {})
 
 
