@@ -275,7 +275,7 @@ def test_the_thresholds_of_a_fit_are_settings(own, tmp_path):
     tracks, strict, loose = follow_model(camera, NOISE, r=1.088), FitSettings(), FitSettings(impossible_sigma=1e4)
     assert [measure(tracks, camera, s)[0]["status"] for s in (strict, loose)] == ["misfit", "ok"]
     (row,) = measure(tracks, camera, FitSettings(local_window_s=0))
-    assert (row["status"], row["local"]) == ("misfit", "the setting local_window_s is 0")
+    assert (row["status"], json.loads(row["local"])["reason"]) == ("misfit", "the setting local_window_s is 0")
     table = pd.DataFrame({name: getattr(tracks, name) for name in ("frame", "particle", "x", "y")})
     table = table.assign(x_std=NOISE, y_std=NOISE)
     table.to_csv(tmp_path / "tracks.csv", index=False)
