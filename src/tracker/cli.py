@@ -131,7 +131,10 @@ def open_workbench(
     Example: tracker open film.mp4
     """
     from tracker.camera.recordings import open_source
+    from tracker.results import RUN
 
+    if (source / RUN).is_file():
+        raise InputError(f"{source}: results, expected their film; {source / 'index.html'} is their report")
     films = open_source(source, camera)
     try:
         from tracker.app.server import serve

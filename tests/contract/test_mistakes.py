@@ -132,6 +132,7 @@ MISTAKES = {
     "tracker track dataset -o full": "full: exists and holds something else",
     "tracker track dataset -o s.yaml": "s.yaml: exists",
     "tracker track dataset -o new --camera dataset": "dataset",
+    "tracker open results": "results: results, expected their film; results/index.html is their report",
     "tracker open datset": "datset: no such file or folder",
     "tracker open s.yaml": "not a .yaml file",
     "tracker open film.tif --camera other_size.json": "frames are 200x160, expected 640x480",

@@ -24,7 +24,6 @@ from tracker.app.track_process import TrackProcess
 from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource
-from tracker.detection.choose import measure_radius
 from tracker.report.estimates_text import (
     METHODS,
     describe_recommendation,
@@ -147,7 +146,7 @@ class Workbench:
             return self.describe_plan()
 
     def describe_plan(self) -> dict[str, Any]:
-        """The settings as camera.json and as a command line, and the radii of the balls pointed at, px."""
+        """The settings as camera.json and as a command line."""
         with self._lock:
             number, plan = self._next_number(), self.plan
             camera = self._camera_file(number) if plan.needs_file else self.source.camera
@@ -156,17 +155,11 @@ class Workbench:
                 "camera": None if plan.keys is None else json.dumps(finite(plan.keys), indent=1),
                 "camera_file": f"{camera}" if plan.needs_file else "",
                 "command": command,
-                "radii": self._radii,
             }
 
     def _take(self, plan: Plan) -> None:
         """Use a plan from now on, and prepare its detector if that may differ."""
         self.plan = plan
-        frames = plan.recording.frames
-        self._radii = [
-            ball.radius or measure_radius(np.asarray(frames[int(np.searchsorted(frames.numbers, ball.frame))]), ball)
-            for ball in plan.recording.balls
-        ]
         mark = json.dumps([plan.keys, *vars(plan.settings.options).values(), plan.settings.channel, self.view.index])
         if mark != self._mark:
             self._mark, self.detector, self.detector_status = mark, None, DetectorStatus()

@@ -123,9 +123,10 @@ def test_settings_make_a_camera_file_and_a_command(client, bench):
     plan = client.post("/api/settings", json={**SCALE, "frames": "2:20", "balls": ["100,80@3"]}).json()
     assert json.loads(plan["camera"])["scale"] == 2e-4
     assert "--ball 100,80@3 --frames 2:20" in plan["command"]
-    assert plan["radii"][0] > 1
     assert client.get("/api/film").json()["settings"]["frames"] == "2:20"  # a page that is loaded again has them
+    client.post("/api/settings", json={"frames": "2:20"})
     assert until(lambda: bench.detector_status.state == "ready")
+    assert client.get("/api/balls/10").json()["balls"]
     left_out = client.get("/api/balls/25").json()
     assert (left_out["read"], left_out["balls"]) == (False, [])
     wrong = client.post("/api/settings", json={"region": "1,2"})

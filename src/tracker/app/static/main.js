@@ -131,9 +131,9 @@ async function begin() {
     Home: () => player.go(0),
     End: () => player.go(film.frames - 1),
     " ": () => player.toggle(),
-    "+": () => stage.zoomBy(1.5),
-    "=": () => stage.zoomBy(1.5),
-    "-": () => stage.zoomBy(1 / 1.5),
+    "+": () => stage.zoomBy(1.5, stage.middle),
+    "=": () => stage.zoomBy(1.5, stage.middle),
+    "-": () => stage.zoomBy(1 / 1.5, stage.middle),
     0: () => stage.fit(),
     n: jumpToBall,
   };

@@ -168,9 +168,9 @@ export class Pointing {
   }
 
   markHints() {
-    const parse = (text, k) => {
+    const parse = (text) => {
       const found = /^([\d.]+),([\d.]+)(?:,([\d.]+))?@(\d+)$/.exec(text.replaceAll(" ", ""));
-      return found && { x: Number(found[1]), y: Number(found[2]), radius: this.radii?.[k] ?? undefined, frame: Number(found[4]) };
+      return found && { x: Number(found[1]), y: Number(found[2]), radius: found[3] && Number(found[3]), frame: Number(found[4]) };
     };
     this.stage.marks.hints = this.ballTexts.map(parse).filter((hint) => hint && hint.frame === this.player.number);
     this.stage.draw();
@@ -217,8 +217,6 @@ export class Pointing {
     element("camera-box").hidden = plan.camera == null;
     element("run-note").hidden = plan.camera != null;
     element("camera").textContent = plan.camera ?? "";
-    this.radii = plan.radii;
-    this.markHints();
   }
 
   async copy(button) {

@@ -66,6 +66,13 @@ export class Stage extends EventTarget {
     return Math.min(2 ** Math.max(Math.floor(Math.log2(wanted)), 0), 16);
   }
 
+  // What the keys zoom to: the cross where it is shown, else the middle.
+  get middle() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const [x, y] = this.toScreen(this.cross), shown = x >= 0 && x <= width && y >= 0 && y <= height;
+    return document.activeElement === this.canvas && shown ? [x, y] : [width / 2, height / 2];
+  }
+
   zoomBy(factor, about = [this.canvas.clientWidth / 2, this.canvas.clientHeight / 2]) {
     const film = this.toFilm(about);
     this.zoom = Math.min(Math.max(this.zoom * factor, 0.02), 80);
