@@ -63,6 +63,8 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
                 then = "the same command continues where it stopped" if kept else "nothing was written"
                 print(f"{name}: interrupted; {then}", file=sys.stderr)
                 raise SystemExit(130) from None
+            if isinstance(error, SystemExit) and isinstance(error.__context__, BrokenPipeError):
+                raise  # the reader of the output, such as head, has closed it; typer ends with 1
             line = _describe_error(error, name, wrong)
             if line is None:
                 raise

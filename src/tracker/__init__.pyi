@@ -3,6 +3,8 @@
 from . import benchmark as benchmark
 from .camera.camera import Camera as Camera
 from .camera.camera_json import InputError as InputError
+from .gas.observe import Gas as Gas
+from .gas.observe import observe_gas as observe_gas
 from .notes import Note as Note
 from .notes import NoteKind as NoteKind
 from .recording import Result as Result
@@ -22,6 +24,7 @@ __all__ = [
     "CombinedSet",
     "DetectionSettings",
     "FitSettings",
+    "Gas",
     "InputError",
     "LinkSettings",
     "Note",
@@ -32,5 +35,6 @@ __all__ = [
     "combine",
     "measure",
     "measure_all",
+    "observe_gas",
     "track",
 ]

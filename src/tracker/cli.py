@@ -1,4 +1,4 @@
-"""tracker: open, track, measure, combine, export, score, compare, benchmark, calibrate, warp."""
+"""tracker: open, track, measure, combine, gas, export, score, compare, benchmark, calibrate, warp."""
 
 from __future__ import annotations
 
@@ -213,6 +213,36 @@ def combine(
     for note in found.notes:
         print(f"tracker: {note}", file=sys.stderr)
     print("\n".join([*summarise(found.document(), found.quantities), f"{page}"]))
+
+
+@app.command()
+def gas(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="RESULTS of tracker track or measure.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="GAS", help="Folder to make.")],
+    clip: Annotated[int | None, typer.Option(help="Number of the clip, where there are several.")] = None,
+    area: Annotated[
+        str, typer.Option(metavar="LEFT,BOTTOM,RIGHT,TOP", help="Rectangle that the centres can reach, m.")
+    ] = "",
+    as_json: Json = False,
+) -> None:
+    """Observe many balls as a gas: temperature, velocities, pair correlation, contacts, and where energy goes.
+
+    Example: tracker gas out/crowd_tracks -o out/gas
+    """
+    from synthcam_shared.overwriting import check_not_read
+    from tracker.gas.gas_page import summarise
+    from tracker.gas.observe import observe_gas, parse_area
+    from tracker.results import finite
+
+    check_not_read(output, results)
+    found = observe_gas(results, number=clip, area=parse_area(area))
+    page = found.report(output, _typed())
+    if as_json:
+        print(json.dumps({"gas": str(output), "page": str(page), "values": finite(found.values), "notes": found.notes}))
+        return
+    for note in found.notes:
+        print(f"tracker: {note}", file=sys.stderr)
+    print("\n".join([*summarise(found), f"{page}"]))
 
 
 @app.command()

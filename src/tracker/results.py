@@ -113,6 +113,17 @@ def _write_contacts(results: Path, numbers: Sequence[int]) -> None:
         write_atomically(results / "contacts.csv", every.to_csv(index=False, lineterminator="\n"))
 
 
+def read_contacts(results: Path, number: int) -> pd.DataFrame:
+    """Read the contacts of one clip of RESULTS with the columns of contacts.parquet, without clip."""
+    from tracker.measurement.crowd.contact_table import tabulate_contacts
+
+    if (results / CONTACTS).is_file():
+        every = Content.of(results / CONTACTS).cells()
+        if "clip" in every and (every["clip"] == number).any():
+            return every[every["clip"] == number].drop(columns="clip").reset_index(drop=True)
+    return tabulate_contacts(*read_clip(results, number), read_rows(results, number))
+
+
 def calibrate_local(results: Path, numbers: Sequence[int]) -> None:
     """Give the local estimates of all clips the errors that the balances of momentum of the set show.
 

@@ -41,7 +41,7 @@ LAYERS = {
         "results",
         "report export",
         "recording calibration",
-        "pipeline sets",
+        "pipeline sets gas",
         "scoring",
         "benchmark app",
         "cli",

@@ -1,5 +1,6 @@
 """The end of a command: its exit status, and its one line of output."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -27,6 +28,11 @@ def refuse() -> None:
     raise InputError("film.mp4: no such file")
 
 
+@app.command()
+def show() -> None:
+    raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+
 @pytest.mark.parametrize(
     ("command", "status", "line"),
     [
@@ -41,6 +47,16 @@ def test_a_command_that_fails_leaves_one_line(command, status, line, monkeypatch
         run(app, "tool", (InputError,), ("keep",))
     assert ended.value.code == status
     assert capsys.readouterr().err == f"{line}\n"
+
+
+def test_a_closed_pipe_is_no_error(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["tool", "show"])
+    monkeypatch.setattr(sys, "stdout", sys.stdout)  # typer replaces it
+    monkeypatch.setattr(sys, "stderr", sys.stderr)
+    with pytest.raises(SystemExit) as ended:
+        run(app, "tool", (InputError,))
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("package", ["synthcam", "tracker", "discrepancy"])

@@ -1,0 +1,196 @@
+"""A film of many balls as a granular gas: its temperature, order, contacts and energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from synthcam_shared.errors import InputError
+from tracker.gas.energy import measure_losses
+from tracker.gas.kinetic_theory import contact_rate, mean_free_path
+from tracker.gas.pair_correlation import pair_correlation
+from tracker.gas.temperature import (
+    MIN_BALLS,
+    measure_distribution,
+    measure_noise,
+    measure_sonine,
+    measure_temperatures,
+    tabulate_velocities,
+)
+from tracker.gas.velocities import FreePath, cut_free_paths
+from tracker.measurement.positions import BallTrack
+from tracker.measurement.stretch_cuts import measure_noise as measure_scatter_of_paths
+
+Floats = NDArray[np.float64]
+Rectangle = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class GasSettings:
+    """How velocities and distributions are estimated."""
+
+    window_rows: int = 10  # of a velocity: 5 in each half, for a parabola and an error
+    margin_frames: float = 1.0  # positions nearer to a contact than this do not count
+    max_gap_frames: int = 10  # a ball that was not seen for longer may have hit something
+    pair_reach_diameters: float = 6.0  # largest distance of the pair correlation
+    pair_bins: int = 60
+    velocity_bins: int = 32
+
+
+@dataclass(frozen=True, eq=False)
+class GasObservables:
+    """Observables of one recording. Energies and temperatures are per unit mass, m^2/s^2.
+
+    Attributes
+    ----------
+    time : DataFrame
+        A row for each frame: temperature, mean velocity, energy, and energies lost by sink.
+    pairs : DataFrame
+        Pair correlation: r, g, g_std.
+    velocities : DataFrame
+        Distribution of the components of velocities over sqrt(temperature): c, density, density_std.
+    values : dict
+        Single numbers, each with NAME_std where it has an error.
+    area : tuple
+        Left, bottom, right, top of the rectangle of the centres, m.
+    name, diameter, notes : str, float, tuple of str
+        Of the recording; diameter of a ball, m; what limits the values.
+    """
+
+    time: pd.DataFrame
+    pairs: pd.DataFrame
+    velocities: pd.DataFrame
+    values: dict[str, float]
+    area: Rectangle
+    name: str = ""
+    diameter: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+def measure_gas(
+    balls: Sequence[BallTrack],
+    contacts: pd.DataFrame,
+    diameter: float,
+    fps: float,
+    *,
+    area: Rectangle | None = None,
+    on_air: bool = False,
+    scale_error: float = 0.0,
+    settings: GasSettings | None = None,
+) -> GasObservables:
+    """Measure the observables of a gas from the tracks of its balls and their contacts.
+
+    Parameters
+    ----------
+    balls : sequence of BallTrack
+        Tracks in metres.
+    contacts : DataFrame
+        Columns t_s, particle1, particle2 (-1 at a wall), energy_lost, energy_lost_std (m^2/s^2, NaN if unknown) and
+        misfit, as `Result.contacts` has them.
+    diameter : float
+        Of a ball, m.
+    fps : float
+        Frames a second.
+    area : (left, bottom, right, top), optional
+        The rectangle that the centres can reach, m. Without it: the one that they reached.
+    on_air : bool
+        Whether the bodies glide on air, and do not slide after a contact.
+    scale_error : float
+        Relative standard error of lengths, which all values share.
+    settings : GasSettings, optional
+        How velocities and distributions are estimated.
+
+    Returns
+    -------
+    GasObservables
+
+    Raises
+    ------
+    InputError
+        No frame has three balls with a velocity.
+    """
+    used = settings or GasSettings()
+    kinds = dict.fromkeys(("t_s", "energy_lost", "energy_lost_std"), float) | {"particle1": int, "particle2": int}
+    contacts = contacts.astype(kinds | {"misfit": bool}).sort_values("t_s", kind="stable").reset_index(drop=True)
+    paths = cut_free_paths(
+        balls,
+        contacts,
+        window_rows=used.window_rows,
+        margin_s=used.margin_frames / fps,
+        max_gap_s=(used.max_gap_frames + 0.5) / fps,
+        noise=measure_scatter_of_paths([(ball.frame, ball.position) for ball in balls]),
+        slides=not on_air,
+    )
+    table = tabulate_velocities(paths) if paths else pd.DataFrame({"frame": []})
+    noise = measure_noise(table) if len(table) else np.nan
+    time = measure_temperatures(table, noise) if len(table) else table
+    if not len(time):
+        raise InputError(f"a gas has {MIN_BALLS} balls or more in view; no frame here has so many with a velocity")
+    time.insert(1, "t_s", time["frame"] / fps)
+    time = time.join(measure_losses(paths, contacts, time["frame"].to_numpy(), noise))
+    where = area or _find_area(balls)
+    sides = where[2] - where[0], where[3] - where[1]
+    a2, a2_std = measure_sonine(table, time, noise)
+    claimed = np.concatenate([np.trace(one.cov - one.fixed, axis1=1, axis2=2) / 2 for one in balls])
+    values = {
+        "position_noise": noise,
+        "noise_ratio": noise / float(np.sqrt(np.median(claimed))),
+        "sonine_a2": a2,
+        "sonine_a2_std": a2_std,
+        **_measure_rates(time, paths, contacts, sides, diameter, fps),
+    }
+    pairs = pair_correlation(_split_by_frame(balls), sides, used.pair_reach_diameters * diameter, used.pair_bins)
+    distribution = measure_distribution(table, time, used.velocity_bins)
+    if scale_error:
+        for name, power in (("temperature", 2), ("energy", 2)):
+            time[f"{name}_std"] = np.hypot(time[f"{name}_std"], power * scale_error * time[name])
+    return GasObservables(time, pairs, distribution, values, where, diameter=diameter)
+
+
+def _measure_rates(
+    time: pd.DataFrame,
+    paths: Sequence[FreePath],
+    contacts: pd.DataFrame,
+    sides: tuple[float, float],
+    diameter: float,
+    fps: float,
+) -> dict[str, float]:
+    """Contacts, rate and free path, beside Enskog's for hard discs at the measured temperature and density."""
+    found = int((contacts["particle2"] >= 0).sum())
+    ball_time = float(sum(path.end_time - path.start_time for path in paths))
+    way = float(sum(path.length for path in paths))
+    density = time["balls"].to_numpy() / ((sides[0] + diameter) * (sides[1] + diameter))
+    rate = contact_rate(np.maximum(time["temperature"].to_numpy(), 0), density, diameter)
+    expected = float((time["balls"].to_numpy() * rate).sum() / 2 / fps)
+    relative = 1 / np.sqrt(found) if found else np.nan
+    return {
+        "area_fraction": float(density.mean() * np.pi * diameter**2 / 4),
+        "contacts": found,
+        "contacts_std": float(np.sqrt(found)),
+        "contacts_theory": expected,
+        "contact_rate": 2 * found / ball_time,
+        "contact_rate_std": float(2 * found / ball_time * relative),
+        "free_path": way / (2 * found) if found else np.nan,
+        "free_path_std": float(way / (2 * found) * relative) if found else np.nan,
+        "free_path_theory": float(mean_free_path(density.mean(), diameter)),
+    }
+
+
+def _find_area(balls: Sequence[BallTrack]) -> Rectangle:
+    """The rectangle that the centres reached, m."""
+    every = np.concatenate([ball.position for ball in balls])
+    (left, bottom), (right, top) = every.min(axis=0), every.max(axis=0)
+    return float(left), float(bottom), float(right), float(top)
+
+
+def _split_by_frame(balls: Sequence[BallTrack]) -> list[Floats]:
+    """Positions of all balls (n, 2) in each frame."""
+    frame = np.concatenate([ball.frame for ball in balls])
+    position = np.concatenate([ball.position for ball in balls])
+    order = np.argsort(frame, kind="stable")
+    first = np.unique(frame[order], return_index=True)[1]
+    return np.split(position[order], first[1:])

@@ -1,0 +1,260 @@
+"""Velocities of many balls between their contacts, from two independent halves of the positions.
+
+A square of a noisy velocity is too large by the variance of the noise. The product of two velocities with independent
+noise is not. So each velocity is estimated twice, from the even and from the odd rows of a short window. The mean of
+their product is the square of the true velocity, whatever the size of the noise, if the errors of neighbouring frames
+are independent. The difference of both shows that size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tracker.measurement.positions import BallTrack
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+ROWS_OF_HALVES = 8  # of a window, from which each half has a parabola with an error
+USUAL_FRICTION = 2.0  # m/s^2, deceleration of a ball that slides
+SLIDE_ROWS = 60  # after a contact in which the end of the slide is looked for
+ROWS_OF_SLIDE = 4  # before the end of the slide, from which its friction is found
+SLIDE_SIGMA = 5.0  # of the change of the acceleration there, in its errors
+ROWS_OF_PARABOLA = 4  # from which all rows together have one; fewer have a straight line
+
+
+@dataclass(frozen=True, eq=False)
+class HalfVelocities:
+    """Velocities at n instants, by the even and by the odd rows of a window about each; NaN where there is no window.
+
+    Attributes
+    ----------
+    even, odd : (n, 2) array
+        m/s, from either half of the rows. A window with few rows gives one velocity, which is both.
+    gain_even, gain_odd : (n,) array
+        1/s^2: variance of a component over that of a position.
+    gain_common : (n,) array
+        1/s^2: the part of both that is the same error; 0 where the halves are independent.
+    """
+
+    even: Floats
+    odd: Floats
+    gain_even: Floats
+    gain_odd: Floats
+    gain_common: Floats
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(n,) Where there is a velocity."""
+        return np.isfinite(self.even[:, 0])
+
+    def square(self, noise: float) -> tuple[Floats, Floats]:
+        """Estimate the squares of the velocities (n,), m^2/s^2, and their variances; noise: of a coordinate, m."""
+        even, odd, common = (noise**2 * gain for gain in (self.gain_even, self.gain_odd, self.gain_common))
+        product = (self.even * self.odd).sum(axis=1) - 2 * common
+        return product, np.maximum(product, 0) * (even + odd + 2 * common) + 2 * (even * odd + common**2)
+
+    def take(self, rows: NDArray[np.bool_] | Rows | slice) -> HalfVelocities:
+        """Those instants."""
+        return HalfVelocities(*(getattr(self, one.name)[rows] for one in fields(self)))
+
+    @staticmethod
+    def join(parts: Sequence[HalfVelocities]) -> HalfVelocities:
+        """Make one of several."""
+        return HalfVelocities(
+            *(np.concatenate([getattr(p, one.name) for p in parts]) for one in fields(HalfVelocities))
+        )
+
+
+def fit_velocities(
+    time: Floats, position: Floats, at: Floats, window_rows: int, slide_end: float = np.nan
+) -> HalfVelocities:
+    """Estimate the velocity at each of the instants `at` (m,) from the nearest rows of one free path.
+
+    A parabola is fitted to each half of the nearest `window_rows` rows. Few rows have one parabola or straight line
+    together. Where the slide ends within the window, the acceleration changes there, and the window has more rows. An
+    instant may lie beyond the ends of the rows; the parabola is then continued to it.
+
+    time: (n,) s, ascending. position: (n, 2) m. slide_end: s.
+    """
+    result = _fit_windows(time, position, at, window_rows, np.nan)
+    if np.isfinite(slide_end):
+        wide = window_rows * 8 // 5
+        start = time[_choose_rows(time, at, min(window_rows, len(time)))[:, [0, -1]]]
+        across = (start[:, 0] < slide_end) & (slide_end < start[:, 1])
+        if across.any():
+            own = _fit_windows(time, position, at[across], wide, slide_end)
+            for one in fields(HalfVelocities):
+                getattr(result, one.name)[across] = getattr(own, one.name)
+    return result
+
+
+def _choose_rows(time: Floats, at: Floats, rows: int) -> Rows:
+    """The `rows` consecutive rows whose mean time is nearest to each instant, (m, rows)."""
+    first = _nearest(np.lib.stride_tricks.sliding_window_view(time, rows).mean(axis=1), at)
+    return np.asarray(first[:, None] + np.arange(rows))
+
+
+def _fit_windows(time: Floats, position: Floats, at: Floats, window_rows: int, slide_end: float) -> HalfVelocities:
+    """Estimate velocities by `fit_velocities`, with a change of the acceleration at `slide_end` unless that is NaN."""
+    rows, m = min(window_rows, len(time)), len(at)
+    if rows < 2 or not m:
+        nothing = np.full((m, 2), np.nan)
+        return HalfVelocities(nothing, nothing.copy(), *np.full((3, m), np.nan))
+    taken = _choose_rows(time, at, rows)
+    since, where = time[taken] - at[:, None], position[taken]
+    change = slide_end - at if np.isfinite(slide_end) else None
+    if rows >= ROWS_OF_HALVES + 2 * (change is not None):
+        (even, gain_even), (odd, gain_odd) = (_slope(since[:, k::2], where[:, k::2], 3, change) for k in (0, 1))
+        return HalfVelocities(even, odd, gain_even, gain_odd, np.zeros(m))
+    one, gain = _slope(since, where, 3 if rows >= ROWS_OF_PARABOLA else 2, change if rows > ROWS_OF_PARABOLA else None)
+    return HalfVelocities(one, one.copy(), gain, gain.copy(), gain.copy())
+
+
+def _nearest(ascending: Floats, at: Floats) -> Rows:
+    """Index of the nearest of ascending values, for each of `at`."""
+    if len(ascending) == 1:
+        return np.zeros(len(at), dtype=np.int64)
+    after = np.clip(np.searchsorted(ascending, at), 1, len(ascending) - 1)
+    return np.asarray(after - (at - ascending[after - 1] < ascending[after] - at))
+
+
+def _slope(since: Floats, position: Floats, terms: int, change: Floats | None = None) -> tuple[Floats, Floats]:
+    """Fit polynomials of `terms` coefficients to (m, k) times and (m, k, 2) positions: slopes at time 0, and gains.
+
+    change: (m,) times at which the second derivative changes.
+    """
+    scale = np.abs(since).max(axis=1, keepdims=True)  # of the times, so that the equations are well conditioned
+    design = (since / scale)[:, :, None] ** np.arange(terms)  # (m, k, terms)
+    if change is not None:
+        design = np.concatenate([design, _bend(since, change[:, None], scale)[:, :, None]], axis=2)
+    inverse = np.linalg.inv(np.swapaxes(design, 1, 2) @ design)
+    coefficients = inverse @ np.swapaxes(design, 1, 2) @ position
+    return coefficients[:, 1] / scale, inverse[:, 1, 1] / scale[:, 0] ** 2
+
+
+def _bend(since: Floats, change: Floats, scale: Floats) -> Floats:
+    """The way that a change of the acceleration makes, without value and slope at time 0; all arguments in s."""
+    after = np.maximum(since - change, 0) / scale
+    before = np.maximum(-change, 0) / scale  # the same at time 0
+    return np.asarray(after**2 - before**2 - 2 * before * since / scale)
+
+
+def find_slide_end(time: Floats, position: Floats, noise: float) -> float:
+    """Find when the acceleration of a ball changes after a contact, as it does where a slide ends; NaN if nowhere.
+
+    Two parabolas with the same value and slope where they meet are compared with one; noise: of a coordinate, m.
+    """
+    rows = min(len(time), SLIDE_ROWS)
+    if rows < 6:
+        return float("nan")
+    since, where = time[:rows] - time[0], position[:rows]
+    ends = since[2:-2]
+    scale = since[-1]
+    one = (since / scale)[:, None] ** np.arange(3)  # (rows, 3)
+    left = where - one @ np.linalg.lstsq(one, where, rcond=None)[0]
+    added = (np.maximum(since[None, :] - ends[:, None], 0) / scale) ** 2  # (ends, rows)
+    added -= (one @ np.linalg.lstsq(one, added.T, rcond=None)[0]).T
+    gain = ((added @ left) ** 2).sum(axis=1) / (added**2).sum(axis=1)
+    best = int(np.argmax(gain))
+    return float(time[0] + ends[best]) if gain[best] > (SLIDE_SIGMA * noise) ** 2 else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class FreePath:
+    """One ball between two of its contacts, or between a contact and the start or end of its track.
+
+    Attributes
+    ----------
+    ball : int
+        Number of the particle.
+    frame, time : (n,) array
+        Of its positions, s.
+    start, end : int
+        Rows of the table of contacts before and after it; -1 where the track starts or ends, or has a gap.
+    velocities : HalfVelocities
+        At the n positions, at its start, and at its end: n + 2 instants.
+    start_time, end_time : float
+        s, of its contacts, or of its first and last position.
+    length : float
+        m, of the straight line from its start to its end.
+    unsure : (n,) array
+        m/s: how far velocities may be off because the slide after a contact is too short to be seen; 0 elsewhere.
+    """
+
+    ball: int
+    frame: Rows
+    time: Floats
+    start: int
+    end: int
+    start_time: float
+    end_time: float
+    velocities: HalfVelocities
+    length: float
+    unsure: Floats
+
+
+def cut_free_paths(
+    balls: Sequence[BallTrack],
+    contacts: pd.DataFrame,
+    *,
+    window_rows: int,
+    margin_s: float,
+    max_gap_s: float,
+    noise: float,
+    slides: bool,
+) -> list[FreePath]:
+    """Cut tracks at contacts and gaps, and estimate the velocities of each part.
+
+    contacts: columns t_s, particle1, particle2, in the order of time. margin_s: positions nearer to a
+    contact do not count in a velocity. max_gap_s: a ball that was not seen for longer starts a new path. noise: of a
+    coordinate, m. slides: whether balls slide after a contact, as on a plate.
+    """
+    paths = []
+    for ball in balls:
+        own = np.flatnonzero((contacts["particle1"] == ball.particle) | (contacts["particle2"] == ball.particle))
+        breaks = contacts["t_s"].to_numpy(dtype=np.float64)[own]
+        part = np.searchsorted(breaks, ball.time)
+        gaps = np.flatnonzero(np.diff(ball.time) > max_gap_s) + 1
+        for k in range(len(breaks) + 1):
+            inside = np.flatnonzero(part == k)
+            for rows in np.split(inside, np.searchsorted(inside, gaps)):
+                if not len(rows):
+                    continue
+                start = int(own[k - 1]) if k > 0 and rows[0] == inside[0] and rows[0] not in gaps else -1
+                end = int(own[k]) if k < len(breaks) and rows[-1] == inside[-1] and rows[-1] + 1 not in gaps else -1
+                paths.append(_fit_path(ball, rows, (start, end), contacts, window_rows, margin_s, noise, slides))
+    return paths
+
+
+def _fit_path(
+    ball: BallTrack,
+    rows: Rows,
+    ends: tuple[int, int],
+    contacts: pd.DataFrame,
+    window_rows: int,
+    margin_s: float,
+    noise: float,
+    slides: bool,
+) -> FreePath:
+    """Estimate the velocities of one path, whose contacts are the rows `ends` of their table."""
+    time = ball.time[rows]
+    at = contacts["t_s"].to_numpy(dtype=np.float64)
+    first, last = (float(at[k]) if k >= 0 else float(edge) for k, edge in zip(ends, time[[0, -1]], strict=True))
+    near = ((ends[0] >= 0) & (time - first < margin_s)) | ((ends[1] >= 0) & (last - time < margin_s))
+    free, position = time[~near], ball.position[rows[~near]]
+    slide_end = find_slide_end(free, position, noise) if slides and ends[0] >= 0 else np.nan
+    velocities = fit_velocities(free, position, np.append(time, [first, last]), window_rows, slide_end)
+    unsure = np.zeros(len(time))
+    if slides and ends[0] >= 0 and not (free < slide_end).sum() >= ROWS_OF_SLIDE:
+        velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
+        rest = margin_s * (ROWS_OF_SLIDE + 1) - (time - first)  # of the longest slide that would not be seen
+        unsure = USUAL_FRICTION * np.maximum(rest, 0) / 2
+    length = 0.0
+    if len(free) > 1:
+        length = float(np.hypot(*(position[-1] - position[0])) * (last - first) / (free[-1] - free[0]))
+    return FreePath(ball.particle, ball.frame[rows], time, *ends, first, last, velocities, length, unsure)

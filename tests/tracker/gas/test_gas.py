@@ -1,0 +1,158 @@
+"""A gas against closed forms: parabolas, a Maxwellian, equal speeds, random points, and energies that add up."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from synthcam_shared.errors import InputError
+from tracker.gas.energy import SINKS
+from tracker.gas.gas import measure_gas
+from tracker.gas.kinetic_theory import contact_pair_correlation, contact_rate, mean_free_path
+from tracker.gas.pair_correlation import pair_correlation
+from tracker.gas.velocities import find_slide_end, fit_velocities
+from tracker.measurement.positions import BallTrack
+
+FPS = 250.0
+
+
+def make_contacts(*rows):
+    """The table of contacts of (t_s, particle1, particle2, energy_lost, energy_lost_std) each."""
+    names = ["t_s", "particle1", "particle2", "energy_lost", "energy_lost_std"]
+    table = pd.DataFrame(list(rows), columns=names).astype({"particle1": int, "particle2": int})
+    return table.astype(dict.fromkeys((names[0], *names[3:]), float)).assign(misfit=False)
+
+
+NO_CONTACTS = make_contacts()
+
+
+def make_ball(particle, position, noise, frame=None):
+    frame = np.arange(len(position)) if frame is None else frame
+    cov = np.broadcast_to(np.eye(2) * noise**2, (len(position), 2, 2))
+    return BallTrack(particle=particle, frame=frame, start=frame / FPS, position=position, cov=cov, exposure=0.0)
+
+
+def make_gas(velocities, frames, noise, seed=0):
+    """Balls that move at constant velocities, far apart."""
+    rng, t = np.random.default_rng(seed), np.arange(frames) / FPS
+    return [
+        make_ball(k, rng.uniform(-1, 1, 2) + t[:, None] * v + rng.normal(0, noise, (frames, 2)), noise)
+        for k, v in enumerate(velocities)
+    ]
+
+
+@pytest.mark.parametrize(("rows", "slide_end"), [(30, np.nan), (6, np.nan), (30, 0.0505)])
+def test_velocities_of_accelerated_paths_are_exact(rows, slide_end):
+    t = np.arange(rows) / FPS
+    bend = np.where(t > slide_end, (t - slide_end) ** 2, 0.0)
+    path = np.outer(t, [0.2, -0.1]) - np.outer(t**2, [0.7, 0.2]) + np.outer(bend, [0.6, 0.1])
+    at = np.array([-0.004, 0.01, 0.056, t[-1]])
+    found = fit_velocities(t, path, at, 10, slide_end)
+    expected = np.array([0.2, -0.1]) - np.outer(2 * at, [0.7, 0.2])
+    expected += np.outer(np.where(at > slide_end, 2 * (at - slide_end), 0.0), [0.6, 0.1])
+    np.testing.assert_allclose(found.even, expected, atol=1e-9)
+    np.testing.assert_allclose(found.odd, expected, atol=1e-9)
+    if np.isfinite(slide_end):
+        assert find_slide_end(t, path, 1e-9) == pytest.approx(slide_end, abs=1 / FPS)
+    else:
+        assert np.isnan(find_slide_end(t, path, 1e-9))
+
+
+@pytest.mark.parametrize("rows", [5, 9])
+def test_square_of_velocity_has_no_noise(rows):
+    rng, noise, speed = np.random.default_rng(3), 0.01, 3.0
+    t, trials = np.arange(rows) / FPS, 3000
+    found = []
+    for _ in range(trials):
+        path = np.outer(t, [speed, 0.0]) + rng.normal(0, noise, (rows, 2))
+        square, variance = fit_velocities(t, path, t[rows // 2 : rows // 2 + 1], 10).square(noise)
+        found.append((square[0], variance[0]))
+    squares, variances = np.array(found).T
+    error = squares.std() / np.sqrt(trials)
+    assert abs(squares.mean() - speed**2) < 4 * error  # the square of a noisy velocity fails by far
+    assert squares.std() == pytest.approx(np.sqrt(variances.mean()), rel=0.1)
+
+
+@pytest.mark.parametrize(("kind", "a2"), [("maxwellian", 0.0), ("equal speeds", -0.5)])
+def test_temperature_and_shape(kind, a2):
+    rng, n, temperature, noise = np.random.default_rng(5), 400, 0.02, 1e-3
+    velocities = rng.normal(0, np.sqrt(temperature), (n, 2))
+    if kind == "equal speeds":
+        velocities *= np.sqrt(2 * temperature) / np.linalg.norm(velocities, axis=1, keepdims=True)
+    balls = make_gas(velocities + np.array([0.3, 0.0]), 12, noise)
+    gas = measure_gas(balls, NO_CONTACTS, 0.002, FPS)
+    true = velocities.var(axis=0, ddof=1).sum() / 2
+    z = (gas.time["temperature"] - true) / gas.time["temperature_std"]
+    assert np.abs(z).max() < 4
+    assert abs(true - temperature) < 4 * gas.time["temperature_sampling"].iloc[0] + 1e-12
+    assert abs(gas.values["sonine_a2"] - a2) < 4 * gas.values["sonine_a2_std"]
+    assert gas.values["sonine_a2_std"] < 0.15
+    assert gas.time["drift_x"].iloc[0] == pytest.approx(0.3 + velocities[:, 0].mean(), abs=0.03)
+    assert gas.values["noise_ratio"] == pytest.approx(1, abs=0.1)
+    if kind == "maxwellian":
+        table = gas.velocities
+        z = (table["density"] - np.exp(-(table["c"] ** 2) / 2) / np.sqrt(2 * np.pi)) / table["density_std"]
+        assert np.abs(z[table["density"] > 0.02]).max() < 4
+
+
+def test_pair_correlation_of_random_points_is_one_up_to_the_edge():
+    rng, size = np.random.default_rng(8), (3.0, 1.0)
+    table = pair_correlation([rng.uniform(0, size, (60, 2)) for _ in range(400)], size, 1.0, bins=20)
+    z = (table["g"] - 1) / table["g_std"]
+    assert np.abs(z).max() < 4
+    assert table["g_std"].iloc[1:].max() < 0.05  # without the correction g would be .6 at the end
+
+
+def test_kinetic_theory():
+    """Rates of hard discs: Gass (1971), J. Chem. Phys. 54, 1898; Alder and Wainwright's free path at low density."""
+    n, d, temperature = 1.0, 0.01, 0.5
+    dilute = 2 * n * d * np.sqrt(np.pi * temperature)
+    assert contact_rate(temperature, n, d) == pytest.approx(dilute, rel=1e-3)
+    mean_speed = np.sqrt(np.pi * temperature / 2)
+    assert mean_free_path(n, d) == pytest.approx(mean_speed / contact_rate(temperature, n, d))
+    assert contact_pair_correlation(0.5) == pytest.approx((1 - 7 / 32) / 0.25)
+
+
+def test_energies_add_up_and_go_where_they_went():
+    """Two balls slide, roll, hit, slide and roll again; a third bounces at a wall."""
+    t = np.arange(120) / FPS
+    contact, slide = 0.2002, 0.06
+
+    def travel(v, decel, since):
+        return v * since - decel * since**2 / 2
+
+    def path(v_in, v_out, decel):
+        after = np.maximum(t - contact, 0)
+        short, long = np.minimum(after, slide), np.maximum(after - slide, 0)
+        end = v_out - decel * slide
+        return np.where(
+            t < contact, travel(v_in, 0.05, t), travel(v_in, 0.05, contact) + travel(v_out, decel, short) + end * long
+        )
+
+    rng, noise = np.random.default_rng(1), 1e-7
+    x = [path(0.4, 0.05, -1.0), path(0.0, 0.34, 1.5), path(-0.3, 0.24, 0.4)]
+    balls = [
+        make_ball(k, np.column_stack([one, np.full(len(t), k * 0.1)]) + rng.normal(0, noise, (len(t), 2)), noise)
+        for k, one in enumerate(x)
+    ]
+    nan = float("nan")
+    gas = measure_gas(balls, make_contacts((contact, 0, 1, nan, nan), (contact, 2, -1, nan, nan)), 0.01, FPS)
+    last = gas.time.iloc[-1]
+    total = gas.time["energy"].iloc[0] - last["energy"]
+    assert sum(last[column] for column in SINKS.values()) == pytest.approx(total, abs=1e-9)
+    v0, v2 = 0.4 - 0.05 * contact, -0.3 - 0.05 * contact
+    struck = -0.05 * contact  # ball 1 starts at rest and is accelerated too in this drawing
+    in_contact = (v0**2 + struck**2 - 0.05**2 - 0.34**2) / 2
+    assert last["lost_in_contacts"] == pytest.approx(in_contact, abs=5 * last["lost_in_contacts_std"])
+    assert last["lost_in_contacts_std"] < 0.02 * in_contact
+    assert last["lost_at_walls"] == pytest.approx((v2**2 - 0.24**2) / 2, abs=5 * last["lost_at_walls_std"])
+    assert last["lost_unresolved"] == 0
+    plate = last["lost_to_plate"]
+    given = measure_gas(balls, make_contacts((contact, 0, 1, 0.01, 0.001), (contact, 2, -1, nan, nan)), 0.01, FPS)
+    last = given.time.iloc[-1]
+    assert (last["lost_in_contacts"], last["lost_in_contacts_std"]) == pytest.approx((0.01, 0.001))
+    assert last["lost_to_plate"] == pytest.approx(plate + in_contact - 0.01, abs=1e-4)
+
+
+def test_two_balls_are_no_gas():
+    with pytest.raises(InputError, match="3 balls"):
+        measure_gas(make_gas(np.ones((2, 2)), 20, 1e-6), NO_CONTACTS, 0.002, FPS)
