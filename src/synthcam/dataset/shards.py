@@ -133,7 +133,8 @@ def write_shards(plan: ShardPlan, folder: Path, workers: int, progress: Progress
                 done += len(plan.clips_of(result.number))
                 progress(done, plan.clips or 0)
         finally:
-            _remove_leftovers(folder)
+            for leftover in folder.glob("shard-*.tmp"):  # of workers that were killed, in this run or an earlier one
+                _remove(leftover)
         if left_out and not frames:
             raise InputError(f"{folder}: no clip could be made; {left_out[-1]}")
         return ShardOutcome(len(todo), frames, tuple(left_out))
@@ -142,7 +143,6 @@ def write_shards(plan: ShardPlan, folder: Path, workers: int, progress: Progress
 def _take_up(plan: ShardPlan, folder: Path) -> None:
     """Compare the plan with that of the folder, and note it there. Raises InputError if another stream is there."""
     file, wanted = folder / PLAN, plan.document()
-    _remove_leftovers(folder)
     if file.is_file():
         try:
             found = json.loads(file.read_text(encoding="utf-8"))
@@ -161,11 +161,6 @@ def _take_up(plan: ShardPlan, folder: Path) -> None:
         elif before % plan.clips_per_shard:  # its last shard was not full
             _remove(folder / plan.name(before // plan.clips_per_shard))
     write_atomically(file, json.dumps(wanted, indent=1) + "\n")
-
-
-def _remove_leftovers(folder: Path) -> None:
-    for leftover in folder.glob("shard-*.tmp"):
-        _remove(leftover)
 
 
 def _remove(path: Path) -> None:
