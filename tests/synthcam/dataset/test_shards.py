@@ -114,7 +114,7 @@ def test_a_run_continues_and_goes_further(tmp_path, kind):
         write(plan(3, kind), tmp_path / "s", stop)
     ending = "tar" if kind == "webdataset" else "zarr"
     assert sorted(p.name for p in (tmp_path / "s").iterdir()) == [".made_by", f"shard-000000.{ending}", "stream.json"]
-    (tmp_path / "s" / f"shard-000001.{ending}-0123456789ab.tmp").mkdir()  # of a killed run
+    (tmp_path / "s" / f"shard-000001.{ending}-0123456789ab.tmp").touch()  # of a killed run
     assert write(plan(3, kind), tmp_path / "s").shards == 1
     assert write(plan(3, kind), tmp_path / "s").shards == 0
     assert write(plan(5, kind), tmp_path / "s").shards == 2  # the second had one clip of two
