@@ -5,6 +5,7 @@ import re
 import shlex
 import shutil
 import sys
+import tarfile
 from pathlib import Path
 
 import pandas as pd
@@ -131,6 +132,25 @@ def test_score_and_search_hold_their_keys(made: Path) -> None:
     assert all(set(p) == part for p in search["gap"]["by_phase"].values())
     for page in ("score/index.html", "search/index.html"):
         assert "http" not in re.sub(r"http://www.w3.org\S*", "", (made / page).read_text())
+
+
+def test_streams_hold_what_the_page_lists(made: Path) -> None:
+    small = "--set camera.size=[96,64] --set camera.scale=3e-4 --set timing.frames=2 --set timing.contact_frame=1"
+    command = f"stream scenes/oblique.yaml -o out/stream --clips 1 {small}"
+    run("synthcam", *shlex.split(command), "--workers", "1", cwd=made.parent)
+    text = PAGE.partition("**Streams.**")[2].partition("**Reproducibility.**")[0]
+    about = json.loads((made / "stream/stream.json").read_text())
+    listed_keys = re.search(r"stream\.json +(.*?) \(null", text)
+    assert listed_keys
+    assert list(about) == listed_keys[1].split(", ")
+    with tarfile.open(made / "stream/shard-000000.tar") as tar:
+        assert tar.getnames() == [f"000000-{k:06d}.{end}" for k in (0, 1) for end in ("png", "labels.png", "json")]
+        file = tar.extractfile("000000-000001.json")
+        assert file
+        sample = json.loads(file.read())
+    row = re.search(r"\| \.json \| (.*?) \|", text)
+    assert row
+    assert set(re.findall(r"\w+", row[1].partition(" and `camera`")[0])) == {*sample, *sample["balls"][0]} - {"camera"}
 
 
 def test_results_without_any_truth_are_the_same_bytes(made: Path, tmp_path: Path) -> None:
