@@ -27,7 +27,7 @@ from tracker.detection.outlines.contrast_regions import (
     find_touching_discs,
     split_region,
 )
-from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, fit_disc
+from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, DiscScene, fit_disc
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
 ContrastArea: TypeAlias = tuple[Region, NDArray[np.float32]]  # a region, and its difference from the background
@@ -319,7 +319,7 @@ class Discs:
         """Discs in one part, with their flags."""
         found: list[tuple[DiscFit, int]] = []
         if self._is_disc(part, radius):
-            fitted = fit_disc(light, ground, part.middle, self._look(radius), part.blur, [])
+            fitted = fit_disc(DiscScene(light, ground, self._look(radius), part.blur), part.middle)
             flag = PositionFlag.STREAK if np.hypot(*part.blur) > MAX_BLUR_AT_REST * radius else 0
             found = [(fitted, flag)] if fitted is not None else []
         elif self.in_colour:
@@ -367,7 +367,7 @@ class Discs:
         fits = list[DiscFit]()
         for start in starts:
             others = [(float(x), float(y)) for x, y in starts if (x, y) != tuple(start)]
-            fit = fit_disc(light, ground, start, self._look(radius), blur, others)
+            fit = fit_disc(DiscScene(light, ground, self._look(radius), blur, others), start)
             if fit is not None and abs(fit.radius / radius - 1) < 0.15:
                 fits.append(fit)
         return fits
@@ -403,7 +403,7 @@ class Discs:
                 start = np.array(at)
             fitted = None
             if start is not None:
-                fitted = fit_disc(light, ground, start, self._look(radius), np.zeros(2), others)
+                fitted = fit_disc(DiscScene(light, ground, self._look(radius), np.zeros(2), others), start)
             if fitted is not None:
                 found.append((fitted, PositionFlag.NEAR if others else 0))
         return found

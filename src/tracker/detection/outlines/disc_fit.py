@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,38 +40,38 @@ class DiscAppearance:
     radius_std: float = 0.0  # standard deviation by which radii differ, px; 0 where each frame has its own
 
 
-def fit_disc(
-    frame: Picture,
-    ground: StillBackground,
-    start: Array,
-    look: DiscAppearance,
-    blur: Array,
-    others: list[tuple[float, float]],
-) -> DiscFit | None:
+@dataclass(frozen=True)
+class DiscScene:
+    """One disc in one frame: what its fit depends on, beside the position from which it starts."""
+
+    frame: Picture
+    ground: StillBackground
+    look: DiscAppearance
+    blur: Array  # (2,): displacement during the exposure, px
+    others: Sequence[tuple[float, float]] = ()  # positions of the balls that touch this one in the picture, px
+
+
+def fit_disc(scene: DiscScene, start: Array) -> DiscFit | None:
     """Fit position, radius, width of the edge, brightness of the ball, and its displacement during the exposure.
 
     Pixels have Huber's weights; errors follow from the residuals. A shaded ball has the brightness of a matte sphere
     under one lamp and uniform light. The ground around it has the brightness of this frame, its shadow included.
 
-    The fit starts from the position `start` (2,), px. The displacement `blur` (2,), px, is fitted if it is long enough
-    to show (`MIN_BLUR_PX`); `others` are the positions, px, of balls that touch this one in the picture. The result is
-    None where there is no disc.
+    The fit starts from the position `start` (2,), px. The blur is fitted if it is long enough to show (`MIN_BLUR_PX`).
+    The result is None where there is no disc.
     """
-
-    def fit_from(at: Array) -> DiscFit | None:
-        return _fit_from(at, _pixels(frame, ground, at, look, blur, others), ground, look, blur)
-
+    look = scene.look
     if not look.shaded:
-        return fit_from(start)
+        return _fit_from(scene, start)
     # The first position is that of the bright part. The fit starts there and at two points further from the lamp.
-    starts = [start - share * look.radius * _lit_side(frame, start, look.radius) for share in (0.0, 0.2, 0.4)]
-    tried = [f for f in map(fit_from, starts) if f is not None]
+    starts = [start - share * look.radius * _lit_side(scene.frame, start, look.radius) for share in (0.0, 0.2, 0.4)]
+    tried = [f for at in starts if (f := _fit_from(scene, at)) is not None]
     best = min(tried, key=lambda f: f.spread, default=None)
     for _ in range(3):
         if best is None or np.hypot(*(best.position - start)) > _max_shift(look):
             return None
         at = best.position
-        best = fit_from(at)
+        best = _fit_from(scene, at)
         if best is not None and np.hypot(*(best.position - at)) < 0.3:  # px
             break
     return best
@@ -98,11 +98,10 @@ def _lit_side(frame: Picture, at: Array, radius: float) -> Array:
     return slope / max(float(np.hypot(*slope)), 1e-9)
 
 
-def _fit_from(
-    start: Array, pixels: tuple[Array, ...], ground: StillBackground, look: DiscAppearance, blur: Array
-) -> DiscFit | None:
+def _fit_from(scene: DiscScene, start: Array) -> DiscFit | None:
     """Fit x, y, radius, width of the edge, the blur where it is long enough, and the terms of the brightness."""
-    x, y, light, level, doubt = pixels
+    look, blur = scene.look, scene.blur
+    x, y, light, level, doubt = _pixels(scene, start)
     long = float(np.hypot(*blur))
     if len(x) < 16:
         return None
@@ -141,7 +140,7 @@ def _fit_from(
     inverse = np.linalg.inv(normal)
     usual = min(look.noise**2, spread**2)
     # errors of a ground that was never seen are common to cells of its texture
-    lever = _add_up(inverse @ (slopes * weight * doubt * (1 - cover)), _texture_cells(x, y, ground))
+    lever = _add_up(inverse @ (slopes * weight * doubt * (1 - cover)), _texture_cells(x, y, scene.ground))
     fixed = inverse * (spread**2 - usual) + lever @ lever.T
     if look.shaded:  # errors of the model are common to sectors of the outline
         sectors = 16
@@ -175,15 +174,9 @@ def _brightness_terms(dx: Array, dy: Array, look: DiscAppearance) -> NDArray[np.
     return np.stack([np.ones(len(u)), u, v, np.sqrt(np.maximum(1 - u * u - v * v, 0.0))])
 
 
-def _pixels(
-    frame: Picture,
-    ground: StillBackground,
-    start: Array,
-    look: DiscAppearance,
-    blur: Array,
-    others: list[tuple[float, float]],
-) -> tuple[Array, Array, Array, Array, Array]:
+def _pixels(scene: DiscScene, start: Array) -> tuple[Array, Array, Array, Array, Array]:
     """x, y, count, ground and error of the ground, of the pixels near the outline."""
+    frame, ground, look, blur = scene.frame, scene.ground, scene.look, scene.blur
     height, width = frame.shape
     radius = look.radius
     inwards = max(EDGE_PX, 0.3 * radius) if look.shaded else EDGE_PX
@@ -198,29 +191,23 @@ def _pixels(
     share = np.clip(dx * along[0] + dy * along[1], -long / 2, long / 2)
     off = np.hypot(dx - share * along[0], dy - share * along[1]) - radius  # from the outline of the swept area
     used = (off < EDGE_PX) & (off > -inwards - long / 2)
-    for x, y in others:
+    for x, y in scene.others:
         used &= np.hypot(columns - x, rows - y) > radius + EDGE_PX
     at = rows[used], columns[used]
     seen, level, doubt = (p[at].astype(float) for p in (frame, ground.level, ground.error))
     if look.shaded:
-        share, change = _measure_ground_light(frame, ground, start, radius, others)(dx[used], dy[used])
+        share, change = _measure_ground_light(scene, start)(dx[used], dy[used])
         level, doubt = share * level, np.hypot(doubt, change * level)
     return columns[used].astype(float), rows[used].astype(float), seen, level, doubt
 
 
-def _measure_ground_light(
-    frame: Picture,
-    ground: StillBackground,
-    at: Array,
-    radius: float,
-    others: list[tuple[float, float]],
-) -> Callable[[Array, Array], tuple[Array, Array]]:
+def _measure_ground_light(scene: DiscScene, at: Array) -> Callable[[Array, Array], tuple[Array, Array]]:
     """Measure, by direction from a ball, the brightness of the ground relative to the still background.
 
-    `at` (2,) is the centre of the ball, px; `others` are those of balls that touch it. The result is a function of
-    offsets dx and dy from the ball, px. It returns the relative brightness, 1 outside the shadow, and its difference
-    from the neighbouring directions.
+    `at` (2,) is the centre of the ball, px. The result is a function of offsets dx and dy from the ball, px. It returns
+    the relative brightness, 1 outside the shadow, and its difference from the neighbouring directions.
     """
+    frame, ground, radius = scene.frame, scene.ground, scene.look.radius
     height, width = frame.shape
     nearest, furthest = 1.5, 4.5  # distance of the ground from the outline, px
     arc_px = 2.5  # length along the outline over which the brightness is averaged
@@ -234,7 +221,7 @@ def _measure_ground_light(
     dx, dy = columns - at[0], rows - at[1]
     off = np.hypot(dx, dy) - radius
     used = (off > nearest) & (off < furthest)
-    for x, y in others:
+    for x, y in scene.others:
         used &= np.hypot(columns - x, rows - y) > radius + nearest
     here = rows[used], columns[used]
     bins = max(int(2 * np.pi * radius / arc_px), 12)

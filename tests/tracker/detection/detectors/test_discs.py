@@ -11,7 +11,7 @@ from tracker.detection.background.still_background import estimate_still_backgro
 from tracker.detection.detect import detect, make_view
 from tracker.detection.detectors.discs import Discs
 from tracker.detection.glints import PositionFlag
-from tracker.detection.outlines.disc_fit import DiscAppearance, fit_disc
+from tracker.detection.outlines.disc_fit import DiscAppearance, DiscScene, fit_disc
 
 
 def bound(ball, ground, noise):
@@ -66,7 +66,7 @@ def test_ground_alone_is_no_disc():
     black = np.zeros((40, 40), np.uint8)
     ground = estimate_still_background([black] * 5, 0.0)
     look = DiscAppearance(radius=9.0, noise=0.0)
-    assert fit_disc(black, ground, np.array([20.0, 20.0]), look, np.zeros(2), []) is None
+    assert fit_disc(DiscScene(black, ground, look, np.zeros(2)), np.array([20.0, 20.0])) is None
 
 
 @pytest.mark.usefixtures("unfitted")
