@@ -114,7 +114,7 @@ def find(
         replace_folder(output, search_page.FILES, "a report of an earlier search") as folder,
     ):
         _print_camera_notes(measured, camera)
-        clips, notes = read_collisions(measured, camera)
+        clips, notes = read_collisions(measured, camera, stretches)
         for note in notes:
             if note.kind is SearchNoteKind.NO_STRIKER:  # at once: a search without it may look for the wrong ball
                 print(f"discrepancy: {note}", file=sys.stderr)

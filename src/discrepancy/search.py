@@ -107,7 +107,7 @@ def find(
     source = Path(results) if isinstance(results, str) else results
     given = as_model(model)
     with applied_policy(policy or SearchPolicy()):
-        clips, notes = read_collisions(source, Path(camera) if isinstance(camera, str) else camera)
+        clips, notes = read_collisions(source, Path(camera) if isinstance(camera, str) else camera, stretches)
         contacts = read_contacts(source) if stretches else None
         return search(clips, given, progress, 60 * minutes, notes, stretches, contacts)
 

@@ -15,6 +15,7 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.first_guess import build_collision
 from discrepancy.data.launch import V0, equalise_launches
 from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
+from discrepancy.data.stretches import cut_crowd
 from discrepancy.data.track_checks import detect_wrong_units, find_exchange, remove_strays
 from discrepancy.data.uneven_times import note_uneven_times
 from discrepancy.policy import current_policy
@@ -33,10 +34,11 @@ from tracker.tables.rows import split_tracks
 
 
 def read_collisions(
-    measured: Path | pd.DataFrame | Sequence[Result], camera: CameraSource | None = None
+    measured: Path | pd.DataFrame | Sequence[Result], camera: CameraSource | None = None, stretches: bool = False
 ) -> tuple[list[MeasuredCollision], list[SearchNote]]:
     """Read the collisions of a tracker's RESULTS, of a table of tracks, or of results in memory.
 
+    With `stretches`, clips of more than two balls are cut into their free stretches; without, they are left out.
     A table needs its camera.json, `camera`; RESULTS contain their own. A note is returned for each clip, or positions
     of a clip, that cannot be used.
 
@@ -70,6 +72,10 @@ def read_collisions(
             SearchNote(SearchNoteKind.REPAIRED, source.number, note.frames, {"text": note.text})
             for note in source.repairs
         ]
+        if stretches and len(np.unique(source.tracks.particle)) > 2 and source.camera.knows_diameter:
+            kept += (crowd := cut_crowd(source.tracks, source.camera, source.number))
+            rejected += [False] * len(crowd)
+            continue
         outcome, misfit, duration = _build(source)
         if isinstance(outcome, SearchNote):
             notes.append(outcome)

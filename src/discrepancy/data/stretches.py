@@ -17,6 +17,10 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.first_guess import fit_slide
 from discrepancy.data.launch import MEETS_NOTHING, T_C
 from discrepancy.policy import current_policy
+from tracker.camera.camera import Camera
+from tracker.detection.link import Tracks
+from tracker.measurement.crowd.track_contacts import find_track_contacts
+from tracker.measurement.positions import to_ball_tracks
 from tracker.measurement.stretch_cuts import CUTTER, measure_noise
 
 
@@ -25,10 +29,12 @@ def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]
 
     `tracker.measurement.stretch_cuts` cuts: positions beside the contact, or beside a kink of the path, are left out. A
     ball that moves by less than a radius, or that is seen in fewer than
-    `SearchPolicy.min_stretch_positions` frames, gives no stretch.
+    `SearchPolicy.min_stretch_positions` frames, gives no stretch. What is a stretch already, of a crowd, stays.
     """
-    stretches = []
+    stretches = [clip for clip in clips if clip.is_stretch]
     for clip in clips:
+        if clip.is_stretch:
+            continue
         time, frame_s = clip.frame / clip.fps + clip.exposure / 2, 1 / clip.fps
         balls = [np.flatnonzero(clip.ball == ball) for ball in (0, 1)]
         noise = measure_noise((clip.frame[rows], clip.xy[rows]) for rows in balls)
@@ -41,6 +47,31 @@ def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]
                 moved = np.ptp(clip.xy[rows[part]], axis=0)
                 if len(part) >= current_policy().min_stretch_positions and np.hypot(*moved) > clip.camera.radius:
                     stretches.append(_build_stretch(clip, rows[part]))
+    return stretches
+
+
+def cut_crowd(tracks: Tracks, camera: Camera, number: int) -> list[MeasuredCollision]:
+    """Cut the paths of more than two balls into stretches between contacts, with one another and with walls."""
+    balls, policy = to_ball_tracks(tracks, camera), current_policy()
+    contacts = find_track_contacts(balls, camera.ball_diameter)
+    stretches = []
+    for ball in balls:
+        whole = MeasuredCollision(
+            clip=number,
+            striker=camera.striker,
+            camera=camera,
+            frame=ball.frame,
+            ball=np.ones(len(ball), dtype=np.int64),
+            xy=ball.position,
+            covariance=ball.cov,
+            launch=np.zeros(9),
+            slide_ends=np.zeros(2),
+        )
+        own = np.array([contact.time for contact in contacts if ball.particle in contact.balls])
+        for part in CUTTER.cut(ball.time, ball.frame, own, 1 / camera.fps):
+            moved = np.ptp(ball.position[part], axis=0)
+            if len(part) >= policy.min_stretch_positions and np.hypot(*moved) > camera.radius:
+                stretches.append(_build_stretch(whole, part))
     return stretches
 
 

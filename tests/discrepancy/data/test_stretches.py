@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from discrepancy_clips import STD, exact, noisy, only
 
+from discrepancy.data.reading import read_collisions
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting.base_fit import fit_base_model
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.preparation import prepare
 from discrepancy.search import search
 from discrepancy.validate.residual_map import find_disagreements
+from synthcam import Scene
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
@@ -80,6 +82,23 @@ def test_stretches_of_one_recording_are_all_fitted_or_all_held_out():
     fitted, held_out = ({c.clip for c in clips} for clips in (data.clips, data.held_out))
     assert fitted.isdisjoint(held_out)
     assert len(fitted | held_out) == 8
+
+
+def test_the_balls_of_a_crowd_give_stretches_that_hold_no_event():
+    clip, rng = Scene.read("crowd", timing={"frames": 120}).draw(seed=1), np.random.default_rng(3)
+    x, y = (clip.tracks[f"{axis}_mean_px"] + 0.05 * rng.standard_normal(len(clip.tracks)) for axis in "xy")
+    table = clip.tracks[["frame", "particle"]].assign(clip=0, x=x, y=y, x_std=0.05, y_std=0.05, cov_xy=0.0)
+    stretches, _ = read_collisions(table[clip.tracks.visible], clip.camera_json, stretches=True)
+    assert len(stretches) > 25
+    assert all(stretch.is_stretch for stretch in stretches)
+    assert cut_stretches(stretches) == stretches
+    events, true = clip.solve().events, clip.tracks.set_index(["frame", "particle"])
+    for stretch in stretches:
+        first = true.loc[stretch.frame[0]]
+        ball = int((first[["x", "y"]] - stretch.xy[0]).pow(2).sum(axis=1).idxmin())
+        own = events[(events.kind == "contact") & ((events.i == ball) | (events.j == ball))].t_s.to_numpy()
+        start, end = (stretch.frame[[0, -1]] + 0.5) / stretch.fps
+        assert not ((own > start) & (own < end)).any()
 
 
 def test_recordings_without_a_long_stretch_are_refused_in_one_line():
