@@ -87,6 +87,7 @@ def test_discs_on_air_of_unequal_masses_show_r_and_their_ratio():
     assert not row["misfit_local"]
 
 
+@pytest.mark.usefixtures("unfitted")
 def test_a_chase_at_high_speed_is_no_staying_together():
     """Both discs move on at 2 m/s; in the 0.05 s after the hit they part by less than a tenth of a diameter."""
     camera = {"fps": FPS, "scale": 1e-3, "size": [800, 800], "ball_diameter": 0.05, "exposure": 0.0}
@@ -98,6 +99,7 @@ def test_a_chase_at_high_speed_is_no_staying_together():
     assert row["r_local"] == pytest.approx(r, abs=4 * row["r_local_std"])
 
 
+@pytest.mark.usefixtures("unfitted")
 @pytest.mark.parametrize("turning", [2.0, 0.0])
 def test_bodies_that_stick_after_the_hit_have_no_local_estimate(turning):
     """They turn about each other, 1/s, or move on straight.
