@@ -223,15 +223,25 @@ def test_nothing_is_wider_than_the_screen(address, browser, width, scheme):
             page.screenshot(path=f"{folder}/workbench_{width}_{scheme}.png", full_page=True)
 
 
-def test_clips_of_a_dataset(films, browser, tmp_path):
-    for number in (3, 4):
+def test_clips_of_a_dataset_in_colour(browser, tmp_path):
+    for number, first in ((3, 0), (4, 30)):
+        light = film(np.random.default_rng(2), PATHS[first : first + 30])
         folder = tmp_path / f"data/clips/{number:06d}"
         folder.mkdir(parents=True)
-        shutil.copy(films / "<i>hit & run.tif", folder / "frames.tif")
+        colours = np.stack([light, light // 2, np.zeros_like(light)], axis=-1)
+        tifffile.imwrite(folder / "frames.tif", colours, photometric="rgb")
         (folder / "camera.json").write_text(json.dumps(CAMERA))
     with workbench(tmp_path / "data", tmp_path / "bench") as (_, address), opened(browser, address) as page:
         says(page, "#scale", "0.16 mm/px .camera.json.")
         page.select_option("#clip", label="4")
         says(page, "#film-name", "clips/000004")
         shown(page, 0)
+        asked = page.evaluate("performance.getEntriesByType('resource').map((entry) => entry.name)")
+        marks = {name.partition("mark=")[2].partition("&")[0] for name in asked if "/frame/0.jpg" in name}
+        assert len(marks) == 2  # a kept picture of another clip would be shown otherwise
         assert "data/clips/000004" in page.text_content("#command")
+        says(page, "#notes", "colour")
+        page.select_option("#channel", label="red")
+        page.check("#search-channel")
+        says(page, "#command", "--channel red")
+        says(page, "#detector", "2 balls here, by maximum_likelihood in red")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -54,6 +55,7 @@ class FilmView:
         self.source, self.index = source, index
         self.number, frames = source.open_film(index)
         self.location = source.clips[index][1]
+        self.mark = secrets.token_hex(6)  # part of the address of each picture, which browsers keep
         self._lock, self._last = threading.RLock(), -1
         self.frames = frames
         self.clip = make_recording(self.number, self.frames, None, (f"{self.location}", ""))

@@ -122,6 +122,7 @@ class Workbench:
             "film": f"{self.film}",
             "clips": [number for number, _ in self.source.clips],
             "clip": view.index,
+            "mark": view.mark,
             "frames": len(frames),
             "numbers": None if even else frames.numbers.tolist(),
             "size": view.size,

@@ -198,7 +198,9 @@ def test_clips_of_a_dataset_are_chosen_by_their_index(tmp_path, pictures):
         write_clip(tmp_path / f"data/clips/{number:06d}", pictures[1][: number + 3])
     bench = Workbench(open_source(tmp_path / "data"))
     client = enter(bench)
+    mark = client.get("/api/film").json()["mark"]
     about = client.post("/api/clip", json=1).json()
+    assert about["mark"] != mark
     assert (about["clips"], about["clip"], about["frames"]) == ([3, 7], 1, 10)
     assert about["film"].endswith("data/clips/000007")
     assert "data_workbench" in about["folder"]

@@ -71,7 +71,9 @@ async function begin() {
     if (detector.state === "failed") element("detector").textContent = detector.error;
     if (detector.state !== "ready") stage.marks.balls = [];
     else if (changed) findBalls(player.index);
-    element("detector").title = detector.notes.join("\n");
+    const notes = [...film.notes.filter((note) => !note.startsWith("no camera file")), ...detector.notes];
+    element("notes-box").hidden = notes.length === 0;
+    element("notes").replaceChildren(...notes.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
     run.show(status.run);
     stage.draw();
   }

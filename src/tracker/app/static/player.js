@@ -9,7 +9,7 @@ export class Player extends EventTarget {
     super();
     this.stage = stage;
     this.tell = tell;
-    this.look = { channel: film.channels[0], low: 0, high: 1 };
+    this.look = { low: 0, high: 1 };
     this.index = 0;
     this.playing = false;
     this.slider = document.getElementById("frame");
@@ -24,7 +24,7 @@ export class Player extends EventTarget {
 
   open(film) {
     this.film = film;
-    this.look.channel = film.channels[0];
+    Object.assign(this.look, { channel: film.channels[0], mark: film.mark }); // the mark tells films apart in the cache
     this.slider.max = film.frames - 1;
     this.shownReduction = 1;
     this.stage.open(film.size);
