@@ -44,12 +44,18 @@ def command_line(name: str, about: str) -> typer.Typer:
     return app
 
 
-def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed: tuple[str, ...] = ()) -> None:
+def run(
+    app: typer.Typer,
+    name: str,
+    wrong: tuple[type[Exception], ...],
+    resumed: tuple[str, ...] = (),
+    lasting: tuple[str, ...] = (),
+) -> None:
     """Run a command and end the process, with one line on stderr for an error.
 
     Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted. `wrong` are the exceptions that are the user's
     to mend; their message is the line. `resumed` are the commands that keep what they have made when they are
-    interrupted.
+    interrupted; `lasting` are those that start others.
     """
     sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # names of files that are not UTF-8
     with watch_ctrl_c(), _as_command():
@@ -59,8 +65,9 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
                 raise KeyboardInterrupt
         except BaseException as error:
             if was_interrupted() or isinstance(error, KeyboardInterrupt | typer.Abort):
-                kept = any(word in resumed for word in sys.argv[1:2])
-                then = "the same command continues where it stopped" if kept else "nothing was written"
+                command = "".join(sys.argv[1:2])
+                then = "the same command continues where it stopped" if command in resumed else "nothing was written"
+                then = "finished runs stay" if command in lasting else then
                 print(f"{name}: interrupted; {then}", file=sys.stderr)
                 raise SystemExit(130) from None
             if isinstance(error, SystemExit) and isinstance(error.__context__, BrokenPipeError):

@@ -520,7 +520,7 @@ def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Entry point: 0 done, whatever the clips' status; 2 bad input; 130 interrupted."""
-    run(app, "tracker", (InputError,), ("track", "measure", "compare", "benchmark"))
+    run(app, "tracker", (InputError,), ("track", "measure", "compare", "benchmark"), ("open",))
 
 
 if __name__ == "__main__":

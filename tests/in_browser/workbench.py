@@ -111,7 +111,9 @@ def test_from_a_film_to_a_number(films, browser, tmp_path):
             page.keyboard.press("Home")
             assert shown(page, 0) == 1
             page.mouse.move(*at(page, *PATHS[0, 0]))
+            page.click("#auto")
             says(page, "#ball", "Glint at")
+            assert int(page.input_value("#high")) < 90
             x, y = re.search(r"([\d.]+), ([\d.]+) px", page.text_content("#ball")).groups()
             assert np.hypot(float(x) - PATHS[0, 0, 0], float(y) - PATHS[0, 0, 1]) < 0.1
             # point
@@ -200,6 +202,7 @@ def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, t
         says(page, "#run-state", r"Tracking \d+ of 960 frames")
         command.send_signal(signal.SIGINT)  # Ctrl-C ends the child, too
         assert command.wait(20) == 130
+        assert "interrupted; finished runs stay" in command.stderr.read()
         says(page, "#message", "does not answer")
     assert subprocess.run(["pgrep", "-f", f"{tmp_path}/bench"], capture_output=True).stdout == b""
 

@@ -101,6 +101,9 @@ def make_application(
     def describe(request: Request) -> Response:
         return JSONResponse(bench.describe())
 
+    def find_levels(request: Request) -> Response:  # apart, because it reads frames all over the film
+        return JSONResponse(bench.view.levels)
+
     def describe_results(request: Request) -> Response:
         return JSONResponse(bench.describe_results(request.path_params["number"]))
 
@@ -155,6 +158,7 @@ def make_application(
         Route("/report/{number:int}/{name:path}", show_report),
         Route("/frame/{index:int}.{kind}", show_frame),
         Route("/api/film", describe),
+        Route("/api/levels", find_levels),
         Route("/api/balls/{index:int}", find_balls),
         Route("/api/results/{number:int}", describe_results),
         Route("/api/tracks/{number:int}", list_tracks),

@@ -128,7 +128,6 @@ class Workbench:
             "size": view.size,
             "fps": round(frames.fps, 6),
             "channels": view.channels,
-            "levels": view.levels,
             "notes": [str(note) for note in view.clip.notes],
             "given": None if self.given is None else finite(dict(self.given)),
             "folder": f"{self.folder}",

@@ -112,6 +112,8 @@ def test_the_film_is_described_and_its_balls_are_found(client, bench, pictures):
     about = client.get("/api/film").json()
     assert (about["frames"], about["size"], about["channels"]) == (30, [200, 160], ["grey"])
     assert about["given"]["scale"] == CAMERA["scale"]
+    low, high = client.get("/api/levels").json()
+    assert 0 <= low < high <= 1
     assert about["status"]["detector"]["name"] == "maximum_likelihood"
     found = client.get("/api/balls/20").json()
     places = pictures[0][20]

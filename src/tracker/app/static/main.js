@@ -102,7 +102,13 @@ async function begin() {
       setBrightness(id === "low" ? low : Math.min(low, high - 0.01), id === "high" ? high : Math.max(high, low + 0.01));
     });
   }
-  element("auto").addEventListener("click", () => setBrightness(...film.levels));
+  element("auto").addEventListener("click", async () => {
+    try {
+      setBrightness(...(await get("/api/levels")));
+    } catch (error) {
+      tell(error.message);
+    }
+  });
   element("plain").addEventListener("click", () => setBrightness(0, 1));
   element("zoom-in").addEventListener("click", () => stage.zoomBy(1.5));
   element("zoom-out").addEventListener("click", () => stage.zoomBy(1 / 1.5));
