@@ -193,6 +193,7 @@ def draw(figures: dict[str, Any], path: Path) -> None:
     films = [film for film in figures["films"] if "r" in film["means"]]
     value, std = np.array([film["means"]["r"][:2] for film in films]).T
     right.errorbar(np.arange(len(films)), value, std, fmt="o", ms=4)
+    right.xaxis.get_major_locator().set_params(integer=True)
     right.axhline(films[0]["truth"]["r"], color="grey", lw=1)
     right.set(xlabel="film", ylabel="mean r of its contacts")
     path.parent.mkdir(parents=True, exist_ok=True)
