@@ -29,10 +29,10 @@ STEPS_BACK = 12  # frames that are decoded at once when one goes back: a video i
 
 @dataclass(frozen=True)
 class Look:
-    """How a picture is shown.
+    """The look of a picture.
 
-    low, high: shares of white that become black and white; reduce: film pixels per pixel of the picture, along one
-    side; box: left, top, width, height of the part that is shown, px, or all.
+    low, high: shares of white that become black and white. reduce: film pixels per pixel of the picture, along one
+    side. box: left, top, width and height of the part that is shown, px; None is all.
     """
 
     channel: str = GREY

@@ -39,7 +39,7 @@ class FrameDetector:
 
     @property
     def point(self) -> str:
-        """What a position is: "glint" or "centre"."""
+        """The point that a position gives: "glint" or "centre"."""
         return detected_point(self.name, self.clip.camera)
 
     @property

@@ -1,4 +1,4 @@
-"""What is set on the page, as camera.json and as the command line that does the same."""
+"""The settings of the page, as camera.json and as the command line that does the same."""
 
 from __future__ import annotations
 

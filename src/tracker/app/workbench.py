@@ -223,7 +223,7 @@ class Workbench:
     # --- the run
 
     def _next_number(self) -> int:
-        """The first number that no file of an earlier run has, nor one that was interrupted."""
+        """The first number without a file of an earlier run, finished or interrupted."""
         taken = {path.name.removesuffix(".partial") for path in self.folder.glob("*_*")}
         paths = ((self._camera_file(n), self._calibrated(n), self._results(n)) for n in count(1))
         names = ({path.name for path in own} for own in paths)
