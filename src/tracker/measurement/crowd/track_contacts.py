@@ -9,7 +9,7 @@ better than one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -47,6 +47,8 @@ class FinderSettings:
     event_frames: float = 0.1  # from an event to the first position that counts
     turns: int = 3
     least_impulse_sigma: float = 3.0
+    least_alignment: float = 0.85  # cosine between a kick and the line of centres
+    rough_share: float = 0.1  # by which the distance of balls may be off a diameter, where paths are too short
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,48 @@ def find_track_contacts(
                 contact = _examine((ball,), frame, events, settings.other_frames, frame_s, diameter, settings)
                 if contact is not None:
                     found.append(contact)
-    return sorted(found, key=lambda contact: contact.time)
+    return sorted(_find_partners(found, balls, diameter, frame_s, settings), key=lambda contact: contact.time)
+
+
+def _find_partners(
+    found: Sequence[TrackContact],
+    balls: Sequence[BallTrack],
+    diameter: float,
+    frame_s: float,
+    settings: FinderSettings,
+) -> list[TrackContact]:
+    """The contacts, where a kink of one ball is that with a ball whose own path is too short to show it.
+
+    The other ball lies a diameter behind the kick. It has a kink of its own, of that contact or of another.
+    """
+    out, same = list(found), settings.same_frames * frame_s
+    for contact in sorted(found, key=lambda contact: -contact.gain):
+        if len(contact.balls) == 2 or not any(c is contact for c in out):
+            continue
+        near = {n for c in found for n in c.balls if c is not contact and abs(c.time - contact.time) < same}
+        best, chosen = settings.least_alignment, None
+        for ball in balls:
+            if ball.particle == contact.one or ball.particle not in near:
+                continue
+            place = np.array([np.interp(contact.time, ball.time, axis) for axis in ball.position.T])
+            apart = contact.xy - place
+            size = max(float(np.hypot(*apart)), 1e-12)
+            aligned = float(apart @ contact.normal) / size
+            if abs(size / diameter - 1) < settings.rough_share and aligned > best:
+                best, chosen = aligned, (ball.particle, apart / size, place)
+        pair = None if chosen is None else {contact.one, chosen[0]}
+        if chosen is None or any(set(c.balls) == pair and abs(c.time - contact.time) < same for c in out):
+            continue
+        middle = (contact.xy + chosen[2]) / 2
+        whole = replace(contact, other=chosen[0], normal=chosen[1], xy=middle)
+        out = [
+            c
+            for c in out
+            if c is not contact
+            and not (c.balls == (chosen[0],) and abs(c.time - contact.time) < same and c.normal @ chosen[1] < -best / 2)
+        ]
+        out.append(whole)
+    return out
 
 
 def _list_events(
