@@ -49,7 +49,6 @@ class SubExposures:
     times: Array  # (T,), s
     weights: Array  # (T,)
     frames: Index  # numbers (T,)
-    pieces: Index  # of the exposures, to which they belong (T,)
 
 
 def split_at_breaks(intervals: Array, breaks: Array) -> tuple[Array, Array, Index]:
@@ -84,9 +83,33 @@ def place_sub_exposures(
         nodes, shares = _gauss_legendre(n)
         times.append(middle + half * nodes)
         parts.append(weight / 2 * shares)
-    return SubExposures(
-        np.concatenate(times), np.concatenate(parts), *(np.repeat(x, counts) for x in (frames, np.arange(len(frames))))
-    )
+    return SubExposures(np.concatenate(times), np.concatenate(parts), np.repeat(frames, counts))
+
+
+def merge_sub_exposures(
+    moments: SubExposures, positions: Array, pixels: Array, counts: Index
+) -> tuple[SubExposures, Array, Array]:
+    """Merge the sub-exposures of each frame into counts (F,) of them, by their order in time.
+
+    A ball then stands at its mean position, wherever its velocity jumped. Returns the merged ones with the positions
+    (T, N, 3), m, and variances (T, N, 2), px^2, of the balls' pixels (., N, 2) about them: a spot that is widened by
+    these keeps its first three moments.
+    """
+    whole = np.bincount(moments.frames, moments.weights, len(counts))
+    before = np.cumsum(moments.weights) - moments.weights / 2 - (np.cumsum(whole) - whole)[moments.frames]
+    wanted = counts[moments.frames]
+    part = np.clip(before / whole[moments.frames] * wanted, 0, wanted - 1).astype(int)
+    key = (np.cumsum(counts) - counts)[moments.frames] + part
+    first = np.flatnonzero(np.diff(key, prepend=-1))
+    weights = np.add.reduceat(moments.weights, first)
+    share = moments.weights / np.repeat(weights, np.diff(np.append(first, len(key))))
+
+    def mean(of: Array) -> Array:
+        return np.asarray(np.add.reduceat(of * share.reshape(-1, *[1] * (of.ndim - 1)), first))
+
+    middle = np.repeat(mean(pixels), np.diff(np.append(first, len(key))), axis=0)
+    merged = SubExposures(mean(moments.times), weights, moments.frames[first])
+    return merged, mean(positions), mean((pixels - middle) ** 2)
 
 
 _gauss_legendre = cache(np.polynomial.legendre.leggauss)

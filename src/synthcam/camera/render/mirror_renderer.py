@@ -22,6 +22,7 @@ from synthcam.camera.exposure import (
     blur_matrix,
     blur_tiles,
     integrate_spots,
+    merge_sub_exposures,
     outline_half_width,
     place_sub_exposures,
 )
@@ -225,16 +226,21 @@ class MirrorRenderer(Renderer):
                 yield from self._expose(centres, spans[first : first + many], cuts)
 
     def _expose(self, centres: Centres, spans: Array, cuts: Array) -> Iterator[Picture]:
-        moments, coarse, smear = self._place_moments(centres, spans, cuts)
-        positions, few = (np.asarray(centres(each.times), float) for each in (moments, coarse))
+        moments, coarse, counts = self._place_moments(centres, spans, cuts)
+        positions = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(positions)
         extent = self._reach(positions, slope)
         patches = PixelPatches(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
-        many = len(self.radii) > 2
-        shown = [(moments, self._find_glints(moments, positions, patches, range(1, 2 if many else 99)))]
-        if many:
-            faint = self._find_glints(coarse, few, patches, range(2, 99))
-            shown.append((coarse, replace(faint, spread=faint.spread + smear[faint.moment, faint.ball])))
+        if coarse:
+            few = np.asarray(centres(coarse.times), float)
+            shown = [(moments, self._find_glints(moments, positions, patches, range(1, 99)))]
+        else:
+            shown = []
+            for count, bounces in zip(counts, (range(1, 2), range(2, 99)), strict=True):
+                coarse, few, smear = merge_sub_exposures(moments, positions, pixels, count)
+                found = self._find_glints(coarse, few, patches, bounces)
+                shown.append((coarse, replace(found, spread=found.spread + smear[found.moment, found.ball])))
+        assert coarse is not None
         drawn: dict[int, Float32] = {}
         shades: dict[int, Float32] = {}
         for width in np.unique(patches.widths):
@@ -276,24 +282,30 @@ class MirrorRenderer(Renderer):
             found.append(find_glints(self.camera, lamp, positions, self.radii, light, *about))
         return join_glints(found)
 
-    def _place_moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[SubExposures, SubExposures, Array]:
+    def _place_moments(
+        self, centres: Centres, spans: Array, cuts: Array
+    ) -> tuple[SubExposures, SubExposures | None, tuple[Index, Index]]:
         """Sub-exposures for the glints, and fewer for the balls, which are wide and faint.
 
-        Of more than two balls the faint glints are at the fewer ones too. A faint spot at the one moment of a piece
-        gets the variance (T, N, 2), px^2, of its motion in that piece, which is returned last. A ball at one moment
-        lacks it: the steepest edge, of contrast c, then changes by .01 c u^2 for a travel of u sigma.
+        Of more than two balls, some hit another in most exposures. There are then no fewer ones, but the numbers (F,)
+        to which those of each frame are merged, for the primary glints and for all else. A ball that is drawn once for
+        a travel of u sigma lacks its blur: the steepest edge, of contrast c, changes by .01 c u^2.
         """
         size = np.array(self.camera.size)
         bounds, weights, frames, moves = self._split_exposures(centres, spans, cuts, -size, 2 * size)
         waves = [2 * np.pi * lamp.flicker.frequency for lamp in self.lamp.all if lamp.flicker.depth]
         wave = np.diff(bounds, axis=1)[:, 0] * max(waves, default=0.0)
         travel = self._travel(moves)
-        few = travel / 4
-        if len(self.radii) > 2:
-            few = np.where(travel < min(2.0, 10 * np.sqrt(self.faintest / max(self.room, 1e-30))), 0.0, few)
-        fine, coarse = (place_sub_exposures(bounds, weights, frames, path, wave) for path in (travel, few))
-        alone = np.bincount(coarse.pieces, minlength=len(bounds))[coarse.pieces] == 1
-        return fine, coarse, np.where(alone[:, None, None], moves[coarse.pieces] ** 2 / 12, 0)
+        fine = place_sub_exposures(bounds, weights, frames, travel, wave)
+        whole = np.zeros((len(spans), len(self.radii)))
+        np.add.at(whole, frames, np.linalg.norm(moves, axis=2))
+        path = self._travel(whole[..., None])
+        turns = np.ceil(np.diff(spans, axis=1)[:, 0] * max(waves, default=0.0)).astype(int)
+        least = np.where(turns > 0, 2 + turns, 1)
+        steps = 1.0, min(2.0, 10 * np.sqrt(self.faintest / max(self.room, 1e-30)))
+        primary, rest = (np.maximum(least, np.ceil(path / step)).astype(int) for step in steps)
+        pair = len(self.radii) <= 2
+        return fine, place_sub_exposures(bounds, weights, frames, travel / 4, wave) if pair else None, (primary, rest)
 
     def _draw_balls(
         self, positions: Array, moments: SubExposures, patches: PixelPatches, selected: Index, scene: Drawn

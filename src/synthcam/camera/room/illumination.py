@@ -39,6 +39,7 @@ Index = NDArray[np.intp]
 # Up to this distance from its point of contact a ball changes the light on the plate. Over the second distance, this
 # change fades to nothing.
 REACH_RADII, FADE_RADII = 7.0, 3.0
+EXCHANGE_REACH_RADII = 5.0  # of many balls: further away, a white one returns less than 4 % of the light
 
 
 @dataclass(frozen=True)
@@ -99,15 +100,23 @@ class Illumination:
         soft: rms blur of a shadow's edge, m.
         """
         bare = self._lights(points)
-        shares = np.ones((len(centres), *bare.shape))  # of the light, which each ball leaves
-        for ball, centre in enumerate(centres):
-            near, kept = self._unshadowed_shares(ball, points, centre, soft)
-            shares[ball, near] = kept
-        total = np.repeat((bare * shares.prod(axis=0)).sum(axis=1)[:, None], self.finish.channels, axis=1)
+        shares = [self._unshadowed_shares(ball, points, centre, soft) for ball, centre in enumerate(centres)]
+        left = np.ones(bare.shape)  # of the light, by all balls
+        for near, kept in shares:
+            left[near] *= kept
+        total = np.repeat((bare * left).sum(axis=1)[:, None], self.finish.channels, axis=1)
         local = self.bare(centres * [1, 1, 0])
         for ball, centre in enumerate(centres):
             near, fade = self._near(ball, points, centre)
-            others = np.delete(shares[:, near], ball, axis=0).prod(axis=0)
+            if not len(near):
+                continue
+            others = np.ones(bare.shape)
+            for k in np.flatnonzero(
+                np.hypot(*(centres - centre)[:, :2].T) < 2 * self.reach * self.radii.max()
+            ).tolist():
+                if k != ball:
+                    others[shares[k][0]] *= shares[k][1]
+            others = others[near]
             dim = (bare[near] * others).sum(axis=1) / bare[near].sum(axis=1)  # its light comes from about there
             thrown = self.bounces[ball].on_plate((points[near, :2] - centre[:2]) / self.radii[ball])
             total[near] += (local[ball] * fade * dim)[:, None] * thrown
@@ -140,7 +149,7 @@ class Illumination:
         lamps = np.zeros(len(points))
         for cell in self.cells:
             light = _irradiance(cell, points, normals)
-            for k in (k for k in range(len(centres)) if k != ball):
+            for k in self._neighbours(ball, centres):
                 light = light * _visible_share(cell, points, centres[k], self.radii[k])
             lamps += light
         sky = self.finish.ambient * (1 + normals[:, 2]) / 2
@@ -148,6 +157,12 @@ class Illumination:
         if exchange is not None:
             total += exchange.on_ball(ball, normals)
         return np.asarray(np.maximum(total, 0))
+
+    def _neighbours(self, ball: int, centres: Array, reach: float = np.inf) -> list[int]:
+        """Other balls up to `reach` radii away, or as far as a shadow falls; of two balls the other one."""
+        far = np.sqrt(dot(centres - centres[ball], centres - centres[ball]))
+        near = far < min(reach, self.reach + 2) * self.radii.max()
+        return [k for k in range(len(centres)) if k != ball and (near[k] or len(centres) == 2)]
 
     def _from_plate(self, ball: int, normals: Array, centres: Array) -> Array:
         """Light (n, c) from the plate on a ball, reduced by the shadows of other balls on that part of the plate."""
@@ -159,7 +174,7 @@ class Illumination:
         looks = foot + 4 * self.radii[ball] * normals * [1, 1, 0]
         bare = self._lights(looks)
         left = bare.copy()
-        for k in (k for k in range(len(centres)) if k != ball):
+        for k in self._neighbours(ball, centres):
             near, kept = self._unshadowed_shares(k, looks, centres[k])
             left[near] *= kept
         return np.asarray(out * (left.sum(axis=1) / bare.sum(axis=1))[:, None])
@@ -168,7 +183,9 @@ class Illumination:
         """Exchange of each two balls: the light sent minus the light of plate and sky that the sender hides."""
         if len(centres) == 1:
             return None
-        pairs = [(a, b) for a in range(len(centres)) for b in range(len(centres)) if a != b]
+        pairs = [(a, b) for a in range(len(centres)) for b in self._neighbours(a, centres, EXCHANGE_REACH_RADII)]
+        if not pairs:
+            return None
         found: BallExchange | None = None
         for _ in range(3):  # reflections to and fro
             tables = {}
@@ -217,18 +234,19 @@ class Illumination:
         out = np.full((len(points), self.finish.channels), self.finish.ambient)
         nearest = np.full(len(points), np.inf)
         meets = np.full(len(points), -1)
-        for k in range(len(centres)):
+        seen = self._neighbours(ball, centres)
+        for k in seen:
             offset = points - centres[k]
             b, c = dot(offset, ways), dot(offset, offset) - self.radii[k] ** 2
             root = b * b - c
-            hit = (root > 0) & (b < 0) & (-b - np.sqrt(np.maximum(root, 0)) < nearest) & (k != ball)
+            hit = (root > 0) & (b < 0) & (-b - np.sqrt(np.maximum(root, 0)) < nearest)
             nearest[hit] = (-b - np.sqrt(np.maximum(root, 0)))[hit]
             meets[hit] = k
         down = np.flatnonzero((meets < 0) & (ways[:, 2] < -1e-6))
         if len(down):
             hit_at = points[down] - ways[down] * (points[down, 2:] / ways[down, 2:])
             out[down] = self.plate * self.on_plate(hit_at * [1, 1, 0], centres)
-        for k in range(len(centres)):
+        for k in seen:
             own = np.flatnonzero(meets == k)
             if len(own):
                 at = points[own] + nearest[own, None] * ways[own]

@@ -207,8 +207,10 @@ class RoomRenderer(Renderer):
     def _shares(self, ball: int, centres: Array, way: Array) -> Array:
         """Share of each sample in which this ball is in front. Outlines are ramps one sample wide."""
         own, near = _cover(self.camera.centre, way, centres[ball], self.radii[ball])
+        at, scale = self.camera.project(centres), self.radii / self.camera.scale
         for k in range(len(centres)):
-            if k != ball:
+            apart = np.hypot(*(at[k] - at[ball])) > 2 * (scale[k] + scale[ball]) + 2 and len(centres) > 2
+            if k != ball and not apart:
                 other, before = _cover(self.camera.centre, way, centres[k], self.radii[k])
                 own = own * np.where(before < near, 1 - other, 1)
         return own
