@@ -68,7 +68,10 @@ def write_clip(
         "pixels_sha256": pixels,
     }
     _write_json(secret / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
-    for name, table in (("tracks", clip.tracks), ("events", clip.solve().events)):
+    tables = {"tracks": clip.tracks, "events": clip.solve().events}
+    if clip.drawn.get("launches"):
+        tables["energy"] = clip.energy
+    for name, table in tables.items():
         # by way of memory, so that a full disk is the same error as for other files
         (secret / f"{name}.parquet").write_bytes(table.to_parquet(index=False))
 

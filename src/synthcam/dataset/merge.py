@@ -136,6 +136,7 @@ def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: PartialData
         "truth/scene.json",
         "truth/tracks.parquet",
         "truth/events.parquet",
+        "truth/energy.parquet",
     }
     if strange := next((f for f in files if f.removeprefix(name) not in files_of_clip), None):
         raise InputError(f"{shard}: {strange}: not a file of a clip")

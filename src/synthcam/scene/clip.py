@@ -210,6 +210,18 @@ class Clip:
         """
         return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames, self.orientation)
 
+    @property
+    def energy(self) -> pd.DataFrame:
+        """The energy of all bodies at the middle of each exposure, and by what it went since the start, J.
+
+        - frame; t_s: time, s; energy: of translation, spin and height
+        - lost_in_contacts, lost_at_walls: in hits
+        - lost_by_sliding, lost_by_rolling, lost_in_air: during such motion
+        - given_by_hand: by launches and pushes
+        """
+        times = np.clip(self.view.spans(self.frames).mean(axis=1), self.view.motion.t0, self.view.motion.t1)
+        return ground_truth.energies(self.launch.bodies, self.view.motion, times, self.model.gravity)
+
 
 def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
     """Build the clip of checked settings without distributions. Raises InputError if they contradict each other."""

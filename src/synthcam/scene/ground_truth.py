@@ -137,3 +137,44 @@ def events(motion: Trajectory, fps: float) -> pd.DataFrame:
     for name in dict.fromkeys(name for e in motion.events for name in e.drawn):
         table[name] = [e.drawn.get(name, np.nan) for e in motion.events]
     return table
+
+
+SINKS = {
+    "lost_in_contacts": ("contact", "contact_end", "together", "apart"),
+    "lost_at_walls": ("wall",),
+    "lost_by_sliding": ("slide",),
+    "lost_by_rolling": ("roll",),
+    "lost_in_air": ("glide", "fly"),
+    "given_by_hand": ("launch", "push"),
+}
+
+
+def energies(bodies: Bodies, motion: Trajectory, times: Array, gravity: float) -> pd.DataFrame:
+    """Make the table of `truth/energy.parquet`: energy at times (m,), s, and by what it went since the start, J.
+
+    The energy is that of translation, spin and height. An event takes what the bodies lose in that instant, a kind of
+    motion what they lose along it; `given_by_hand` has the other sign.
+    """
+    lost = {name: np.zeros(len(times)) for name in SINKS}
+    sink = {kind: name for name, kinds in SINKS.items() for kind in kinds}
+
+    def energy(states: Array, ball: Any) -> Array:
+        mass, radius = bodies.mass[ball], bodies.radius[ball]
+        spin = bodies.inertia[ball] * radius**2 * (states[..., 6:9] ** 2).sum(axis=-1)
+        return np.asarray(mass * ((states[..., 3:6] ** 2).sum(axis=-1) / 2 + spin / 2 + gravity * states[..., 2]))
+
+    for event in motion.events:
+        if event.kind in sink and event.before is not None and event.after is not None:
+            balls = [event.i, event.j][: len(event.before)]
+            jump = energy(np.asarray(event.before), balls) - energy(np.asarray(event.after), balls)
+            lost[sink[event.kind]][times >= event.t] += jump.sum()
+    for ball, legs in enumerate(motion.legs):
+        for leg in (leg for leg in legs if leg.motion in sink):
+            later = np.flatnonzero(times > leg.t0)
+            ends = np.minimum(times[later], leg.t1)
+            states = leg.at(np.concatenate([[leg.t0], ends]))
+            lost[sink[leg.motion]][later] += energy(states[0], ball) - energy(states[1:], ball)
+    lost["given_by_hand"] = 0.0 - lost["given_by_hand"]
+    whole = energy(motion.at(times).swapaxes(0, 1), np.arange(len(motion.legs))).sum(axis=1)
+    rest = float((bodies.mass * bodies.radius).sum() * gravity)
+    return pd.DataFrame({"frame": np.arange(len(times)), "t_s": times, "energy": whole - rest} | lost)

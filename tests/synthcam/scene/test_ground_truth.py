@@ -13,7 +13,7 @@ from synthcam.effects.velocity_restitution import VelocityRestitution
 from synthcam.model import Model
 from synthcam.scene import ground_truth
 from synthcam.scene.film_time import FilmedMotion
-from synthcam.scene.scene import check_scene
+from synthcam.scene.scene import Scene, check_scene
 
 R = Model().ball.radius
 PAIR, ALONE = Model().bodies("ab"), Model().bodies("b")
@@ -228,3 +228,42 @@ def test_events_table():
     assert table.impulse_n[1:].isna().all()
     alone = solve(Model(), Launch.single(ALONE, 0.1, 0.3, 0.4, (0, 0)), 0.0, 0.4)
     assert ground_truth.events(alone, 250).dtypes.to_dict() == table.dtypes.to_dict()
+
+
+PUCKS = {
+    "ball": {"diameter": 0.06, "density": 1000},
+    "model": {"restitution": 0.8, "spin_transfer": 0},
+    "bodies": {"shape": "disc", "mass": 0.02},
+    "support": {"kind": "air", "decel": 0.1},
+    "launches": [
+        {"position": [0.0, 0.0]},
+        {"position": [-0.3, 0.0], "velocity": [1.0, 0.0]},
+        {"position": [0.3, 0.2], "push": {"until": 0.1, "acceleration": [-2.0, 0.0]}},
+    ],
+    "walls": [{"start": [0.2, 0.5], "end": [0.2, -0.1]}],
+    "camera": {"scale": 2.5e-3, "height": 2.0},
+}
+
+
+@pytest.mark.parametrize("name", ["tray", "pool", "pucks", "slide"])
+def test_the_energy_lost_is_what_contacts_walls_plate_and_air_took(name):
+    timing = {"timing": {"frames": 60, "fps": 50, "exposure": 0.0}}
+    slides = {"launches": [{"position": [0.0, 0.0], "velocity": [0.5, 0.0], "slip": [0.5, 0.0]}]}
+    some = {"tray": Scene.read("tray", **timing), "pool": Scene.read("break", **timing)}
+    made = {"pucks": PUCKS, "slide": slides}
+    clip = (some.get(name) or check_scene({"name": name, **made.get(name, {}), **timing}, name)).draw(seed=1)
+    table, bodies = clip.energy, clip.launch.bodies
+    lost = table.filter(like="lost").sum(axis=1) - table["given_by_hand"]
+    states = clip.launch.states
+    first = 0.5 * bodies.mass @ (states[:, 3:5] ** 2).sum(axis=1)
+    first += 0.5 * (bodies.mass * bodies.inertia * bodies.radius**2) @ (states[:, 6:] ** 2).sum(axis=1)
+    np.testing.assert_allclose(table["energy"] + lost, first, rtol=1e-9)
+    assert (table.filter(like="lost").diff().iloc[1:] > -1e-9 * first).all(axis=None)
+    if name == "pucks":  # the first hit is head on, of 1 m/s less the air's share: it takes (1 - r^2)/4 m v^2
+        hit = clip.solve().events.query("kind == 'contact'")["t_s"].iloc[0]
+        before = table["lost_in_contacts"][table["t_s"] > hit].iloc[0]
+        assert before == pytest.approx((1 - 0.8**2) / 4 * 0.02 * (1 - 2 * 0.1 * 0.24), rel=1e-9)
+        assert table["given_by_hand"].iloc[-1] == pytest.approx(0.02 / 2 * 0.2**2, rel=1e-9)
+        assert table["lost_by_sliding"].iloc[-1] == 0
+    if name == "slide":  # 2/7 of the energy of a ball that starts without spin
+        assert table["lost_by_sliding"].iloc[-1] == pytest.approx(2 / 7 * bodies.mass[0] / 2 * 0.5**2, rel=1e-9)
