@@ -16,8 +16,7 @@ from tracker_film import CAMERA, collision, film
 
 api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make test-app installs it")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-if CHROMIUM is None:
-    pytest.skip("no Chromium on this machine: apt-get install chromium", allow_module_level=True)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: apt-get install chromium")
 
 PATHS = collision(60)  # equal balls; 0.8 and 0.2 of the speed along the line of centres after the hit: r is 0.6
 
