@@ -3,19 +3,23 @@
 A ball is a sphere. Its outline is exact for a pinhole camera with a lens: the rays that touch the sphere.
 """
 
+import pickle
+from dataclasses import replace
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.pinhole import PinholeCamera
 
 Array = NDArray[np.float64]
-POINTS_ON_OUTLINE = 128  # a box is then at most 3e-4 of a radius too small
 
 
 def find_boxes(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
     """Find the boxes (N, 4) round the outlines, px: left, top, right and bottom, cut at the rim of the picture.
 
-    A box out of view has no area. centres: (N, 3), m. radii: (N,), m.
+    The farthest points of an outline are those of the map's slope at its middle, which is right to second order in the
+    size of the ball. A box out of view has no area. centres: (N, 3), m. radii: (N,), m.
     """
     towards = camera.centre - centres
     distance = np.linalg.norm(towards, axis=1)
@@ -23,14 +27,15 @@ def find_boxes(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
     side = np.cross(towards, [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side, axis=1)[:, None]
     across = np.cross(side, towards / distance[:, None])
-    angles = np.linspace(0, 2 * np.pi, POINTS_ON_OUTLINE, endpoint=False)[:, None]
-    ring = np.cos(angles) * side[:, None] + np.sin(angles) * across[:, None]
     middle, radius = centres + towards * share[:, None] ** 2, radii * np.sqrt(1 - share**2)
-    pixels = camera.project(middle[:, None] + radius[:, None, None] * ring)
-    corner = np.array(camera.size) - 0.5
-    return np.concatenate(
-        [np.clip(pixels.min(axis=1), -0.5, corner), np.clip(pixels.max(axis=1), -0.5, corner)], axis=1
-    )
+    _, slope = camera.project_with_slope(middle)
+    angle = np.arctan2(*(np.einsum("nij,nj->ni", slope, along) for along in (across, side)))  # (N, 2), largest x and y
+    ring = np.cos(angle)[..., None] * side[:, None] + np.sin(angle)[..., None] * across[:, None]
+    signs = np.array([-1.0, 1.0])[:, None, None, None]
+    ends = camera.project(middle[:, None] + signs * radius[:, None, None] * ring)  # (2, N, 2, 2)
+    extremes = np.einsum("snii->sni", ends)  # x of the one, y of the other
+    low, high = np.clip(np.sort(extremes, axis=0), -0.5, np.array(camera.size) - 0.5)
+    return np.concatenate([low, high], axis=1)
 
 
 def label_pixels(
@@ -43,13 +48,28 @@ def label_pixels(
     picture = np.zeros(camera.size[::-1], np.uint16)
     away = centres - camera.centre
     touching = (away**2).sum(axis=1) - radii**2  # square of the length of a ray up to where it touches the sphere
+    table = _trace_all_pixels(pickle.dumps(replace(camera, camera_json={}))) if camera.dist.any() else None
     for k in np.argsort(-touching):  # the farthest first: this order is right for spheres that do not overlap
         left, top = np.ceil(boxes[k, :2]).astype(int)
         right, bottom = np.floor(boxes[k, 2:]).astype(int) + 1
         if left >= right or top >= bottom:
             continue
-        rays = camera.unproject(np.stack(np.meshgrid(np.arange(left, right), np.arange(top, bottom)), axis=-1))
+        if table is None:
+            rays = camera.unproject(_list_pixels(left, right, top, bottom))
+        else:
+            rays = table[top:bottom, left:right]
         along = rays @ away[k]
         inside = along * np.abs(along) >= touching[k] * (rays**2).sum(axis=-1)
         picture[top:bottom, left:right][inside] = labels[k]
     return picture
+
+
+def _list_pixels(left: int, right: int, top: int, bottom: int) -> Array:
+    return np.stack(np.meshgrid(np.arange(left, right), np.arange(top, bottom)), axis=-1).astype(float)
+
+
+@lru_cache(maxsize=1)
+def _trace_all_pixels(camera: bytes) -> Array:
+    """The rays (height, width, 3) of all pixels of a pickled camera: to undo a lens takes a microsecond for each."""
+    read: PinholeCamera = pickle.loads(camera)
+    return read.unproject(_list_pixels(0, read.size[0], 0, read.size[1]))
