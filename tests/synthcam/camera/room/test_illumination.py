@@ -53,6 +53,27 @@ def test_a_red_ball_reddens_the_plate():
     assert g == pytest.approx(b)
 
 
+def test_far_balls_that_many_leave_out_change_the_light_by_a_hundredth(monkeypatch):
+    """Of many balls, only near ones shade each other and exchange light."""
+    spots = np.array([[0.0, 0.0], [2.05, 0.0], [1.0, 5.5], [-9.0, -2.0], [3.0, -8.0]])
+    centres = R * np.pad(spots, ((0, 0), (0, 1)), constant_values=1.0)
+    look = shade(0.3, ((0.85,),) * 5, lamp=Lamp(np.array([0.28, 0.2, 0.55]), 0.05))
+    normals = np.random.default_rng(0).standard_normal((200, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+
+    def light():
+        exchange = look.exchange(centres)
+        balls = [look.on_ball(k, c + R * normals, normals, centres, exchange) for k, c in enumerate(centres)]
+        plate = look.on_plate(np.random.default_rng(1).uniform(-0.1, 0.1, (500, 3)) * [1, 1, 0], centres)
+        return np.concatenate([*balls, plate])
+
+    pruned = light()
+    monkeypatch.setattr(look.__class__, "_neighbours", lambda *a: [k for k in range(5) if k != a[1]])
+    whole = light()
+    assert 0 < np.abs(pruned - whole).max() < 0.03
+    assert np.sqrt(((pruned - whole) ** 2).mean()) < 0.005
+
+
 def test_wide_lamps_are_cut_and_keep_their_light():
     wide = Lamp(np.array([0.0, 0.0, 0.5]), 0.25)
     found = shade(0.0, lamp=wide)
