@@ -50,7 +50,7 @@ READERS: dict[str, tuple[str, Callable[[Path], list[RecordedHit]]]] = {
 
 def measure_hit(hit: RecordedHit, support: str, tied: bool = False) -> dict[str, Any]:
     """Measure one hit: the columns of its local estimate, and with `tied` the row of its first collision."""
-    keys = hit.camera | {"support": support}
+    keys = hit.camera | ({"support": support} if support else {})
     masses = keys.get("ball_masses", [1.0, 1.0])
     if tied:
         return {"name": hit.name} | dict(tracker.measure(hit.tracks, keys, unit="m").rows[0])

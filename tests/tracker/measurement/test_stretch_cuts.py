@@ -59,3 +59,12 @@ def test_the_local_estimate_follows_a_ball_to_the_next_contact_only(after):
     assert 0.02 < np.abs(stretch.time - 0.61).min() < 0.06
     assert ((stretch.time < 0.61) == after).all()
     assert 1 <= stretch.near.sum() <= 2
+
+
+def test_noise_of_a_ball_that_moves_is_no_kink_though_it_is_still_at_rest():
+    """A codec repeats a ball at rest, and errs by forty times more as soon as it moves."""
+    rng, time = np.random.default_rng(2), np.arange(260) / 240
+    way, noise = np.maximum(time - 200 / 240, 0), np.where(np.arange(260) < 200, 1e-5, 4e-4)
+    position = np.outer(way, [1.0, 0.2]) + noise[:, None] * rng.normal(size=(260, 2))
+    ball = BallTrack(1, np.arange(260), time, position, np.tile(np.eye(2) * 1e-10, (260, 1, 1)), 0.0)
+    assert cut_stretch(ball, 1, True, 0.5, (200 / 240, 200 / 240), 1 / 240).time[-1] > time[-4]

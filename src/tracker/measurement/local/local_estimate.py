@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.camera_errors import camera_errors
+from tracker.measurement.camera_errors import CameraError, camera_errors
 from tracker.measurement.collision.adequacy import p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
 from tracker.measurement.collision.contacts import Contact, guess_launch
@@ -20,6 +20,8 @@ from tracker.measurement.local.local_fit import (
     choose_window,
     fit_motions,
     guess_contact,
+    mix_solutions,
+    shows_end,
     weigh_by_residuals,
 )
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 MIN_POSITIONS = 3  # of each stretch
-SLIDE_END_SIGMA = 10.0  # errors of a position by which a slide that does not end would pass the last one
 MASS_STEP = 1e-4  # of the logarithm of the mass ratio, for derivatives
 SIDES = ((1, False), (2, False), (1, True), (2, True))  # ball, whether after the contact
 VELOCITIES = ("v1ix", "v1iy", "v2ix", "v2iy", "v1ox", "v1oy", "v2ox", "v2oy")  # m/s, just before and after
@@ -95,13 +96,13 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
             for s in whole
         ]
         priors = _allow_for_duration(known, stretches, contact, camera)
-        solution = fit_motions(stretches, instant, rests, glides, priors)
-        late, instant = float(solution.x[0]) - instant, float(solution.x[0])
+        found = fit_motions(stretches, instant, rests, glides, priors)
+        late, instant = float(found[0].x[0]) - instant, float(found[0].x[0])
         again = _cut_stretches(contact, camera, instant)
         same = all(len(a) == len(b) for a, b in zip(whole, again, strict=True))
         if turn == 2 or lasts or same or abs(late) > 3 / camera.fps:
             break
-    return _read_values(solution, contact, camera, masses)
+    return _read_values(found, contact, camera, masses)
 
 
 def _stay_together(contact: Contact, instant: float, *, least_positions: int = 10, least_r: float = 0.05) -> bool:
@@ -174,13 +175,44 @@ def _cut_stretches(contact: Contact, camera: Camera, instant: float) -> list[Str
 
 
 def _read_values(
-    claimed: LocalSolution, contact: Contact, camera: Camera, masses: tuple[float, float]
+    found: Sequence[LocalSolution], contact: Contact, camera: Camera, masses: tuple[float, float]
 ) -> LocalEstimate:
-    """The estimate by a solution with the claimed errors, widened to the size of the residuals."""
-    noise_dof = contact.pair.striker.noise_dof
-    solution = weigh_by_residuals(claimed, bool(np.isinf(noise_dof)))
+    """The estimate by solutions with the claimed errors, the best first, widened to the size of the residuals.
+
+    It is a mean over the motions that the positions allow.
+    """
+    noise_dof, claimed = contact.pair.striker.noise_dof, found[0]
+    solutions = mix_solutions(weigh_by_residuals(found, bool(np.isinf(noise_dof))))
+    mixture = [(weight, *_read_solution(each, camera, masses)) for weight, each in solutions]
+    solution = solutions[0][1]
+    weights = np.array([weight for weight, *_ in mixture])
+    each, covs, responses, effects = (np.stack([part[k] for part in mixture]) for k in range(1, 5))
+    value = weights @ each
+    off = np.nan_to_num(each - value) * np.sqrt(weights)[:, None]
+    v0, b = (value[LOCAL_NAMES.index(name)] for name in ("v0", "b"))
+    return LocalEstimate(
+        value=value,
+        cov=np.tensordot(weights, covs, 1) + off.T @ off,
+        response=np.tensordot(weights, responses, 1),
+        normal_speed=float(v0 * np.sqrt(max(1 - b**2, 0.0))),
+        chi2=claimed.chi2,
+        dof=claimed.dof,
+        adequate=p_value(claimed.chi2, claimed.dof, noise_dof),
+        glides=solution.problem.glide,
+        unseen=frozenset(_list_unseen(solution)),
+        errors_known=bool(np.isinf(noise_dof)),
+        shared={
+            error.key: (error.value, effect)
+            for error, effect in zip(_list_errors(camera), np.tensordot(weights, effects, 1), strict=True)
+        },
+    )
+
+
+def _read_solution(
+    solution: LocalSolution, camera: Camera, masses: tuple[float, float]
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Values of one solution, their covariance, their response, and the effects (k, n) of errors of the camera file."""
     problem, x = solution.problem, solution.x
-    own = {(s.ball, s.after): k for k, s in enumerate(problem.stretches)}
     std = np.sqrt(np.maximum(np.diag(solution.cov), 0.0))
     step = 0.01 * std + 1e-9
     high, low = (_quantities(solution, x + sign * np.diag(step), masses) for sign in (1, -1))
@@ -192,10 +224,10 @@ def _read_values(
     axes = (normal, np.array([-normal[1], normal[0]]))
     shifts = np.zeros((len(x), 8))
     for i, side in enumerate(SIDES):
-        at = problem.start[own[side]]
+        k = next(k for k, s in enumerate(problem.stretches) if (s.ball, s.after) == side)
         for axis, unit in enumerate(axes):
-            if problem.motions[own[side]].moves:
-                shifts[at + 2 : at + 4, 2 * i + axis] = unit
+            if problem.motions[k].moves:
+                shifts[problem.start[k] + 2 : problem.start[k] + 4, 2 * i + axis] = unit
     heavier = _quantities(solution, x[None], (masses[0] * np.exp(MASS_STEP), masses[1]))[0]
     by_mass = (heavier - value) / MASS_STEP
     unknown = ~(np.isfinite(value) & np.isfinite(slope).all(axis=1))
@@ -204,41 +236,18 @@ def _read_values(
     by_mass = merge @ np.where(unknown, 0.0, by_mass)
     slope, value = merge @ slope, merge @ np.where(unknown, 0.0, value)
     value[merge[:, unknown].any(axis=1)] = np.nan
-    shared = {key: (value, slope @ shift) for key, value, shift in _camera_shifts(solution, camera)}
-    by_camera = np.array([effect for _, effect in shared.values()]).reshape(-1, len(slope))
-    v = [_velocity(solution, x[None], side)[0] for side in SIDES]
-    response = slope @ shifts
-    hidden = response * np.repeat([_hidden_change(solution, own[side]) for side in SIDES], 2)
-    return LocalEstimate(
-        value=value,
-        cov=slope @ solution.cov @ slope.T + by_camera.T @ by_camera + hidden @ hidden.T,
-        response=np.column_stack([response, by_mass]),
-        normal_speed=float((v[1] - v[0]) @ normal),
-        chi2=claimed.chi2,
-        dof=claimed.dof,
-        adequate=p_value(claimed.chi2, claimed.dof, noise_dof),
-        glides=problem.glide,
-        unseen=frozenset(_list_unseen(solution)),
-        errors_known=bool(np.isinf(noise_dof)),
-        shared=shared,
-    )
+    effects = np.array([slope @ shift for shift in _camera_shifts(solution, camera)]).reshape(-1, len(slope))
+    cov = slope @ solution.cov @ slope.T + effects.T @ effects
+    return value, cov, np.column_stack([slope @ shifts, by_mass]), effects
 
 
-def _hidden_change(solution: LocalSolution, k: int, least: int = 4, share: float = 0.2) -> float:
-    """Error of a velocity after the contact, m/s, if a slide is shorter than `least` positions away from the contact.
-
-    Errors of first order do not hold then. It is a share of the change of velocity by the slide.
-    """
-    problem, stretch = solution.problem, solution.problem.stretches[k]
-    if not problem.slides_first(k):
-        return 0.0
-    tau, pull = (part[0] for part in _slide(solution, solution.x[None], k))
-    seen = ~stretch.near & (stretch.time - solution.x[0] < tau)
-    return share * float(tau * np.hypot(*pull)) if seen.sum() < least else 0.0
+def _list_errors(camera: Camera) -> list[CameraError]:
+    """The errors of the camera file that change velocities."""
+    return [error for error in camera_errors(camera) if error.key != "ball_diameter"]
 
 
-def _camera_shifts(solution: LocalSolution, camera: Camera) -> Iterator[tuple[str, float, Floats]]:
-    """Iterate over the errors of the camera file: key, value, and change (n,) of the parameters by one error."""
+def _camera_shifts(solution: LocalSolution, camera: Camera) -> Iterator[Floats]:
+    """Iterate over the changes (n,) of the parameters by one error of the camera file."""
     x = solution.x
     scale, rate = np.zeros(len(x)), np.zeros(len(x))
     for k, motion in enumerate(solution.problem.motions):
@@ -250,9 +259,8 @@ def _camera_shifts(solution: LocalSolution, camera: Camera) -> Iterator[tuple[st
         if motion.ends:
             rate[at + 6] = -1.0
     scale[5], rate[5], rate[0] = 1.0, 2.0, -x[0]
-    for error in camera_errors(camera):
-        if error.key != "ball_diameter":
-            yield error.key, error.value, error.share * (rate if error.key == "fps" else scale)
+    for error in _list_errors(camera):
+        yield error.share * (rate if error.key == "fps" else scale)
 
 
 def _list_unseen(solution: LocalSolution) -> list[str]:
@@ -262,12 +270,8 @@ def _list_unseen(solution: LocalSolution) -> list[str]:
         return [*out, *_FRICTION]
     for k, (stretch, motion) in enumerate(zip(problem.stretches, problem.motions, strict=True)):
         if stretch.after and motion.ends:
-            at, ball = problem.start[k] + 6, stretch.ball
-            rest = float(stretch.time[-1] - solution.x[0] - np.exp(solution.x[at]))
-            friction = float(np.exp(solution.x[5] + solution.x[at - 2])) * GRAVITY
-            error = float(np.median(stretch.std)) * solution.sizes[k]
-            off = friction * max(rest, 0.0) ** 2 / 2 / error  # at the last position, if the slide went on
-            if off < SLIDE_END_SIGMA or not solution.cov[at, at] < 0.04:
+            ball = stretch.ball
+            if not shows_end(solution, k):
                 out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *_AFTER_SLIDES]
         elif stretch.ball == 2 and motion.pushed:
             out += ["C", "w1n", "w1t", "w2n", "w2t"]

@@ -9,19 +9,22 @@ Weak knowledge keeps short stretches regular, as rows of the least squares:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, evaluate_path
 
 Floats = NDArray[np.float64]
 MAX_RESIDUAL = 2.0  # rms residual of a window, in errors
+MAX_SOLUTIONS = 8  # that are averaged
+MAX_COST = 16.0  # beyond that of the best duration of a slide
 
 
 @dataclass(frozen=True)
@@ -44,12 +47,16 @@ class LocalPriors:
 
 @dataclass(frozen=True)
 class LocalProblem:
-    """The stretches of one hit with their motions; `glide` if the bodies slide on air, where pushes are unlike."""
+    """The stretches of one hit with their motions; `glide` if the bodies slide on air, where pushes are unlike.
+
+    slides: of stretches whose slide has an assumed duration, that duration, s, and the error of its logarithm.
+    """
 
     stretches: tuple[Stretch, ...]
     motions: tuple[MotionKind, ...]
     priors: LocalPriors
     glide: bool
+    slides: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     start: tuple[int, ...] = field(init=False)  # of each stretch in the vector of parameters
     spans: tuple[float, ...] = field(init=False)  # duration of each stretch, s
 
@@ -136,8 +143,25 @@ class LocalProblem:
 
         The first rows, of the distance and of the directions of friction, are not linear; they are zero here.
         """
-        p, curved = self.priors, 1 + sum(self.slides_first(k) for k in range(len(self.stretches)))
-        rows: list[tuple[float, float, dict[int, float]]] = [(0.0, 1.0, {})] * curved  # value, error, factors
+        rows = self._list_known()
+        matrix = np.zeros((len(rows), self.size))
+        for i, (_, error, factors) in enumerate(rows):
+            for j, factor in factors.items():
+                matrix[i, j] = factor / error
+        return np.array([value / error if by else 0.0 for value, error, by in rows]), matrix
+
+    @cached_property
+    def log_width(self) -> float:
+        """Logarithm of the volume of what is known of the motions, any direction of a slide before the contact."""
+        free = sum(self.rubs(k) and not self.slides_first(k) for k in range(len(self.motions)))
+        return float(sum(np.log(error) for _, error, _ in self._list_known())) + free * float(np.log(2 * np.pi) / 2)
+
+    def _list_known(self) -> list[tuple[float, float, dict[int, float]]]:
+        """Prior knowledge: value, error, and factors of the parameters; none of what is not linear."""
+        p = self.priors
+        rows: list[tuple[float, float, dict[int, float]]] = [(0.0, p.distance_share * p.diameter, {})]
+        slides = [k for k in range(len(self.stretches)) if self.slides_first(k)]
+        rows += [(0.0, np.pi / np.sqrt(3) if self.motions[self._before(k)].pushed else p.turn, {}) for k in slides]
         rows += [(np.log(p.friction), p.friction_factor, {5: 1.0}), (p.loss, p.loss, {6: 1.0})]
         for k, motion in enumerate(self.motions):
             at, last = self.start[k], self.start[k + 1] - 1
@@ -147,14 +171,15 @@ class LocalProblem:
             elif motion.pushed:
                 rows.append((0.0, p.friction_scatter, {at + 4: 1.0}))
             if motion.ends:
-                rows.append((np.log(p.slide_s), p.slide_factor, {at + 6: 1.0}))
+                lasts, factor = self.slides.get(k, (p.slide_s, p.slide_factor))
+                rows.append((np.log(lasts), factor, {at + 6: 1.0}))
             if motion.rolls:
                 rows.append((0.0, p.loss_scatter, {last: 1.0, 6: -1.0}))
-        matrix = np.zeros((len(rows), self.size))
-        for i, (_, error, factors) in enumerate(rows):
-            for j, factor in factors.items():
-                matrix[i, j] = factor / error
-        return np.array([value / error for value, error, _ in rows]), matrix
+        return rows
+
+    def _before(self, k: int) -> int:
+        """Find the stretch of the same body before the contact."""
+        return next(i for i, s in enumerate(self.stretches) if s.ball == self.stretches[k].ball and not s.after)
 
     def _add_distance(self, x: Floats, known: Floats, by: Floats) -> None:
         """Add the residual and the derivatives of the distance at which the bodies touch."""
@@ -169,7 +194,7 @@ class LocalProblem:
         A ball that rolled or rested is brought back towards its velocity before the hit, but for what the rub of the
         bodies adds to its spin. That of a ball that slid is all but unknown.
         """
-        before = next(i for i, s in enumerate(self.stretches) if s.ball == self.stretches[k].ball and not s.after)
+        before = self._before(k)
         at, from_ = self.start[k], self.start[before]
         moved = self.motions[before].moves
         old = x[from_ + 2 : from_ + 4] if moved else np.zeros(2)
@@ -200,6 +225,7 @@ class LocalSolution:
     freedom: Floats  # (2n,) degrees of freedom of each residual
     cost: float  # chi^2 with what is known
     cost_of_known: float
+    log_volume: float  # logarithm of the volume of the errors: half that of the determinant of cov
 
     @property
     def chi2(self) -> float:
@@ -216,6 +242,11 @@ class LocalSolution:
         """True if chi^2 is what the claimed errors make it, and nothing known is far off."""
         usual = abs(self.chi2 - self.dof) < 3 * float(np.sqrt(2 * self.dof))
         return usual and self.cost_of_known < 15
+
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the probability of the positions by the motions of the problem, but for a constant."""
+        return self.log_volume - self.cost / 2 - self.problem.log_width
 
     @property
     def cost_with_price(self) -> float:
@@ -247,9 +278,12 @@ def solve(problem: LocalProblem, x: Floats, sizes: Sequence[float], steps: int =
             break
     n = 2 * sum(map(len, problem.stretches))
     size = np.sqrt(np.maximum((j**2).sum(axis=0), 1e-300))
-    cov = np.linalg.pinv((j / size).T @ (j / size), rcond=1e-13, hermitian=True) / np.outer(size, size)
+    square = (j / size).T @ (j / size)
+    cov = np.linalg.pinv(square, rcond=1e-13, hermitian=True) / np.outer(size, size)
     freedom = 1 - ((j[:n] @ cov) * j[:n]).sum(axis=1)
-    return LocalSolution(problem, x, cov, tuple(sizes), r[:n], freedom, cost, float(r[n:] @ r[n:]))
+    free = (j == 0).all(axis=0)  # the direction of a slide that no position shows: any
+    volume = -float(np.linalg.slogdet(square + np.diag(1.0 * free))[1] / 2 + np.log(np.where(free, 0.55, size)).sum())
+    return LocalSolution(problem, x, cov, tuple(sizes), r[:n], freedom, cost, float(r[n:] @ r[n:]), volume)
 
 
 def _within_reach(problem: LocalProblem, x: Floats, step: Floats) -> Floats:
@@ -287,6 +321,21 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, zoo
 
 
 def _fit_at(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) -> StretchFit:
+    costs, fits, left = _fit_each(stretch, contact, motion, taus)
+    best = int(np.argmin(costs))
+    out, plain = np.zeros(motion.size), fits.shape[1] - motion.rolls
+    out[: 2 * plain] = fits[best, :plain].ravel()
+    if motion.ends:
+        out[6] = np.log(taus[best])
+    if motion.rolls:
+        out[-1] = 0.05
+    counted = ~stretch.near
+    chi2 = float((stretch.where(counted).whiten(left[best][counted]) ** 2).sum()) if counted.any() else 0.0
+    return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
+
+
+def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) -> tuple[Floats, Floats, Floats]:
+    """Fit a stretch with each duration (m,) of its slide: costs (m,), values (m, k, 2) and residuals (m, n, 2), m."""
     since = stretch.time - contact
     weight = 1 / stretch.std
     ahead = np.abs(since)
@@ -311,17 +360,7 @@ def _fit_at(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) 
     fits = np.linalg.solve(square, np.swapaxes(basis, 1, 2) @ seen)
     left = seen - basis @ fits
     known = sum((fits[:, k] ** 2).sum(axis=1) / width**2 for k, width in enumerate(widths) if width > 0)
-    best = int(np.argmin((left**2).sum(axis=(1, 2)) + known))
-    out, plain = np.zeros(motion.size), len(columns) - motion.rolls
-    out[: 2 * plain] = fits[best, :plain].ravel()
-    if motion.ends:
-        out[6] = np.log(taus[best])
-    if motion.rolls:
-        out[-1] = 0.05
-    counted = ~stretch.near
-    off = left[best] / weight[:, None]
-    chi2 = float((stretch.where(counted).whiten(off[counted]) ** 2).sum()) if counted.any() else 0.0
-    return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
+    return (left**2).sum(axis=(1, 2)) + known, fits, left / weight[:, None]
 
 
 def correlation_factor(left: Floats) -> float:
@@ -337,20 +376,21 @@ def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind
     """Shorten a stretch to the longest window in which the residuals are at most MAX_RESIDUAL errors.
 
     Any force that the motions lack raises the residuals of a window that shows it. The rule does not look at the error
-    of the velocity, because the smallest of several uncertain errors is too small.
+    of the velocity, because the smallest of several uncertain errors is too small. Where no window is so good, the
+    errors are larger than claimed, as of films with loss: the best of the windows then shows how large they are.
     """
-    ahead, chosen = np.abs(stretch.time - contact), stretch
+    ahead, tried = np.abs(stretch.time - contact), list[tuple[Stretch, float]]()
     for share in (1.0, 0.63, 0.4, 0.25, 0.16, 0.1):
         keep = ahead <= share * float(ahead.max(initial=0.0)) * 1.0001
         if int(keep.sum()) < min(least, len(stretch)):
             break
-        chosen = stretch.where(keep)
-        for motion in motions:
-            if 2 * len(chosen) > motion.size:
-                found = fit_single_stretch(chosen, contact, motion)
-                if found.chi2 <= MAX_RESIDUAL**2 * found.dof:
-                    return chosen
-    return chosen
+        window = stretch.where(keep)
+        fits = (fit_single_stretch(window, contact, m) for m in motions if 2 * len(window) > m.size)
+        tried.append((window, min((fit.chi2 / fit.dof for fit in fits), default=np.inf)))
+        if tried[-1][1] <= MAX_RESIDUAL**2:
+            return window
+    best = min((misfit for _, misfit in tried), default=np.inf)
+    return next((window for window, misfit in tried if misfit <= MAX_RESIDUAL**2 * best), stretch)
 
 
 def guess_contact(stretches: Sequence[Stretch], contact: float) -> float:
@@ -392,10 +432,10 @@ def list_motions(stretches: Sequence[Stretch], rests: bool, glide: bool) -> Iter
 
 def fit_motions(
     stretches: Sequence[Stretch], contact: float, rests: bool, glides: Sequence[bool], priors: LocalPriors
-) -> LocalSolution:
+) -> list[LocalSolution]:
     """Fit the motions that the stretches may have, the simplest first, until one describes the positions.
 
-    If none does, the one of the smallest cost with its price is the best.
+    That one is returned alone. If none does, all are returned, and first the one of the smallest cost with its price.
     """
     found: list[LocalSolution] = []
     for glide in glides:
@@ -416,21 +456,37 @@ def fit_motions(
                 x[2 * ball - 1 : 2 * ball + 1] = np.mean(own_places, axis=0)
             for k in range(len(stretches)):
                 x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
-            found.append(solve(problem, x, [1.0] * len(stretches)))
+            found.append(_try_other_starts(solve(problem, x, [1.0] * len(stretches))))
             if found[-1].is_good:  # the simplest come first
-                return found[-1]
+                return found[-1:]
     noise = max(1.0, min(s.chi2 / s.dof for s in found))
-    return min(found, key=lambda s: s.cost / noise + s.cost_with_price - s.cost)
+    return sorted(found, key=lambda s: s.cost / noise + s.cost_with_price - s.cost)
 
 
-def weigh_by_residuals(solution: LocalSolution, known: bool, shared: float = 8.0) -> LocalSolution:
-    """Solve again with errors as large and as lasting as the residuals of each stretch.
+def _try_other_starts(solution: LocalSolution) -> LocalSolution:
+    """Solve again from other durations of the roll before the contact, if the solution is a poor one; the best of all.
+
+    A long roll with a large loss looks like a slide, so that there may be several minima.
+    """
+    problem, tries = solution.problem, [solution]
+    for k, motion in enumerate(problem.motions):
+        if motion.ends and not problem.stretches[k].after and not solution.is_good:
+            for share in (0.2, 0.5, 0.8):
+                x = solution.x.copy()
+                x[problem.start[k] + 6], x[problem.start[k + 1] - 1] = np.log(share * problem.spans[k]), x[6]
+                tries.append(solve(problem, x, solution.sizes, steps=15))
+    return min(tries, key=lambda one: one.cost)
+
+
+def weigh_by_residuals(found: Sequence[LocalSolution], known: bool, shared: float = 8.0) -> list[LocalSolution]:
+    """Solve all again with errors as large and as lasting as the residuals of each stretch of the first; best first.
 
     known: errors are claimed, and are never smaller than that. shared: degrees of freedom with which the mean of all
     stretches counts in each. A body at rest takes the mean, because recorders round or drop its positions.
     """
+    solution = found[0]
     if known and solution.is_good:
-        return solution
+        return [solution]
     problem = solution.problem
     ends = 2 * np.cumsum([len(s) for s in problem.stretches])[:-1]
     parts = zip(*(np.split(v, ends) for v in (solution.residual, solution.freedom, problem.counted)), strict=True)
@@ -452,4 +508,99 @@ def weigh_by_residuals(solution: LocalSolution, known: bool, shared: float = 8.0
             factor = own * lasting[k] + (1 - own) * usual
         square *= factor
         sizes.append(size * float(np.sqrt(max(square, 1.0 if known else 1e-12))))
-    return solve(problem, solution.x, sizes)
+    again = [solve(one.problem, one.x, sizes) for one in found]
+    return sorted(again, key=lambda s: -s.log_evidence)
+
+
+def shows_end(solution: LocalSolution, k: int, *, least_positions: int = 4, least_sigma: float = 10.0) -> bool:
+    """Decide whether the positions show when the slide of a stretch ends.
+
+    The part next to the contact holds `least_positions`. If the slide filled the stretch, one end of it would be off
+    by `least_sigma` of its errors. The duration is known to a fifth.
+    """
+    problem, stretch, at = solution.problem, solution.problem.stretches[k], solution.problem.start[k]
+    tau = float(np.exp(solution.x[at + 6]))
+    since = np.abs(stretch.time - solution.x[0])
+    rolls_s = float(since.max()) - tau if stretch.after else min(tau, float(since.max()))
+    off = float(np.hypot(*problem.values(solution.x, k)[4:6])) * max(rolls_s, 0.0) ** 2 / 2
+    error = float(np.median(stretch.std)) * solution.sizes[k]
+    held = int((~stretch.near & (since < tau)).sum())
+    return held >= least_positions and off > least_sigma * error and bool(solution.cov[at + 6, at + 6] < 0.2**2)
+
+
+def mix_solutions(
+    found: Sequence[LocalSolution],
+    *,
+    shifts: Sequence[float] = (0.1, 0.3, 1.0),
+    durations: int = 6,
+    least_weight: float = 0.05,
+) -> list[tuple[float, LocalSolution]]:
+    """Weigh the motions that the stretches may have by their evidence, each with all durations of its slides.
+
+    A fit of the duration of a slide has no error to rely on where the positions do not show its end. While the slide
+    outlasts the stretch, nothing depends on it; as soon as it ends earlier, all does. So such a slide gets each
+    duration in turn, with its evidence times its prior. Before a contact that is the duration of rolling. The distance
+    by which a body may be elsewhere after the contact gets each of `shifts` in turn, over the prior one.
+    """
+    best = max(one.log_evidence for one in found)
+    mixture = list[tuple[float, LocalSolution]]()
+    for one in found:
+        if one.log_evidence < best - 7:  # its slides may fit better with another duration
+            continue
+        parts = _drop_unlikely([(0.0, _solve_with_shift(one, share)) for share in shifts], least_weight)
+        usual = one.problem.priors.shift_share
+        shifts = [each.problem.priors.shift_share / usual for _, each in parts]  # the next motions have the same
+        for k, motion in enumerate(one.problem.motions):
+            if motion.ends and not shows_end(one, k):
+                cells = ((log, *cell) for log, each in parts for cell in _vary_slide(each, k, durations))
+                parts = _drop_unlikely([(log + more, each) for log, more, each in cells], least_weight)
+        mixture += parts
+    mixture = _drop_unlikely(mixture, least_weight)
+    weights = np.exp([_log_weight(part) - _log_weight(mixture[0]) for part in mixture])
+    return [(float(w), one) for w, (_, one) in zip(weights / weights.sum(), mixture, strict=True)]
+
+
+def _solve_with_shift(solution: LocalSolution, share: float) -> LocalSolution:
+    """Solve again with another distance by which a body may be elsewhere after the contact."""
+    priors = solution.problem.priors
+    problem = replace(solution.problem, priors=replace(priors, shift_share=share * priors.shift_share))
+    return solve(problem, solution.x, solution.sizes, steps=8)
+
+
+def _log_weight(part: tuple[float, LocalSolution]) -> float:
+    """Logarithm of the prior of a solution and of its evidence."""
+    return part[0] + part[1].log_evidence
+
+
+def _drop_unlikely(parts: list[tuple[float, LocalSolution]], least: float) -> list[tuple[float, LocalSolution]]:
+    """Sort solutions by their weights, largest first; drop those below a share of the largest."""
+    parts = sorted(parts, key=lambda part: -_log_weight(part))[:MAX_SOLUTIONS]
+    return [part for part in parts if _log_weight(part) >= _log_weight(parts[0]) + np.log(least)]
+
+
+def _vary_slide(solution: LocalSolution, k: int, durations: int) -> list[tuple[float, LocalSolution]]:
+    """Solve with each duration of one slide: shorter than the first position, in cells, and longer than the stretch.
+
+    The logarithm of the prior of its cell comes with each.
+    """
+    problem, priors, stretch = solution.problem, solution.problem.priors, solution.problem.stretches[k]
+    since = np.abs(stretch.time - solution.x[0])
+    first, last = max(float(since.min()), 1e-5), float(since.max())
+    edges = np.linspace(first, max(last, 1.01 * first), durations + 1)
+    middles = np.concatenate([[first / 2], (edges[1:] + edges[:-1]) / 2, [1.5 * edges[-1]]])
+    widths = np.concatenate([[0.3], np.diff(edges) / np.sqrt(12) / middles[1:-1], [0.1]])  # of the logarithms
+    below = norm.cdf((np.log(edges) - np.log(priors.slide_s)) / priors.slide_factor)
+    masses = np.diff(np.concatenate([[0.0], below, [1.0]]))
+    motion, at, found = problem.motions[k], problem.start[k] + 6, list[tuple[float, LocalSolution]]()
+    fine = np.concatenate([middles, edges, np.linspace(0, middles[-1], 5 * durations)[1:]])
+    costs = _fit_each(stretch, float(solution.x[0]), motion, fine)[0] / solution.sizes[k] ** 2
+    cell = np.searchsorted(edges, fine)
+    for i in range(len(middles)):
+        if not (costs[cell == i] < costs.min() + MAX_COST).any():
+            continue
+        x = solution.x.copy()
+        x[at] = np.log(middles[i])
+        slides = {**problem.slides, k: (float(middles[i]), float(widths[i]))}
+        one = solve(replace(problem, slides=slides), x, solution.sizes, steps=8)
+        found.append((float(np.log(max(masses[i], 1e-12))), one))
+    return found or [(0.0, solution)]

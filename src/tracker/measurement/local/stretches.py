@@ -27,6 +27,7 @@ Floats = NDArray[np.float64]
 MAX_POSITIONS = 45  # of a stretch; more are averaged in groups
 NEAR_ERRORS = 4.0  # factor on the errors of positions beside the contact
 KEPT_POSITIONS = 25  # of these, next to the contact, which are not averaged
+LEAST_FOR_NOISE = 12  # positions of a stretch, from which on a kink in it hardly changes its noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +153,8 @@ def _end_at_contact(
         return rows
     time, position = track.time[free], track.position[free]
     noise = measure_noise([(track.frame, track.position)])
+    if len(free) >= LEAST_FOR_NOISE:  # codecs hardly move a body that rests
+        noise = np.fmax(noise, measure_noise([(track.frame[free], track.position[free])]))
     if not np.isfinite(noise) or not CUTTER.moves(time, position, noise):
         return rows
     kinks = CUTTER.find_kinks(time, CUTTER.measure_kinks(time, position, noise))

@@ -3,18 +3,26 @@
 import numpy as np
 import pytest
 
-from tracker.measurement.local.local_fit import choose_window, fit_single_stretch
+from tracker.measurement.local.local_fit import (
+    LocalPriors,
+    choose_window,
+    fit_motions,
+    fit_single_stretch,
+    mix_solutions,
+    shows_end,
+)
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
 
 NOISE = 1e-6
 
 
-def make_stretch(path, time, seed=1, lasting=0.0):
-    n, noise = len(time), np.random.default_rng(seed).normal(0, NOISE, (len(time), 2))
+def make_stretch(path, time, seed=1, lasting=0.0, ball=1, after=True, size=1.0):
+    """size: of the true errors, over the claimed ones."""
+    n, noise = len(time), np.random.default_rng(seed).normal(0, size * NOISE, (len(time), 2))
     cov = np.tile(np.eye(2) * NOISE**2, (n, 1, 1))
     fixed = np.tile(np.eye(2) * lasting**2, (n, 1, 1))
     drifts = ((lasting, 0.5),) if lasting else ()
-    return Stretch(1, True, time, path + noise, cov + fixed, fixed, np.zeros(n, dtype=bool), 1e-4, drifts)
+    return Stretch(ball, after, time, path + noise, cov + fixed, fixed, np.zeros(n, dtype=bool), 1e-4, drifts)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -38,3 +46,33 @@ def test_a_window_ends_before_a_force_that_the_motions_lack(force_from, force, l
     motions = (SLIDE,) if lasting else (SLIDE, ROLL, SLIDE_AND_ROLL)
     window = choose_window(make_stretch(path, time, lasting=lasting), 0.0, motions)
     assert longest * 0.2 <= window.time[-1] <= max(longest * 0.2, min(force_from, 0.2)) + 8e-3
+
+
+def test_errors_larger_than_claimed_shorten_no_window():
+    time = np.arange(1, 51) * 4e-3
+    stretch = make_stretch(np.outer(time, [0.4, 0.1]), time, size=6.0)
+    assert choose_window(stretch, 0.0, (SLIDE, ROLL, SLIDE_AND_ROLL)) is stretch
+
+
+def slide_path(time, speed, friction, slide_s):
+    """Position along x of a body that slides for `slide_s` from time 0 on, and then moves on."""
+    early, late = np.minimum(time, slide_s), np.maximum(time - slide_s, 0)
+    return np.outer(speed * early - friction * early**2 / 2 + (speed - friction * slide_s) * late, [1.0, 0.0])
+
+
+@pytest.mark.parametrize(("slide_s", "seen"), [(0.5, False), (0.199, False), (0.1, True)])
+def test_an_end_of_a_slide_that_is_not_seen_leaves_the_velocity_known(slide_s, seen):
+    """The struck body slides for longer than it is seen, nearly as long, or for half of that."""
+    before, time, diameter = np.arange(-40, 0) * 4e-3, np.arange(1, 51) * 4e-3, 0.05
+    stretches = (
+        make_stretch(np.zeros((40, 2)), before, 1, after=False),
+        make_stretch(np.outer(before, [1.0, 0.0]) - [diameter, 0], before, 2, ball=2, after=False),
+        make_stretch(slide_path(time, 0.9, 1.6, slide_s), time, 3),
+        make_stretch(slide_path(time, 0.1, -1.6, 0.1) - [diameter, 0], time, 4, ball=2),
+    )
+    found = fit_motions(stretches, 0.0, True, (False,), LocalPriors(diameter))
+    assert shows_end(found[0], 2) == seen
+    mixture = mix_solutions(found)
+    assert sum(weight for weight, _ in mixture) == pytest.approx(1)
+    speeds = np.array([one.problem.values(one.x, 2)[2] for _, one in mixture])
+    assert speeds == pytest.approx(0.9, abs=1e-3)
