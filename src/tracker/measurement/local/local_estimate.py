@@ -184,7 +184,6 @@ def _read_values(
     noise_dof, claimed = contact.pair.striker.noise_dof, found[0]
     solutions = mix_solutions(weigh_by_residuals(found, bool(np.isinf(noise_dof))))
     mixture = [(weight, *_read_solution(each, camera, masses)) for weight, each in solutions]
-    solution = solutions[0][1]
     weights = np.array([weight for weight, *_ in mixture])
     each, covs, responses, effects = (np.stack([part[k] for part in mixture]) for k in range(1, 5))
     value = weights @ each
@@ -198,8 +197,8 @@ def _read_values(
         chi2=claimed.chi2,
         dof=claimed.dof,
         adequate=p_value(claimed.chi2, claimed.dof, noise_dof),
-        glides=solution.problem.glide,
-        unseen=frozenset(_list_unseen(solution)),
+        glides=solutions[0][1].problem.glide,
+        unseen=frozenset(name for _, one in solutions for name in _list_unseen(one)),
         errors_known=bool(np.isinf(noise_dof)),
         shared={
             error.key: (error.value, effect)
