@@ -360,7 +360,7 @@ def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats
     fits = np.linalg.solve(square, np.swapaxes(basis, 1, 2) @ seen)
     left = seen - basis @ fits
     known = sum((fits[:, k] ** 2).sum(axis=1) / width**2 for k, width in enumerate(widths) if width > 0)
-    return (left**2).sum(axis=(1, 2)) + known, fits, left / weight[:, None]
+    return np.asarray((left**2).sum(axis=(1, 2)) + known), np.asarray(fits), left / weight[:, None]
 
 
 def correlation_factor(left: Floats) -> float:
