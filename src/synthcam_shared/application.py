@@ -144,7 +144,8 @@ def print_progress(what: str) -> Callable[[int, int], None]:
     Another interval may stand in the environment, as PROGRESS_INTERVAL.
     """
     began = printed = time.monotonic()
-    interval = float(os.environ.get(PROGRESS_INTERVAL, PROGRESS_INTERVAL_S))
+    asked = os.environ.get(PROGRESS_INTERVAL, "")
+    interval = float(asked) if re.fullmatch(r"[0-9.]*[0-9]", asked) else PROGRESS_INTERVAL_S
     before: int | None = None  # done by an earlier run
 
     def progress(done: int, total: int) -> None:
