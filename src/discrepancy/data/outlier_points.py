@@ -42,9 +42,11 @@ def remove_outliers(
 
 def note_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[SearchNote]:
     """A note for each clip that lost positions between `clips` and `kept`, with their frames."""
-    left, notes = {c.clip: set(zip(c.ball.tolist(), c.frame.tolist(), strict=True)) for c in kept}, []
-    for c in clips:
-        gone = [f for b, f in zip(c.ball.tolist(), c.frame.tolist(), strict=True) if (b, f) not in left[c.clip]]
+    by_number, notes = {c.clip: c for c in kept}, []
+    same_order = [c.clip for c in clips] == [c.clip for c in kept]  # stretches of a crowd have one number
+    for c, own in zip(clips, kept if same_order else [by_number[c.clip] for c in clips], strict=True):
+        left = set(zip(own.ball.tolist(), own.frame.tolist(), strict=True))
+        gone = [f for b, f in zip(c.ball.tolist(), c.frame.tolist(), strict=True) if (b, f) not in left]
         if gone:
             count = {"count": len(gone), "total": len(c.frame)}
             notes.append(SearchNote(SearchNoteKind.OUTLIERS, c.clip, tuple(sorted(set(gone))), count))

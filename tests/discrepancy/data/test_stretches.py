@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import STD, exact, noisy, only
 
+from discrepancy.data.outlier_points import note_removed_points
 from discrepancy.data.reading import read_collisions
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting.base_fit import fit_base_model
@@ -92,6 +93,7 @@ def test_the_balls_of_a_crowd_give_stretches_that_hold_no_event():
     assert len(stretches) > 25
     assert all(stretch.is_stretch for stretch in stretches)
     assert cut_stretches(stretches) == stretches
+    assert note_removed_points(stretches, stretches) == []
     events, true = clip.solve().events, clip.tracks.set_index(["frame", "particle"])
     for stretch in stretches:
         first = true.loc[stretch.frame[0]]
