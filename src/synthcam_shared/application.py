@@ -145,7 +145,7 @@ def print_progress(what: str) -> Callable[[int, int], None]:
     """
     began = printed = time.monotonic()
     asked = os.environ.get(PROGRESS_INTERVAL, "")
-    interval = float(asked) if re.fullmatch(r"[0-9.]*[0-9]", asked) else PROGRESS_INTERVAL_S
+    interval = float(asked) if re.fullmatch(r"\d+(\.\d+)?", asked) else PROGRESS_INTERVAL_S
     before: int | None = None  # done by an earlier run
 
     def progress(done: int, total: int) -> None:
