@@ -30,8 +30,9 @@ class DetectionSettings(Settings):
     glint_sigma: Positive = 5.0
     """Least flux of a fitted glint, in its standard errors. Five is the usual threshold of a detection."""
 
-    max_candidates_per_frame: Count = 64
-    """Most candidates of a frame, the brightest first. More show another scene than a few balls."""
+    max_candidates_per_frame: Count | None = None
+    """Most candidates of a frame, the brightest first. Default: 64 for maximum likelihood, which fits each; 512 for
+    centroids, some two hundred steel balls with their secondary glints."""
 
     block_windows: Count = 1024
     """How many windows maximum likelihood fits at once. 1024 are 512 frames with two balls, some 100 MB of memory."""

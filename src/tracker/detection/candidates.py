@@ -22,6 +22,8 @@ MEDIAN_OF_NINE = (
     (1, 2), (4, 5), (7, 8), (0, 1), (3, 4), (6, 7), (1, 2), (4, 5), (7, 8), (0, 3), (5, 8), (4, 7), (3, 6), (1, 4),
     (2, 5), (4, 7), (4, 2), (6, 4), (4, 2),
 )  # fmt: skip
+MAX_FITTED = 64  # candidates of a frame; maximum likelihood takes minutes for more
+MAX_FOLLOWED = 512  # of a frame, by their centroids
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,14 +168,21 @@ class _CutSums:
 class CandidateSearch:
     """Finds the local maxima of a box sum over the plate.
 
-    `sigma` is the Gaussian width of a glint, px. Each candidate is the strongest within the distance `apart`, px.
+    `sigma` is the Gaussian width of a glint, px. Each candidate is the strongest within the distance `apart`, px. At
+    most `most` candidates of a frame are kept, unless the settings say how many.
     """
 
     def __init__(
-        self, plate: EmptyPlate, sigma: float, apart: float, settings: DetectionSettings | None = None
+        self,
+        plate: EmptyPlate,
+        sigma: float,
+        apart: float,
+        settings: DetectionSettings | None = None,
+        most: int = MAX_FITTED,
     ) -> None:
         settings = settings or DetectionSettings()
-        self.apart, self.plate, self.most = apart, plate, settings.max_candidates_per_frame
+        self.apart, self.plate = apart, plate
+        self.most = settings.max_candidates_per_frame or most
         self.box = max(3, 2 * round(1.2 * sigma) + 1)
         # Differences are unsigned. To keep negative noise, the search subtracts a little less than the plate.
         drop = math.ceil(3.0 * plate.noise)

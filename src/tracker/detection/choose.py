@@ -21,9 +21,8 @@ from tracker.camera.lens import Array
 from tracker.camera.recordings import Recording
 from tracker.detection.background.still_background import StillBackground, estimate_still_background
 from tracker.detection.background.windows import find_regions
-from tracker.detection.candidates import estimate_noise, median_of_nine, spread_frames
+from tracker.detection.candidates import MAX_FITTED, MAX_FOLLOWED, estimate_noise, median_of_nine, spread_frames
 from tracker.detection.outlines.contrast_regions import find_touching_discs
-from tracker.settings import DetectionSettings
 
 GLINTS, DISCS, CENTROIDS = "maximum_likelihood", "discs", "centroid"
 MIN_BODY_AREA_PX = 28  # of a ball seen whole, 6 px across
@@ -75,15 +74,15 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
 
 def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float) -> tuple[str, str]:
     """Maximum likelihood, or centroids where a frame shows so many specks that to fit each would take minutes."""
-    most = DetectionSettings().max_candidates_per_frame
     bright = [cv2.subtract(np.asarray(picture), level) > math.floor(least) for picture in sample]
     specks = int(np.median([cv2.connectedComponents(spots.view(np.uint8))[0] - 1 for spots in bright]))
     crowded_share = 0.3  # of the pixels, from which on the light changes
-    if specks <= most or np.median([spots.mean() for spots in bright]) > crowded_share:
+    if specks <= MAX_FITTED or np.median([spots.mean() for spots in bright]) > crowded_share:
         return GLINTS, ""
+    brightest = f"the {MAX_FOLLOWED} brightest of them are followed; " if specks > MAX_FOLLOWED else ""
     return CENTROIDS, (
         f"detector: {CENTROIDS}, because a frame shows {specks} bright specks, too many for {GLINTS}, which fits each; "
-        f"the {most} brightest of them are followed; --detector overrides this"
+        f"{brightest}--detector overrides this"
     )
 
 

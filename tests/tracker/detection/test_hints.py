@@ -143,3 +143,11 @@ def test_hints_are_recorded(tmp_path, monkeypatch, capsys):
     assert end.value.code == 0, capsys.readouterr().err
     run = json.loads((tmp_path / "out" / "run.json").read_text())
     assert run["film"] == {"frames": "2:22", "region": "0,0,200,160", "ball": ["90,80@10"]}
+
+
+def test_a_hundred_glints_are_followed_by_their_centroids():
+    x, y = np.meshgrid(np.arange(10, 160, 15.0), np.arange(8, 158, 15.0))
+    ways = np.stack([np.column_stack([x.ravel() + 0.5 * k, y.ravel()]) for k in range(8)])
+    found = tracker.track(film(np.random.default_rng(2), ways), GLINTS, detector="centroid").tracks
+    assert found.groupby("frame").size().tolist() == [100] * 8
+    assert found["particle"].nunique() == 100

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.detection.candidates import CandidateSearch
+from tracker.detection.candidates import MAX_FOLLOWED, CandidateSearch
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints, PositionFlag
 
@@ -19,7 +19,7 @@ class Centroid:
         self.view = view
         radius = view.camera.diameter_px / 2.0
         apart = max(1.6 * radius, 4.0 * view.sigma)
-        self.search = CandidateSearch(view.plate, view.sigma, apart, view.settings.detection)
+        self.search = CandidateSearch(view.plate, view.sigma, apart, view.settings.detection, MAX_FOLLOWED)
         self.half = max(2, round(2.5 * view.sigma))
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
