@@ -267,7 +267,8 @@ def _write_zarr(frames: Iterator[LabelledFrame], path: Path) -> None:
     if waiting:
         flush()
     for name, found in columns.items():
-        values, own = np.array(found), {"balls/centre": ["xy"], "balls/box": ["edge"]}.get(name, [])
+        own, width = {"balls/centre": (["xy"], 2), "balls/box": (["edge"], 4)}.get(name, ([], 0))
+        values = np.array(found) if found or not width else np.empty((0, width))
         axes = ["ball" if "/" in name else "sample", *own]
         group.create_array(name, data=values, dimension_names=axes)
     group.attrs["cameras"] = cameras

@@ -76,13 +76,18 @@ class Plan:
 
     def write_command(self, film: Path, camera: Path | None, output: Path) -> list[str]:
         """The words of `tracker track` that does the same."""
-        words = ["tracker", "track", f"{film}", "-o", f"{output}"]
+        words = ["tracker", "track", name_as_argument(film), "-o", f"{output}"]
         words += ["--camera", f"{camera}"] if camera is not None else []
         for ball in self.settings.balls:
             words += ["--ball", ball]
         for name in ("region", "frames", "channel"):
             words += [f"--{name}", value] if (value := getattr(self.settings, name)) else []
         return words
+
+
+def name_as_argument(film: Path) -> str:
+    """The path as a word of a command, which is no option even if the name begins with a dash."""
+    return f"./{film}" if f"{film}".startswith("-") else f"{film}"
 
 
 def make_plan(

@@ -113,11 +113,20 @@ class TrackProcess:
             code = child.wait()
             printed.seek(0)
             text = printed.read()
-        if code == 0:
-            self._set(replace(self.status, state="done", summary=json.loads(text)))
+        summary = _read_summary(text)
+        if code == 0 and summary is not None:
+            self._set(replace(self.status, state="done", summary=summary))
         elif self._cancelled:
             self._set(replace(self.status, state="cancelled"))
         else:
             last = self.status.lines[-1] if self.status.lines else f"tracker {self.status.command}"
             ended = f"ended by signal {-code}" if code < 0 else f"exit status {code}"
             self._set(replace(self.status, state="failed", error=f"{last} ({ended})"))
+
+
+def _read_summary(text: str) -> Any:
+    """What the command printed as JSON; None where it is no JSON, as after a plug-in that prints."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None

@@ -19,7 +19,7 @@ from synthcam_shared.outputs import check_writable, write_atomically
 from synthcam_shared.settings import build_settings
 from tracker.app.film_view import FilmView
 from tracker.app.frame_detector import FrameDetector, list_balls, prepare_detector
-from tracker.app.run_settings import Plan, RunSettings, join_words, make_plan
+from tracker.app.run_settings import Plan, RunSettings, join_words, make_plan, name_as_argument
 from tracker.app.track_process import TrackProcess
 from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY
@@ -252,7 +252,7 @@ class Workbench:
             raise InputError("calibrate: set the ball diameter and the frames a second; the balls then give the scale")
         with self._lock:
             number = self._prepare_run()
-            words = ["tracker", "calibrate", f"{self.film}", "-o", f"{self._calibrated(number)}"]
+            words = ["tracker", "calibrate", name_as_argument(self.film), "-o", f"{self._calibrated(number)}"]
             for name, value in wanted.items():
                 words += [name, f"{value:.12g}"] if value else []
             self.process.start(number, words)

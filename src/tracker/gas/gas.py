@@ -21,7 +21,7 @@ from tracker.gas.temperature import (
     measure_temperatures,
     tabulate_velocities,
 )
-from tracker.gas.velocities import FreePath, cut_free_paths
+from tracker.gas.velocities import cut_free_paths
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import measure_noise as measure_scatter_of_paths
 
@@ -100,7 +100,7 @@ def measure_gas(
     on_air : bool
         Whether the bodies glide on air, and do not slide after a contact.
     scale_error : float
-        Relative standard error of lengths, which all values share.
+        Relative standard error of lengths. It counts in temperature_std and energy_std.
     settings : GasSettings, optional
         How velocities and distributions are estimated.
 
@@ -126,7 +126,9 @@ def measure_gas(
         slides=not on_air,
     )
     table = tabulate_velocities(paths) if paths else pd.DataFrame({"frame": []})
+    claimed = np.concatenate([np.trace(one.cov - one.fixed, axis1=1, axis2=2) / 2 for one in balls])
     noise = measure_noise(table) if len(table) else np.nan
+    noise = noise if np.isfinite(noise) else float(np.sqrt(np.median(claimed)))  # all free paths are short
     time = measure_temperatures(table, noise) if len(table) else table
     if not len(time):
         raise InputError(f"a gas has {MIN_BALLS} balls or more in view; no frame here has so many with a velocity")
@@ -135,13 +137,12 @@ def measure_gas(
     where = area or _find_area(balls)
     sides = where[2] - where[0], where[3] - where[1]
     a2, a2_std = measure_sonine(table, time, noise)
-    claimed = np.concatenate([np.trace(one.cov - one.fixed, axis1=1, axis2=2) / 2 for one in balls])
     values = {
         "position_noise": noise,
         "noise_ratio": noise / float(np.sqrt(np.median(claimed))),
         "sonine_a2": a2,
         "sonine_a2_std": a2_std,
-        **_measure_rates(time, paths, contacts, sides, diameter, fps),
+        **_measure_rates(time, balls, contacts, sides, diameter, fps),
     }
     pairs = pair_correlation(_split_by_frame(balls), sides, used.pair_reach_diameters * diameter, used.pair_bins)
     distribution = measure_distribution(table, time, used.velocity_bins)
@@ -153,7 +154,7 @@ def measure_gas(
 
 def _measure_rates(
     time: pd.DataFrame,
-    paths: Sequence[FreePath],
+    balls: Sequence[BallTrack],
     contacts: pd.DataFrame,
     sides: tuple[float, float],
     diameter: float,
@@ -161,11 +162,12 @@ def _measure_rates(
 ) -> dict[str, float]:
     """Contacts, rate and free path, beside Enskog's for hard discs at the measured temperature and density."""
     found = int((contacts["particle2"] >= 0).sum())
-    ball_time = float(sum(path.end_time - path.start_time for path in paths))
-    way = float(sum(path.length for path in paths))
-    density = time["balls"].to_numpy() / ((sides[0] + diameter) * (sides[1] + diameter))
+    ball_time = float(sum(ball.time[-1] - ball.time[0] for ball in balls))
+    way = float(sum(_measure_way(ball, contacts) for ball in balls))
+    seen = (time["balls"] + time["unknown"]).to_numpy()
+    density = seen / ((sides[0] + diameter) * (sides[1] + diameter))
     rate = contact_rate(np.maximum(time["temperature"].to_numpy(), 0), density, diameter)
-    expected = float((time["balls"].to_numpy() * rate).sum() / 2 / fps)
+    expected = float((seen * rate).sum() / 2 / fps)
     relative = 1 / np.sqrt(found) if found else np.nan
     return {
         "area_fraction": float(density.mean() * np.pi * diameter**2 / 4),
@@ -178,6 +180,16 @@ def _measure_rates(
         "free_path_std": float(way / (2 * found) * relative) if found else np.nan,
         "free_path_theory": float(mean_free_path(density.mean(), diameter)),
     }
+
+
+def _measure_way(ball: BallTrack, contacts: pd.DataFrame) -> float:
+    """The way of a ball, m, as straight lines from contact to contact."""
+    own = (contacts["particle1"] == ball.particle) | (contacts["particle2"] == ball.particle)
+    at = contacts["t_s"][own].to_numpy(dtype=np.float64)
+    inside = at[(at > ball.time[0]) & (at < ball.time[-1])]
+    corners = np.concatenate([ball.time[:1], np.sort(inside), ball.time[-1:]])
+    xy = np.column_stack([np.interp(corners, ball.time, ball.position[:, k]) for k in (0, 1)])
+    return float(np.hypot(*np.diff(xy, axis=0).T).sum())
 
 
 def _find_area(balls: Sequence[BallTrack]) -> Rectangle:

@@ -19,7 +19,7 @@ from tracker.recording import Result
 from tracker.results import read_clip, read_contacts
 
 MAX_UNRESOLVED = 0.1  # share of the lost energy, above which a note says why
-MIN_FREE_FRAMES = 10  # between contacts, on average, below which a note asks for a higher frame rate
+MIN_FREE_FRAMES = 20  # between contacts, on average, below which a note says that the temperature is too low
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -183,7 +183,10 @@ def _limits(gas: GasObservables, camera: Camera) -> list[str]:
         )
     between = camera.fps / gas.values["contact_rate"] if gas.values["contact_rate"] else np.inf
     if between < MIN_FREE_FRAMES:
-        notes.append(f"a ball has {between:.1f} frames between contacts; velocities need about {MIN_FREE_FRAMES}")
+        notes.append(
+            f"a ball has {between:.1f} frames between contacts; under {MIN_FREE_FRAMES} the temperature is "
+            "some per cent too low, which its error allows for"
+        )
     if abs(np.log(gas.values["noise_ratio"])) > np.log(1.5):
         notes.append(
             f"the noise of positions is {gas.values['noise_ratio']:.2f} times what the tracks claim; all values here "

@@ -180,8 +180,6 @@ class FreePath:
         At the n positions, at its start, and at its end: n + 2 instants.
     start_time, end_time : float
         s, of its contacts, or of its first and last position.
-    length : float
-        m, of the straight line from its start to its end.
     unsure : (n,) array
         m/s: how far velocities may be off because the slide after a contact is too short to be seen; 0 elsewhere.
     """
@@ -194,7 +192,6 @@ class FreePath:
     start_time: float
     end_time: float
     velocities: HalfVelocities
-    length: float
     unsure: Floats
 
 
@@ -250,11 +247,27 @@ def _fit_path(
     slide_end = find_slide_end(free, position, noise) if slides and ends[0] >= 0 else np.nan
     velocities = fit_velocities(free, position, np.append(time, [first, last]), window_rows, slide_end)
     unsure = np.zeros(len(time))
+    if len(free) < 2 and min(ends) >= 0:
+        velocities = _chord(ball, first, last, len(time) + 2)
+        unsure += np.hypot(*velocities.even[0]) * min(margin_s / (last - first), 1.0) / 2  # chords cut the corners
     if slides and ends[0] >= 0 and not (free < slide_end).sum() >= ROWS_OF_SLIDE:
         velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
         rest = margin_s * (ROWS_OF_SLIDE + 1) - (time - first)  # of the longest slide that would not be seen
         unsure = USUAL_FRICTION * np.maximum(rest, 0) / 2
-    length = 0.0
-    if len(free) > 1:
-        length = float(np.hypot(*(position[-1] - position[0])) * (last - first) / (free[-1] - free[0]))
-    return FreePath(ball.particle, ball.frame[rows], time, *ends, first, last, velocities, length, unsure)
+    unsure = np.zeros(len(time))
+    if len(free) < 2 and min(ends) >= 0:
+        velocities = _chord(ball, first, last, len(time) + 2)
+        unsure += np.hypot(*velocities.even[0]) * min(margin_s / (last - first), 1.0) / 2  # chords cut the corners
+    if slides and ends[0] >= 0 and not (free < slide_end).sum() >= ROWS_OF_SLIDE:
+        velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
+        rest = margin_s * (ROWS_OF_SLIDE + 1) - (time - first)  # of the longest slide that would not be seen
+        unsure = USUAL_FRICTION * np.maximum(rest, 0) / 2
+    return FreePath(ball.particle, ball.frame[rows], time, *ends, first, last, velocities, unsure)
+
+
+def _chord(ball: BallTrack, first: float, last: float, count: int) -> HalfVelocities:
+    """The mean velocity between two contacts, `count` times, by the positions that the track has there."""
+    ends = np.column_stack([np.interp([first, last], ball.time, ball.position[:, k]) for k in (0, 1)])
+    velocity = np.tile((ends[1] - ends[0]) / (last - first), (count, 1))
+    gain = np.full(count, 2 / (last - first) ** 2)
+    return HalfVelocities(velocity, velocity.copy(), gain, gain.copy(), gain.copy())

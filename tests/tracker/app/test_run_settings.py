@@ -1,5 +1,7 @@
 """Settings of the page: the camera file and the command line that they make."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import tifffile
@@ -10,7 +12,7 @@ import tracker.cli
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import build_settings
 from tracker.app.film_view import FilmView
-from tracker.app.run_settings import RunSettings, join_words, make_plan
+from tracker.app.run_settings import RunSettings, join_words, make_plan, name_as_argument
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import open_source
 
@@ -84,3 +86,8 @@ def test_wrong_settings_are_refused_in_one_line(view, given, message):
 def test_a_name_that_no_terminal_shows_is_refused():
     with pytest.raises(InputError, match="rename the file"):
         join_words(["tracker", "track", "a\x1b[2Jb"])
+
+
+@pytest.mark.parametrize(("film", "word"), [("-film.gif", "./-film.gif"), ("film.gif", "film.gif")])
+def test_a_film_is_no_option(film, word):
+    assert name_as_argument(Path(film)) == word

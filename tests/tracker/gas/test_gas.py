@@ -156,3 +156,25 @@ def test_energies_add_up_and_go_where_they_went():
 def test_two_balls_are_no_gas():
     with pytest.raises(InputError, match="3 balls"):
         measure_gas(make_gas(np.ones((2, 2)), 20, 1e-6), NO_CONTACTS, 0.002, FPS)
+
+
+@pytest.mark.parametrize("frames", [3, 7])
+def test_short_films_have_a_temperature_too(frames):
+    """No window is long enough for halves: the noise is then what the tracks claim."""
+    velocities = np.random.default_rng(4).normal(0, 0.15, (20, 2))
+    gas = measure_gas(make_gas(velocities, frames, 1e-6), NO_CONTACTS, 0.002, FPS)
+    z = (gas.time["temperature"] - velocities.var(axis=0, ddof=1).mean()) / gas.time["temperature_std"]
+    assert len(z) == frames
+    assert np.abs(z).max() < 4
+    assert gas.values["position_noise"] == pytest.approx(1e-6)
+
+
+def test_balls_without_a_velocity_count_and_have_their_way():
+    """One of four balls bounces between each two frames; the others fly straight."""
+    balls = make_gas(np.array([[0.2, 0.0], [0.0, 0.3], [-0.1, 0.1], [0.1, 0.2]]), 30, 1e-6)
+    nan = float("nan")
+    bounces = make_contacts(*((k / FPS + 0.5 / FPS, 0, -1, nan, nan) for k in range(29)))
+    plain, bounced = (measure_gas(balls, rows, 0.002, FPS, area=(-2, -2, 2, 2)) for rows in (NO_CONTACTS, bounces))
+    assert bounced.values["area_fraction"] == pytest.approx(plain.values["area_fraction"])
+    assert bounced.time["temperature"].iloc[15] == pytest.approx(plain.time["temperature"].iloc[15], rel=1e-3)
+    assert bounced.time["temperature_std"].iloc[15] > 10 * plain.time["temperature_std"].iloc[15]

@@ -32,7 +32,6 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             lines = ("0 " + " ".join(f"{value:.6f}" for value in box) + "\n" for box in boxes)
             (folder / "labels" / part / f"{name}.txt").write_text("".join(lines), encoding="ascii")
     about = {
-        "path": ".",
         "train": "images/train",
         "val": "images/val" if "val" in parts else "images/train",
         "names": {0: "ball"},

@@ -70,7 +70,7 @@ class TrackContact:
     gain : float
         chi^2 by which the contact fits better than none.
     confidence : float
-        Probability that there is a contact.
+        A score from 0 to 1 that grows with `gain`; it is no calibrated probability.
     """
 
     time: float

@@ -109,7 +109,8 @@ def test_coco(exported, frames):
 def test_yolo(exported, frames):
     """As Ultralytics reads it: labels/ for images/ in the path of a picture, .txt for its ending."""
     about = yaml.safe_load((exported / "yolo/data.yaml").read_text())
-    assert (about["path"], about["names"]) == (".", {0: "ball"})
+    assert "path" not in about  # trainers join it to a folder of their own; without it they take that of data.yaml
+    assert about["names"] == {0: "ball"}
     for part, clip in (("train", 0), ("val", 1)):
         pictures = sorted((exported / "yolo" / about[part]).iterdir())
         assert len(pictures) == 40
