@@ -135,7 +135,7 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
 
 
 def find_hidden(
-    lamp: Array, eye: Array, paths: Paths, balls: Index, centres: Array, radii: Array, moment: Index, near: "Neighbours"
+    lamp: Array, eye: Array, paths: Paths, balls: Index, centres: Array, radii: Array, moment: Index, near: "NearBalls"
 ) -> NDArray[np.bool_]:
     """Find the paths (M,) that a third ball blocks.
 
@@ -183,8 +183,8 @@ def find_reach(lamps: Array, eye: Array, centres: Array, radii: Array, leg: floa
 
 
 @dataclass(frozen=True)
-class Neighbours:
-    """Neighbours of N balls at T moments, those of one ball and moment together and nearest first."""
+class NearBalls:
+    """NearBalls of N balls at T moments, those of one ball and moment together and nearest first."""
 
     other: Index  # the neighbour (P,)
     distance: Array  # of the centres (P,), m
@@ -192,7 +192,7 @@ class Neighbours:
     counts: Index  # how many there are (T N,)
 
 
-def find_neighbours(centres: Array, reach: Array) -> Neighbours:
+def find_neighbours(centres: Array, reach: Array) -> NearBalls:
     """Find the balls whose centres are within reach (N,), m, of that of a ball. centres: (T, N, 3), m."""
     count, balls = centres.shape[:2]
     flat, furthest = centres.reshape(-1, 3), float(reach.max()) * (1 + 1e-9)
@@ -204,7 +204,7 @@ def find_neighbours(centres: Array, reach: Array) -> Neighbours:
     order = np.lexsort([other, distance, own])
     order = order[distance[order] < reach[own[order] % balls]]
     counts = np.bincount(own[order], minlength=count * balls)
-    return Neighbours(other[order] % balls, distance[order], np.cumsum(counts) - counts, counts)
+    return NearBalls(other[order] % balls, distance[order], np.cumsum(counts) - counts, counts)
 
 
 @cache
@@ -239,7 +239,7 @@ def find_widest(mirror: float, faintest: float = FAINTEST, most_bounces: int = 2
 
 
 def iterate_chains(
-    moments: int, radii: Array, near: Neighbours, mirror: float, faintest: float = FAINTEST, most_bounces: int = 24
+    moments: int, radii: Array, near: NearBalls, mirror: float, faintest: float = FAINTEST, most_bounces: int = 24
 ) -> Iterator[tuple[Index, Index]]:
     """Iterate over the lengths k of the chains of balls to follow: balls (M, k) and moments (M,), in their order.
 

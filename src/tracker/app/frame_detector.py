@@ -26,7 +26,7 @@ MAX_SURVEYED_FRAMES = 400  # of a longer film a detector of outlines surveys so 
 
 
 @dataclass(frozen=True, eq=False)
-class FrameDetector:
+class PreparedDetector:
     """A detector that knows its film. `detect` may be called from any thread."""
 
     clip: Recording
@@ -76,7 +76,7 @@ class FrameDetector:
         return sorted(self.view.takes.scene_of_frames())
 
 
-def prepare_detector(clip: Recording, channel: str | None) -> FrameDetector:
+def prepare_detector(clip: Recording, channel: str | None) -> PreparedDetector:
     """Choose channel and detector as a run does, and survey the film. Raises InputError."""
     clip, chosen = select_channel(clip, channel)
     name, why = select_detector(clip)
@@ -86,7 +86,7 @@ def prepare_detector(clip: Recording, channel: str | None) -> FrameDetector:
         surveyed = replace(clip, frames=clip.frames.take(rows), balls=())
     view = make_view(surveyed, name)
     notes = tuple(note for note in (chosen, why) if note)
-    return FrameDetector(clip, view, detector_name(name), load_detector(name)(view), notes, rows)
+    return PreparedDetector(clip, view, detector_name(name), load_detector(name)(view), notes, rows)
 
 
 def list_balls(found: Glints) -> list[dict[str, Any]]:

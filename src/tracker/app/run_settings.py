@@ -60,7 +60,7 @@ class RunSettings(Settings):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class RunPlan:
     """Checked settings: the recording that they make, the keys of its camera, whether these need a file."""
 
     film: FilmView
@@ -92,7 +92,7 @@ def name_as_argument(film: Path) -> str:
 
 def make_plan(
     settings: RunSettings, film: FilmView, given: Mapping[str, Any] | None, *, where: str = "camera.json"
-) -> Plan:
+) -> RunPlan:
     """Check settings with the code that checks files and options. Raises InputError.
 
     given: the keys of the film's own camera file.
@@ -102,7 +102,7 @@ def make_plan(
     recording = film.open_recording(None if keys is None else Camera.from_dict(keys, where), settings.options)
     if channel is not None:
         recording.select_channel(channel)
-    return Plan(film, settings, recording, keys, keys is not None and keys != given)
+    return RunPlan(film, settings, recording, keys, keys is not None and keys != given)
 
 
 def join_words(words: list[str]) -> str:

@@ -18,8 +18,8 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import check_writable, write_atomically
 from synthcam_shared.settings import build_settings
 from tracker.app.film_view import FilmView
-from tracker.app.frame_detector import FrameDetector, list_balls, prepare_detector
-from tracker.app.run_settings import Plan, RunSettings, join_words, make_plan, name_as_argument
+from tracker.app.frame_detector import PreparedDetector, list_balls, prepare_detector
+from tracker.app.run_settings import RunPlan, RunSettings, join_words, make_plan, name_as_argument
 from tracker.app.track_process import TrackProcess
 from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY
@@ -66,7 +66,7 @@ class Workbench:
         self.process = TrackProcess(self._hear_process)
         self.made: set[int] = set()  # numbers of the runs of this session
         self.version = 0  # grows with every change of detector and run
-        self.detector: FrameDetector | None = None
+        self.detector: PreparedDetector | None = None
         self.detector_status = DetectorStatus()
         self._mark = ""  # what the detector depends on
         self._lock = threading.RLock()
@@ -157,7 +157,7 @@ class Workbench:
                 "command": command,
             }
 
-    def _take(self, plan: Plan) -> None:
+    def _take(self, plan: RunPlan) -> None:
         """Use a plan from now on, and prepare its detector if that may differ."""
         self.plan = plan
         mark = json.dumps([plan.keys, *vars(plan.settings.options).values(), plan.settings.channel, self.view.index])

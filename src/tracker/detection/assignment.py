@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tracker.detection.motion_filter import DENSE, BallStates, Hits, MotionNoise, find_pairs, predict_hits
+from tracker.detection.motion_filter import DENSE, Hits, MotionNoise, PredictedBalls, find_pairs, predict_hits
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -23,13 +23,13 @@ UNCONFIRMED = 0.05  # probability that a ball is not found in the frame after th
 
 
 def link_frame(
-    before: BallStates,
+    before: PredictedBalls,
     found: Floats,
     frames: int,
     frame: int,
     coming: tuple[Floats, int] | None,
     noise: MotionNoise,
-) -> tuple[BallStates, Ints]:
+) -> tuple[PredictedBalls, Ints]:
     """Link the detections of a frame: the balls in that frame, and the track (m,) of each detection, or -1.
 
     before: the balls some `frames` earlier. found: positions (m, 2). coming: those of the next frame, and how many
@@ -55,7 +55,7 @@ def link_frame(
     return _update(before, free, hits, found, (ball, seen, kind[ball, column]), frames, frame, noise), own
 
 
-def _match_plainly(free: BallStates, found: Floats, noise: MotionNoise) -> Ints | None:
+def _match_plainly(free: PredictedBalls, found: Floats, noise: MotionNoise) -> Ints | None:
     """The detection (n,) of each ball where every ball and every detection has its own; None otherwise."""
     if len(free) != len(found) or len(free) > DENSE or (free.count < 2).any():
         return None
@@ -65,7 +65,7 @@ def _match_plainly(free: BallStates, found: Floats, noise: MotionNoise) -> Ints 
     return nearest if close.all() and len(set(nearest.tolist())) == len(free) else None
 
 
-def _find_near(free: BallStates, hits: Hits, found: Floats, frames: int, noise: MotionNoise) -> Ints:
+def _find_near(free: PredictedBalls, hits: Hits, found: Floats, frames: int, noise: MotionNoise) -> Ints:
     """The detections (n, k) nearest to each ball, by number; m for none."""
     m = len(found)
     if m <= NEAREST:
@@ -73,14 +73,14 @@ def _find_near(free: BallStates, hits: Hits, found: Floats, frames: int, noise: 
     return np.asarray(cKDTree(found).query(free.xy, k=NEAREST, distance_upper_bound=_limit(free, noise, frames))[1])
 
 
-def _limit(free: BallStates, noise: MotionNoise, frames: int) -> float:
+def _limit(free: PredictedBalls, noise: MotionNoise, frames: int) -> float:
     """The greatest distance at which a detection can be that of a ball, px."""
     fastest = float(np.hypot(*free.v.T).max())
     return max(noise.reach * frames, (0.6 * noise.diameter + 2.2 * fastest) * frames)
 
 
 def _weigh(
-    before: BallStates, free: BallStates, hits: Hits, found: Floats, near: Ints, frames: int, noise: MotionNoise
+    before: PredictedBalls, free: PredictedBalls, hits: Hits, found: Floats, near: Ints, frames: int, noise: MotionNoise
 ) -> tuple[Floats, Ints]:
     """The log likelihood (n, k) of each detection as that of a ball over that of a false one, and how the ball came.
 
@@ -119,7 +119,7 @@ def _log_density(square: Floats, variance: Floats | float) -> Floats:
 
 
 def _confirm(
-    before: BallStates,
+    before: PredictedBalls,
     found: Floats,
     near: Ints,
     gain: Floats,
@@ -166,15 +166,15 @@ def _assign(gain: Floats, near: Ints, found: int) -> tuple[Ints, Ints]:
 
 
 def _update(
-    before: BallStates,
-    free: BallStates,
+    before: PredictedBalls,
+    free: PredictedBalls,
     hits: Hits | None,
     found: Floats,
     links: tuple[Ints, Ints, Ints],
     frames: int,
     frame: int,
     noise: MotionNoise,
-) -> BallStates:
+) -> PredictedBalls:
     """The balls with what was found of them; links: ball, detection, and how it came, as `_weigh` says."""
     ball, seen, kind = links
     xy, v, cov = free.xy.copy(), free.v.copy(), free.cov.copy()

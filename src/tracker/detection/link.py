@@ -16,7 +16,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
 from tracker.detection.assignment import link_frame
 from tracker.detection.glints import Glints, describe_flags
-from tracker.detection.motion_filter import BallStates, MotionNoise
+from tracker.detection.motion_filter import MotionNoise, PredictedBalls
 from tracker.settings import LinkSettings
 
 Ints = NDArray[np.int64]
@@ -185,7 +185,7 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool, s
     track = np.empty(len(glints), dtype=np.int64)
     first = len(parts[0])
     track[parts[0]] = np.arange(first)
-    live, count = BallStates.start(np.arange(first), int(frames[0]), xy[parts[0]], noise), first
+    live, count = PredictedBalls.start(np.arange(first), int(frames[0]), xy[parts[0]], noise), first
     for k, (frame, rows) in enumerate(zip(frames[1:].tolist(), parts[1:], strict=True), 1):
         live = live.take(frame - live.seen <= settings.max_gap_frames + 1)
         follows = k + 1 < len(frames)
@@ -193,7 +193,7 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool, s
         live, own = link_frame(live, xy[rows], int(frame - frames[k - 1]), frame, coming, noise)
         new = np.flatnonzero(own < 0)
         own[new] = count + np.arange(len(new))
-        live = live.join(BallStates.start(own[new], frame, xy[rows[new]], noise))
+        live = live.join(PredictedBalls.start(own[new], frame, xy[rows[new]], noise))
         track[rows], count = own, count + len(new)
     ordered = np.lexsort((glints.frame, track))
     return np.split(ordered, np.flatnonzero(np.diff(track[ordered])) + 1)

@@ -43,7 +43,7 @@ class MotionNoise:
 
 
 @dataclass(frozen=True, eq=False)
-class BallStates:
+class PredictedBalls:
     """The state of n balls in a frame: px and px per frame; the covariance is the same along both axes."""
 
     number: Ints  # (n,) of the track
@@ -57,24 +57,24 @@ class BallStates:
     def __len__(self) -> int:
         return len(self.number)
 
-    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> BallStates:
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> PredictedBalls:
         """Some of the balls."""
-        return BallStates(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return PredictedBalls(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
-    def join(self, other: BallStates) -> BallStates:
+    def join(self, other: PredictedBalls) -> PredictedBalls:
         """The balls of both."""
         pairs = ((f.name, getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
-        return BallStates(**{name: np.concatenate([one, two]) for name, one, two in pairs})
+        return PredictedBalls(**{name: np.concatenate([one, two]) for name, one, two in pairs})
 
     @classmethod
-    def start(cls, number: Ints, frame: int, xy: Floats, noise: MotionNoise) -> BallStates:
+    def start(cls, number: Ints, frame: int, xy: Floats, noise: MotionNoise) -> PredictedBalls:
         """Balls that are seen for the first time."""
         n = len(number)
         cov = np.tile([noise.position**2, 0.0, (noise.reach / 2) ** 2], (n, 1))
         ones = np.ones(n, dtype=np.int64)
         return cls(number, frame * ones, ones, xy, xy, np.zeros((n, 2)), cov)
 
-    def advance(self, frames: int, noise: MotionNoise) -> BallStates:
+    def advance(self, frames: int, noise: MotionNoise) -> PredictedBalls:
         """The balls some frames later, if nothing hits them."""
         t, (xx, xv, vv) = float(frames), self.cov.T
         push = noise.acceleration**2 + noise.bend**2 * (self.v**2).sum(axis=1)
@@ -96,7 +96,7 @@ class Hits:
 
 
 def predict_hits(
-    before: BallStates, after: BallStates, pairs: tuple[Ints, Ints], frames: int, noise: MotionNoise
+    before: PredictedBalls, after: PredictedBalls, pairs: tuple[Ints, Ints], frames: int, noise: MotionNoise
 ) -> Hits:
     """Predict the hits of pairs of balls between two frames, from their states in the first.
 
@@ -129,7 +129,7 @@ def predict_hits(
     )
 
 
-def find_pairs(balls: BallStates, frames: int, noise: MotionNoise) -> tuple[Ints, Ints]:
+def find_pairs(balls: PredictedBalls, frames: int, noise: MotionNoise) -> tuple[Ints, Ints]:
     """Find the pairs of balls, both seen twice, that may come within a diameter."""
     rows = np.flatnonzero(balls.count > 1)
     if len(rows) < 2:

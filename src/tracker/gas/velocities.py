@@ -254,14 +254,6 @@ def _fit_path(
         velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
         rest = margin_s * (ROWS_OF_SLIDE + 1) - (time - first)  # of the longest slide that would not be seen
         unsure = USUAL_FRICTION * np.maximum(rest, 0) / 2
-    unsure = np.zeros(len(time))
-    if len(free) < 2 and min(ends) >= 0:
-        velocities = _chord(ball, first, last, len(time) + 2)
-        unsure += np.hypot(*velocities.even[0]) * min(margin_s / (last - first), 1.0) / 2  # chords cut the corners
-    if slides and ends[0] >= 0 and not (free < slide_end).sum() >= ROWS_OF_SLIDE:
-        velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
-        rest = margin_s * (ROWS_OF_SLIDE + 1) - (time - first)  # of the longest slide that would not be seen
-        unsure = USUAL_FRICTION * np.maximum(rest, 0) / 2
     return FreePath(ball.particle, ball.frame[rows], time, *ends, first, last, velocities, unsure)
 
 

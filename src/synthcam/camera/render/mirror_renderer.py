@@ -338,7 +338,7 @@ class MirrorRenderer(Renderer):
         return blur_tiles(tiles, blur)
 
     def _neighbours(self, jobs: Float32, positions: Array, moment: Index, ball: Index, ordered: bool) -> Float32:
-        """Neighbours (n, k, 4) of each ball in its own radii, nearest first; writes their number into the jobs.
+        """NearBalls (n, k, 4) of each ball in its own radii, nearest first; writes their number into the jobs.
 
         ordered: balls of lower number have negative radii.
         """
