@@ -63,22 +63,46 @@ class Presence:
         return self.open == 0 and self.left_at > 0 and self.clock() - self.left_at > grace_s
 
 
-def make_application(
-    bench: Workbench, port: int, token: str, ticket: str = "", presence: Presence | None = None
-) -> ASGIApp:
-    """The application of a session: all addresses of the page, behind `LocalOnly`, which explains token and ticket."""
-    here = presence or Presence()
+class SessionAddresses:
+    """All addresses of a session's page: each method answers the requests to one of them."""
 
-    def show_page(request: Request) -> Response:
+    def __init__(self, bench: Workbench, presence: Presence) -> None:
+        self.bench, self.presence = bench, presence
+
+    def list_routes(self) -> list[Route]:
+        """Each address with the method that answers it."""
+        return [
+            Route("/", self.show_page),
+            Route("/static/{name}", self.show_static),
+            Route("/report/{number:int}/{name:path}", self.show_report),
+            Route("/frame/{index:int}.{kind}", self.show_frame),
+            Route("/api/film", self.describe),
+            Route("/api/levels", self.find_levels),
+            Route("/api/balls/{index:int}", self.find_balls),
+            Route("/api/results/{number:int}", self.describe_results),
+            Route("/api/tracks/{number:int}", self.list_tracks),
+            Route("/api/clip", self.open_clip, methods=["POST"]),
+            Route("/api/settings", self.apply, methods=["POST"]),
+            Route("/api/run", self.start_run, methods=["POST"]),
+            Route("/api/calibrate", self.start_calibration, methods=["POST"]),
+            Route("/api/cancel", self.cancel_run, methods=["POST"]),
+            Route("/api/status", self.stream_status),
+        ]
+
+    def show_page(self, request: Request) -> Response:
+        """The page itself."""
         return _serve_file(STATIC, "index.html")
 
-    def show_static(request: Request) -> Response:
+    def show_static(self, request: Request) -> Response:
+        """A file that the page needs, such as its script."""
         return _serve_file(STATIC, request.path_params["name"])
 
-    def show_report(request: Request) -> Response:
-        return _serve_file(bench.find_results(request.path_params["number"]), request.path_params["name"])
+    def show_report(self, request: Request) -> Response:
+        """A file of a run's results, such as its report."""
+        return _serve_file(self.bench.find_results(request.path_params["number"]), request.path_params["name"])
 
-    def show_frame(request: Request) -> Response:
+    def show_frame(self, request: Request) -> Response:
+        """A picture of one frame; the query gives the channel, the levels, the reduction and the box."""
         kind, values = request.path_params["kind"], request.query_params
         if kind not in ("jpg", "png"):
             return _refuse(f"expected jpg or png, not {kind!r}", 404)
@@ -91,85 +115,82 @@ def make_application(
         if box is not None and len(box) != 4:
             raise InputError("box: expected left,top,width,height")
         look = Look(channel=values.get("channel", "grey"), reduce=reduce, box=box, **numbers)
-        picture = bench.view.draw(request.path_params["index"], look, kind)
+        picture = self.bench.view.draw(request.path_params["index"], look, kind)
         return Response(picture, media_type=KINDS[f".{kind}"], headers={"Cache-Control": "private, max-age=3600"})
 
-    def find_balls(request: Request) -> Response:
-        found = bench.find_balls(request.path_params["index"])
+    def find_balls(self, request: Request) -> Response:
+        """The balls that the detector finds in one frame."""
+        found = self.bench.find_balls(request.path_params["index"])
         return JSONResponse(found) if found is not None else _refuse("the detector is being prepared", 409)
 
-    def describe(request: Request) -> Response:
-        return JSONResponse(bench.describe())
+    def describe(self, request: Request) -> Response:
+        """The film, its settings and its runs."""
+        return JSONResponse(self.bench.describe())
 
-    def find_levels(request: Request) -> Response:  # apart, because it reads frames all over the film
-        return JSONResponse(bench.view.levels)
+    def find_levels(self, request: Request) -> Response:
+        """The grey levels of the film, at an address of their own because they need frames all over the film."""
+        return JSONResponse(self.bench.view.levels)
 
-    def describe_results(request: Request) -> Response:
-        return JSONResponse(bench.describe_results(request.path_params["number"]))
+    def describe_results(self, request: Request) -> Response:
+        """The results of one run."""
+        return JSONResponse(self.bench.describe_results(request.path_params["number"]))
 
-    def list_tracks(request: Request) -> Response:
-        return JSONResponse(bench.list_tracks(request.path_params["number"]))
+    def list_tracks(self, request: Request) -> Response:
+        """The tracks of one run."""
+        return JSONResponse(self.bench.list_tracks(request.path_params["number"]))
 
-    async def open_clip(request: Request) -> Response:
+    async def open_clip(self, request: Request) -> Response:
+        """Show another clip of the film."""
         index = await _read_body(request)
         if not isinstance(index, int) or isinstance(index, bool):
             raise InputError("clip: expected a whole number")
-        await run_in_threadpool(bench.open_clip, index)
-        return JSONResponse(await run_in_threadpool(bench.describe))
+        await run_in_threadpool(self.bench.open_clip, index)
+        return JSONResponse(await run_in_threadpool(self.bench.describe))
 
-    async def apply(request: Request) -> Response:
-        return JSONResponse(await run_in_threadpool(bench.apply, await _read_body(request)))
+    async def apply(self, request: Request) -> Response:
+        """Use the settings that the page sends."""
+        return JSONResponse(await run_in_threadpool(self.bench.apply, await _read_body(request)))
 
-    async def start_run(request: Request) -> Response:
-        await run_in_threadpool(bench.apply, await _read_body(request))
-        return JSONResponse(await run_in_threadpool(bench.start_run))
+    async def start_run(self, request: Request) -> Response:
+        """Use the settings that the page sends, and track the film with them."""
+        await run_in_threadpool(self.bench.apply, await _read_body(request))
+        return JSONResponse(await run_in_threadpool(self.bench.start_run))
 
-    async def start_calibration(request: Request) -> Response:
-        return JSONResponse(await run_in_threadpool(bench.start_calibration, await _read_body(request)))
+    async def start_calibration(self, request: Request) -> Response:
+        """Start the calibration that the page asks for."""
+        return JSONResponse(await run_in_threadpool(self.bench.start_calibration, await _read_body(request)))
 
-    async def cancel_run(request: Request) -> Response:
-        bench.process.cancel()
-        return JSONResponse(bench.describe_status())
+    async def cancel_run(self, request: Request) -> Response:
+        """Stop the run."""
+        self.bench.process.cancel()
+        return JSONResponse(self.bench.describe_status())
 
-    async def stream_status(request: Request) -> Response:
-        async def tell() -> AsyncIterator[str]:
-            here.enter()
-            try:
-                told, at = -1, 0.0
-                while True:
-                    if bench.version != told:
-                        told = bench.version
-                        yield f"data: {json.dumps(bench.describe_status())}\n\n"
-                    elif time.monotonic() - at > 2:  # so that a closed page is noticed
-                        at = time.monotonic()
-                        yield ": here\n\n"
-                    await asyncio.sleep(0.1)
-            finally:
-                here.leave()
+    async def stream_status(self, request: Request) -> Response:
+        """The status of the session, sent at each change for as long as the page is open."""
+        return StreamingResponse(self._yield_status(), media_type="text/event-stream")
 
-        return StreamingResponse(tell(), media_type="text/event-stream")
+    async def _yield_status(self) -> AsyncIterator[str]:
+        self.presence.enter()
+        try:
+            sent_version, sent_at = -1, 0.0
+            while True:
+                if self.bench.version != sent_version:
+                    sent_version = self.bench.version
+                    yield f"data: {json.dumps(self.bench.describe_status())}\n\n"
+                elif time.monotonic() - sent_at > 2:  # so that a closed page is noticed
+                    sent_at = time.monotonic()
+                    yield ": here\n\n"
+                await asyncio.sleep(0.1)
+        finally:
+            self.presence.leave()
 
-    async def tell_error(request: Request, error: Exception) -> Response:
-        return _refuse(f"{error}", 422)
 
-    routes = [
-        Route("/", show_page),
-        Route("/static/{name}", show_static),
-        Route("/report/{number:int}/{name:path}", show_report),
-        Route("/frame/{index:int}.{kind}", show_frame),
-        Route("/api/film", describe),
-        Route("/api/levels", find_levels),
-        Route("/api/balls/{index:int}", find_balls),
-        Route("/api/results/{number:int}", describe_results),
-        Route("/api/tracks/{number:int}", list_tracks),
-        Route("/api/clip", open_clip, methods=["POST"]),
-        Route("/api/settings", apply, methods=["POST"]),
-        Route("/api/run", start_run, methods=["POST"]),
-        Route("/api/calibrate", start_calibration, methods=["POST"]),
-        Route("/api/cancel", cancel_run, methods=["POST"]),
-        Route("/api/status", stream_status),
-    ]
-    return LocalOnly(Starlette(routes=routes, exception_handlers={InputError: tell_error}), port, token, ticket)
+def make_application(
+    bench: Workbench, port: int, token: str, ticket: str = "", presence: Presence | None = None
+) -> ASGIApp:
+    """The application of a session: all addresses of the page, behind `LocalOnly`, which explains token and ticket."""
+    routes = SessionAddresses(bench, presence or Presence()).list_routes()
+    return LocalOnly(Starlette(routes=routes, exception_handlers={InputError: _explain_error}), port, token, ticket)
 
 
 async def _read_body(request: Request) -> Any:
@@ -177,6 +198,10 @@ async def _read_body(request: Request) -> Any:
         return json.loads(await request.body())  # its size is checked by LocalOnly
     except (ValueError, RecursionError):
         raise InputError("expected JSON") from None
+
+
+async def _explain_error(request: Request, error: Exception) -> Response:
+    return _refuse(f"{error}", 422)
 
 
 def _refuse(text: str, code: int) -> Response:
