@@ -12,7 +12,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import tifffile
+from processes import until
 from tracker_film import CAMERA, collision, film
+
+from tracker.app.server import write_opening_page
 
 api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make test-app installs it")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -111,7 +114,7 @@ def test_from_a_film_to_a_number(films, browser, tmp_path):
             assert shown(page, 0) == 1
             page.mouse.move(*at(page, *PATHS[0, 0]))
             page.click("#auto")
-            page.wait_for_function("Number(document.getElementById('high').value) < 90")
+            assert until(lambda: int(page.input_value("#high")) < 90)
             says(page, "#ball", "Glint at")
             x, y = re.search(r"([\d.]+), ([\d.]+) px", page.text_content("#ball")).groups()
             assert np.hypot(float(x) - PATHS[0, 0, 0], float(y) - PATHS[0, 0, 1]) < 0.1
@@ -204,6 +207,11 @@ def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, t
         assert "interrupted; finished runs stay" in command.stderr.read()
         says(page, "#message", "does not answer")
     assert subprocess.run(["pgrep", "-f", f"{tmp_path}/bench"], capture_output=True).stdout == b""
+
+
+def test_a_browser_is_let_in_by_the_file_that_it_opens(address, browser, tmp_path):
+    with opened(browser, write_opening_page(tmp_path, address).as_uri()) as page:
+        assert page.url == address.partition("?")[0]
 
 
 def test_nobody_else_gets_in(address, browser):

@@ -56,11 +56,15 @@ class FilmView:
         self.number, frames = source.open_film(index)
         self.location = source.clips[index][1]
         self.mark = secrets.token_hex(6)  # part of the address of each picture, which browsers keep
-        self._lock, self._last = threading.RLock(), -1
+        self._lock, self._last, self._closed = threading.RLock(), -1, False
         self.frames = frames
         self.clip = make_recording(self.number, self.frames, None, (f"{self.location}", ""))
         self._planes: dict[str, Frames] = {GREY: self.clip.frames}
         self._kept: OrderedDict[tuple[str, int], NDArray[Any]] = OrderedDict()
+
+    def close(self) -> None:
+        """End passes over the film: they raise InputError at their next frame."""
+        self._closed = True
 
     def open_recording(self, camera: Camera | None, options: FilmOptions, *, apart: bool = False) -> Recording:
         """The same clip with a camera and options. Raises InputError.
@@ -77,6 +81,8 @@ class FilmView:
         frames, lock = self.source.open_film(self.index)[1], threading.RLock()
 
         def read(k: int) -> Any:
+            if self._closed:
+                raise InputError(f"{self.location}: closed")
             kept = self._kept.get((GREY, k)) if frames.aspect == 1 else None
             if kept is not None:
                 return kept

@@ -7,26 +7,31 @@ from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import cookie_parser
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 OWN_PAGE = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-REPORT = (  # a file of ours with its scripts and styles in it; it may ask for its own files alone
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data:; "
-    "media-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+REPORT = (  # a file with its scripts, pictures and styles in it; it can ask for nothing and has no origin
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; media-src data:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'self'; sandbox allow-scripts"
 )
 MAX_BODY_BYTES = 1 << 16
+
+
+def make_redirect(address: str) -> str:
+    """A page that leads to an address without characters that HTML escapes."""
+    return f'<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={address}">'
 
 
 class LocalOnly:
     """Wraps the application and refuses what does not come from the page that the command has opened."""
 
-    def __init__(self, app: ASGIApp, port: int, token: str, ticket: str = "") -> None:
+    def __init__(self, app: ASGIApp, port: int, token: str, reports: str) -> None:
         self.app, self.token = app, token
-        self.ticket = ticket  # lets in once: other users of the machine can see the address that a browser is given
+        self.reports = f"/report/{reports}/"  # browsers send no cookie from a page without an origin, as reports are
         self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self.cookie = f"workbench_{port}"  # browsers send cookies to every port of a host
 
@@ -38,9 +43,11 @@ class LocalOnly:
         response: Response | None = None
         if headers.get("host", "") not in self.hosts:
             response = PlainTextResponse("this page answers to 127.0.0.1 alone", 403)
-        elif path == "/" and (self._is_token(given) or self._takes_ticket(given)):
-            response = RedirectResponse("/", 303)
+        elif path == "/" and self._is_token(given):
+            response = HTMLResponse(make_redirect("/"))  # a 303 from a file's page would not send the strict cookie
             response.set_cookie(self.cookie, self.token, httponly=True, samesite="strict")
+        elif path.startswith(self.reports) and scope["method"] in ("GET", "HEAD"):
+            response = None
         elif not self._is_token(cookie_parser(headers.get("cookie", "")).get(self.cookie, "")):
             response = PlainTextResponse("open the address that `tracker open` has printed", 403)
         elif scope["method"] not in ("GET", "HEAD"):
@@ -63,11 +70,6 @@ class LocalOnly:
 
     def _is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self.token.encode())
-
-    def _takes_ticket(self, given: str) -> bool:
-        fits = bool(self.ticket) and hmac.compare_digest(given.encode(), self.ticket.encode())
-        self.ticket = "" if fits else self.ticket
-        return fits
 
     def _refuse_foreign(self, headers: Headers) -> Response | None:
         """The refusal of a request that changes something and does not come from the page; None for the page's own."""

@@ -8,6 +8,7 @@ import os
 import secrets
 import socket
 import sys
+import tempfile
 import threading
 import time
 import webbrowser
@@ -25,7 +26,7 @@ from starlette.types import ASGIApp
 
 from synthcam_shared.errors import InputError
 from tracker.app.film_view import Look
-from tracker.app.local_only import LocalOnly
+from tracker.app.local_only import LocalOnly, make_redirect
 from tracker.app.workbench import Workbench
 
 STATIC = Path(__file__).with_name("static")
@@ -74,7 +75,7 @@ class SessionAddresses:
         return [
             Route("/", self.show_page),
             Route("/static/{name}", self.show_static),
-            Route("/report/{number:int}/{name:path}", self.show_report),
+            Route("/report/{key}/{number:int}/{name:path}", self.show_report),
             Route("/frame/{index:int}.{kind}", self.show_frame),
             Route("/api/film", self.describe),
             Route("/api/levels", self.find_levels),
@@ -185,12 +186,11 @@ class SessionAddresses:
             self.presence.leave()
 
 
-def make_application(
-    bench: Workbench, port: int, token: str, ticket: str = "", presence: Presence | None = None
-) -> ASGIApp:
-    """The application of a session: all addresses of the page, behind `LocalOnly`, which explains token and ticket."""
+def make_application(bench: Workbench, port: int, token: str, presence: Presence | None = None) -> ASGIApp:
+    """The application of a session: all addresses of the page, behind `LocalOnly`."""
     routes = SessionAddresses(bench, presence or Presence()).list_routes()
-    return LocalOnly(Starlette(routes=routes, exception_handlers={InputError: _explain_error}), port, token, ticket)
+    application = Starlette(routes=routes, exception_handlers={InputError: _explain_error})
+    return LocalOnly(application, port, token, bench.report_key)
 
 
 async def _read_body(request: Request) -> Any:
@@ -222,11 +222,11 @@ def serve(bench: Workbench, browser: bool) -> None:
         listener.bind(("127.0.0.1", 0))
         listener.listen()  # before the address is known to anybody
         port, presence = listener.getsockname()[1], Presence()
-        token, ticket = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
-        address = f"http://127.0.0.1:{port}/?token="
+        token = secrets.token_urlsafe(24)
+        address = f"http://127.0.0.1:{port}/?token={token}"
         server = uvicorn.Server(
             uvicorn.Config(
-                make_application(bench, port, token, ticket, presence),
+                make_application(bench, port, token, presence),
                 log_level="critical",
                 access_log=False,
                 lifespan="off",
@@ -243,15 +243,25 @@ def serve(bench: Workbench, browser: bool) -> None:
                     server.should_exit = True
 
         threading.Thread(target=watch, daemon=True).start()
-        print(address + token, flush=True)
+        print(address, flush=True)
         print("tracker: close the page or press Ctrl-C to end", file=sys.stderr, flush=True)
-        if browser and _has_screen():
-            threading.Timer(0.3, webbrowser.open, (address + ticket,)).start()
-        try:
-            server.run(sockets=[listener])
-        finally:
-            over.set()
-            bench.close()
+        with tempfile.TemporaryDirectory(prefix="workbench_") as own:  # its files are for this user alone
+            if browser and _has_screen():
+                page = write_opening_page(Path(own), address)
+                threading.Timer(0.3, webbrowser.open, (page.as_uri(),)).start()
+            try:
+                server.run(sockets=[listener])
+            finally:
+                over.set()
+                bench.close()
+
+
+def write_opening_page(folder: Path, address: str) -> Path:
+    """Write the file that a browser opens: all users of a machine see the words of commands, but not this file."""
+    page = folder / "open.html"
+    page.touch(0o600)
+    page.write_text(make_redirect(address))
+    return page
 
 
 def _has_screen() -> bool:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import secrets
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -64,6 +66,7 @@ class Workbench:
         if beside.is_dir() and beside in (self.folder, *self.folder.parents):
             raise InputError(f"{self.folder}: lies in {source.path}, expected a folder outside it")
         self.process = TrackProcess(self._hear_process)
+        self.report_key = secrets.token_urlsafe(24)  # part of the addresses of reports
         self.made: set[int] = set()  # numbers of the runs of this session
         self.version = 0  # grows with every change of detector and run
         self.detector: PreparedDetector | None = None
@@ -80,7 +83,9 @@ class Workbench:
         """End the run, if one is under way, and the preparation."""
         self._closed = True
         self._wake.set()
+        self.view.close()  # ends a pass of the detector over the film
         self.process.close()
+        self._worker.join()
 
     def _note_change(self) -> None:
         self.version += 1
@@ -223,11 +228,14 @@ class Workbench:
     # --- the run
 
     def _next_number(self) -> int:
-        """The first number without a file of an earlier run, finished or interrupted."""
+        """The first number without a file of an earlier run, finished, interrupted or claimed."""
         taken = {path.name.removesuffix(".partial") for path in self.folder.glob("*_*")}
-        paths = ((self._camera_file(n), self._calibrated(n), self._results(n)) for n in count(1))
+        paths = ((self._command_file(n), self._camera_file(n), self._calibrated(n), self._results(n)) for n in count(1))
         names = ({path.name for path in own} for own in paths)
         return next(n for n, own in enumerate(names, 1) if not own & taken)
+
+    def _command_file(self, number: int) -> Path:
+        return self.folder / f"command_{number}.txt"
 
     def _camera_file(self, number: int) -> Path:
         return self.folder / f"camera_{number}.json"
@@ -251,11 +259,11 @@ class Workbench:
         if not (wanted["--diameter"] and wanted["--fps"]):
             raise InputError("calibrate: set the ball diameter and the frames a second; the balls then give the scale")
         with self._lock:
-            number = self._prepare_run()
+            number = self._claim_number()
             words = ["tracker", "calibrate", name_as_argument(self.film), "-o", f"{self._calibrated(number)}"]
             for name, value in wanted.items():
                 words += [name, f"{value:.12g}"] if value else []
-            self.process.start(number, words)
+            self._start(number, words)
             return self.describe_status()
 
     def _take_camera(self, file: Path) -> None:
@@ -265,25 +273,33 @@ class Workbench:
             self.source, self.given = replace(self.source, camera=file), read_source(file)
             self._take(make_plan(build_settings(kept, RunSettings, "settings"), self.view, self.given, where=f"{file}"))
 
-    def _prepare_run(self) -> int:
-        """The number of the next run, whose folder can be written. Raises InputError."""
+    def _claim_number(self) -> int:
+        """The number of the next run, which no other session takes from now on. Raises InputError."""
         if self.process.is_running:
             raise InputError("run: one is under way; wait for it, or cancel it")
-        number = self._next_number()
         check_writable(self.folder)
         self.folder.mkdir(parents=True, exist_ok=True)
-        return number
+        while True:
+            number = self._next_number()
+            with suppress(FileExistsError):
+                self._command_file(number).touch(exist_ok=False)
+                return number
+
+    def _start(self, number: int, words: list[str]) -> None:
+        """Start a run, and note its command beside its results."""
+        write_atomically(self._command_file(number), join_words(words) + "\n")
+        self.process.start(number, words)
 
     def start_run(self) -> dict[str, Any]:
         """Start `tracker track` with the settings of the page. Raises InputError."""
         with self._lock:
-            number, plan = self._prepare_run(), self.plan
+            number, plan = self._claim_number(), self.plan
             camera = self.source.camera
             if plan.needs_file:
                 camera = self._camera_file(number)
                 write_atomically(camera, json.dumps(finite(plan.keys), indent=1) + "\n")
             self.made.add(number)
-            self.process.start(number, plan.write_command(self.film, camera, self._results(number)))
+            self._start(number, plan.write_command(self.film, camera, self._results(number)))
             return self.describe_status()
 
     def describe_status(self) -> dict[str, Any]:
@@ -303,7 +319,7 @@ class Workbench:
             "folder": f"{folder}",
             "collisions": [_describe_collision(row) for row in rows_as_dicts(table.head(MAX_COLLISIONS))],
             "more": max(len(table) - MAX_COLLISIONS, 0),
-            "page": f"/report/{number}/index.html" if (folder / "index.html").is_file() else "",
+            "page": f"/report/{self.report_key}/{number}/index.html" if (folder / "index.html").is_file() else "",
         }
 
     def list_tracks(self, number: int) -> list[dict[str, Any]]:
