@@ -21,7 +21,7 @@ from tracker.gas.temperature import (
     measure_temperatures,
     tabulate_velocities,
 )
-from tracker.gas.velocities import cut_free_paths
+from tracker.gas.velocities import FreePath, cut_free_paths
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import measure_noise as measure_scatter_of_paths
 
@@ -43,23 +43,7 @@ class GasSettings:
 
 @dataclass(frozen=True, eq=False)
 class GasObservables:
-    """Observables of one recording. Energies and temperatures are per unit mass, m^2/s^2.
-
-    Attributes
-    ----------
-    time : DataFrame
-        A row for each frame: temperature, mean velocity, energy, and energies lost by sink.
-    pairs : DataFrame
-        Pair correlation: r, g, g_std.
-    velocities : DataFrame
-        Distribution of the components of velocities over sqrt(temperature): c, density, density_std.
-    values : dict
-        Single numbers, each with NAME_std where it has an error.
-    area : tuple
-        Left, bottom, right, top of the rectangle of the centres, m.
-    name, diameter, notes : str, float, tuple of str
-        Of the recording; diameter of a ball, m; what limits the values.
-    """
+    """Observables of one recording, as `tracker.Gas` describes them."""
 
     time: pd.DataFrame
     pairs: pd.DataFrame
@@ -114,8 +98,7 @@ def measure_gas(
         No frame has three balls with a velocity.
     """
     used = settings or GasSettings()
-    kinds = dict.fromkeys(("t_s", "energy_lost", "energy_lost_std"), float) | {"particle1": int, "particle2": int}
-    contacts = contacts.astype(kinds | {"misfit": bool}).sort_values("t_s", kind="stable").reset_index(drop=True)
+    contacts = _sort_contacts(contacts)
     paths = cut_free_paths(
         balls,
         contacts,
@@ -126,30 +109,51 @@ def measure_gas(
         slides=not on_air,
     )
     table = tabulate_velocities(paths) if paths else pd.DataFrame({"frame": []})
-    claimed = np.concatenate([np.trace(one.cov - one.fixed, axis1=1, axis2=2) / 2 for one in balls])
+    claimed = float(np.sqrt(np.median(np.concatenate([_claimed_variance(ball) for ball in balls]))))
     noise = measure_noise(table) if len(table) else np.nan
-    noise = noise if np.isfinite(noise) else float(np.sqrt(np.median(claimed)))  # all free paths are short
+    noise = noise if np.isfinite(noise) else claimed  # all free paths are short
+    time = _measure_time(paths, table, contacts, noise, fps)
+    where = area or _find_area(balls)
+    sides = where[2] - where[0], where[3] - where[1]
+    a2, a2_std = measure_sonine(table, time, noise)
+    values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
+    return GasObservables(
+        time=_add_scale_error(time, scale_error),
+        pairs=pair_correlation(_split_by_frame(balls), sides, used.pair_reach_diameters * diameter, used.pair_bins),
+        velocities=measure_distribution(table, time, used.velocity_bins),
+        values=values | _measure_rates(time, balls, contacts, sides, diameter, fps),
+        area=where,
+        diameter=diameter,
+    )
+
+
+def _measure_time(
+    paths: Sequence[FreePath], table: pd.DataFrame, contacts: pd.DataFrame, noise: float, fps: float
+) -> pd.DataFrame:
+    """Temperature, mean velocity, energy and losses of each frame; raises InputError if no frame has enough balls."""
     time = measure_temperatures(table, noise) if len(table) else table
     if not len(time):
         raise InputError(f"a gas has {MIN_BALLS} balls or more in view; no frame here has so many with a velocity")
     time.insert(1, "t_s", time["frame"] / fps)
-    time = time.join(measure_losses(paths, contacts, time["frame"].to_numpy(), noise))
-    where = area or _find_area(balls)
-    sides = where[2] - where[0], where[3] - where[1]
-    a2, a2_std = measure_sonine(table, time, noise)
-    values = {
-        "position_noise": noise,
-        "noise_ratio": noise / float(np.sqrt(np.median(claimed))),
-        "sonine_a2": a2,
-        "sonine_a2_std": a2_std,
-        **_measure_rates(time, balls, contacts, sides, diameter, fps),
-    }
-    pairs = pair_correlation(_split_by_frame(balls), sides, used.pair_reach_diameters * diameter, used.pair_bins)
-    distribution = measure_distribution(table, time, used.velocity_bins)
-    if scale_error:
-        for name, power in (("temperature", 2), ("energy", 2)):
-            time[f"{name}_std"] = np.hypot(time[f"{name}_std"], power * scale_error * time[name])
-    return GasObservables(time, pairs, distribution, values, where, diameter=diameter)
+    return time.join(measure_losses(paths, contacts, time["frame"].to_numpy(), noise))
+
+
+def _add_scale_error(time: pd.DataFrame, scale_error: float) -> pd.DataFrame:
+    """The table with the relative error of lengths in what is a square of lengths."""
+    return time.assign(
+        **{f"{k}_std": np.hypot(time[f"{k}_std"], 2 * scale_error * time[k]) for k in ("temperature", "energy")}
+    )
+
+
+def _sort_contacts(contacts: pd.DataFrame) -> pd.DataFrame:
+    """The contacts in the order of time, each column of its own type even where there are none."""
+    kinds = dict.fromkeys(("t_s", "energy_lost", "energy_lost_std"), float) | {"particle1": int, "particle2": int}
+    return contacts.astype(kinds | {"misfit": bool}).sort_values("t_s", kind="stable").reset_index(drop=True)
+
+
+def _claimed_variance(ball: BallTrack) -> Floats:
+    """Variance of a coordinate (n,), m^2, that the track claims, without the errors that all its positions share."""
+    return np.asarray(np.trace(ball.cov - ball.fixed, axis1=1, axis2=2) / 2)
 
 
 def _measure_rates(
