@@ -400,13 +400,45 @@ def fit_lasting_contact(
     min_duration_frames: a shorter contact is as good as instantaneous.
     bend_significance: standard errors by which the paths bend in a contact that lasts.
     """
-    window, fit = _frames_within(candidate, diameter), None
+    window = _frames_within(candidate, diameter)
     contact = prepare_contact(replace(candidate, frame=window[0]), diameter, earlier, settings)
     if contact.reason:
         return TOO_FEW
     pair, level = contact.pair, settings.rejection_level
     if window[0] == window[1] and _is_hopeless(pair, window[0], level):
         return None
+    found = _find_frames_in_contact(pair, window)
+    if found is None or isinstance(found, str):
+        return found
+    fit, window = _refine(found[0]), found[1]
+    outside = fit.problem.pair
+    if p_value(fit.chi2, fit.dof, outside.striker.noise_dof) < level:
+        return None
+    is_straight = fit.problem.kind == "straight"
+    tied = fit if is_straight else LastingFit.to(outside, "tied", _tied_starts(fit))
+    fits = [fit]
+    if not is_straight and not compare_fits(tied, fit, outside.striker.noise_dof) < level:
+        fits.append(tied)
+    best = max(fits, key=_sigmas_within)
+    lasting = None
+    step = float(np.median(np.diff(pair.striker.start)))
+    if _sigmas_within(best) > least_sigma and fit.times(fit.x)[:2].sum() > min_duration_frames * step:
+        lasting = _measure_duration(best, pair, window, bend_significance)
+    elif not is_straight or abs(_sigmas_within(best)) > least_sigma:
+        return None if is_straight or _knows_friction(tied, settings) else _find_straight_alternative(fit, pair, level)
+    if is_straight:
+        balanced = not _momentum_p(fit) < level
+        if lasting is None and not balanced:
+            return None
+        return LastingFits(lasting, outside, fit, fit, (False, False), _may_hide_slide(fit), balanced)
+    left = float(np.exp(fit.free[_TAU]).min()) - fit.times(fit.x)[1]  # of the slides once the balls have parted, s
+    hides = left < MIN_FRAMES * step or (not _knows_friction(tied, settings) and _may_hide_slide(tied))
+    return LastingFits(lasting, outside, tied, fit, _slide_ends_seen(fit), hides)
+
+
+def _find_frames_in_contact(pair: BallPair, window: tuple[int, int]) -> tuple[LastingFit, tuple[int, int]] | str | None:
+    """Leave out more frames until the others fit: a rough fit, and the first and last frame that are left out."""
+    fit = None
     for _ in range(MAX_WINDOWS):
         outside = _leave_out(pair, *window)
         if outside is None:
@@ -419,41 +451,28 @@ def fit_lasting_contact(
             break
         window = wider
     assert fit is not None
-    outside = fit.problem.pair
-    fit = LastingFit.to(outside, fit.problem.kind, [fit.x])
-    correlated = with_correlated_noise(replace(outside, diameter=float(fit.x[-1])), _as_free(fit))
-    if correlated is not None:
-        outside = replace(correlated, diameter=pair.diameter)
-        fit = LastingFit.to(outside, fit.problem.kind, [fit.x])
-    noise_dof = outside.striker.noise_dof
-    if p_value(fit.chi2, fit.dof, noise_dof) < level:
-        return None
-    is_straight = fit.problem.kind == "straight"
-    tied = fit if is_straight else LastingFit.to(outside, "tied", _tied_starts(fit))
-    sigmas = [_sigmas_within(fit)]
-    if not is_straight and not compare_fits(tied, fit, noise_dof) < level:
-        sigmas.append(_sigmas_within(tied))
-    lasting = None
-    step = float(np.median(np.diff(pair.striker.start)))
-    if max(sigmas) > least_sigma and fit.times(fit.x)[:2].sum() > min_duration_frames * step:
-        best = (fit, tied)[int(np.argmax(sigmas))]
-        before, after, _ = best.times(best.x)
-        both = best.slopes(best.times)[:2].sum(axis=0)
-        own = float(both @ best.cov @ both) * max(1.0, best.chi2 / best.dof)
-        _, friction, _ = best.restitution(best.x)
-        duration_std = float(np.hypot(np.sqrt(own), 0.15 * friction * (before + after)))
-        certain = _bend(best, pair, window) > bend_significance
-        lasting = LastingContact(*window, float(before + after), duration_std, certain)
-    elif not is_straight or abs(max(sigmas)) > least_sigma:
-        return None if is_straight or _knows_friction(tied, settings) else _find_straight_alternative(fit, pair, level)
-    if is_straight:
-        balanced = not _momentum_p(fit) < level
-        if lasting is None and not balanced:
-            return None
-        return LastingFits(lasting, outside, fit, fit, (False, False), _may_hide_slide(fit), balanced)
-    left = float(np.exp(fit.free[_TAU]).min()) - fit.times(fit.x)[1]  # of the slides once the balls have parted, s
-    hides = left < MIN_FRAMES * step or (not _knows_friction(tied, settings) and _may_hide_slide(tied))
-    return LastingFits(lasting, outside, tied, fit, _slide_ends_seen(fit), hides)
+    return fit, window
+
+
+def _refine(rough: LastingFit) -> LastingFit:
+    """The fit to full accuracy, with correlated errors of positions where the residuals show them."""
+    pair, kind = rough.problem.pair, rough.problem.kind
+    fit = LastingFit.to(pair, kind, [rough.x])
+    correlated = with_correlated_noise(replace(pair, diameter=float(fit.x[-1])), _as_free(fit))
+    return fit if correlated is None else LastingFit.to(replace(correlated, diameter=pair.diameter), kind, [fit.x])
+
+
+def _measure_duration(
+    best: LastingFit, pair: BallPair, window: tuple[int, int], bend_significance: float
+) -> LastingContact:
+    """The duration of a contact by its best fit, and whether the frames left out show that the paths bend there."""
+    before, after, _ = best.times(best.x)
+    both = best.slopes(best.times)[:2].sum(axis=0)
+    own = float(both @ best.cov @ both) * max(1.0, best.chi2 / best.dof)
+    _, friction, _ = best.restitution(best.x)
+    duration_std = float(np.hypot(np.sqrt(own), 0.15 * friction * (before + after)))
+    certain = _bend(best, pair, window) > bend_significance
+    return LastingContact(*window, float(before + after), duration_std, certain)
 
 
 def _is_hopeless(pair: BallPair, frame: int, level: float) -> bool:
