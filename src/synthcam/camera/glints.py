@@ -27,6 +27,15 @@ class GlintImages:
     order: Index  # number of bounces (G,)
 
 
+@dataclass(frozen=True)
+class GlintSettings:
+    """Which images of a lamp are wanted, and how finely the lamp is cut."""
+
+    cell: float = np.inf  # m, half-width of the cells into which a wider lamp is cut, each with its own image
+    faintest: float = reflections.FAINTEST  # flux over that of the primary, below which an image is left out
+    bounces: range = range(1, 99)  # numbers of reflections of the images
+
+
 def find_glints(
     camera: PinholeCamera,
     lamp: Lamp,
@@ -34,27 +43,23 @@ def find_glints(
     radii: Array,
     light: Array | NDArray[np.bool_],
     surface: Surface = STEEL_ON_BLACK,
-    cell: float = np.inf,
-    faintest: float = reflections.FAINTEST,
-    bounces: range = range(1, 99),
+    settings: GlintSettings = GlintSettings(),
 ) -> GlintImages:
     """Find the images of a lamp, without the further ones behind it, in balls.
 
-    Images weaker than `faintest` of the primary are left out (`reflections.iterate_chains`). The image of a cell is the
-    cell under the exact derivative of the reflected path. Its flux and its second moments are therefore exact to first
-    order in its size. The path of its middle decides whether it is hidden.
+    The image of a cell is the cell under the exact derivative of the reflected path. Its flux and its second moments
+    are therefore exact to first order in its size. The path of its middle decides whether it is hidden.
 
     centres: (T, N, 3), m, at each moment. radii: (N,), m. light: (T, N), brightness of the lamp relative to its mean;
-    0 for balls whose images are not wanted. cell: a wider lamp is cut into cells of this half-width, m, each with its
-    own image. bounces: of the images that are wanted.
+    0 for balls whose images are not wanted.
     """
-    eye, cells, axes = camera.centre, lamp.cells(cell), lamp.axes
-    found = []
-    most, mirror = bounces[-1], surface.head_on
-    widest = radii.max() * reflections.find_widest(mirror, faintest, most)
+    eye, cells, axes, bounces = camera.centre, lamp.cells(settings.cell), lamp.axes, settings.bounces
+    chains = settings.faintest, bounces[-1]
+    widest = radii.max() * reflections.find_widest(surface.head_on, *chains)
     reach = reflections.find_reach(cells.positions, eye, centres, radii, widest)
     near = reflections.find_neighbours(centres, reach)
-    lengths = reflections.iterate_chains(len(centres), radii, near, mirror, faintest, most)
+    lengths = reflections.iterate_chains(len(centres), radii, near, surface.head_on, *chains)
+    found = []
     for balls, when in _batch_chains(lengths, light != 0, bounces, MAX_PATHS_AT_ONCE // len(cells.areas)):
         part = np.tile(np.arange(len(cells.areas)), len(when))
         moment, balls = (np.repeat(x, len(cells.areas), axis=0) for x in (when, balls))
@@ -72,16 +77,24 @@ def find_glints(
             seen &= (paths.points[:, 0] - source) @ axes[:, 2] > 0
         order, ball = np.full(len(moment), balls.shape[1]), balls[:, -1]
         lobes = [(spread, flux)]
-        if surface.roughness or surface.scratches:  # tilted: spread by facets of 1 rad rms
+        if surface.roughness or surface.scratches:
             tilted = ((slope @ reflections.differentiate_by_tilt(source, eye, paths, positions, spheres)) ** 2).sum(2)
-            slopes = surface.roughness, np.hypot(surface.roughness, surface.scratch_slope)
-            shares = 1 - surface.scratches, surface.scratches
-            both = zip(slopes, shares, strict=True)
-            lobes = [(spread + rms**2 * tilted, share * flux) for rms, share in both if share]
+            lobes = _spread_by_facets(surface, spread, flux, tilted)
         found += [[x[seen] for x in (moment, ball, pixels, wide, bright, order)] for wide, bright in lobes]
     none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
     found.append([none, none, nowhere, nowhere, flat, none])
     return GlintImages(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
+
+
+def _spread_by_facets(surface: Surface, spread: Array, flux: Array, tilted: Array) -> list[tuple[Array, Array]]:
+    """The lobes of a rough or scratched mirror: variance (n, 2), px^2, and flux (n,) of each.
+
+    tilted: (n, 2), px^2, the variance by facets that are tilted by 1 rad rms.
+    """
+    slopes = surface.roughness, np.hypot(surface.roughness, surface.scratch_slope)
+    shares = 1 - surface.scratches, surface.scratches
+    both = zip(slopes, shares, strict=True)
+    return [(spread + rms**2 * tilted, share * flux) for rms, share in both if share]
 
 
 def _batch_chains(
