@@ -26,7 +26,7 @@ from benchmarks.harness import ROOT, save
 from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.dynamics.table import Table
+from synthcam.dynamics.tabletop import Table
 from synthcam.model import Model
 
 Array = NDArray[np.float64]

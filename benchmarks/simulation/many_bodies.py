@@ -30,7 +30,7 @@ from synthcam.dynamics.contacts.walls import StraightWall, Wall
 from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.dynamics.table import Table
+from synthcam.dynamics.tabletop import Table
 from synthcam.dynamics.trajectory import Trajectory
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.model import Bodies, Model

@@ -70,7 +70,7 @@ LAYERS = {
         "trajectory forces",
         "integrated_motion orientation supports",
         "propagate launch contacts",
-        "start_from_rest segments table",
+        "start_from_rest segments tabletop",
         "interacting_pair",
         "solve",
         "batch",

@@ -103,7 +103,7 @@ class _Offset:
 
 
 @dataclass(frozen=True)
-class _Path:
+class _Parabola:
     """A parabola through positions: its position (2,) and velocity (2,) per frame at one frame, its error, its rms."""
 
     position: Array
@@ -143,19 +143,19 @@ class _Paths:
         unsure = (wide + error) / 4
         return cls(clip.frame, clip.ball, clip.xy - expected, phase, claimed, policy.max_neighbour_rms, unsure)
 
-    def _through(self, rows: Ints, row: int) -> _Path:
+    def _through(self, rows: Ints, row: int) -> _Parabola:
         """The smoothest path through these rows, or through all but one, which may be an outlier itself."""
         path = self._path(rows, row)
         if path.rest < self.max_rms or len(rows) <= MIN_PATH_POSITIONS:
             return path
         return min((self._path(np.delete(rows, k), row) for k in range(len(rows))), key=lambda p: p.rest)
 
-    def _path(self, rows: Ints, row: int) -> _Path:
+    def _path(self, rows: Ints, row: int) -> _Parabola:
         design, inverse = _parabola(tuple((self.frame[rows] - self.frame[row]).tolist()))
         fitted = inverse @ self.xy[rows]
         left = (self.xy[rows] - design @ fitted) / self.claimed[rows, None]
         std, rest = np.linalg.norm(self.claimed[rows] * inverse[0]), np.sqrt((left**2).sum() / (2 * (len(rows) - 3)))
-        return _Path(fitted[0], fitted[1] / NEIGHBOUR_FRAMES, float(std), float(rest))
+        return _Parabola(fitted[0], fitted[1] / NEIGHBOUR_FRAMES, float(std), float(rest))
 
     def near(self, row: int) -> list[int]:
         """The rows whose distances an outlier in this row distorts, itself among them."""
@@ -202,7 +202,7 @@ class _Paths:
             found[row] = _Offset(np.maximum(beyond, 0.0) / std, max(s.rest for s in sides))
         return found
 
-    def _extrapolate(self, row: int, direction: int) -> _Path | None:
+    def _extrapolate(self, row: int, direction: int) -> _Parabola | None:
         """The path through the next five of the ball on one side, in one phase; None where they are too few."""
         phase = self.phase[row] if self.phase[row] >= 0 else (direction + 1) // 2
         off = direction * (self.frame - self.frame[row])

@@ -20,9 +20,6 @@ Float32 = NDArray[np.float32]
 Index = NDArray[np.intp]
 Box = tuple[slice, slice]
 
-BALLS_IN_BOXES = 4  # balls in a picture, up to which their pixels are drawn in boxes
-UNCHANGED = 1e-5  # smallest change, over the peak of a glint, by which a pixel differs from the plate
-
 
 @dataclass(frozen=True)
 class Picture:
@@ -227,14 +224,22 @@ def merge_boxes(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
 
 
 def add_to_plate(
-    plate: Float32, corners: Sequence[tuple[int, int, int, int]], changes: Sequence[tuple[Box, Float32, Float32 | None]]
+    plate: Float32,
+    corners: Sequence[tuple[int, int, int, int]],
+    changes: Sequence[tuple[Box, Float32, Float32 | None]],
+    *,
+    max_balls_in_boxes: int = 4,
+    least_change: float = 1e-5,
 ) -> Picture:
     """Add the changes that balls make, one or two in each box, to a plate. corners: of the boxes.
 
     Boxes that touch are merged, and few boxes stay. The merged boxes of many balls would hold much of the plate: the
     picture is then one box, with a list of its changed pixels.
+
+    max_balls_in_boxes: balls in a picture, up to which their pixels are drawn in boxes.
+    least_change: over the peak of a glint, by which a pixel differs from the plate.
     """
-    many = len(corners) > BALLS_IN_BOXES
+    many = len(corners) > max_balls_in_boxes
     if many:
         boxes: tuple[Box, ...] = ((slice(0, plate.shape[0]), slice(0, plate.shape[1])),)
         changed = np.zeros(plate.shape, bool)
@@ -252,5 +257,5 @@ def add_to_plate(
             if change is not None:
                 image += change
                 if many:
-                    changed[here] |= np.abs(change) > UNCHANGED
+                    changed[here] |= np.abs(change) > least_change
     return Picture(plate, boxes, tuple(parts), np.flatnonzero(changed) if many else None)

@@ -29,9 +29,7 @@ from synthcam_shared.jobs import Progress, count_cores, run_jobs
 from synthcam_shared.outputs import name_temporary, open_resumable, write_atomically
 
 PLAN = "stream.json"
-USUAL_FRAMES_OF_A_SHARD = 1000
 BALL_COLUMNS = ("sample", "id", "centre", "box", "visible")  # of a Zarr store
-CHUNK_BYTES = 4_000_000  # of the arrays of a Zarr store
 
 
 @dataclass(frozen=True)
@@ -86,9 +84,20 @@ class ShardOutcome:
 
 
 def plan_shards(
-    scene: Scene, seed: int, frames: int | None, clips: int | None, clips_per_shard: int | None, every: int, kind: str
+    scene: Scene,
+    seed: int,
+    frames: int | None,
+    clips: int | None,
+    clips_per_shard: int | None,
+    every: int,
+    kind: str,
+    *,
+    usual_frames: int = 1000,
 ) -> ShardPlan:
-    """Plan shards of so many clips, or of as many as have so many frames by the length of clip 0. Raises InputError."""
+    """Plan shards of so many clips, or of as many as have so many frames by the length of clip 0. Raises InputError.
+
+    usual_frames: of a shard, where none is asked for.
+    """
     if kind not in FORMATS:
         raise InputError(f"--format {kind}: no such format; there are {', '.join(FORMATS)}")
     if kind == "zarr" and importlib.util.find_spec("zarr") is None:
@@ -100,7 +109,7 @@ def plan_shards(
         clips = -(-frames // frames_of_clip)
     if clips is not None and clips > MAX_CLIPS:
         raise InputError(f"--clips {clips}: expected at most {MAX_CLIPS} clips in all")
-    usual = max(1, USUAL_FRAMES_OF_A_SHARD // frames_of_clip)
+    usual = max(1, usual_frames // frames_of_clip)
     return ShardPlan(scene, seed, clips, clips_per_shard or usual, every, kind)
 
 
@@ -231,8 +240,11 @@ def _write_tar(frames: Iterator[LabelledFrame], path: Path) -> None:
                 tar.addfile(member, io.BytesIO(data))
 
 
-def _write_zarr(frames: Iterator[LabelledFrame], path: Path) -> None:
-    """A Zarr store: pictures and labels (sample, y, x), and the truth of all balls in one table of columns."""
+def _write_zarr(frames: Iterator[LabelledFrame], path: Path, *, chunk_bytes: int = 4_000_000) -> None:
+    """A Zarr store: pictures and labels (sample, y, x), and the truth of all balls in one table of columns.
+
+    chunk_bytes: of the arrays of the store.
+    """
     import zarr
 
     group = zarr.open_group(path, mode="w", zarr_format=3)
@@ -252,7 +264,7 @@ def _write_zarr(frames: Iterator[LabelledFrame], path: Path) -> None:
         waiting.clear()
 
     for number, frame in enumerate(frames):
-        chunk = max(1, CHUNK_BYTES // frame.image.nbytes)
+        chunk = max(1, chunk_bytes // frame.image.nbytes)
         if "image" in group and group["image"].shape[1:] != frame.image.shape:
             raise InputError(f"clip {frame.clip.number}: frames of another size; expected one size for --format zarr")
         cameras[str(frame.clip.number)] = frame.clip.camera_json

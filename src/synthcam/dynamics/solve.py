@@ -37,13 +37,12 @@ from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.propagate import MAX_SPEED_M_S, propagate, propagate_back
 from synthcam.dynamics.start_from_rest import MIN_IMPACT_SPEED_OF_PAIR_M_S, excess_push
 from synthcam.dynamics.supports import Support
-from synthcam.dynamics.table import Table
+from synthcam.dynamics.tabletop import Table
 from synthcam.dynamics.trajectory import Carried, Event, Fly, Leg, Numeric, Push, Rest, Roll, Slide, Trajectory
 from synthcam.model import Bodies, Model
 
 MAX_TIME_S = 1e4  # beyond it the last bit of the time is too coarse for an event
 PLATE = Table()
-LEAST_APPROACH_M_S = 1e-6
 MAX_PAIR_TIME_S = 60.0  # balls that push each other are integrated in small steps
 
 
@@ -484,12 +483,12 @@ class _EventLoop:
         return _end_slip(state, self.radius[k], self.inertia[k]) if rolls else state
 
 
-def _approach(target: State, striker: State) -> State:
-    """Let balls approach at LEAST_APPROACH_M_S at least, which shows the law of a contact that begins slowly."""
+def _approach(target: State, striker: State, *, least_approach_m_s: float = 1e-6) -> State:
+    """Let balls approach at least_approach_m_s at least, which shows the law of a contact that begins slowly."""
     x, y = target[0] - striker[0], target[1] - striker[1]
     far = math.hypot(x, y)
     rate = ((striker[3] - target[3]) * x + (striker[4] - target[4]) * y) / far
-    more = max(LEAST_APPROACH_M_S - rate, 0.0) / far
+    more = max(least_approach_m_s - rate, 0.0) / far
     return (*striker[:3], striker[3] + more * x, striker[4] + more * y, *striker[5:])
 
 

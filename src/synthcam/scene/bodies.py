@@ -14,7 +14,7 @@ from synthcam.dynamics.contacts.walls import Rim, StraightWall, Wall
 from synthcam.dynamics.kinematics import plate_state, push_share
 from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.supports import Air, DryPlate, Support
-from synthcam.dynamics.table import Scatter, Table
+from synthcam.dynamics.tabletop import Scatter, Table
 from synthcam.model import Ball, Bodies, Model
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings

@@ -17,7 +17,7 @@ from synthcam.camera.sensor import Sensor
 from synthcam.camera.surface import Surface
 from synthcam.dynamics.launch import SPIN_COLUMNS, Launch
 from synthcam.dynamics.solve import PLATE
-from synthcam.dynamics.table import Table
+from synthcam.dynamics.tabletop import Table
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, camera_json, find_video_problem

@@ -13,7 +13,7 @@ from synthcam.camera.pinhole import PinholeCamera
 from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import PLATE, solve
-from synthcam.dynamics.table import Table
+from synthcam.dynamics.tabletop import Table
 from synthcam.dynamics.trajectory import Trajectory, average_over_spans
 from synthcam.model import Model
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
 
-FAINTEST_OVER_NOISE = 0.2  # of a dark pixel: a spot below it changes no position and no brightness noticeably
-
 
 class OpticalSetup(NamedTuple):
     """Everything that decides a picture except where the balls are."""
@@ -58,7 +56,8 @@ def expose_frames(
     apart = 1 << 64  # the seeds of the three chips are further apart than any two seeds that a user may give
     camera = setup.camera
     chips = [_chip(sensor, camera.size, camera.exposure, seed + c * apart) for c in range(3 if colour else 1)]
-    setup = setup._replace(faintest=FAINTEST_OVER_NOISE * sensor.noise / sensor.glint_peak)
+    unnoticed = 0.2 * sensor.noise / sensor.glint_peak  # a spot that changes no position and no brightness noticeably
+    setup = setup._replace(faintest=unnoticed)
     renderer = _renderer(pickle.dumps(tuple(setup)))
     motion = motion.as_drawn()
 

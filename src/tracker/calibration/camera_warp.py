@@ -31,14 +31,7 @@ from tracker.measurement.positions import to_ball_tracks
 from tracker.results import read_clip
 
 Floats = NDArray[np.float64]
-MIN_STRETCHES = 20
-MIN_RECORDINGS = 8  # with fewer the stretches are left out in turn, and not the recordings
 FOLDS = 8
-MAX_INTERVALS = 16  # of the splines along the longer side
-MIN_INTERVALS = 3  # along either side
-POSITIONS_PER_CELL = 40  # at least, in the mean over the cells of the splines
-SIGNIFICANCE = 1e-3  # p-value of the gain on held-out stretches
-REPETITIONS = 2  # of the fit, with friction as the corrected stretches show it
 SMOOTHNESS = np.logspace(-8, 8, 65)  # ratios of the prior's precision to that of the positions that are tried
 
 
@@ -51,13 +44,19 @@ class SplineField:
     intervals: tuple[int, int]
 
     @staticmethod
-    def over(position: Floats) -> SplineField:
-        """The fields over all positions (n, 2)."""
+    def over(
+        position: Floats, *, min_intervals: int = 3, max_intervals: int = 16, positions_per_cell: int = 40
+    ) -> SplineField:
+        """The fields over all positions (n, 2).
+
+        min_intervals: of the splines, along either side. max_intervals: along the longer side.
+        positions_per_cell: at least, in the mean over the cells of the splines.
+        """
         low, high = position.min(axis=0), position.max(axis=0)
         sides = np.maximum(high - low, 1e-9)
-        cells = len(position) / POSITIONS_PER_CELL
-        side = max(float(np.sqrt(sides.prod() / cells)), float(sides.max()) / MAX_INTERVALS)
-        across, down = (max(round(s / side), MIN_INTERVALS) for s in sides)
+        cells = len(position) / positions_per_cell
+        side = max(float(np.sqrt(sides.prod() / cells)), float(sides.max()) / max_intervals)
+        across, down = (max(round(s / side), min_intervals) for s in sides)
         return SplineField(low, high, (across, down))
 
     @property
@@ -89,7 +88,7 @@ class SplineField:
         return np.asarray(whole * size**4 / len(at))
 
 
-class _Sums:
+class _NormalEquations:
     """Sums over stretches, beside their own motion: the least squares problem of the displacements."""
 
     def __init__(self, size: int) -> None:
@@ -104,17 +103,17 @@ class _Sums:
         self.dof += stretch.dof
 
     @staticmethod
-    def total(parts: Sequence[_Sums]) -> _Sums:
+    def total(parts: Sequence[_NormalEquations]) -> _NormalEquations:
         """The sums over several."""
-        out = _Sums(len(parts[0].vector))
+        out = _NormalEquations(len(parts[0].vector))
         for one in parts:
             out.matrix, out.vector = out.matrix + one.matrix, out.vector + one.vector
             out.square, out.dof = out.square + one.square, out.dof + one.dof
         return out
 
-    def without(self, other: _Sums) -> _Sums:
+    def without(self, other: _NormalEquations) -> _NormalEquations:
         """The sums over the stretches that are not in `other`."""
-        rest = _Sums(len(self.vector))
+        rest = _NormalEquations(len(self.vector))
         rest.matrix, rest.vector = self.matrix - other.matrix, self.vector - other.vector
         rest.square, rest.dof = self.square - other.square, self.dof - other.dof
         return rest
@@ -141,7 +140,7 @@ class _Posterior:
     smoothness: float
 
 
-def _solve(sums: _Sums, prior: Floats, smoothness: float | None = None) -> _Posterior:
+def _solve(sums: _NormalEquations, prior: Floats, smoothness: float | None = None) -> _Posterior:
     """The displacements at the smoothness of the largest marginal likelihood, or at a given one."""
     size, axes = eigh(sums.matrix, prior)
     size, pull = np.maximum(size, 0.0), axes.T @ sums.vector
@@ -238,24 +237,36 @@ def _is_same_view(one: Camera, other: Camera) -> bool:
 
 
 def fit_camera_warp(
-    camera: Camera, recordings: Sequence[Sequence[FreeStretch]], progress: Progress = lambda done, total: None
+    camera: Camera,
+    recordings: Sequence[Sequence[FreeStretch]],
+    progress: Progress = lambda done, total: None,
+    *,
+    min_stretches: int = 20,
+    min_recordings: int = 8,
+    max_p: float = 1e-3,
+    repetitions: int = 2,
 ) -> CameraWarp:
-    """Fit a warp to free stretches by recording. Raises InputError where they are too few, or it does not help."""
+    """Fit a warp to free stretches by recording. Raises InputError where they are too few, or it does not help.
+
+    min_recordings: with fewer the stretches are left out in turn, and not the recordings.
+    max_p: p-value of the gain on held-out stretches, above which the warp is refused.
+    repetitions: of the fit, each with the friction that the corrected stretches show.
+    """
     groups = [one for one in _leave_out_bad(recordings) if one]
     count, stretches = len(groups), sum(len(one) for one in groups)
-    if stretches < MIN_STRETCHES:
-        raise InputError(f"warp: {stretches} free stretches, expected at least {MIN_STRETCHES}")
-    if count < MIN_RECORDINGS:
+    if stretches < min_stretches:
+        raise InputError(f"warp: {stretches} free stretches, expected at least {min_stretches}")
+    if count < min_recordings:
         groups = [[stretch] for one in groups for stretch in one]
     problem = start = _WarpProblem.of(groups)
-    for _ in range(REPETITIONS):
+    for _ in range(repetitions):
         problem = problem.repeat_at(problem.solve().mean, progress)
     found = problem.solve()
     before, after, value = start.test_on_held_out(progress)
-    if not value < SIGNIFICANCE:
+    if not value < max_p:
         raise InputError(
             f"warp: refused, the free stretches show none: it changes the rms of held-out residuals from "
-            f"{1e3 * before:.4g} to {1e3 * after:.4g} mm (p {value:.2g}, expected under {SIGNIFICANCE:g})"
+            f"{1e3 * before:.4g} to {1e3 * after:.4g} mm (p {value:.2g}, expected under {max_p:g})"
         )
     shift, error = problem.displace(found.mean), problem.displace(found.root)
     std = float(np.sqrt(np.sum(error**2) / (2 * len(shift))))
@@ -295,9 +306,9 @@ class _WarpProblem:
         return _WarpProblem(groups, field, constraint, one.T @ rough @ one + other.T @ rough @ other, friction)
 
     @cached_property
-    def sums(self) -> list[_Sums]:
+    def sums(self) -> list[_NormalEquations]:
         """The sums of each fold."""
-        folds = [_Sums(len(self.prior)) for _ in range(FOLDS)]
+        folds = [_NormalEquations(len(self.prior)) for _ in range(FOLDS)]
         for number, group in enumerate(self.groups):
             for stretch in group:
                 folds[number % FOLDS].add(stretch, self.field, self.constraint)
@@ -306,7 +317,7 @@ class _WarpProblem:
     def solve(self, half: int | None = None, smoothness: float | None = None) -> _Posterior:
         """The displacements by all folds, or by every second."""
         used = self.sums if half is None else self.sums[half::2]
-        return _solve(_Sums.total(used), self.prior, smoothness)
+        return _solve(_NormalEquations.total(used), self.prior, smoothness)
 
     def repeat_at(self, mean: Floats, progress: Progress = lambda done, of: None) -> _WarpProblem:
         """The problem about these displacements, with a prior of friction as the corrected stretches show it."""
@@ -346,7 +357,7 @@ class _WarpProblem:
                 gains.append(gain)
         error = np.std(gains, ddof=1) / np.sqrt(len(gains))
         noise = float(np.median(np.concatenate([stretch.std for group in self.groups for stretch in group])))
-        dof = _Sums.total(self.sums).dof
+        dof = _NormalEquations.total(self.sums).dof
         before, after = (noise * float(np.sqrt(square / dof)) for square in (total, left))
         return before, after, float(stdtr(len(gains) - 1, -np.mean(gains) / max(error, 1e-300)))
 

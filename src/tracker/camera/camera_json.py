@@ -247,7 +247,6 @@ class _CameraFile(_Section):
     calibration: Any = None
 
 
-_SURFACE_OF_RENDERER = "steel scratch_slope plate_gloss plate_roughness plate_texture plate_grain plate_shadow"
 _KNOWN_KEYS = {
     "": [*_CameraFile.model_fields],
     "lamp": [*_Lamp.model_fields, "angle", "facing", "flicker", "radiance"],
@@ -257,7 +256,10 @@ _KNOWN_KEYS = {
     "lens": ["vignetting"],
     "ball": ["finish", "colour"],
     "video": ["codec", "crf", "q", "gamma", "chroma"],
-    "surface": [*_Surface.model_fields, *_SURFACE_OF_RENDERER.split()],
+    "surface": [
+        *_Surface.model_fields,
+        *"steel scratch_slope plate_gloss plate_roughness plate_texture plate_grain plate_shadow".split(),
+    ],
 }
 
 

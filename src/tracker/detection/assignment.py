@@ -15,11 +15,6 @@ from tracker.detection.motion_filter import DENSE, Hits, MotionNoise, PredictedB
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-NEAREST = 8  # detections that are compared with a ball
-LOG_SEEN = 3.0  # logarithm of the odds that a ball is seen
-LOG_NEW = -1.0  # of the odds that a detection without a past is a ball
-PLAIN_SIGMA = 3.0  # errors within which each ball of a few must be found for its detection to be taken without more
-UNCONFIRMED = 0.05  # probability that a ball is not found in the frame after the next, where its motion leads
 
 
 def link_frame(
@@ -55,22 +50,32 @@ def link_frame(
     return _update(before, free, hits, found, (ball, seen, kind[ball, column]), frames, frame, noise), own
 
 
-def _match_plainly(free: PredictedBalls, found: Floats, noise: MotionNoise) -> Ints | None:
-    """The detection (n,) of each ball where every ball and every detection has its own; None otherwise."""
+def _match_plainly(free: PredictedBalls, found: Floats, noise: MotionNoise, *, max_sigma: float = 3.0) -> Ints | None:
+    """The detection (n,) of each ball where every ball and every detection has its own; None otherwise.
+
+    max_sigma: errors within which each ball must be found.
+    """
     if len(free) != len(found) or len(free) > DENSE or (free.count < 2).any():
         return None
     off = ((free.xy[:, None] - found) ** 2).sum(axis=2)
     nearest = off.argmin(axis=1)
-    close = off[np.arange(len(free)), nearest] < PLAIN_SIGMA**2 * (free.cov[:, 0] + noise.position**2)
+    close = off[np.arange(len(free)), nearest] < max_sigma**2 * (free.cov[:, 0] + noise.position**2)
     return nearest if close.all() and len(set(nearest.tolist())) == len(free) else None
 
 
-def _find_near(free: PredictedBalls, hits: Hits, found: Floats, frames: int, noise: MotionNoise) -> Ints:
-    """The detections (n, k) nearest to each ball, by number; m for none."""
+def _find_near(
+    free: PredictedBalls, hits: Hits, found: Floats, frames: int, noise: MotionNoise, *, max_detections: int = 8
+) -> Ints:
+    """The detections (n, k) nearest to each ball, by number; m for none.
+
+    max_detections: of those nearest to a ball, which are compared with it.
+    """
     m = len(found)
-    if m <= NEAREST:
+    if m <= max_detections:
         return np.tile(np.arange(m), (len(free), 1))
-    return np.asarray(cKDTree(found).query(free.xy, k=NEAREST, distance_upper_bound=_limit(free, noise, frames))[1])
+    return np.asarray(
+        cKDTree(found).query(free.xy, k=max_detections, distance_upper_bound=_limit(free, noise, frames))[1]
+    )
 
 
 def _limit(free: PredictedBalls, noise: MotionNoise, frames: int) -> float:
@@ -93,7 +98,7 @@ def _weigh(
     alone = np.log(np.maximum(meets, noise.least_free))
     off = ((there - free.xy[:, None]) ** 2).sum(axis=2)
     best = alone[:, None] + _log_density(off, free.cov[:, 0] + noise.position**2)
-    best[~old] = np.where(off[~old] < (noise.reach * frames) ** 2, best[~old] + LOG_NEW, -np.inf)
+    best[~old] = np.where(off[~old] < (noise.reach * frames) ** 2, best[~old] + noise.log_new, -np.inf)
     total, kind = best, np.full(near.shape, -1)
     speed = np.hypot(*before.v.T) * frames
     lost = 0.6 * noise.diameter * frames + noise.tolerance * speed
@@ -109,7 +114,7 @@ def _weigh(
         more = np.log(hits.chance[h]) + _log_density(own, hits.cov[h, 0] + noise.position**2)
         kind[i, more > best[i]] = h
         total[i], best[i] = np.logaddexp(total[i], more), np.maximum(best[i], more)
-    return total + LOG_SEEN - np.log(noise.false_density), kind
+    return total + noise.log_seen - np.log(noise.false_density), kind
 
 
 def _log_density(square: Floats, variance: Floats | float) -> Floats:
@@ -126,8 +131,13 @@ def _confirm(
     coming: tuple[Floats, int],
     frames: int,
     noise: MotionNoise,
+    *,
+    unconfirmed: float = 0.05,
 ) -> None:
-    """Lower the gain of a first step that no detection of the next frame continues."""
+    """Lower the gain of a first step that no detection of the next frame continues.
+
+    unconfirmed: probability that the next frame does not show a ball where its motion leads.
+    """
     i, k = np.nonzero((before.count == 1)[:, None] & (gain > 0))
     if not len(i):
         return
@@ -136,7 +146,7 @@ def _confirm(
     following, later = coming
     apart = cKDTree(following).query(there + step * later)[0] if len(following) else np.full(len(i), np.inf)
     wide = 3 * noise.position + noise.acceleration + noise.bend * np.hypot(*step.T)
-    gain[i, k] += np.log(UNCONFIRMED + np.exp(-((apart / wide) ** 2) / 2))
+    gain[i, k] += np.log(unconfirmed + np.exp(-((apart / wide) ** 2) / 2))
 
 
 def _assign(gain: Floats, near: Ints, found: int) -> tuple[Ints, Ints]:

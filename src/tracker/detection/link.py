@@ -20,9 +20,6 @@ from tracker.detection.motion_filter import MotionNoise, PredictedBalls
 from tracker.settings import LinkSettings
 
 Ints = NDArray[np.int64]
-MIN_ERROR_PX = 0.05  # of a position, and of its prediction
-EDGE_PX = 40.0  # from the edge of the picture, within which a ball may be seen in a frame or two only
-MAX_ACCELERATION_M_S2 = 3.5  # of a ball that slides
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,18 +197,30 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool, s
 
 
 def _expect_motion(
-    glints: Glints, camera: Camera, diameter: float, seen_whole: bool, settings: LinkSettings
+    glints: Glints,
+    camera: Camera,
+    diameter: float,
+    seen_whole: bool,
+    settings: LinkSettings,
+    *,
+    max_acceleration_m_s2: float = 3.5,
+    min_error_px: float = 0.05,
 ) -> MotionNoise:
-    """What is known of the motion of balls in this film."""
+    """What is known of the motion of balls in this film.
+
+    max_acceleration_m_s2: of a ball that slides.
+
+    min_error_px: of a position, and of its prediction.
+    """
     reach = settings.max_speed_m_s / camera.fps / camera.scale if camera.metric else settings.max_step_px
     errors = np.sqrt(np.trace(glints.cov, axis1=1, axis2=2) / 2)
     error = float(np.median(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else 0.0
-    push = MAX_ACCELERATION_M_S2 / camera.fps**2 / camera.scale if camera.metric else 0.0
+    push = max_acceleration_m_s2 / camera.fps**2 / camera.scale if camera.metric else 0.0
     return MotionNoise(
         diameter=diameter,
         reach=max(reach, (settings.max_step_diameters if seen_whole else 2.0) * diameter),
-        position=max(error, MIN_ERROR_PX),
-        acceleration=max(push, MIN_ERROR_PX),
+        position=max(error, min_error_px),
+        acceleration=max(push, min_error_px),
         tolerance=1.0 if seen_whole else settings.speed_tolerance,
         restitution=settings.restitution,
         false_density=1.0 / float(np.prod(camera.size)),
@@ -219,11 +228,19 @@ def _expect_motion(
 
 
 def _keep_ball_tracks(
-    tracks: list[Ints], glints: Glints, camera: Camera, min_frames: int, settings: LinkSettings
+    tracks: list[Ints],
+    glints: Glints,
+    camera: Camera,
+    min_frames: int,
+    settings: LinkSettings,
+    *,
+    edge_px: float = 40.0,
 ) -> list[Ints]:
     """Tracks that are balls: not much fainter than the others, and not a blip of a frame or two.
 
     A ball may be seen that briefly where it enters or leaves the picture, and where the film begins or ends.
+
+    edge_px: distance from the edge within which a ball may be seen so briefly.
     """
     length = np.array([len(rows) for rows in tracks])
     flux = np.array([np.median(glints.flux[rows]) for rows in tracks])
@@ -232,7 +249,7 @@ def _keep_ball_tracks(
     typical = float(np.median(flux[(long if long.any() else True) & (flux >= least)]))
     first, last = glints.frame.min() + settings.min_track_frames, glints.frame.max() - settings.min_track_frames
     inside = np.minimum(glints.xy, np.array(camera.size) - 1 - glints.xy).min(axis=1)
-    near = (glints.frame < first) | (glints.frame > last) | (inside < EDGE_PX)
+    near = (glints.frame < first) | (glints.frame > last) | (inside < edge_px)
     brief = np.array([near[rows].any() for rows in tracks]) & (0.4 * typical < flux) & (flux < 2.5 * typical)
     whole = long | brief
     kept = [tracks[k] for k in np.flatnonzero((flux >= least) & whole & (length >= min_frames))]

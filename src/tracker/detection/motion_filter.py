@@ -40,6 +40,8 @@ class MotionNoise:
     distance: float = 0.04  # error of the distance at which balls meet, diameters
     unseen_hits: float = 0.01  # probability in a frame of a hit by something unseen
     least_free: float = 1e-3  # probability that balls whose paths overlap do not meet
+    log_seen: float = 3.0  # logarithm of the odds that a ball is seen
+    log_new: float = -1.0  # of the odds that a detection without a past is a ball
 
 
 @dataclass(frozen=True, eq=False)

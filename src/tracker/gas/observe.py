@@ -18,9 +18,6 @@ from tracker.measurement.positions import to_ball_tracks
 from tracker.recording import Result
 from tracker.results import read_clip, read_contacts
 
-MAX_UNRESOLVED = 0.1  # share of the lost energy, above which a note says why
-MIN_FREE_FRAMES = 20  # between contacts, on average, below which a note says that the temperature is too low
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gas(GasObservables):
@@ -170,21 +167,27 @@ def _check_area(area: Sequence[float] | None) -> Rectangle | None:
     return left, bottom, right, top
 
 
-def _limits(gas: GasObservables, camera: Camera) -> list[str]:
-    """Notes on what limits the values."""
+def _limits(
+    gas: GasObservables, camera: Camera, *, max_unresolved: float = 0.1, min_free_frames: int = 20
+) -> list[str]:
+    """Notes on what limits the values.
+
+    max_unresolved: share of the lost energy, above which a note says why.
+    min_free_frames: between contacts, on average; with fewer a note says that the temperature is too low.
+    """
     notes = []
     last = gas.time.iloc[-1]
     lost = {name: float(last[f"lost_{name}"]) for name in ("in_contacts", "at_walls", "to_plate", "unresolved")}
     total = sum(abs(value) for value in lost.values())
-    if total > 0 and abs(lost["unresolved"]) > MAX_UNRESOLVED * total:
+    if total > 0 and abs(lost["unresolved"]) > max_unresolved * total:
         notes.append(
             f"{100 * abs(lost['unresolved']) / total:.0f} % of the lost energy is not resolved: after many contacts "
             "the slide or the free path has too few frames; a higher frame rate resolves it"
         )
     between = camera.fps / gas.values["contact_rate"] if gas.values["contact_rate"] else np.inf
-    if between < MIN_FREE_FRAMES:
+    if between < min_free_frames:
         notes.append(
-            f"a ball has {between:.1f} frames between contacts; under {MIN_FREE_FRAMES} the temperature is "
+            f"a ball has {between:.1f} frames between contacts; under {min_free_frames} the temperature is "
             "some per cent too low, which its error allows for"
         )
     if abs(np.log(gas.values["noise_ratio"])) > np.log(1.5):

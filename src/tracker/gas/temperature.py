@@ -17,7 +17,6 @@ Floats = NDArray[np.float64]
 HALVES = ("even_x", "even_y", "odd_x", "odd_y")
 MIN_BALLS = 3  # in a frame, for a temperature about the mean velocity
 MIN_SIGNIFICANCE = 5.0  # of a temperature in its errors, for the shape of the distribution in that frame
-LARGEST_COMPONENT = 4.0  # over the square root of the temperature, of the histogram
 
 
 def tabulate_velocities(paths: Sequence[FreePath]) -> pd.DataFrame:
@@ -126,10 +125,15 @@ def measure_sonine(table: pd.DataFrame, temperatures: pd.DataFrame, noise: float
     return float(totals.sum() / counts.sum() - 1), float(_jackknife(totals, counts))
 
 
-def measure_distribution(table: pd.DataFrame, temperatures: pd.DataFrame, bins: int) -> pd.DataFrame:
-    """Density of the components of velocities over sqrt(temperature); the error is the jackknife's over balls."""
+def measure_distribution(
+    table: pd.DataFrame, temperatures: pd.DataFrame, bins: int, *, largest_component: float = 4.0
+) -> pd.DataFrame:
+    """Density of the components of velocities over sqrt(temperature); the error is the jackknife's over balls.
+
+    largest_component: over the square root of the temperature, of the histogram.
+    """
     table = _significant(table, temperatures)
-    edges = np.linspace(-LARGEST_COMPONENT, LARGEST_COMPONENT, bins + 1)
+    edges = np.linspace(-largest_component, largest_component, bins + 1)
     middle, width = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
     balls = np.unique(table["ball"])
     if len(balls) < MIN_BALLS:

@@ -19,12 +19,8 @@ from tracker.measurement.positions import BallTrack
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
-ROWS_OF_HALVES = 8  # of a window, from which each half has a parabola with an error
 USUAL_FRICTION = 2.0  # m/s^2, deceleration of a ball that slides
-SLIDE_ROWS = 60  # after a contact in which the end of the slide is looked for
 ROWS_OF_SLIDE = 4  # before the end of the slide, from which its friction is found
-SLIDE_SIGMA = 5.0  # of the change of the acceleration there, in its errors
-ROWS_OF_PARABOLA = 4  # from which all rows together have one; fewer have a straight line
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +95,21 @@ def _choose_rows(time: Floats, at: Floats, rows: int) -> Rows:
     return np.asarray(first[:, None] + np.arange(rows))
 
 
-def _fit_windows(time: Floats, position: Floats, at: Floats, window_rows: int, slide_end: float) -> HalfVelocities:
-    """Estimate velocities by `fit_velocities`, with a change of the acceleration at `slide_end` unless that is NaN."""
+def _fit_windows(
+    time: Floats,
+    position: Floats,
+    at: Floats,
+    window_rows: int,
+    slide_end: float,
+    *,
+    min_rows_of_halves: int = 8,
+    min_rows_of_parabola: int = 4,
+) -> HalfVelocities:
+    """Estimate velocities by `fit_velocities`, with a change of the acceleration at `slide_end` unless that is NaN.
+
+    min_rows_of_halves: of a window, from which each half has a parabola with an error.
+    min_rows_of_parabola: from which all rows together have one; fewer have a straight line.
+    """
     rows, m = min(window_rows, len(time)), len(at)
     if rows < 2 or not m:
         nothing = np.full((m, 2), np.nan)
@@ -108,10 +117,12 @@ def _fit_windows(time: Floats, position: Floats, at: Floats, window_rows: int, s
     taken = _choose_rows(time, at, rows)
     since, where = time[taken] - at[:, None], position[taken]
     change = slide_end - at if np.isfinite(slide_end) else None
-    if rows >= ROWS_OF_HALVES + 2 * (change is not None):
+    if rows >= min_rows_of_halves + 2 * (change is not None):
         (even, gain_even), (odd, gain_odd) = (_slope(since[:, k::2], where[:, k::2], 3, change) for k in (0, 1))
         return HalfVelocities(even, odd, gain_even, gain_odd, np.zeros(m))
-    one, gain = _slope(since, where, 3 if rows >= ROWS_OF_PARABOLA else 2, change if rows > ROWS_OF_PARABOLA else None)
+    one, gain = _slope(
+        since, where, 3 if rows >= min_rows_of_parabola else 2, change if rows > min_rows_of_parabola else None
+    )
     return HalfVelocities(one, one.copy(), gain, gain.copy(), gain.copy())
 
 
@@ -144,12 +155,17 @@ def _bend(since: Floats, change: Floats, scale: Floats) -> Floats:
     return np.asarray(after**2 - before**2 - 2 * before * since / scale)
 
 
-def find_slide_end(time: Floats, position: Floats, noise: float) -> float:
+def find_slide_end(
+    time: Floats, position: Floats, noise: float, *, max_rows: int = 60, min_sigma: float = 5.0
+) -> float:
     """Find when the acceleration of a ball changes after a contact, as it does where a slide ends; NaN if nowhere.
 
     Two parabolas with the same value and slope where they meet are compared with one; noise: of a coordinate, m.
+
+    max_rows: after a contact, in which the slide may end.
+    min_sigma: change of the acceleration, in its errors, that ends a slide.
     """
-    rows = min(len(time), SLIDE_ROWS)
+    rows = min(len(time), max_rows)
     if rows < 6:
         return float("nan")
     since, where = time[:rows] - time[0], position[:rows]
@@ -161,7 +177,7 @@ def find_slide_end(time: Floats, position: Floats, noise: float) -> float:
     added -= (one @ np.linalg.lstsq(one, added.T, rcond=None)[0]).T
     gain = ((added @ left) ** 2).sum(axis=1) / (added**2).sum(axis=1)
     best = int(np.argmax(gain))
-    return float(time[0] + ends[best]) if gain[best] > (SLIDE_SIGMA * noise) ** 2 else float("nan")
+    return float(time[0] + ends[best]) if gain[best] > (min_sigma * noise) ** 2 else float("nan")
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,15 +10,12 @@ import pandas as pd
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT, Flag
 from tracker.notes import Note, NoteKind
 
-_IMPOSSIBLE = (
-    "no two equal balls collide so; such a collision is a misfit where it passes the limit by more than 3 errors. "
-    "Check the scale, the masses of the balls, and whether the striker slides or spins"
-)
 _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
-    Flag.R_UNDER_0: _IMPOSSIBLE,
-    Flag.R_OVER_1: _IMPOSSIBLE,
-    Flag.C_UNDER_0: _IMPOSSIBLE,
-    Flag.C_OVER_5_7: _IMPOSSIBLE,
+    **dict.fromkeys(
+        (flag for flag in Flag if flag.is_impossible),
+        "no two equal balls collide so; such a collision is a misfit where it passes the limit by more than 3 errors. "
+        "Check the scale, the masses of the balls, and whether the striker slides or spins",
+    ),
     Flag.MU_K_UNDER_0: "friction cannot be negative; check the scale and fps",
     Flag.MU_K_OVER_1_5: "no plate has so much friction; check fps, the scale, and whether the balls hit anything else",
     Flag.V0_UNDER_0: "a speed cannot be negative; check the tracks",

@@ -17,10 +17,6 @@ from tracker.measurement.random_effects import GeneralisedQ, RandomEffects, fit_
 
 Floats = NDArray[np.float64]
 WITHOUT_COLLISION = ("drag", "decel")  # that a ball alone shows too
-MIN_VALUES_OF_SLOPE = 4
-OUTLIER_Z = 4.0  # standard errors, with the scatter, from the mean of the others
-INFLUENTIAL = 1.0  # change of a mean, in its errors, by one collision that a note names
-SIGNIFICANT = 0.01  # p-value of a slope, or of a difference between results, that a note tells
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +86,14 @@ class CombinedQuantity:
         }
 
 
-def combine_quantity(name: str, values: pd.DataFrame, effects: Floats) -> CombinedQuantity:
+def combine_quantity(
+    name: str, values: pd.DataFrame, effects: Floats, *, min_values_of_slope: int = 4
+) -> CombinedQuantity:
     """Combine the values of a quantity.
 
     values: result, clip, collision, fit, v_n, value, std of each collision; effects (n, 1, k) of the errors of the
     camera file that several share, as `shared_effects` gives them.
+    min_values_of_slope: fewer values have no slope.
     """
     value, std, speed = (values[column].to_numpy(float) for column in ("value", "std", "v_n"))
     own, shared = remove_shared(std, effects), effects[:, 0]
@@ -102,7 +101,7 @@ def combine_quantity(name: str, values: pd.DataFrame, effects: Floats) -> Combin
     known = np.isfinite(speed)
     middle = float(np.average(speed[known], weights=mean.weights[known])) if known.any() else np.nan
     slope = None
-    if known.sum() >= MIN_VALUES_OF_SLOPE and np.ptp(speed[known]) > 0 and name not in WITHOUT_COLLISION:
+    if known.sum() >= min_values_of_slope and np.ptp(speed[known]) > 0 and name not in WITHOUT_COLLISION:
         design = np.column_stack([np.ones(known.sum()), speed[known] - middle])
         slope = fit_random_effects(value[known], own[known], shared[known], design)
     without = np.full((3, len(value)), np.nan)
@@ -148,21 +147,28 @@ def describe_scatter(one: CombinedQuantity, factor: float = 1.0) -> str:
     return f"scatter {middle} ({low} to {high})" if one.mean.scatter_low > 0 else f"scatter {middle} (at most {high})"
 
 
-def list_warnings(one: CombinedQuantity) -> Iterable[str]:
-    """Sentences on what is unusual in the values of a quantity."""
+def list_warnings(
+    one: CombinedQuantity, *, outlier_z: float = 4.0, min_influence: float = 1.0, max_p: float = 0.01
+) -> Iterable[str]:
+    """Sentences on what is unusual in the values of a quantity.
+
+    outlier_z: standard errors, with the scatter, from the mean of the others.
+    min_influence: change of a mean, in its errors, by one collision that a note names.
+    max_p: p-value of a slope, or of a difference between results, that a note reports.
+    """
     mean, slope = one.mean, one.slope
-    for _, row in one.values[np.abs(one.values["influence"]) > INFLUENTIAL].iterrows():
+    for _, row in one.values[np.abs(one.values["influence"]) > min_influence].iterrows():
         which = f"{row['result']}, clip {row['clip']}, collision {row['collision']}"
         whole = format_with_error(mean.coefficients[0], mean.std[0])
         yield f"{one.name}: {which} decides the mean: {row['mean_without']:.4g} without it, {whole} with it"
-    for _, row in one.values[np.abs(one.values["z"]) > OUTLIER_Z].iterrows():
+    for _, row in one.values[np.abs(one.values["z"]) > outlier_z].iterrows():
         which = f"{row['result']}, clip {row['clip']}, collision {row['collision']}"
         far = f"{abs(row['z']):.1f} standard errors from the others, with the scatter"
         without = f"without it the mean is {row['mean_without']:.4g} and the scatter {row['scatter_without']:.2g}"
         yield f"{one.name}: {which} is {far}; {without}"
-    if slope is not None and slope.p_value[1] < SIGNIFICANT:
+    if slope is not None and slope.p_value[1] < max_p:
         by = f"by {format_with_error(slope.coefficients[1], slope.std[1])} per m/s (p {slope.p_value[1]:.2g})"
         yield f"{one.name} changes with v_n {by}; the mean is that at {one.speed:.3g} m/s"
-    if one.difference_p < SIGNIFICANT:
+    if one.difference_p < max_p:
         why = f"by more than their errors and the scatter (p {one.difference_p:.2g})"
         yield f"{one.name} differs between the results {why}"

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 FILES = ("set.json", "index.html")
 COLOURS = {"tied": "#14508c", "free": "#c1440e", "local": "#5b7f1c"}
-MAX_NAMED = 40  # collisions of a forest plot that have a name
-MOST_INFLUENTIAL = 5  # collisions in the table of influences
 CAPTION = (
     "Left, forest plot: each collision with one standard error, in the order of v_n. Below them: the mean of each "
     "result, and that of all, with intervals of 95 %. Dark band: the interval of the mean. Light band: 95 % of the "
@@ -143,7 +141,7 @@ def _blocks(one: CombinedQuantity, caption: str) -> list[Block]:
         blocks.append(PageTable(["result", "n", "mean", "scatter τ"], rows, "Each result", note))
     known = one.values.dropna(subset=["influence"])
     if len(known):
-        order = known["influence"].abs().sort_values(ascending=False, kind="stable").index[:MOST_INFLUENTIAL]
+        order = known["influence"].abs().sort_values(ascending=False, kind="stable").index[:5]
         lines = [
             (
                 f"{row['result']}, clip {row['clip']}, collision {row['collision']}",
@@ -176,9 +174,12 @@ def _chi2_blocks(fit: Mapping[str, Any]) -> list[Block]:
     return [CHI2, PageTable(["symbol", "value"], rows, "", note)]
 
 
-def set_figure(one: CombinedQuantity) -> Figure:
-    """Draw the forest plot, the funnel plot and the values against v_n."""
-    named = len(one.values) <= MAX_NAMED
+def set_figure(one: CombinedQuantity, *, max_named: int = 40) -> Figure:
+    """Draw the forest plot, the funnel plot and the values against v_n.
+
+    max_named: collisions of a forest plot that have a name.
+    """
+    named = len(one.values) <= max_named
     rows = len(one.values) + len(one.by_result) * (len(one.by_result) > 1) + 2
     height = float(np.clip(0.7 + (0.17 if named else 0.06) * rows, 3.6, 9.5))
     figure, (forest, funnel, line) = make_axes(1, 3, figsize=(11.2, height), width_ratios=[1.5, 1, 1])

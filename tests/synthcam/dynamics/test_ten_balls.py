@@ -12,7 +12,7 @@ from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.dynamics.supports import Air, DryPlate
-from synthcam.dynamics.table import Scatter, Table
+from synthcam.dynamics.tabletop import Scatter, Table
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
 from synthcam.model import Bodies, Model

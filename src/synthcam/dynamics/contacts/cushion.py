@@ -17,16 +17,21 @@ from scipy.integrate import solve_ivp
 from synthcam.dynamics.contacts.walls import Wall, WallImpact
 from synthcam.dynamics.kinematics import State
 
-STICKING_SHARE = 1e-6  # of the first speed: friction fades at slips below it, which is sticking
-
 
 def press_cushion(
-    wall: Wall, plate_friction: float, ball: State, body: tuple[float, float, float], restitution: float
+    wall: Wall,
+    plate_friction: float,
+    ball: State,
+    body: tuple[float, float, float],
+    restitution: float,
+    *,
+    sticking_share: float = 1e-6,
 ) -> WallImpact:
     """Let a ball hit a cushion that it touches.
 
     plate_friction: of the ball on the plate. body: radius, m, mass, kg, and k = I/(m R^2) of the ball.
     Raises ValueError if friction keeps the cushion from stopping the ball.
+    sticking_share: of the first speed; friction fades at slips below it, which is sticking.
     """
     (radius, mass, inertia), (x, y, z, vx, vy, vz, wx, wy, wz) = body, ball
     _, nx, ny = wall.distance(x, y)
@@ -37,7 +42,7 @@ def press_cushion(
         *(nx * wy - ny * wx, -nx * wx - ny * wy, wz),
         0.0,
     ])  # fmt: skip
-    least, turn = STICKING_SHARE * math.hypot(*first[:2]), 1 / (inertia * radius)
+    least, turn = sticking_share * math.hypot(*first[:2]), 1 / (inertia * radius)
 
     def change(_: float, now: NDArray[np.float64]) -> list[float]:
         a, b, ra, rb, rz = now[0], now[1], radius * now[2], radius * now[3], radius * now[4]

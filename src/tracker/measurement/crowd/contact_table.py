@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from tracker.detection.link import Tracks
 
 Floats = NDArray[np.float64]
-MAX_FRAMES_APART = 3.0  # of a contact of the tracks and a row of the estimates that are the same
 DERIVED = ("v_n", "v_t", "mu_bb", "impulse", "energy", "energy_lost")  # of v0, b, r and s
 SHARED = ("r", "mu_bb", "mu_k")  # what all contacts of a film have in common
 UNKNOWN_S = (5 / 7, 0.3)  # and its error, where the tracks do not show it
@@ -67,8 +66,13 @@ def _describe(contact: TrackContact) -> dict[str, Any]:
     }
 
 
-def _find_row(contact: TrackContact, rows: Sequence[Mapping[str, Any]], camera: Camera) -> Mapping[str, Any] | None:
-    """The row of estimates of a contact, by its balls and its time."""
+def _find_row(
+    contact: TrackContact, rows: Sequence[Mapping[str, Any]], camera: Camera, *, max_frames_apart: float = 3.0
+) -> Mapping[str, Any] | None:
+    """The row of estimates of a contact, by its balls and its time.
+
+    max_frames_apart: of a contact of the tracks and a row of the estimates that are the same.
+    """
     own = {contact.one, contact.other}
     near = [
         (abs(time - contact.time), row)
@@ -78,7 +82,7 @@ def _find_row(contact: TrackContact, rows: Sequence[Mapping[str, Any]], camera: 
         if time is not None and np.isfinite(time)
     ]
     best = min(near, key=lambda pair: pair[0], default=(np.inf, None))
-    return best[1] if best[0] < MAX_FRAMES_APART / camera.fps else None
+    return best[1] if best[0] < max_frames_apart / camera.fps else None
 
 
 def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -26,7 +26,6 @@ Ints = NDArray[np.int64]
 NO_BALL = -1  # in place of a second ball: a wall, or something unseen
 CUTTER = StretchCutter(kink_positions=3, max_acceleration=2.4, kink_sigma=4.0)  # candidates only
 _NOTHING = np.full(2, np.nan)
-STEPS_IN_GAP = 8  # instants between two frames that are tried
 
 
 @dataclass(frozen=True)
@@ -294,9 +293,19 @@ def _cut(ball: BallTrack, frame: float, events: list[float], away: float, settin
 
 
 def _fit_gap(
-    parts: Sequence[BallTrack], left: int, right: int, frame_s: float, diameter: float, settings: FinderSettings
+    parts: Sequence[BallTrack],
+    left: int,
+    right: int,
+    frame_s: float,
+    diameter: float,
+    settings: FinderSettings,
+    *,
+    steps_in_gap: int = 8,
 ) -> _Found | None:
-    """The best instant between two frames; None where a ball has too few positions before or after."""
+    """The best instant between two frames; None where a ball has too few positions before or after.
+
+    steps_in_gap: instants between two frames that are tried.
+    """
     if min(map(len, parts)) == 0:
         return None
     zero = float(np.mean([_time_of((left + right) / 2, part, frame_s) for part in parts]))
@@ -306,7 +315,7 @@ def _fit_gap(
     )
     if not low < high:
         return None
-    times = np.linspace(low, high, STEPS_IN_GAP + 1)
+    times = np.linspace(low, high, steps_in_gap + 1)
     cost, smooth, dof = np.zeros(len(times)), 0.0, 1
     places, spread, ways = list[Floats](), list[Floats](), list[tuple[_Path | None, _Path | None]]()
     for part in parts:

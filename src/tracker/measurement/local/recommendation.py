@@ -12,10 +12,6 @@ from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER
 TIED, FREE, LOCAL, NONE = "tied", "free", "local", "none"
 SUFFIXES = {TIED: "", FREE: "_free", LOCAL: "_local"}  # of the columns of each estimate
 COMPARED = ("v0", "b", "r", "s")  # quantities in which estimates are compared
-MAX_DIFFERENCE = 3.0  # in standard errors
-MAX_MASS_RATIO = 50.0
-MAX_IMBALANCE = 5.0  # of momentum, in standard errors that a set shows
-MIN_SET_ERROR = 0.004  # of a velocity over that of the hit: smaller errors of a set are those of simulated tracks
 
 
 def recommend(row: Mapping[str, Any]) -> dict[str, str]:
@@ -62,17 +58,20 @@ def _because(name: str, why: str) -> dict[str, str]:
     return {"recommended": name, "why": why}
 
 
-def _is_usable(row: Mapping[str, Any]) -> tuple[bool, str]:
-    """Decide whether the local estimate of a row can be used, and give the reason against it."""
+def _is_usable(row: Mapping[str, Any], *, max_mass_ratio: float = 50.0, max_imbalance: float = 5.0) -> tuple[bool, str]:
+    """Decide whether the local estimate of a row can be used, and give the reason against it.
+
+    max_imbalance: of momentum, in standard errors that a set shows.
+    """
     if not _is_known(row, "r_local"):
         return False, str(json.loads(row["local"]).get("reason", "its errors are too large"))
     r, std = row["r_local"], row["r_local_std"]
     if not -3 * std <= r <= 1 + 3 * std:
         return False, f"its r of {r:.2f} is impossible"
-    if not _is_known(row, "mass_ratio") or not 1 / MAX_MASS_RATIO < row["mass_ratio"] < MAX_MASS_RATIO:
+    if not _is_known(row, "mass_ratio") or not 1 / max_mass_ratio < row["mass_ratio"] < max_mass_ratio:
         return False, "momentum is not conserved, whatever the masses"
     if row.get("local_hits", 0) and any(
-        abs(row[name]) > MAX_IMBALANCE * row[f"{name}_std"]
+        abs(row[name]) > max_imbalance * row[f"{name}_std"]
         for name in ("balance_n_local", "balance_t_local")
         if _is_known(row, name)
     ):
@@ -80,9 +79,12 @@ def _is_usable(row: Mapping[str, Any]) -> tuple[bool, str]:
     return True, ""
 
 
-def _find_unclaimed_error(row: Mapping[str, Any]) -> float:
-    """The error of r by the errors of velocities that a set shows, if the tied fit claims less; else 0."""
-    if not row.get("local_hits", 0) or not row["local_error_n"] > MIN_SET_ERROR:
+def _find_unclaimed_error(row: Mapping[str, Any], *, min_set_error: float = 0.004) -> float:
+    """The error of r by the errors of velocities that a set shows, if the tied fit claims less; else 0.
+
+    min_set_error: of a velocity over that of the hit; smaller errors of a set are those of simulated tracks.
+    """
+    if not row.get("local_hits", 0) or not row["local_error_n"] > min_set_error:
         return 0.0
     raw = json.loads(row["local"])
     by_residuals = raw["r_std"] or 0.0
@@ -95,9 +97,12 @@ def _is_known(row: Mapping[str, Any], column: str) -> bool:
     return value is not None and math.isfinite(value)
 
 
-def _find_difference(row: Mapping[str, Any], suffix: str) -> tuple[str, float]:
-    """Find the quantity in which another estimate differs most from the local one: "" below MAX_DIFFERENCE errors."""
-    worst, sigmas = "", MAX_DIFFERENCE
+def _find_difference(row: Mapping[str, Any], suffix: str, *, max_difference: float = 3.0) -> tuple[str, float]:
+    """Find the quantity in which another estimate differs most from the local one: "" below max_difference errors.
+
+    max_difference: in standard errors.
+    """
+    worst, sigmas = "", max_difference
     for name in COMPARED:
         columns = (f"{name}{suffix}", f"{name}{suffix}_std", f"{name}_local", f"{name}_local_std")
         if not all(_is_known(row, column) for column in columns):

@@ -12,7 +12,7 @@ from synthcam.dynamics.kinematics import stop_time
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.dynamics.supports import Air, DryPlate
-from synthcam.dynamics.table import Table
+from synthcam.dynamics.tabletop import Table
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.model import Bodies, Model
 

@@ -18,7 +18,7 @@ from synthcam.dynamics.kinematics import contact_velocity, plate_state, rolling_
 from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.solve import solve
 from synthcam.dynamics.supports import Air, DryPlate
-from synthcam.dynamics.table import Scatter, Table
+from synthcam.dynamics.tabletop import Scatter, Table
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
 from synthcam.effects.plate_tilt import PlateTilt

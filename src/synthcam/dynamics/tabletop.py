@@ -1,4 +1,4 @@
-"""A table: the support of each body, the walls, and the scatter of contacts."""
+"""A tabletop: the support of each body, the walls, and the scatter of contacts."""
 
 from __future__ import annotations
 
