@@ -41,6 +41,7 @@ WithPages = Annotated[
 SettingsFile = Annotated[
     Path | None, typer.Option("--settings", metavar="YAML", help="Thresholds that differ from the defaults.")
 ]
+EditsFile = Annotated[Path | None, typer.Option("--edits", metavar="YAML", help="Corrections of tracks by hand.")]
 Select = Annotated[
     str,
     typer.Option(metavar="AXIS=N", help="Channel or plane of a stack, as C=1 or C=1,Z=0. Default: 0."),
@@ -89,6 +90,7 @@ def track(
     scheduler: Scheduler = "",
     pages: WithPages = None,
     settings: SettingsFile = None,
+    edits: EditsFile = None,
     as_json: Json = False,
 ) -> None:
     """Find, follow and measure the balls of every clip. If interrupted, the same command continues.
@@ -104,7 +106,7 @@ def track(
     options = FilmOptions(times, select, fields, frames, region, str(mask or ""), tuple(ball or ()))
     films, channel = open_source(source, camera, options), name_channel(channel, colour)
     with progress_bar("frames" if len(films) == 1 else "clips") as progress:
-        outcome = track_all(films, output, detector, workers or 0, progress, channel, scheduler, settings)
+        outcome = track_all(films, output, detector, workers or 0, progress, channel, scheduler, settings, edits)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:
@@ -165,6 +167,7 @@ def measure(
     decimal: Annotated[str, typer.Option(help="Decimal mark of a text, . or a comma. Default: as it shows.")] = "",
     pages: WithPages = None,
     settings: SettingsFile = None,
+    edits: EditsFile = None,
     as_json: Json = False,
 ) -> None:
     """Measure the collisions in tracks that any program made.
@@ -179,7 +182,7 @@ def measure(
 
     if point not in ("centre", "glint"):
         raise InputError(f"--point: expected centre or glint, not {point!r}")
-    outcome = measure_tables(tracks, output, camera, point, columns, unit, settings, decimal)
+    outcome = measure_tables(tracks, output, camera, point, columns, unit, settings, decimal, edits)
     extra = dict[str, Any]()
     if _wants_pages(pages, outcome, output):
         extra["page"] = _pages(outcome, output, tracks, 0)

@@ -28,6 +28,7 @@ class NoteKind(Enum):
     TIMING = "timing"  # frame rate or exposure differ from the camera file
     LINKING = "linking"  # tracks that begin or end inside the picture
     TABLE = "table"  # how a table of tracks was read
+    EDIT = "edit"  # corrections by hand, from a file of edits
     REPAIR = "repair"  # positions of a table that were exchanged back, left out or renumbered
     STRIKER = "striker"  # which ball strikes is not stated
     MISFIT = "misfit"  # collisions that the model does not describe

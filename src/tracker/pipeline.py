@@ -25,6 +25,7 @@ from tracker.camera.recordings import Recording, RecordingSource, open_source
 from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import detector_name, load_detector, load_linker
 from tracker.detection.own_detector import digest, is_outside
+from tracker.edits import EditsSource, TrackEdits
 from tracker.notes import Note, NoteKind, note_all
 from tracker.recording import Result, measure_tracks, track_and_measure
 from tracker.report.misfits import MISFITS, draw_misfit, is_misfit
@@ -54,19 +55,22 @@ def run(
     channel: str | None = None,
     scheduler: str = "",
     settings: SettingsSource | None = None,
+    edits: EditsSource | None = None,
 ) -> ClipOutcome:
     """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
 
     source: a dataset, clip, stack, video or folder of pictures; output: RESULTS; detector: None is what the first
     clip asks for; workers: processes, or 0 for one a core, where so many are quicker; progress: takes clips done
     and clips in all, of one clip frames; channel: of films in colour, None is what the first clip asks for;
-    scheduler: address of a Dask scheduler, whose workers see the same folders. Raises InputError.
+    scheduler: address of a Dask scheduler, whose workers see the same folders; edits: corrections of tracks by hand.
+    Raises InputError.
     """
     check_utf8(output)
-    chosen = TrackerSettings.of(settings)
+    chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)
     if detector is not None:
         load_detector(detector)
     films = open_source(source) if isinstance(source, Path) else source
+    edited.check_clips([number for number, _ in films.clips])
     output = output.resolve()
     if films.path.resolve() in output.parents:
         raise InputError(f"{output}: lies in {films.path}, expected a folder outside it")
@@ -91,14 +95,15 @@ def run(
         if opened is None:
             progress(clips - len(todo), clips)
         sent = _resolve_paths(films) if scheduler else films
-        work = functools.partial(_track_clip, sent, partial=partial, name=detector, settings=chosen, opened=opened)
+        job = functools.partial(_track_clip, sent, partial=partial, name=detector)
+        work = functools.partial(job, settings=chosen, edits=edited, opened=opened)
         for done, (more, new) in enumerate(run_all_jobs(work, todo, workers, films.path, scheduler), 1):
             frames += more
             notes.update(new)
             if opened is None:
                 progress(clips - len(todo) + done, clips)
 
-    plan = _plan(films, detector)
+    plan = _plan(films, detector) | _note_edits(edited)
     table, fresh = _fill_results(output, plan, chosen, [number for number, _ in films.clips], track)
     return ClipOutcome(table, clips, fresh, frames, dict(notes), films)
 
@@ -112,19 +117,21 @@ def measure_tables(
     unit: str = "",
     settings: SettingsSource | None = None,
     decimal: str = "",
+    edits: EditsSource | None = None,
 ) -> ClipOutcome:
     """Measure tracks that any program made, as `run` does its own. Raises InputError.
 
     path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program; output: RESULTS; camera: the
     camera file of the tracks; point: what x and y are, "centre" or "glint"; columns, unit, decimal: as `read_tracks`
-    takes them.
+    takes them; edits: corrections by hand of the tracks as they are written without edits.
     """
     check_utf8(output)
-    chosen = TrackerSettings.of(settings)
+    chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)
     given = read_tracks(path, camera, columns, unit, decimal)
     asked = f"{point}{columns}{unit}{decimal}".encode()
     digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + asked).hexdigest()
     numbers, notes = sorted(given.clips), dict[Note, int]()
+    edited.check_clips(numbers)
 
     def measure(partial: Path, todo: list[int]) -> None:
         said = (*given.notes, *describe_camera_gaps(given.camera))
@@ -132,15 +139,16 @@ def measure_tables(
         for number in (numbers[i] for i in todo):
             tracks, striker = given.clips[number]
             own = replace(given.camera, striker=striker or given.camera.striker)
-            result = measure_tracks(tracks, own, number, point, chosen.fit)
-            notes.update({replace(n, text=f"clip {number}: {n}"): 1 for n in result.notes if n.kind is NoteKind.REPAIR})
+            result = measure_tracks(tracks, own, number, point, chosen.fit, edited)
+            of_clip = [note for note in result.notes if note.kind in (NoteKind.REPAIR, NoteKind.EDIT)]
+            notes.update({replace(note, text=f"clip {number}: {note}"): 1 for note in of_clip})
             pictures = dict[str, bytes]()
             if drawn := _draw_misfit(result, len(numbers)):
                 pictures[MISFITS] = drawn.png
                 notes[drawn.note] = notes.get(drawn.note, 0) + 1
             results.write_clip(partial, number, result.found, result.motion, result.rows, own, pictures)
 
-    plan = {"made_by": "tracker measure", "input": digest}
+    plan = {"made_by": "tracker measure", "input": digest} | _note_edits(edited)
     table, fresh = _fill_results(output.resolve(), plan, chosen, numbers, measure)
     return ClipOutcome(table, len(numbers), fresh, 0, notes)
 
@@ -169,6 +177,10 @@ def _fill_results(
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         make(partial, todo)
         return results.finish(partial, output, numbers), len(todo)
+
+
+def _note_edits(edits: TrackEdits) -> dict[str, Any]:
+    return edits.to_keys() if edits.edits else {}
 
 
 def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
@@ -221,6 +233,7 @@ def _track_clip(
     partial: Path,
     name: str,
     settings: TrackerSettings,
+    edits: TrackEdits,
     opened: Recording | None = None,
 ) -> tuple[int, tuple[Note, ...]]:
     """Track one clip in a worker: its number of frames, and notes. A clip that a lost worker had finished is done."""
@@ -230,7 +243,7 @@ def _track_clip(
     use_one_thread()
     clip = opened or source.open_clip(index)
     try:
-        result = track_and_measure(clip, name, settings)
+        result = track_and_measure(clip, name, settings, edits)
     except (MemoryError, cv2.error) as error:
         if isinstance(error, cv2.error) and error.code != cv2.Error.StsNoMem:
             raise

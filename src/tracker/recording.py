@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -40,7 +40,9 @@ from tracker.detection.diagnose import (
     warn_of_missed_examples,
 )
 from tracker.detection.link import Tracks, link
+from tracker.edits import EditsSource, TrackEdits
 from tracker.measurement.collision.adequacy import MEASURED
+from tracker.measurement.collision.contacts import MarkedContact
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.local.recommendation import recommended_suffix
 from tracker.measurement.track_repair import repair_tracks
@@ -197,6 +199,7 @@ def track(
     colour: str = "",
     number: int | None = None,
     settings: SettingsSource | None = None,
+    edits: EditsSource | None = None,
     **reading: Unpack[FilmKeywords],
 ) -> Result:
     """Find, follow and measure the balls of one recording. An InputError says why a film or a camera cannot be used.
@@ -221,6 +224,8 @@ def track(
         Of the clip; default: its folder's, else 0.
     settings : TrackerSettings, dict, str or Path, optional
         Thresholds that differ from the defaults: an object, its keys, or a YAML file of them.
+    edits : dict, str or Path, optional
+        Corrections of the tracks by hand: ``{"edits": [...]}``, or a YAML file of them.
     **reading
         How the film is read, and which part of it:
 
@@ -249,11 +254,13 @@ def track(
     >>> abs(result.estimates["r"][0] - clip.truth["r"]) < 4 * result.estimates["r_std"][0]
     np.True_
     """
-    chosen = TrackerSettings.of(settings)
+    chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)
     if detector is not None:
         load_detector(detector)  # an unknown one is reported before a film is read
     clip, why = select_channel(_open(film, camera, FilmOptions.of(reading)), name_channel(channel, colour))
-    result = track_and_measure(clip if number is None else replace(clip, number=number), detector, chosen)
+    clip = clip if number is None else replace(clip, number=number)
+    edited.check_clips([clip.number])
+    result = track_and_measure(clip, detector, chosen, edited)
     return replace(result, notes=_name_arguments(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
 
 
@@ -283,6 +290,7 @@ def measure(
     decimal: str = "",
     number: int | None = None,
     settings: SettingsSource | None = None,
+    edits: EditsSource | None = None,
 ) -> Result:
     """Measure the collisions in tracks that any program made.
 
@@ -308,6 +316,8 @@ def measure(
         Of the clip, which is the column ``clip`` of its estimates; default: the table's, else 0.
     settings : TrackerSettings, dict, str or Path, optional
         As `track` takes them; only the section `fit` counts.
+    edits : dict, str or Path, optional
+        As `track` takes them.
 
     Returns
     -------
@@ -326,7 +336,7 @@ def measure(
     given = _read_given(tracks, camera, columns, unit, decimal)
     if len(given.clips) > 1:
         raise InputError(f"tracks: {len(given.clips)} clips, expected 1; tracker.measure_all takes them all")
-    (result,) = _measure_given(given, point, settings)
+    (result,) = _measure_given(given, point, settings, edits)
     return result if number is None else replace(result, number=number)
 
 
@@ -340,12 +350,13 @@ def measure_all(
     unit: str = "",
     decimal: str = "",
     settings: SettingsSource | None = None,
+    edits: EditsSource | None = None,
 ) -> list[Result]:
     """Measure the collisions of all clips of a table, which a column ``clip`` tells apart.
 
     Parameters
     ----------
-    tracks, camera, point, columns, unit, decimal, settings
+    tracks, camera, point, columns, unit, decimal, settings, edits
         As `measure` takes them.
 
     Returns
@@ -364,7 +375,7 @@ def measure_all(
     >>> pd.concat([result.estimates for result in found])["clip"].tolist()
     [3, 5]
     """
-    return _measure_given(_read_given(tracks, camera, columns, unit, decimal), point, settings)
+    return _measure_given(_read_given(tracks, camera, columns, unit, decimal), point, settings, edits)
 
 
 def _read_given(
@@ -377,15 +388,18 @@ def _read_given(
     return read_tracks(Path(tracks), camera, columns, unit, decimal)
 
 
-def _measure_given(given: ClipTracks, point: str, settings: SettingsSource | None) -> list[Result]:
+def _measure_given(
+    given: ClipTracks, point: str, settings: SettingsSource | None, edits: EditsSource | None
+) -> list[Result]:
     from tracker.measurement.local.local_columns import calibrate_set
 
     if point not in ("centre", "glint"):
         raise InputError(f"point: expected centre or glint, not {point!r}")
-    fit, found = TrackerSettings.of(settings).fit, []
+    fit, edited, found = TrackerSettings.of(settings).fit, TrackEdits.of(edits), []
+    edited.check_clips(given.clips.keys())
     for number, (tracks, striker) in sorted(given.clips.items()):
         known = given.camera if striker is None else replace(given.camera, striker=striker)
-        result = measure_tracks(tracks, known, number, point, fit)
+        result = measure_tracks(tracks, known, number, point, fit, edited)
         found.append(replace(result, notes=_name_arguments(*given.notes, *result.notes)))
     every = calibrate_set([row for result in found for row in result.rows])
     ends = np.cumsum([len(result.rows) for result in found])
@@ -401,7 +415,10 @@ def _name_arguments(*notes: Note) -> tuple[Note, ...]:
 
 
 def track_and_measure(
-    clip: Recording, name: DetectorChoice | None = None, settings: TrackerSettings | None = None
+    clip: Recording,
+    name: DetectorChoice | None = None,
+    settings: TrackerSettings | None = None,
+    edits: TrackEdits | None = None,
 ) -> Result:
     """Track and measure one recording, by the detector `name` or the one that its film asks for."""
     settings = settings or TrackerSettings()
@@ -413,21 +430,28 @@ def track_and_measure(
         if not second[2] and len(second[0]) >= MIN_DETECTIONS:
             why = f"detector: {other}, because {chosen} finds nothing ({reason}); --detector overrides this"
             tracks, camera, reason, said = second
-    rows, motion = measure_clip(tracks, camera, settings.fit)
+    edited = (edits or TrackEdits()).apply(tracks, clip.number)
+    rows, motion = measure_clip(edited.tracks, camera, settings.fit, edited.contacts)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
     notes = (
         *clip.notes,
         *note_all(NoteKind.DETECTOR, [why], clip.number),
         *said,
+        *edited.notes,
         *describe_camera_gaps(camera),
         *describe_exposure(camera, f"{results.SEEN} in {results.RUN}"),
     )
-    return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
+    return Result(clip.number, camera, edited.tracks, tuple(rows), motion, notes, len(clip.frames))
 
 
 def measure_tracks(
-    tracks: Tracks, camera: Camera, number: int, point: str, settings: FitSettings | None = None
+    tracks: Tracks,
+    camera: Camera,
+    number: int,
+    point: str,
+    settings: FitSettings | None = None,
+    edits: TrackEdits | None = None,
 ) -> Result:
     """Measure tracks made elsewhere as `track_and_measure` does its own."""
     settings = settings or FitSettings()
@@ -437,9 +461,11 @@ def measure_tracks(
     if point == "glint":
         tracks = results.to_centres(tracks, camera)
     repaired = repair_tracks(tracks, camera, number)
-    rows, motion = measure_clip(repaired.tracks, camera, settings)
-    notes = (*repaired.notes, *(n for n in describe_camera_gaps(camera) if n.kind is not NoteKind.ASSUMED))
-    return Result(number, camera, repaired.tracks, tuple(rows), motion, notes)
+    edited = (edits or TrackEdits()).apply(repaired.tracks, number)
+    rows, motion = measure_clip(edited.tracks, camera, settings, edited.contacts)
+    gaps = (note for note in describe_camera_gaps(camera) if note.kind is not NoteKind.ASSUMED)
+    notes = (*repaired.notes, *edited.notes, *gaps)
+    return Result(number, camera, edited.tracks, tuple(rows), motion, notes)
 
 
 def check_particles(tracks: Tracks, number: int, settings: FitSettings, advice: str) -> None:
@@ -484,13 +510,13 @@ def track_clip(
 
 
 def measure_clip(
-    tracks: Tracks, camera: Camera, settings: FitSettings | None = None
+    tracks: Tracks, camera: Camera, settings: FitSettings | None = None, marked: Sequence[MarkedContact] = ()
 ) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     """Measure a clip: rows of estimates, and the table of motion about the first collision."""
     from tracker.measurement.estimate import empty_row, failure_status, measure, motion_table
 
     try:
-        rows = measure(tracks, camera, settings)
+        rows = measure(tracks, camera, settings, marked)
         return rows, motion_table(tracks, camera, rows[0])
     except InputError:
         raise

@@ -38,7 +38,7 @@ LAYERS = {
         "camera",
         "detection",
         "measurement tables",
-        "results",
+        "results edits",
         "report export",
         "recording calibration",
         "pipeline sets gas",

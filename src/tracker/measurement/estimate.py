@@ -14,6 +14,7 @@ Quantities that a clip does not show are NaN.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.errors import InputError
 from tracker.camera.camera_json import BODIES
 from tracker.measurement import painter_behringer
 from tracker.measurement.camera_errors import (
@@ -54,6 +56,7 @@ from tracker.measurement.collision.contacts import (
     Contact,
     ContactCandidate,
     EarlierHit,
+    MarkedContact,
     find_contacts,
     find_near_pairs,
     find_second_touch,
@@ -91,8 +94,12 @@ _SPINS_FROM_LAWS = ("w1n", "w1t", "w2n", "w2t")  # the free fit infers spins by 
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a fit of what is no collision may lead anywhere
-def measure(tracks: Tracks, camera: Camera, settings: FitSettings | None = None) -> list[dict[str, Any]]:
+def measure(
+    tracks: Tracks, camera: Camera, settings: FitSettings | None = None, marked: Sequence[MarkedContact] = ()
+) -> list[dict[str, Any]]:
     """Measure the collisions of a clip: a row for each, never empty, as estimates.parquet without `clip`, in SI units.
+
+    marked: contacts that are measured even if nothing shows them. Raises InputError if they are those of a crowd.
 
     The `status` of a row is
 
@@ -109,39 +116,48 @@ def measure(tracks: Tracks, camera: Camera, settings: FitSettings | None = None)
     balls = to_ball_tracks(tracks, camera)
     if not any(len(track) >= 2 for track in balls):
         return [empty_row(camera, "too few detections")]
+    if marked and len(balls) >= settings.crowd_particles:
+        raise InputError(f"contacts can be marked among fewer than {settings.crowd_particles} balls, not {len(balls)}")
     size = measure_scatter(balls) if balls[0].has_errors else None
+    measure_balls = partial(_measure_balls, camera=camera, settings=settings, marked=marked)
     if size is None or abs(size.sigmas) < settings.noise_sigma:
-        return _measure_balls(balls, camera, settings)
+        return measure_balls(balls)
     resized = [track.scale_errors(size) for track in balls]
     if len(balls) >= settings.crowd_particles:  # few contacts have fits of their own, which could confirm the size
-        return _measure_balls(resized if size.ratio > 1 else balls, camera, settings)
+        return measure_balls(resized if size.ratio > 1 else balls)
     if size.ratio > 1:
-        rows = _measure_balls(resized, camera, settings)
+        rows = measure_balls(resized)
         too_good = p_free(rows, size) > 1 - settings.rejection_level
-        return _measure_between(rows, balls, size, camera, settings) if too_good else rows
-    rows = _measure_balls(balls, camera, settings)
+        return _measure_between(rows, balls, size, measure_balls, settings) if too_good else rows
+    rows = measure_balls(balls)
     correlated = any(row["noise"] == "scatter" for row in rows)  # such errors scatter little from frame to frame
     confirmed = p_free(rows, size, size.ratio) > 1e-3  # whole fits confirm that errors are smaller than claimed
-    return _measure_balls(resized, camera, settings) if confirmed and not correlated else rows
+    return measure_balls(resized) if confirmed and not correlated else rows
 
 
 def _measure_between(
-    wide: list[dict[str, Any]], balls: list[BallTrack], size: ScatterRatio, camera: Camera, settings: FitSettings
+    wide: list[dict[str, Any]],
+    balls: list[BallTrack],
+    size: ScatterRatio,
+    measure_balls: Callable[[list[BallTrack]], list[dict[str, Any]]],
+    settings: FitSettings,
 ) -> list[dict[str, Any]]:
     """The rows where the residuals of the free fits are smaller than the scatter, by which `wide` was measured.
 
     The scatter then included kinks of the paths, or is uneven. The claimed errors are kept if the free fits accept
     them. Otherwise the residuals of the free fits give the size of the errors.
     """
-    rows = _measure_balls(balls, camera, settings)
+    rows = measure_balls(balls)
     if p_free(rows, replace(size, dof=np.inf)) >= settings.rejection_level:
         return rows
     square, dof = np.sum([(row["chi2_free"], row["dof_free"]) for row in wide if row["dof_free"] > 0], axis=0)
     left = ScatterRatio(size.ratio * float(square / dof), float(dof))
-    return _measure_balls([track.scale_errors(left) for track in balls], camera, settings)
+    return measure_balls([track.scale_errors(left) for track in balls])
 
 
-def _measure_balls(balls: list[BallTrack], camera: Camera, settings: FitSettings) -> list[dict[str, Any]]:
+def _measure_balls(
+    balls: list[BallTrack], camera: Camera, settings: FitSettings, marked: Sequence[MarkedContact]
+) -> list[dict[str, Any]]:
     """The rows of a clip, the size of its errors given."""
     noise = _noise_columns(balls[0], camera)
     if len(balls) > 1 and not camera.knows_diameter:
@@ -149,9 +165,11 @@ def _measure_balls(balls: list[BallTrack], camera: Camera, settings: FitSettings
         return [empty_row(camera, reason) | noise]
     if len(balls) >= settings.crowd_particles:
         return _measure_crowd(balls, camera, settings) or [empty_row(camera, "no_collision") | noise]
-    found = find_contacts(balls, camera.ball_diameter) if len(balls) > 1 else []
+    found = find_contacts(balls, camera.ball_diameter, marked=marked) if len(balls) > 1 else []
     near = find_near_pairs(balls, MAX_DISTANCE * camera.ball_diameter, 1.0) if len(balls) > 1 else ()
     together = [stay for a, b in near for stay in find_stays(a, b, camera.ball_diameter)]
+    candidates = [candidate for candidate in found if candidate.is_marked(marked)]
+    together = [stay for stay in together if not any(_is_within(candidate, stay) for candidate in candidates)]
     stays = [stay for stay in together if not stay.bounces]
     found += [
         ContactCandidate(stay.struck, stay.striker, stay.first)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,15 +57,39 @@ class ContactCandidate:
     other: BallTrack
     frame: int
 
+    def is_marked(self, marked: Sequence[MarkedContact]) -> bool:
+        """Test whether a user has marked it."""
+        return any(mark.is_near((self.one.particle, self.other.particle), self.frame) for mark in marked)
 
-def find_contacts(balls: list[BallTrack], diameter: float, steps: float = 0.75) -> list[ContactCandidate]:
+
+class MarkedContact(NamedTuple):
+    """A contact that a user has seen: numbers of two particles, and the frame."""
+
+    one: int
+    other: int
+    frame: int
+
+    def is_near(self, particles: Collection[int], frame: int, *, max_frames: int = 5) -> bool:
+        """Test whether a contact of two particles is this one."""
+        return set(particles) == {self.one, self.other} and abs(frame - self.frame) <= max_frames
+
+
+def find_contacts(
+    balls: list[BallTrack], diameter: float, steps: float = 0.75, marked: Sequence[MarkedContact] = ()
+) -> list[ContactCandidate]:
     """Find all contacts of a recording, in order of time; diameter in m.
 
     steps: frames' worth of approach by which balls that touch between two frames may be farther apart in both.
+    marked: contacts to add; each replaces what is found near it.
     """
     found = [
-        (k, a, b) for a, b in find_near_pairs(balls, diameter, steps) for k in _contact_frames(a, b, diameter, steps)
+        (k, a, b)
+        for a, b in find_near_pairs(balls, diameter, steps)
+        for k in _contact_frames(a, b, diameter, steps)
+        if not any(mark.is_near((a.particle, b.particle), k) for mark in marked)
     ]
+    named = {ball.particle: ball for ball in balls}
+    found += [(mark.frame, named[mark.one], named[mark.other]) for mark in marked]
     found.sort(key=lambda m: m[0])
     out = []
     for i, (frame, a, b) in enumerate(found):
@@ -131,8 +156,8 @@ def find_slow_contacts(balls: list[BallTrack], diameter: float, span: int = 40) 
         for run in np.split(near, np.flatnonzero(np.diff(near) > 3) + 1):
             slopes = []
             for rows in (slice(max(run[0] - span, 0), run[0]), slice(run[-1] + 1, run[-1] + 1 + span)):
-                t = frames[rows] - frames[rows].mean() if len(frames[rows]) > 4 else np.zeros(1)
-                slopes.append(float(t @ apart[rows][: len(t)]) / np.sqrt(max(float(t @ t), 1e-300)) / noise)
+                t = frames[rows] - frames[rows].mean() if len(frames[rows]) > 4 else np.zeros(len(frames[rows]))
+                slopes.append(float(t @ apart[rows]) / np.sqrt(max(float(t @ t), 1e-300)) / noise)
             if slopes[0] < -5 and slopes[1] > 5:
                 out.append(ContactCandidate(a, b, int(frames[run[np.argmin(apart[run])]])))
     return sorted(out, key=lambda candidate: candidate.frame)[:1]

@@ -1,0 +1,226 @@
+"""Corrections of tracks by hand: a file of edits, which are applied in their order before anything is measured."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from synthcam_shared.errors import InputError
+from synthcam_shared.settings import Positive, Settings, build_settings, read_settings
+from tracker.detection.link import Tracks
+from tracker.measurement.collision.contacts import MarkedContact
+from tracker.notes import Note, NoteKind
+
+EDITS = "edits.yaml"  # the name of the file beside results
+BY_HAND = "by_hand"  # flag of a position that an edit has added
+Number = Annotated[int, Field(ge=0, le=(1 << 31) - 1)]
+Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+class Edit(Settings):
+    """One correction. `ball` is the number of a particle, `frame` that of a frame, as in the tracks."""
+
+    noun: ClassVar[str]
+    clip: Number | None = None  # None: the only one
+    ball: Number
+
+    def change(self, tracks: Tracks) -> Tracks:
+        """The tracks with this correction. Raises InputError where they lack what it names."""
+        raise NotImplementedError
+
+    def find(self, tracks: Tracks, frame: int | None = None) -> NDArray[np.bool_]:
+        """The rows of the ball, or its row of one frame. Raises InputError where there are none."""
+        rows = tracks.particle == self.ball
+        rows &= frame is None or tracks.frame == frame
+        if not rows.any():
+            raise InputError(f"ball {self.ball} has no position{'' if frame is None else f' in frame {frame}'}")
+        return np.asarray(rows)
+
+
+class RemovePoint(Edit):
+    """Take a position out of a track."""
+
+    noun = "position removed"
+    action: Literal["remove_point"]
+    frame: Number
+
+    def change(self, tracks: Tracks) -> Tracks:
+        return _select_rows(tracks, np.flatnonzero(~self.find(tracks, self.frame)))
+
+
+class RemoveTrack(Edit):
+    """Take out all positions of a ball."""
+
+    noun = "track removed"
+    action: Literal["remove_track"]
+
+    def change(self, tracks: Tracks) -> Tracks:
+        return _select_rows(tracks, np.flatnonzero(~self.find(tracks)))
+
+
+class Exchange(Edit):
+    """Exchange the numbers of two balls from a frame on. `other` may be a new number, which cuts a track in two."""
+
+    noun = "exchange of numbers"
+    action: Literal["exchange"]
+    other: Number
+    frame: Number
+
+    def change(self, tracks: Tracks) -> Tracks:
+        late, swap = tracks.frame >= self.frame, {self.ball: self.other, self.other: self.ball}
+        own = late & np.isin(tracks.particle, [*swap])
+        if len(swap) < 2 or not own.any():
+            pair = f"balls {self.ball} and {self.other}"
+            raise InputError(f"{pair}: expected two different balls, one of them seen from frame {self.frame} on")
+        particle = tracks.particle.copy()
+        particle[own] = [swap[int(number)] for number in particle[own]]
+        return _sort(replace(tracks, particle=particle))
+
+
+class AddPoint(Edit):
+    """Add a position that was measured by hand: x, y and the standard error of each, px."""
+
+    noun = "position added"
+    action: Literal["add_point"]
+    frame: Number
+    x: Pixels
+    y: Pixels
+    error: Annotated[Positive, Field(le=1e6)]
+
+    def change(self, tracks: Tracks) -> Tracks:
+        if ((tracks.particle == self.ball) & (tracks.frame == self.frame)).any():
+            raise InputError(f"ball {self.ball} has a position in frame {self.frame}; remove that one before")
+        cov, nan = self.error**2 * np.eye(2)[None], np.array([np.nan])
+        time = nan
+        if np.isfinite(tracks.time).any():
+            frames, first = np.unique(tracks.frame, return_index=True)
+            if not frames[0] <= self.frame <= frames[-1]:
+                raise InputError(f"frame {self.frame}: expected {frames[0]} to {frames[-1]}, whose times are known")
+            time = np.interp([self.frame], frames, tracks.time[first])
+        new = Tracks(
+            frame=np.array([self.frame], dtype=np.int64),
+            particle=np.array([self.ball], dtype=np.int64),
+            x=np.array([self.x]),
+            y=np.array([self.y]),
+            cov=cov,
+            flux=nan,
+            flags=np.array([BY_HAND], dtype=np.str_),
+            glint_x=nan,
+            glint_y=nan,
+            time=time,
+        )
+        joined = {name: np.concatenate([values, getattr(new, name)]) for name, values in vars(tracks).items()}
+        return _sort(replace(tracks, **joined))
+
+
+class MarkContact(Edit):
+    """Say that two balls touch in a frame, or within half a frame of it. The collision is measured there."""
+
+    noun = "contact marked"
+    action: Literal["mark_contact"]
+    other: Number
+    frame: Number
+
+    def change(self, tracks: Tracks) -> Tracks:
+        for number in (self.ball, self.other):
+            ball = self.model_copy(update={"ball": number})
+            seen = tracks.frame[ball.find(tracks)]
+            if self.ball == self.other or not seen.min() < self.frame < seen.max():
+                raise InputError(f"balls {self.ball} and {self.other}: expected two, seen before and after the frame")
+        return tracks
+
+
+AnyEdit: TypeAlias = RemovePoint | RemoveTrack | Exchange | AddPoint | MarkContact
+
+
+class _EditsFile(Settings):
+    """A file of edits."""
+
+    edits: list[Annotated[AnyEdit, Field(discriminator="action")]] = Field(default_factory=list, max_length=10_000)
+
+
+@dataclass(frozen=True)
+class EditedTracks:
+    """Tracks with the edits of their clip. notes: say how many; contacts: those that are marked."""
+
+    tracks: Tracks
+    contacts: tuple[MarkedContact, ...] = ()
+    notes: tuple[Note, ...] = ()
+
+
+@dataclass(frozen=True)
+class TrackEdits:
+    """Edits in the order in which they are applied. where: what messages call their file."""
+
+    edits: tuple[AnyEdit, ...] = ()
+    where: str = EDITS
+
+    @staticmethod
+    def of(given: EditsSource | None) -> TrackEdits:
+        """Edits from an object, keys and values, or a YAML file; None gives none. Raises InputError."""
+        if given is None or isinstance(given, TrackEdits):
+            return given or TrackEdits()
+        if isinstance(given, str | Path):
+            return TrackEdits(tuple(read_settings(Path(given), _EditsFile).edits), f"{given}")
+        return TrackEdits(tuple(build_settings(given, _EditsFile, "edits").edits), "edits")
+
+    def to_keys(self) -> dict[str, Any]:
+        """The keys and values of the file."""
+        return {"edits": [_order_keys(edit) for edit in self.edits]}
+
+    def write(self) -> str:
+        """The text of the file: a line for each edit."""
+        lines = [", ".join(f"{key}: {value}" for key, value in edit.items()) for edit in self.to_keys()["edits"]]
+        return "".join(["edits:\n", *(f"- {{{line}}}\n" for line in lines)]) if lines else "edits: []\n"
+
+    def check_clips(self, numbers: Collection[int]) -> None:
+        """Raise InputError for an edit of a clip that is not there, or of none where there are several."""
+        for k, edit in enumerate(self.edits):
+            if edit.clip is None and len(numbers) > 1:
+                raise InputError(f"{self.where}: edits.{k}: expected the key clip, as there are {len(numbers)} clips")
+            if edit.clip is not None and edit.clip not in numbers:
+                raise InputError(f"{self.where}: edits.{k}.clip: there is no clip {edit.clip}")
+
+    def apply(self, tracks: Tracks, clip: int) -> EditedTracks:
+        """Apply the edits of one clip. Raises InputError for one that does not fit the tracks."""
+        own = [(k, edit) for k, edit in enumerate(self.edits) if edit.clip in (None, clip)]
+        marks = [(k, edit) for k, edit in own if isinstance(edit, MarkContact)]
+        for k, edit in (*own, *marks):  # a later edit may have taken out a ball of a contact
+            try:
+                tracks = edit.change(tracks)
+            except InputError as error:
+                raise InputError(f"{self.where}: edits.{k} ({edit.action}): {error}") from None
+        contacts = tuple(MarkedContact(edit.ball, edit.other, edit.frame) for _, edit in marks)
+        counts = Counter(edit.noun for _, edit in own)
+        text = ", ".join(f"{count} {_write_plural(noun, count)}" for noun, count in counts.items())
+        notes = (Note(NoteKind.EDIT, f"edited by hand: {text}", clip),) if own else ()
+        return EditedTracks(tracks, contacts, notes)
+
+
+EditsSource: TypeAlias = TrackEdits | Mapping[str, Any] | str | Path
+
+
+def _write_plural(noun: str, count: int) -> str:
+    first, _, rest = noun.partition(" ")
+    return f"{first}s {rest}" if count > 1 else noun
+
+
+def _order_keys(edit: AnyEdit) -> dict[str, Any]:
+    """Keys and values, the action first; without the clip where there is only one."""
+    values = edit.model_dump(exclude_none=True)
+    return {"action": values.pop("action"), **values}
+
+
+def _select_rows(tracks: Tracks, rows: Sequence[int] | NDArray[Any]) -> Tracks:
+    return replace(tracks, **{name: values[rows] for name, values in vars(tracks).items()})
+
+
+def _sort(tracks: Tracks) -> Tracks:
+    return _select_rows(tracks, np.lexsort((tracks.frame, tracks.particle)))
