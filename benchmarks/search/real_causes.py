@@ -1,10 +1,13 @@
 """Causes put into real tracks: whether the search of free stretches names them, with their size, and nothing else.
 
-python -m benchmarks.search.real_causes CLONE [CLONE ...] [--only CAUSE] [--jobs N] [-o out/real_causes.jsonl]
+python -m benchmarks.search.real_causes CLONE [CLONE ...] [--only CAUSE,...] [--jobs N] [-o out/real_causes.jsonl]
+python -m benchmarks.search.real_causes CLONE [CLONE ...] --prepare FOLDER
+python -m benchmarks.search.real_causes FOLDER/SET.pkl [FOLDER/SET.pkl ...] --minutes 2 --jobs 16
 make bench-real-causes CLONES="CLONE ..."
 
 Each CLONE is a clone of one of the repositories that `benchmarks.real.recordings` reads. Its hits are cut into free
-stretches and corrected by the warp that they show. Each set then gets one known cause:
+stretches and corrected by the warp that they show. With --prepare these sets are written to a folder, from which
+another machine searches them without the clones. Each set then gets one known cause:
 
 - acceleration: a constant one, in full on air and by 5/7 on cloth, as of a ball that rolls on a tilted plate. A ball
   that slides gets 5/7 too, though a tilted plate would give it the whole;
@@ -18,6 +21,9 @@ Other strengths are 5 and 10 times the detection limit of the search of the same
 says that these tracks cannot show the cause, it is a few per cent. A line for each set says what was put in, what was
 named, and with which value. Free stretches cannot show the time of all recordings, as the effect `clock_error` proves:
 there the right answer is to name nothing.
+
+The tracks have small accelerations and distortions of their own. `own` is what the set without a cause shows of the
+effect, by one linear step from its base model. `z` is the error of the size, found less own, in its standard errors.
 """
 
 from __future__ import annotations
@@ -26,12 +32,14 @@ import argparse
 import itertools
 import json
 import os
+import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -57,7 +65,7 @@ from tracker.measurement.positions import BallTrack, to_ball_tracks
 from tracker.measurement.stretch_cuts import measure_noise
 from tracker.tables.read import read_frame
 
-SHOWN = "cause times strength shown named false size std z verdict seconds".split()
+SHOWN = "set cause times strength shown named false size own std z verdict seconds".split()
 ON_CLOTH = {"restitution": 0.95, "sliding_friction": 0.2, "spin_transfer": 0.1, "rolling_decel": 0.04}
 ON_AIR = {"restitution": 0.8, "sliding_friction": 0.0, "rolling_decel": 0.02}
 LABORATORIES: dict[str, tuple[Callable[[Path], list[RecordedHit]], dict[str, float]]] = {
@@ -147,31 +155,27 @@ class Cause:
     otherwise: float = 0.03  # the strength if the search says that these tracks do not show it
 
 
-def accelerate(heading: float, slides: bool) -> Callable[[MeasuredCollision, float], MeasuredCollision]:
+def accelerate(clip: MeasuredCollision, size: float, heading: float, slides: bool) -> MeasuredCollision:
     """Add a constant acceleration, m/s^2 of a body without friction, from the contact on and backwards before it.
 
     slides: the whole of it acts, as on a body that glides; else 5/7, as on a ball that rolls.
     """
-
-    def apply(clip: MeasuredCollision, size: float) -> MeasuredCollision:
-        since = clip.frame / clip.fps - clip.launch[T_C]
-        way = since**2 / 2
-        if not slides:
-            way = 5 / 7 * way
-        moves = (clip.ball == 1) | (since > 0)
-        push = size * np.array([np.cos(heading), np.sin(heading)])
-        return replace(clip, xy=clip.xy + (way * moves)[:, None] * push)
-
-    return apply
+    since = clip.frame / clip.fps - clip.launch[T_C]
+    way = since**2 / 2
+    if not slides:
+        way = 5 / 7 * way
+    moves = (clip.ball == 1) | (since > 0)
+    push = size * np.array([np.cos(heading), np.sin(heading)])
+    return replace(clip, xy=clip.xy + (way * moves)[:, None] * push)
 
 
-def distort(clip: MeasuredCollision, k: float) -> MeasuredCollision:
+def distort(clip: MeasuredCollision, k: float, sign: float) -> MeasuredCollision:
     """Distort positions about the middle of the picture, with the distance over that of the camera's focal length."""
     middle = np.array([[clip.camera.K[0, 2], clip.camera.K[1, 2]]])
     centre = clip.camera.unproject(middle)[0][0]
     focus = clip.camera.K[0, 0] * clip.camera.scale
     off = clip.xy - centre
-    return replace(clip, xy=centre + off * (1 + k * (off**2).sum(axis=1) / focus**2)[:, None])
+    return replace(clip, xy=centre + off * (1 + sign * k * (off**2).sum(axis=1) / focus**2)[:, None])
 
 
 def stretch_axis(clip: MeasuredCollision, share: float) -> MeasuredCollision:
@@ -199,11 +203,11 @@ def list_causes(model: Model) -> Iterator[Cause]:
     g, glides = model.gravity, model.sliding_friction == 0
     unit = 5 / 7 * g if glides else g  # in the model a body without friction rolls
     for degrees in (20, 110, 200):
-        push = accelerate(np.radians(degrees), glides)
         name, heading = f"acceleration to {degrees} deg", float(np.radians(degrees))
+        push = partial(accelerate, heading=heading, slides=glides)
         yield Cause(name, push, "plate_tilt", ("x", "y"), unit, ("force_place",), heading)
     for sign in (1.0, -1.0):
-        yield Cause(f"lens {sign:+.0f}", lambda c, k, s=sign: distort(c, s * k), "lens_distortion", ("k1",), sign)  # type: ignore[misc]
+        yield Cause(f"lens {sign:+.0f}", partial(distort, sign=sign), "lens_distortion", ("k1",), sign)
     yield Cause("aspect", stretch_axis, "aspect_error", ("e",), otherwise=0.005)
     yield Cause("time", slow_clock, "clock_error", ("e",), otherwise=0.01)
     if not glides:  # on air nothing tells the time
@@ -213,12 +217,30 @@ def list_causes(model: Model) -> Iterator[Cause]:
 # --- Searches ---
 
 
-def run_set(job: tuple[str, str, float, Sequence[MeasuredCollision], Model, str, float]) -> dict[str, Any]:
-    """Search one set; the strength is that of the named cause, and the line says what was found."""
-    laboratory, cause, times, clips, model, effect, strength = job
+@dataclass(frozen=True)
+class CausedSet:
+    """A set of recordings with a cause of a strength put in; without one it has the name "none"."""
+
+    name: str  # of the set; it begins with that of the laboratory
+    clips: Sequence[MeasuredCollision]
+    model: Model
+    cause: Cause | None = None
+    times: float = 0.0  # the detection limit
+    strength: float = 0.0
+
+    @classmethod
+    def of(cls, name: str, clips: Sequence[MeasuredCollision]) -> CausedSet:
+        """The set without a cause."""
+        law = next(law for laboratory, (_, law) in LABORATORIES.items() if name.startswith(laboratory))
+        return cls(name, clips, as_model({"ball": {"diameter": clips[0].camera.ball_diameter}, "model": law}))
+
+
+def run_set(given: CausedSet, minutes: float) -> dict[str, Any]:
+    """Search one set; the line says what was found."""
     begun = time.monotonic()
-    line: dict[str, Any] = {"laboratory": laboratory, "cause": cause, "times": times, "strength": strength}
-    found = search(clips, model, seconds=1200, stretches=True)
+    line: dict[str, Any] = {"set": given.name, "cause": given.cause.name if given.cause else "none"}
+    line |= {"times": given.times, "strength": given.strength}
+    found = search(given.clips, given.model, seconds=60 * minutes, stretches=True)
     line |= {"verdict": str(found.verdict), "seconds": round(time.monotonic() - begun)}
     line["claims"] = [
         {"effect": c.effect, "aliases": c.aliases[1:], "sigma": round(c.sigma, 1), "values": c.values, "std": c.std}
@@ -227,81 +249,121 @@ def run_set(job: tuple[str, str, float, Sequence[MeasuredCollision], Model, str,
     line["law"] = found.free_law.law.name if found.free_law else None
     shown = [s for s in found.scores if s.identifiable]
     line["information"] = {s.effect: _measure_information(found.base_fit, s.columns).tolist() for s in shown}
+    line["own"] = {s.effect: np.linalg.solve(*found.base_fit.information(s.columns)).tolist() for s in shown}
     line["scatter"] = vars(found.data.scatter)
     line["gap"] = [round(x, 3) for x in (found.gap.before, found.gap.after, found.gap.floor)]
     line["stretches"] = [len(found.data.clips), len(found.data.held_out)]
     line["withdrawn"] = [test.name for test in found.rejected]
-    return line | {"sentence": describe_search(found), "effect": effect}
+    return line | {"sentence": describe_search(found)}
 
 
-def judge(line: dict[str, Any], cause: Cause, shown: bool) -> dict[str, Any]:
-    """Compare the claims of a line with its cause."""
+def judge(line: dict[str, Any], cause: Cause, bare: dict[str, Any]) -> dict[str, Any]:
+    """Compare the claims of a line with its cause; bare: the line of the set without a cause."""
     right = [c for c in line["claims"] if cause.effect in (c["effect"], *c["aliases"])]
     law = line["law"] if line["law"] in cause.laws else None
     wrong = [c["effect"] for c in line["claims"] if c not in right]
     if line["law"] and law is None:
         wrong.append(line["law"])
-    out = {"shown": shown, "named": bool(right or law), "false": wrong}
+    own = cause.unit * np.array(bare["own"].get(cause.effect, np.zeros(len(cause.strengths))))[: len(cause.strengths)]
+    out: dict[str, Any] = {"shown": cause.effect in bare["information"], "named": bool(right or law), "false": wrong}
+    out["own"] = own.tolist()
     if right and right[0]["effect"] == cause.effect:
-        values = [right[0]["values"].get(f"{cause.effect}.{s}", np.nan) for s in cause.strengths]
-        stds = [right[0]["std"].get(f"{cause.effect}.{s}", np.nan) for s in cause.strengths]
-        found = cause.unit * np.array(values)
-        size = float(np.hypot(*found)) if len(found) == 2 else float(found[0])
-        std = abs(cause.unit) * float(np.nanmean(stds))
-        out |= {"size": size, "std": std, "z": (size - line["strength"]) / std if std else None}
-        if len(found) == 2:
-            out["heading_deg"] = round(float(np.degrees(np.arctan2(found[1], found[0]))) % 360, 1)
+        values, stds = (
+            cause.unit * np.array([right[0][kind].get(f"{cause.effect}.{s}", np.nan) for s in cause.strengths])
+            for kind in ("values", "std")
+        )
+        way = np.array([np.cos(cause.heading), np.sin(cause.heading)])[: len(values)]
+        std = float(np.sqrt(np.nanmean(stds**2)))
+        out |= {"size": float(values @ way), "found": values.tolist(), "std": std}
+        out["z"] = float((values - own) @ way - line["strength"]) / std if std else None
     return line | out
 
 
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clones", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()])
-    parser.add_argument("--only", default="", help="only causes whose name begins so")
+    parser.add_argument(
+        "sources", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()]
+    )
+    parser.add_argument("--only", default="", help="only causes whose name begins with one of these")
     parser.add_argument("--warp", help="camera.json of tracker warp; none: no correction; default: fitted to the hits")
     parser.add_argument("--hits", type=int, default=20, help="recordings of a set")
     parser.add_argument("--parts", type=int, default=2, help="sets of recordings of a laboratory")
+    parser.add_argument("--every", type=int, default=1, help="keep every so many-th frame of bodies on air")
+    parser.add_argument("--minutes", type=float, default=20, help="time limit of a search")
+    parser.add_argument("--prepare", type=Path, help="write the sets to this folder, and search nothing")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_causes.jsonl"))
     given = parser.parse_args()
-    if not given.clones:
-        raise SystemExit(f"expected paths to clones of {', '.join(LABORATORIES)}")
+    if not given.sources:
+        raise SystemExit(f"expected paths to clones of {', '.join(LABORATORIES)}, or sets written with --prepare")
+    sets = [one for source in given.sources for one in read_sets(source, given)]
+    if given.prepare:
+        given.prepare.mkdir(parents=True, exist_ok=True)
+        for one in sets:
+            (given.prepare / f"{one.name}.pkl").write_bytes(pickle.dumps(one.clips))
+        return
     given.output.parent.mkdir(parents=True, exist_ok=True)
-    with given.output.open("a") as file, ProcessPoolExecutor(given.jobs) as pool:
-        for clone in given.clones:
-            name = next(name for name in LABORATORIES if name in str(clone))
-            hits = LABORATORIES[name][0](clone)
-            clips = read_clips(hits, given.warp)
-            sets = [clips[k :: given.parts][: given.hits] for k in range(given.parts)]
-            lines = (line for part in sets for line in run_causes(name, part, given.only, pool))
-            by_recoil = relabel_masses(name, hits) if "mass".startswith(given.only[:4]) else ()
-            for line in itertools.chain(by_recoil, lines):
-                file.write(json.dumps(line, default=float) + "\n")
-                file.flush()
-                print({k: line.get(k) for k in SHOWN}, flush=True)
+    masses = any("mass".startswith(only[:4]) for only in given.only.split(","))
+    clones = [(source, find_laboratory(source)) for source in given.sources if source.is_dir() and masses]
+    recoils = (line for source, name in clones for line in relabel_masses(name, LABORATORIES[name][0](source)))
+    with given.output.open("a") as file:
+        searched = run_all(sets, tuple(given.only.split(",")), given.minutes, given.jobs)
+        for line in itertools.chain(recoils, searched):
+            show(line, file)
 
 
-def run_causes(
-    name: str, clips: Sequence[MeasuredCollision], only: str, pool: ProcessPoolExecutor
-) -> Iterator[dict[str, Any]]:
-    """Search a set of recordings of a laboratory without a cause, and then with each."""
-    model = as_model({"ball": {"diameter": clips[0].camera.ball_diameter}, "model": LABORATORIES[name][1]})
-    bare = run_set((name, "none", 0.0, clips, model, "", 0.0))
-    false = [c["effect"] for c in bare["claims"]] + ([bare["law"]] if bare["law"] else [])
-    yield bare | {"shown": False, "named": False, "false": false}
-    jobs, known = [], []
-    for cause in list_causes(model):
-        limit = _find_limit(cause, bare["information"].get(cause.effect))
+def show(line: dict[str, Any], file: IO[str]) -> None:
+    """Append a line to a file and print what matters of it."""
+    file.write(json.dumps(line, default=float) + "\n")
+    file.flush()
+    print({k: line.get(k) for k in SHOWN}, flush=True)
+
+
+def find_laboratory(source: Path) -> str:
+    """Find the laboratory of a clone or of a set."""
+    return max((name for name in LABORATORIES if name in str(source)), key=len)
+
+
+def read_sets(source: Path, given: argparse.Namespace) -> list[CausedSet]:
+    """Read the sets of a clone, or the one of a file."""
+    if source.is_file():
+        return [CausedSet.of(source.stem, pickle.loads(source.read_bytes()))]
+    name = find_laboratory(source)
+    clips = read_clips(LABORATORIES[name][0](source), given.warp)
+    if name != "3cushiontool":
+        clips = [clip.select(np.flatnonzero(clip.frame % given.every == 0)) for clip in clips]
+    return [CausedSet.of(f"{name}-{k}", clips[k :: given.parts][: given.hits]) for k in range(given.parts)]
+
+
+def run_all(sets: Sequence[CausedSet], only: tuple[str, ...], minutes: float, jobs: int) -> Iterator[dict[str, Any]]:
+    """Search all sets without a cause, and then with each; the lines come as they are ready."""
+    bare, running = dict[str, dict[str, Any]](), dict[Future[dict[str, Any]], CausedSet]()
+    with ProcessPoolExecutor(jobs) as pool:
+        running |= {pool.submit(run_set, one, minutes): one for one in sets}
+        while running:
+            for job in wait(running, return_when=FIRST_COMPLETED).done:
+                one, line = running.pop(job), job.result()
+                if one.cause is not None:
+                    yield judge(line, one.cause, bare[one.name])
+                    continue
+                bare[one.name] = line
+                false = [c["effect"] for c in line["claims"]] + ([line["law"]] if line["law"] else [])
+                yield line | {"shown": False, "named": False, "false": false}
+                caused = put_causes(one, line, only)
+                running |= {pool.submit(run_set, each, minutes): each for each in caused}
+
+
+def put_causes(bare: CausedSet, line: dict[str, Any], only: tuple[str, ...]) -> Iterator[CausedSet]:
+    """Put each cause into a set, with strengths by the line of the set without one."""
+    for cause in list_causes(bare.model):
+        limit = _find_limit(cause, line["information"].get(cause.effect))
         for times in (5.0, 10.0) if cause.name.startswith(only) else ():
             strength = cause.otherwise * times / 5
             if limit is not None and cause.name != "time of half":
                 strength = times * limit
-            injected = [cause.apply(clip, strength) for clip in clips]
-            jobs.append((name, cause.name, times, injected, model, cause.effect, strength))
-            known.append((cause, limit is not None))
-    for line, (cause, shown) in zip(pool.map(run_set, jobs), known, strict=True):
-        yield judge(line, cause, shown)
+            clips = [cause.apply(clip, strength) for clip in bare.clips]
+            yield replace(bare, clips=clips, cause=cause, times=times, strength=strength)
 
 
 def relabel_masses(name: str, hits: Sequence[RecordedHit]) -> Iterator[dict[str, Any]]:
@@ -309,7 +371,7 @@ def relabel_masses(name: str, hits: Sequence[RecordedHit]) -> Iterator[dict[str,
     base = measure_recoil(name, hits, 0.0)
     for share in (0.0, 0.1, -0.1, 0.2, -0.2) if base else ():
         found = measure_recoil(name, hits, share)
-        line: dict[str, Any] = {"laboratory": name, "cause": "mass of ball a", "times": None, "strength": share}
+        line: dict[str, Any] = {"set": name, "cause": "mass of ball a", "times": None, "strength": share}
         line |= {"shown": True, "verdict": "", "named": False, "false": []}
         if found and base:
             line |= {"named": "mass_mismatch" in found.causes, "law": found.law, "causes": found.causes}

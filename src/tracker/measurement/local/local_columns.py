@@ -1,9 +1,10 @@
 """The columns of the local estimate in estimates.parquet, and its calibration by the balance of momentum.
 
 Residuals cannot show an error that is smooth over a stretch, such as a bent map of the camera, a marker beside the
-centre of mass, or a body that lifts off. The balance of momentum shows it. Its errors are those of the residuals and,
-for each component of each velocity, an error that is proportional to the speed of the hit; along the line of centres
-there is a bias that is proportional to the normal speed. In one recording that error is a prior. In a set it is fitted.
+centre of mass, or a body that lifts off. The balance of momentum shows it. Its errors are those of the residuals times
+a factor and, for each component of each velocity, an error that is proportional to the speed of the hit. Along the line
+of centres there is a bias that is proportional to the normal speed. In one recording the factor is 1 and that error is
+a prior. In a set they are fitted: the factor where errors are larger in hits that are measured less well.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ MIN_HITS = 8  # of a set, from which on its errors are fitted
 MIN_STRIKES = 3  # of each body, from which on the ratio of their masses is fitted
 LEAST_PRIOR = 1e-4  # error of a velocity over that of the hit, where a setting says that there is none
 PRIOR_WIDTH = 1.0  # of the logarithm of the errors of a set, about those of its recordings alone
+USUAL_EXCESS = 1.0  # of what a set adds to the errors of residuals, over them
 # Largest standard errors with which quantities are reported; others have max_relative_error of their value.
 _LARGEST_ERRORS = {"b": 0.05, "s": 0.3, "r": 0.2, "C": 0.1, "final_angle": 0.1, "impact_energy": 0.1}
 _LARGEST_ERRORS |= {"energy_fraction": 0.1, "momentum_fraction": 0.1, "mass_ratio": np.inf}
@@ -42,6 +44,7 @@ class LocalErrors:
     bias_std: float = 0.0
     error_n: float = 0.0  # of each component along n, over v0
     error_t: float = 0.0  # of each component along t, over v0
+    factor: float = 1.0  # on the errors of the residuals
     log_ratio: float = 0.0  # logarithm of the mass of the first particle over that of the second, beyond what is given
     log_ratio_std: float = 0.0
     hits: int = 0  # from which these are fitted; 0: a prior
@@ -53,7 +56,8 @@ def empty_columns() -> dict[str, Any]:
     for column in COLUMNS:
         row[column] = row[f"{column}_std"] = np.nan
     row |= {"chi2_local": np.nan, "dof_local": np.nan, "misfit_local": False, "motion_local": "", "local": "{}"}
-    row |= {"local_bias": np.nan, "local_error_n": np.nan, "local_error_t": np.nan, "local_hits": 0}
+    row |= {"local_bias": np.nan, "local_error_n": np.nan, "local_error_t": np.nan}
+    row |= {"local_factor": np.nan, "local_hits": 0}
     return row | {"local_shared": "{}", "recommended": "none", "why": ""}
 
 
@@ -100,6 +104,10 @@ def _name_effects(key: str, of: float, effect: Floats) -> tuple[str, dict[str, A
     return key, {"of": of, "effect": {n: v for n, v in zip(LOCAL_NAMES, _rounded(effect), strict=True) if v}}
 
 
+def _read_effect(block: Mapping[str, Any]) -> Floats:
+    return np.array([block["effect"].get(name, 0.0) for name in LOCAL_NAMES])
+
+
 def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     """Compute the columns of a row with these errors beyond the residuals.
 
@@ -114,7 +122,9 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     response, by_mass = np.split(np.nan_to_num(np.array(raw["response"], dtype=np.float64)), [8], axis=1)
     size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
     common = _list_common_errors(row, errors, response, by_mass[:, 0])
-    wide = np.sqrt(std**2 + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, _, effect in common))
+    of_camera = sum((_read_effect(block) ** 2 for block in raw["shared"].values()), np.zeros(len(std)))
+    own = np.maximum(std**2 - of_camera, 0.0) * errors.factor**2 + of_camera
+    wide = np.sqrt(own + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, _, effect in common))
     shared = raw["shared"] | dict(_name_effects(*one) for one in common)
     role = _role(row)
     value = value + by_mass[:, 0] * role * errors.log_ratio
@@ -136,7 +146,8 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
         known = name not in raw["unseen"] and np.isfinite(value[k]) and wide[k] <= limit and not folded
         out[column], out[f"{column}_std"] = (float(value[k]), float(wide[k])) if known else (np.nan, np.nan)
     out |= {"local_bias": errors.bias_n, "local_error_n": errors.error_n, "local_error_t": errors.error_t}
-    return out | {"local_hits": errors.hits, "local_shared": json.dumps(shared, separators=(",", ":"))}
+    out |= {"local_factor": errors.factor, "local_hits": errors.hits}
+    return out | {"local_shared": json.dumps(shared, separators=(",", ":"))}
 
 
 def _list_common_errors(
@@ -186,38 +197,41 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     recoil = _recoil_by_mass(usable, found, response[:, 0, 8])
     usual = float(np.log(max(np.median([raw["prior"] for raw in found]), LEAST_PRIOR)))
 
-    def price(p: Floats, axis: int, levers: Floats) -> float:
-        var = std[:, axis] ** 2 + (np.exp(p[0]) * spread[:, axis]) ** 2
-        square = (off[:, axis] - levers @ p[1:]) ** 2
-        well, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * v0) ** 2))
-        likelihood = np.logaddexp(np.log(1 - odd_share) + well, np.log(odd_share) + unusual).sum()
-        return float(0.5 * ((p[0] - usual) / PRIOR_WIDTH) ** 2 - likelihood)
+    def find_variance(p: Floats) -> Floats:
+        return np.asarray((1 + p[2] ** 2) * std**2 + (np.exp(p[:2]) * spread) ** 2)
 
-    def fit(axis: int, levers: Floats) -> Floats:
-        starts = [np.append(np.log(error), np.zeros(levers.shape[1])) for error in (0.003, 0.03)]
-        sizes = np.append(0.5, np.full(levers.shape[1], 0.02))
+    def price(p: Floats, levers: Floats) -> float:
+        """p: logarithms of both errors, what is added to the errors of residuals over them, and sizes of the levers."""
+        var, square = find_variance(p), (off - np.column_stack([levers @ p[3:], 0 * v0])) ** 2
+        well, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * v0[:, None]) ** 2))
+        likelihood = np.logaddexp(np.log(1 - odd_share) + well, np.log(odd_share) + unusual).sum()
+        known = (((p[:2] - usual) / PRIOR_WIDTH) ** 2).sum() + (p[2] / USUAL_EXCESS) ** 2
+        return float(0.5 * known - likelihood)
+
+    def fit(levers: Floats) -> Floats:
+        zeros = np.zeros(levers.shape[1])
+        starts = [np.concatenate([np.log([error, error]), [0.5], zeros]) for error in (0.003, 0.03)]
+        sizes = np.concatenate([[0.5, 0.5, 0.5], zeros + 0.02])
         simplex = np.vstack([0 * sizes, np.diag(sizes)])
-        tries = (
-            minimize(price, x, (axis, levers), method="Nelder-Mead", options={"initial_simplex": simplex + x})
-            for x in starts
-        )
+        options = ({"initial_simplex": simplex + x, "maxfev": 4000} for x in starts)
+        tries = (minimize(price, x, (levers,), "Nelder-Mead", options=o) for x, o in zip(starts, options, strict=True))
         return np.asarray(min(tries, key=lambda m: float(m.fun)).x, dtype=np.float64)
 
     levers = np.column_stack([vn, *recoil])
-    along, across = fit(0, levers), fit(1, np.zeros((len(v0), 0)))
-    if recoil and price(along, 0, levers) > price(without := fit(0, levers[:, :1]), 0, levers[:, :1]) - least_gain:
-        along, levers, recoil = without, levers[:, :1], []
-    weight = 1 / (std[:, 0] ** 2 + (np.exp(along[0]) * spread[:, 0]) ** 2)
-    doubt = np.sqrt(np.diag(np.linalg.inv((levers * weight[:, None]).T @ levers)))
+    best = fit(levers)
+    if recoil and price(best, levers) > price(without := fit(levers[:, :1]), levers[:, :1]) - least_gain:
+        best, levers, recoil = without, levers[:, :1], []
+    doubt = np.sqrt(np.diag(np.linalg.inv((levers / find_variance(best)[:, :1]).T @ levers)))
     errors = LocalErrors(
-        bias_n=float(along[1]),
+        bias_n=float(best[3]),
         bias_std=float(doubt[0]),
-        error_n=float(np.exp(along[0])),
-        error_t=float(np.exp(across[0])),
+        error_n=float(np.exp(best[0])),
+        error_t=float(np.exp(best[1])),
+        factor=float(np.hypot(1.0, best[2])),
         hits=len(usable),
     )
     if recoil:
-        half = float(np.clip(-along[2] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
+        half = float(np.clip(-best[4] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
         errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))
     return errors
 

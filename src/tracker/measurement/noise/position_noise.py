@@ -100,7 +100,8 @@ def _residual_basis() -> Floats:
 def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
     """First frames (m,) of all whole windows; chi^2 of their residuals (m,); whether the ball moved there (m,).
 
-    A ball counts as moving if it covers three widths of a glint.
+    A ball counts as moving if it covers three widths of a glint. A window in which a position is only repeated shows
+    no noise and is left out: some recorders drop what moves too little.
     """
     stride = 94  # windows whose covariance is computed at once
     count = len(course) - WINDOW + 1
@@ -113,7 +114,8 @@ def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
     for first in range(0, count, stride):
         rows = slice(first, min(first + stride, count))
         left[rows] = (rest[rows] * np.linalg.solve(_spread(course, rows, over), rest[rows, :, None])[..., 0]).sum(-1)
-    whole = course.frame[WINDOW - 1 :] - course.frame[:count] == WINDOW - 1
+    steps = np.abs(np.diff(course.position, axis=0)).sum(axis=1)
+    whole = (course.frame[WINDOW - 1 :] - course.frame[:count] == WINDOW - 1) & (slide(steps, WINDOW - 1).max(-1) > 0)
     moved = np.hypot(*(course.position[WINDOW - 1 :] - course.position[:count]).T) > 3.0 * course.width
     return course.frame[:count][whole], left[whole], moved[whole]
 

@@ -38,6 +38,19 @@ def test_the_balance_of_momentum_shows_errors_beyond_the_residuals():
     assert 0.55 < np.mean(np.abs(z) < 1) < 0.85
 
 
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_the_balance_shows_errors_of_residuals_that_are_too_small(times):
+    """Half of the hits are measured less well, by 0.002 and 0.02 m/s, and all have so many times that error."""
+    rows = [r for k in (1, 10) for r in draw_rows(50, 1e-5, 1e-5, 0.0, seed=k, residual=0.002 * k * times)]
+    for row in rows:
+        raw = json.loads(row["local"])
+        row["local"] = json.dumps(raw | {"std": [s and s / times for s in raw["std"]], "prior": 1e-3})
+    errors = calibrate_rows(rows)
+    assert errors.factor == pytest.approx(times, rel=0.25)
+    wide = [(row | apply_errors(row, errors))["balance_t_local_std"] / row["balance_t_local_std"] for row in rows[50:]]
+    assert np.array(wide) * times == pytest.approx(errors.factor, rel=0.05)
+
+
 def test_a_bias_changes_no_value_and_counts_as_an_error():
     """Unknown masses that differ look like a bias; r does not depend on them, and must not move."""
     rows = draw_rows(40, 0.003, 0.003, -0.1)
