@@ -122,7 +122,7 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     response, by_mass = np.split(np.nan_to_num(np.array(raw["response"], dtype=np.float64)), [8], axis=1)
     size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
     common = _list_common_errors(row, errors, response, by_mass[:, 0])
-    of_camera = sum((_read_effect(block) ** 2 for block in raw["shared"].values()), np.zeros(len(std)))
+    of_camera = np.square([np.zeros(len(std)), *map(_read_effect, raw["shared"].values())]).sum(axis=0)
     own = np.maximum(std**2 - of_camera, 0.0) * errors.factor**2 + of_camera
     wide = np.sqrt(own + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, _, effect in common))
     shared = raw["shared"] | dict(_name_effects(*one) for one in common)
@@ -213,8 +213,10 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
         starts = [np.concatenate([np.log([error, error]), [0.5], zeros]) for error in (0.003, 0.03)]
         sizes = np.concatenate([[0.5, 0.5, 0.5], zeros + 0.02])
         simplex = np.vstack([0 * sizes, np.diag(sizes)])
-        options = ({"initial_simplex": simplex + x, "maxfev": 4000} for x in starts)
-        tries = (minimize(price, x, (levers,), "Nelder-Mead", options=o) for x, o in zip(starts, options, strict=True))
+        tries = list[Any]()
+        for x in starts:
+            options: dict[str, Any] = {"initial_simplex": simplex + x, "maxfev": 4000}
+            tries.append(minimize(price, x, (levers,), method="Nelder-Mead", options=options))
         return np.asarray(min(tries, key=lambda m: float(m.fun)).x, dtype=np.float64)
 
     levers = np.column_stack([vn, *recoil])
