@@ -210,13 +210,16 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
 
     def fit(levers: Floats) -> Floats:
         zeros = np.zeros(levers.shape[1])
-        starts = [np.concatenate([np.log([error, error]), [0.5], zeros]) for error in (0.003, 0.03)]
-        sizes = np.concatenate([[0.5, 0.5, 0.5], zeros + 0.02])
+        starts = [np.append([np.log(error), np.log(error), 0.5], zeros) for error in (0.003, 0.03)]
+        sizes = np.append([0.5, 0.5, 0.5], zeros + 0.02)
         simplex = np.vstack([0 * sizes, np.diag(sizes)])
-        tries = list[Any]()
-        for x in starts:
-            options: dict[str, Any] = {"initial_simplex": simplex + x, "maxfev": 4000}
-            tries.append(minimize(price, x, (levers,), method="Nelder-Mead", options=options))
+        most = 4000  # evaluations
+        tries = (
+            minimize(
+                price, x, (levers,), method="Nelder-Mead", options={"initial_simplex": simplex + x, "maxfev": most}
+            )
+            for x in starts
+        )
         return np.asarray(min(tries, key=lambda m: float(m.fun)).x, dtype=np.float64)
 
     levers = np.column_stack([vn, *recoil])
