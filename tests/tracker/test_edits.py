@@ -123,7 +123,7 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
 
 def test_the_page_of_formats_has_every_action():
     page = (ROOT / "docs/format.md").read_text().partition("## Edits")[2]
-    example = yaml.safe_load(page.partition("```yaml\n")[2].partition("```")[0])
+    example = yaml.safe_load(page.partition("```text\n")[2].partition("```")[0])
     actions = [edit["action"] for edit in TrackEdits.of(example).to_keys()["edits"]]
     assert actions == [edit["action"] for edit in (POINT, TRACK, EXCHANGE, ADDED, CONTACT)]
 
