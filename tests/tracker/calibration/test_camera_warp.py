@@ -85,7 +85,7 @@ def test_the_command_finds_a_known_map_within_its_error(tmp_path):
     results, output = write_results(tmp_path / "results", recordings), tmp_path / "camera.json"
     said = CliRunner().invoke(app, ["warp", str(results), "-o", str(output), "--json"])
     assert said.exit_code == 0, said.output
-    found = json.loads(said.output)
+    found = json.loads(said.stdout)
     assert found["recordings"] == 20
     camera = Camera.read(output)
     at = np.concatenate([xy for one in recordings for _, xy in one])

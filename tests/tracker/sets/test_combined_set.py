@@ -131,7 +131,7 @@ def test_the_command_writes_a_set_and_replaces_it(tmp_path):
     assert "5 of 5 collisions of 2 results enter." in said.output
     assert "0.930(10), scatter 0.02 (0.0089 to 0.063), slope" in said.output
     again = CliRunner().invoke(app, [*words, "--json"])
-    found = json.loads(again.output)
+    found = json.loads(again.stdout)
     stored = json.loads((tmp_path / "set/set.json").read_text())
     assert {key: found[key] for key in stored} == stored
     assert sorted(p.name for p in (tmp_path / "set").iterdir()) == ["index.html", "set.json"]
