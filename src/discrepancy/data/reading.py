@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -47,25 +47,7 @@ def read_collisions(
     InputError
         A file is missing or malformed, no clip has a measured collision, or speeds and units are implausible.
     """
-    notes: list[SearchNote] = []
-    if isinstance(measured, pd.DataFrame):
-        if camera is None:
-            raise InputError("camera: expected a camera, its keys or a path, beside a table of tracks")
-        given, measured = read_frame(measured, camera), Path("tracks")
-        sources, notes = _read_table(measured, given), _note_strikers(given)
-    elif not isinstance(measured, Path):
-        sources, measured = _read_memory(measured), Path("results")
-    elif measured.is_dir():
-        if camera is not None:
-            raise InputError(f"--camera: {measured} contains its own; --camera is for a table of tracks")
-        sources = _read_results(measured)
-    elif camera is None:
-        if not measured.exists():
-            raise InputError(f"{measured}: no such file or folder, expected RESULTS of a tracker or a table of tracks")
-        raise InputError(f"{measured}: a table of tracks, expected --camera with its camera file")
-    else:
-        given = read_tracks(measured, camera)
-        sources, notes = _read_table(measured, given), _note_strikers(given)
+    sources, notes, name = _list_sources(measured, camera)
     kept, rejected, durations = [], [], []
     for source in sources:
         notes += [
@@ -87,16 +69,39 @@ def read_collisions(
             notes.append(SearchNote(SearchNoteKind.STRAYS, source.number, tuple(source.strays)))
     if not kept:
         raise InputError(
-            f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in sort_notes(notes).left_out[:1])
+            f"{name}: no clip with a measured collision" + "".join(f"; {x}" for x in sort_notes(notes).left_out[:1])
         )
     if (doubtful := np.array([t for t in durations if np.isfinite(t)])).size:
         values = {"count": len(doubtful), "duration_ms": 1e3 * float(np.median(doubtful))}
         notes.append(SearchNote(SearchNoteKind.CONTACTS_MAY_LAST, values=values))
     typical = float(np.median([c.launch[V0] for c in kept]))
     if typical > current_policy().max_launch_speed_m_s:
-        raise InputError(f"{measured}: the balls move at {typical:.3g} m/s (median); check scale and fps of the camera")
+        raise InputError(f"{name}: the balls move at {typical:.3g} m/s (median); check scale and fps of the camera")
     launches = equalise_launches([c.launch for c in kept], rejected)
     return [replace(c, launch=one) for c, one in zip(kept, launches, strict=True)], notes
+
+
+def _list_sources(
+    measured: Path | pd.DataFrame | Sequence[Result], camera: CameraSource | None
+) -> tuple[Iterable[_Source], list[SearchNote], Path]:
+    """The clips of what was measured, notes on all of it, and what messages call it. Raises InputError."""
+    if isinstance(measured, pd.DataFrame):
+        if camera is None:
+            raise InputError("camera: expected a camera, its keys or a path, beside a table of tracks")
+        given, name = read_frame(measured, camera), Path("tracks")
+        return _read_table(name, given), _note_strikers(given), name
+    if not isinstance(measured, Path):
+        return _read_memory(measured), [], Path("results")
+    if measured.is_dir():
+        if camera is not None:
+            raise InputError(f"--camera: {measured} contains its own; --camera is for a table of tracks")
+        return _read_results(measured), [], measured
+    if camera is None:
+        if not measured.exists():
+            raise InputError(f"{measured}: no such file or folder, expected RESULTS of a tracker or a table of tracks")
+        raise InputError(f"{measured}: a table of tracks, expected --camera with its camera file")
+    given = read_tracks(measured, camera)
+    return _read_table(measured, given), _note_strikers(given), measured
 
 
 @dataclass(frozen=True)

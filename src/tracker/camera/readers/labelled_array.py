@@ -73,19 +73,7 @@ def read_labelled_array(
 
     max_block_bytes: of the chunks that are read at once and kept.
     """
-    try:
-        arrays = _open(path)
-    except InputError:
-        raise
-    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
-        raise InputError(f"{path}: cannot be read, truncated or damaged ({first_line(error)})") from None
-    films = [array for array in arrays if len(array.shape) >= 3 and 0 not in array.shape]
-    if not films:
-        there = ", ".join(f"{array.name} {array.shape}" for array in arrays[:6]) or "none"
-        raise InputError(f"{path}: no array of three axes or more, expected (frames, height, width); arrays: {there}")
-    whole = [array for array in films if array.dtype.kind in "iu"] or films
-    film = max(whole, key=lambda array: math.prod(array.shape))
-    notes = [f"array {film.name} is the film, the largest of {len(films)}"] if len(films) > 1 else []
+    film, notes = _choose_film(path)
     letters = name_axes(film)
     picture = [letters.index("Y"), letters.index("X")]
     if "S" in letters and 2 <= film.shape[letters.index("S")] <= 4:
@@ -128,6 +116,23 @@ def read_labelled_array(
         notes += clock.notes
     frames.faults = tuple(notes)
     return drop_repeated(frames, find_changes(count, (lambda k: fetch(k).tobytes(),)))
+
+
+def _choose_film(path: Path) -> tuple[LabelledArray, list[str]]:
+    """The largest array of whole numbers with three axes or more, and a note if there are others."""
+    try:
+        arrays = _open(path)
+    except InputError:
+        raise
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
+        raise InputError(f"{path}: cannot be read, truncated or damaged ({first_line(error)})") from None
+    films = [array for array in arrays if len(array.shape) >= 3 and 0 not in array.shape]
+    if not films:
+        there = ", ".join(f"{array.name} {array.shape}" for array in arrays[:6]) or "none"
+        raise InputError(f"{path}: no array of three axes or more, expected (frames, height, width); arrays: {there}")
+    whole = [array for array in films if array.dtype.kind in "iu"] or films
+    film = max(whole, key=lambda array: math.prod(array.shape))
+    return film, [f"array {film.name} is the film, the largest of {len(films)}"] if len(films) > 1 else []
 
 
 def name_axes(array: LabelledArray) -> str:

@@ -1,7 +1,8 @@
-"""Regions that differ from a still background: tells a disc from several discs, a shadow, or something else."""
+"""Regions that differ from a still background: distinguishes a disc from several discs, a shadow, or something else."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,8 +89,6 @@ def split_region(
     low, min_radius : float
         Least contrast, counts, and least radius, px, of a part.
     """
-    max_lean_ratio = 1.4  # long half axis over short one of a ball whose dark side does not show
-    min_blur_share = 0.8  # of the long axis' standard deviation; a shorter blur is an effect of the pixels
     left, top, width, height = box
     inside = sign * apart if sign else np.abs(apart)
     if sign:
@@ -102,41 +101,54 @@ def split_region(
     for line in outlines:
         mask = np.zeros((height + 2, width + 2), np.uint8)
         cv2.drawContours(mask, [line], -1, 1, cv2.FILLED)
-        m = cv2.moments(mask, binaryImage=True)
-        if m["m00"] < np.pi * min_radius**2:
-            continue
-        cov = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
-        (least, most), axes = np.linalg.eigh(cov)
-        long = np.sqrt(max(12 * (most - least), 0.0))
-        leans = sign > 0 and most < max_lean_ratio**2 * least
-        moved = not leans and long > max(MIN_BLUR_PX, min_blur_share * np.sqrt(most))
-        blur = (long if moved else 0.0) * axes[:, 1]
-        middle = np.array([m["m10"], m["m01"]]) / m["m00"] + [left - 1, top - 1]
-        if leans:  # the circle around the lit part of a disc is that of the disc
-            middle = cv2.minEnclosingCircle(line)[0] + np.array([left - 1, top - 1])
-        minor = 2 * np.sqrt(max(most if leans else least, 0.0))
-        fullness = float(m["m00"] / (4 * np.pi * np.sqrt(max(least * most, 1e-9))))
-        rows, columns = np.nonzero((mask[1:-1, 1:-1] > 0) & own)
-        light = inside[rows, columns]
-        moments = [np.dot(light, at - at.sum() / max(len(at), 1)) for at in (columns, rows)]
-        lean = 4 * np.array(moments) / max(float(light.sum()) * minor, 1e-9)
-        contrast = float(np.median(light))
-        parts.append(
-            ContrastRegion(
-                mask=mask,
-                left=left - 1,
-                top=top - 1,
-                area=m["m00"],
-                middle=middle,
-                minor=minor,
-                fullness=fullness,
-                blur=blur,
-                contrast=contrast,
-                sign=sign,
-                lean=lean,
-            )
-        )
+        moments = cv2.moments(mask, binaryImage=True)
+        if moments["m00"] >= np.pi * min_radius**2:
+            lit = inside, (mask[1:-1, 1:-1] > 0) & own
+            parts.append(_measure_part(line, mask, moments, lit, (left - 1, top - 1), sign))
     return parts
+
+
+def _measure_part(
+    line: NDArray[Any],
+    mask: NDArray[np.uint8],
+    m: Mapping[str, float],
+    lit: tuple[NDArray[Any], NDArray[np.bool_]],
+    corner: tuple[int, int],
+    sign: int,
+    *,
+    max_lean_ratio: float = 1.4,
+    min_blur_share: float = 0.8,
+) -> ContrastRegion:
+    """The part within an outline, by its mask, the moments of the mask, and the contrast at its pixels.
+
+    max_lean_ratio: long half axis over short one of a ball whose dark side does not show.
+    min_blur_share: of the long axis' standard deviation; a shorter blur is an effect of the pixels.
+    """
+    cov = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
+    (least, most), axes = np.linalg.eigh(cov)
+    long = np.sqrt(max(12 * (most - least), 0.0))
+    leans = sign > 0 and most < max_lean_ratio**2 * least
+    moved = not leans and long > max(MIN_BLUR_PX, min_blur_share * np.sqrt(most))
+    minor = 2 * np.sqrt(max(most if leans else least, 0.0))
+    inside, shown = lit
+    rows, columns = np.nonzero(shown)
+    light = inside[rows, columns]
+    moments = [np.dot(light, at - at.sum() / max(len(at), 1)) for at in (columns, rows)]
+    # the circle around the lit part of a disc is that of the disc
+    middle = np.array(cv2.minEnclosingCircle(line)[0]) if leans else np.array([m["m10"], m["m01"]]) / m["m00"]
+    return ContrastRegion(
+        mask=mask,
+        left=corner[0],
+        top=corner[1],
+        area=m["m00"],
+        middle=middle + np.array(corner),
+        minor=minor,
+        fullness=float(m["m00"] / (4 * np.pi * np.sqrt(max(least * most, 1e-9)))),
+        blur=(long if moved else 0.0) * axes[:, 1],
+        contrast=float(np.median(light)),
+        sign=sign,
+        lean=4 * np.array(moments) / max(float(light.sum()) * minor, 1e-9),
+    )
 
 
 def casts_shadow(ball: ContrastRegion, dark: ContrastRegion) -> bool:
