@@ -119,7 +119,7 @@ def time_trays() -> list[dict[str, float]]:
 def cool(model: Model, lasts: float, trays: int = 1) -> dict[str, Any]:
     """Trays of 100 balls: mean square speed and sinks of energy of the first tray, and how long balls slide in all.
 
-    Of several trays the durations are means, with standard errors.
+    The durations of several trays are means, with standard errors.
     """
     motions = []
     for seed in range(1, trays + 1):

@@ -152,9 +152,9 @@ def select_until_stable(
 ) -> tuple[SearchData, LibraryFits, Selection]:
     """Fit the base model and select, until clips and noise stay the same, at most in so many rounds.
 
-    After each round the search leaves out clips that deviate from all others, or else estimates the noise again from
-    the residuals of the best model; of stretches, their scatter in the first rounds. For smoothed tracks it fits only
-    the base model. If the deadline passes in a selection, the search ends and reports the best model so far.
+    After each round the search leaves out clips that deviate from all others. If there are none, it estimates the noise
+    again from the residuals of the best model; of stretches, their scatter in the first rounds. For smoothed tracks it
+    fits only the base model. If the deadline passes in a selection, the search ends and reports the best model so far.
     LibraryFits holds all models that were fitted.
     """
     removed = 0

@@ -208,7 +208,7 @@ def track(
     ----------
     film : array_like of shape (frames, height, width), sequence of arrays, str or Path
         uint8 or uint16 counts; in colour (frames, height, width, 3). Or a stack, video, clip or folder of pictures.
-        What has a length and an index is read frame by frame.
+        An object with a length and an index is read frame by frame.
     camera : Camera, dict, str or Path, optional
         The keys of camera.json, a path to it, or a clip of synthcam or its camera. Without one, the file beside the
         film; without that, lengths are in pixels.

@@ -36,7 +36,7 @@ SEEN = "exposure_seen_s"  # by clip, where the motion blur is not as long as the
 
 
 def clip_folder(results: Path, number: int) -> Path:
-    """Where a clip's results lie."""
+    """The folder of a clip's results."""
     return results / "clips" / f"{number:06d}"
 
 

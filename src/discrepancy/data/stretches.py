@@ -28,8 +28,8 @@ def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]
     """Cut each collision into its stretches: the striker before the contact, and both balls after it.
 
     `tracker.measurement.stretch_cuts` cuts: positions beside the contact, or beside a kink of the path, are left out. A
-    ball that moves by less than a radius, or that is seen in fewer than
-    `SearchPolicy.min_stretch_positions` frames, gives no stretch. What is a stretch already, of a crowd, stays.
+    ball that moves by less than a radius, or that is seen in fewer than `SearchPolicy.min_stretch_positions` frames,
+    gives no stretch. A part that is a stretch already, as those of a crowd, stays.
     """
     stretches = [clip for clip in clips if clip.is_stretch]
     for clip in clips:

@@ -1,7 +1,7 @@
 """One exposure as a picture: sub-exposures, blurred spots, and the patches of pixels that they change.
 
-The unit of a picture is the peak pixel of the primary glint of a ball at rest at the world's origin, with the glint on
-a pixel's centre, after blur and pixel integration.
+The unit of a picture is the peak pixel of a glint after blur and pixel integration. The glint is the primary one of a
+ball at rest at the world's origin, and lies on a pixel's centre.
 """
 
 from collections.abc import Sequence

@@ -94,7 +94,7 @@ class GenerationPlan:
 
 @dataclass(frozen=True)
 class GenerationOutcome:
-    """What one run made."""
+    """The result of one run."""
 
     made: int  # clips written by this run
     failed: tuple[str, ...]  # a line for each clip that could not be made: its number and the reason

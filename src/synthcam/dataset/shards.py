@@ -76,7 +76,7 @@ class ShardPlan:
 
 @dataclass(frozen=True)
 class ShardOutcome:
-    """What one run wrote."""
+    """The result of one run."""
 
     shards: int
     frames: int

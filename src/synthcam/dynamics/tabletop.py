@@ -52,7 +52,7 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Table:
-    """What bodies move on and between.
+    """A tabletop on which, and between whose walls, bodies move.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 def find_boxes(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
     """Find the boxes (N, 4) round the outlines, px: left, top, right and bottom, cut at the rim of the picture.
 
-    The farthest points of an outline are those of the map's slope at its middle, which is right to second order in the
+    The farthest points of an outline follow from the map's slope at its middle. That is right to second order in the
     size of the ball. A box out of view has no area. centres: (N, 3), m. radii: (N,), m.
     """
     towards = camera.centre - centres

@@ -118,7 +118,7 @@ def _weigh(
 
 
 def _log_density(square: Floats, variance: Floats | float) -> Floats:
-    """Of a normal distribution in a plane, at these squared distances (n, k); variance: (n,)."""
+    """The log density of a normal distribution in a plane, at these squared distances (n, k); variance: (n,)."""
     var = np.asarray(variance)[..., None]
     return np.asarray(-np.log(2 * np.pi * var) - square / (2 * var))
 

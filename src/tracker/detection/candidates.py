@@ -46,8 +46,8 @@ def spread_frames(frames: Sequence[Any], count: int = 9) -> list[int]:
 def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
     """Estimate plate and noise of a clip from nine frames spread over it.
 
-    The median of the nine contains no moving ball. A ball at rest stays in the median. It is recognised because it is
-    brighter than its surroundings, and is replaced by the smooth part of the plate, a median over about 60 px.
+    The median of the nine contains no moving ball. A ball at rest stays in the median. Its brightness
+    above its surroundings reveals it. The smooth part of the plate, a median over about 60 px, replaces it.
     """
     sample = [np.array(frames[k]) for k in spread_frames(frames)]
     noise = estimate_noise(sample)

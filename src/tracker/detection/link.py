@@ -206,7 +206,7 @@ def _expect_motion(
     max_acceleration_m_s2: float = 3.5,
     min_error_px: float = 0.05,
 ) -> MotionNoise:
-    """What is known of the motion of balls in this film.
+    """The expected motion of balls in this film.
 
     max_acceleration_m_s2: of a ball that slides.
 

@@ -1,4 +1,4 @@
-"""Where the energy of translation goes: to the plate, into contacts of balls, and to walls.
+"""The sinks of the energy of translation: the plate, contacts of balls, and walls.
 
 Between two contacts a ball loses energy to the plate, because it slides and rolls. At a contact two balls lose what the
 local estimate of that contact gives, or the difference of their free paths just before and just after. Turning balls

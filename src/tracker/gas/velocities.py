@@ -1,9 +1,9 @@
 """Velocities of many balls between their contacts, from two independent halves of the positions.
 
 A square of a noisy velocity is too large by the variance of the noise. The product of two velocities with independent
-noise is not. So each velocity is estimated twice, from the even and from the odd rows of a short window. The mean of
-their product is the square of the true velocity, whatever the size of the noise, if the errors of neighbouring frames
-are independent. The difference of both shows that size.
+noise is not. So each velocity is estimated twice, from the even and from the odd rows of a short window. If the errors
+of neighbouring frames are independent, the mean of their product is the square of the true velocity. The size of the
+noise does not matter. The difference of both shows that size.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def fit_velocities(
     """Estimate the velocity at each of the instants `at` (m,) from the nearest rows of one free path.
 
     A parabola is fitted to each half of the nearest `window_rows` rows. Few rows have one parabola or straight line
-    together. Where the slide ends within the window, the acceleration changes there, and the window has more rows. An
+    together. If the slide ends within the window, the acceleration changes there, and the window has more rows. An
     instant may lie beyond the ends of the rows; the parabola is then continued to it.
 
     time: (n,) s, ascending. position: (n, 2) m. slide_end: s.

@@ -287,9 +287,9 @@ class MirrorRenderer(Renderer):
     ) -> tuple[SubExposures, SubExposures | None, tuple[Index, Index]]:
         """Sub-exposures for the glints, and fewer for the balls, which are wide and faint.
 
-        Of more than two balls, some hit another in most exposures. There are then no fewer ones, but the numbers (F,)
-        to which those of each frame are merged, for the primary glints and for all else. A ball that is drawn once for
-        a travel of u sigma lacks its blur: the steepest edge, of contrast c, changes by .01 c u^2.
+        In most exposures of more than two balls some ball hits another. There are then no fewer ones. The numbers (F,)
+        say to how many those of each frame are merged, for the primary glints and for all else. A ball that is drawn
+        once for a travel of u sigma lacks its blur: the steepest edge, of contrast c, changes by .01 c u^2.
         """
         size = np.array(self.camera.size)
         bounds, weights, frames, moves = self._split_exposures(centres, spans, cuts, -size, 2 * size)

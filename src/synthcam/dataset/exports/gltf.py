@@ -1,8 +1,8 @@
 """glTF: a binary scene (glb) for each clip: plate, steel balls, lamp, camera, and the motion as an animation.
 
 For Blender and other programs that draw. Positions are the truth's at mid-exposure and at impacts, joined by straight
-lines; turns are the integral of its spin. Light and materials are such that a plain renderer shows the plate as bright
-as the film's counts are above black, 1 being the sensor's full scale.
+lines; turns are the integral of its spin. With its light and materials a plain renderer shows the plate as bright as
+the film's counts above black, over the sensor's full scale.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Effect of each defect of a tracker on the physics: it is put alone into true tracks, and these are measured.
 
-The true tracks have the noise of the Cramér-Rao bound, the same for all trackers and defects, so that every difference
+The true tracks have the noise of the Cramér-Rao bound. It is the same for all trackers and defects, so every difference
 is due to the defect. The defects:
 
 - locking: the error as a function of the phase of the glint within its pixel, as in the tracks of this tracker

@@ -4,11 +4,11 @@ Outside the contact, the impulse acts as if it came at one instant, whatever the
 at speed v, and let the impulse have its mean time t after they touch at separation D. The paths before and after it
 cross then, at the separation d = D - v t. The fits here leave out the frames in contact and let d be a parameter.
 
-Two results follow from the fitted paths alone, without a law of the force: the duration, which is the time for which
-the centres are nearer than D, and the ratio of the radial speeds at which they leave and enter D. A force that springs
+Two results follow from the fitted paths alone, without a law of the force. The duration is the time for which the
+centres are nearer than D. The ratio of radial speeds compares how fast they leave and enter D. A force that springs
 back gives back what a constant push costs, so that this ratio is the restitution. Plate friction, which acts from the
-first touch on, is such a push, and so is the centrifugal acceleration in an oblique hit, the other way. A force that
-loses energy gives back a part of it; see `kept_share`.
+first touch on, is such a push. So is the centrifugal acceleration in an oblique hit, the other way. A force that loses
+energy gives back a part of it; see `kept_share`.
 """
 
 from __future__ import annotations
