@@ -9,7 +9,7 @@ Weak knowledge keeps short stretches regular, as rows of the least squares:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -255,11 +255,21 @@ class LocalSolution:
         return self.cost + (n - float(self.freedom.sum())) * float(np.log(max(n, 2)))
 
 
-def solve(problem: LocalProblem, x: Floats, sizes: Sequence[float], steps: int = 40) -> LocalSolution:
-    """Descend to the minimum by damped Gauss-Newton steps (Levenberg and Marquardt)."""
+def solve(
+    problem: LocalProblem,
+    x: Floats,
+    sizes: Sequence[float],
+    steps: int = 40,
+    hopeless: float = np.inf,
+    gain_at_end: float = 1e-4,
+) -> LocalSolution:
+    """Descend to the minimum by damped Gauss-Newton steps (Levenberg and Marquardt).
+
+    hopeless: the cost above which the descent ends after two steps, because nothing needs so poor a solution.
+    """
     damping, (r, j) = 1e-3, problem.residuals(x, sizes)
     cost = float(r @ r)
-    for _ in range(steps):
+    for turn in range(steps):
         square, pull = j.T @ j, j.T @ r
         scale = np.diag(square)
         while True:
@@ -274,7 +284,7 @@ def solve(problem: LocalProblem, x: Floats, sizes: Sequence[float], steps: int =
         if not new <= cost:
             break
         r, j, cost, damping = new_r, new_j, new, damping / 5
-        if gain < 1e-4 * (1 + 1e-3 * cost):
+        if gain < gain_at_end * (1 + 1e-3 * cost) or (turn and cost > hopeless):
             break
     n = 2 * sum(map(len, problem.stretches))
     size = np.sqrt(np.maximum((j**2).sum(axis=0), 1e-300))
@@ -312,17 +322,12 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, zoo
     """Fit one stretch alone, by linear fits over a few durations of the slide, and again about the best of them."""
     span = float(np.abs(stretch.time - contact).max())
     taus = np.geomspace(span / 40, 1.5 * span, 12)
-    found = _fit_at(stretch, contact, motion, taus)
-    for _ in range(zooms if motion.ends else 0):
-        best = int(np.argmin(np.abs(taus - np.exp(found.values[6]))))
-        taus = np.geomspace(taus[max(best - 1, 0)], taus[min(best + 1, len(taus) - 1)], 7)
-        found = _fit_at(stretch, contact, motion, taus)
-    return found
-
-
-def _fit_at(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) -> StretchFit:
     costs, fits, left = _fit_each(stretch, contact, motion, taus)
     best = int(np.argmin(costs))
+    for _ in range(zooms if motion.ends else 0):
+        taus = np.geomspace(taus[max(best - 1, 0)], taus[min(best + 1, len(taus) - 1)], 7)
+        costs, fits, left = _fit_each(stretch, contact, motion, taus)
+        best = int(np.argmin(costs))
     out, plain = np.zeros(motion.size), fits.shape[1] - motion.rolls
     out[: 2 * plain] = fits[best, :plain].ravel()
     if motion.ends:
@@ -330,7 +335,7 @@ def _fit_at(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) 
     if motion.rolls:
         out[-1] = 0.05
     counted = ~stretch.near
-    chi2 = float((stretch.where(counted).whiten(left[best][counted]) ** 2).sum()) if counted.any() else 0.0
+    chi2 = float((stretch.far.whiten(left[best][counted]) ** 2).sum()) if counted.any() else 0.0
     return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
 
 
@@ -552,8 +557,7 @@ def mix_solutions(
         shifts = [each.problem.priors.shift_share / usual for _, each in parts]  # the next motions have the same
         for k, motion in enumerate(one.problem.motions):
             if motion.ends and not shows_end(one, k):
-                cells = ((log, *cell) for log, each in parts for cell in _vary_slide(each, k, durations))
-                parts = _drop_unlikely([(log + more, each) for log, more, each in cells], least_weight)
+                parts = _drop_unlikely(_vary_each_slide(parts, k, durations, least_weight), least_weight)
         mixture += parts
     mixture = _drop_unlikely(mixture, least_weight)
     weights = np.exp([_log_weight(part) - _log_weight(mixture[0]) for part in mixture])
@@ -578,8 +582,27 @@ def _drop_unlikely(parts: list[tuple[float, LocalSolution]], least: float) -> li
     return [part for part in parts if _log_weight(part) >= _log_weight(parts[0]) + np.log(least)]
 
 
-def _vary_slide(solution: LocalSolution, k: int, durations: int) -> list[tuple[float, LocalSolution]]:
-    """Solve with each duration of one slide: shorter than the first position, in cells, and longer than the stretch.
+def _vary_each_slide(
+    parts: Sequence[tuple[float, LocalSolution]], k: int, durations: int, least: float, margin: float = 3.0
+) -> list[tuple[float, LocalSolution]]:
+    """Solve each solution, the likeliest first, with each duration of one slide.
+
+    The others get only durations that are likely in the first, by `least` and a margin of the logarithm.
+    """
+    likely, out = range(durations + 2), list[tuple[float, LocalSolution]]()
+    for log, each in parts:
+        cells = {i: (log + more, one) for i, (more, one) in _vary_slide(each, k, durations, likely).items()}
+        if not out:
+            best = max(map(_log_weight, cells.values()))
+            likely = [i for i, one in cells.items() if _log_weight(one) >= best + np.log(least) - margin]
+        out += cells.values()
+    return out
+
+
+def _vary_slide(
+    solution: LocalSolution, k: int, durations: int, likely: Container[int]
+) -> dict[int, tuple[float, LocalSolution]]:
+    """Solve with the likely durations of one slide, of all these: below the first position, cells, above the stretch.
 
     The logarithm of the prior of its cell comes with each.
     """
@@ -591,16 +614,17 @@ def _vary_slide(solution: LocalSolution, k: int, durations: int) -> list[tuple[f
     widths = np.concatenate([[0.3], np.diff(edges) / np.sqrt(12) / middles[1:-1], [0.1]])  # of the logarithms
     below = norm.cdf((np.log(edges) - np.log(priors.slide_s)) / priors.slide_factor)
     masses = np.diff(np.concatenate([[0.0], below, [1.0]]))
-    motion, at, found = problem.motions[k], problem.start[k] + 6, list[tuple[float, LocalSolution]]()
+    motion, at, found = problem.motions[k], problem.start[k] + 6, dict[int, tuple[float, LocalSolution]]()
     fine = np.concatenate([middles, edges, np.linspace(0, middles[-1], 5 * durations)[1:]])
     costs = _fit_each(stretch, float(solution.x[0]), motion, fine)[0] / solution.sizes[k] ** 2
     cell = np.searchsorted(edges, fine)
     for i in range(len(middles)):
-        if not (costs[cell == i] < costs.min() + MAX_COST).any():
+        if i not in likely or not (costs[cell == i] < costs.min() + MAX_COST).any():
             continue
         x = solution.x.copy()
         x[at] = np.log(middles[i])
         slides = {**problem.slides, k: (float(middles[i]), float(widths[i]))}
-        one = solve(replace(problem, slides=slides), x, solution.sizes, steps=8)
-        found.append((float(np.log(max(masses[i], 1e-12))), one))
-    return found or [(0.0, solution)]
+        hopeless = min((one.cost for _, one in found.values()), default=np.inf) + 1.5 * MAX_COST
+        one = solve(replace(problem, slides=slides), x, solution.sizes, 8, hopeless, 3e-3)
+        found[i] = float(np.log(max(masses[i], 1e-12))), one
+    return found or {0: (0.0, solution)}

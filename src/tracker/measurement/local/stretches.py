@@ -12,6 +12,7 @@ Without tau the acceleration lasts for the whole stretch. Pucks on air move so, 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -56,6 +57,11 @@ class Stretch:
     def whiten(self) -> PositionWhitener:
         """By the full covariance of the positions."""
         return PositionWhitener(self.position, self.cov, self.fixed, self.width, drifts=self.drifts)
+
+    @cached_property
+    def far(self) -> Stretch:
+        """The same stretch, without the positions beside the contact."""
+        return self.where(~self.near)
 
     def where(self, rows: NDArray[np.bool_]) -> Stretch:
         """The same stretch, only those rows."""
@@ -170,48 +176,45 @@ def evaluate_path(motion: MotionKind, values: Floats, since: Floats, after: bool
 
     The last derivative is that by the instant of the contact.
     """
-    n, at = len(since), 2
-    path, slope = np.tile(values[:2], (n, 1)), np.zeros((motion.size + 1, n, 2))
+    path, slope = np.empty((len(since), 2)), np.zeros((motion.size + 1, len(since), 2))
+    path[:] = values[:2]
     slope[0, :, 0] = slope[1, :, 1] = 1.0
     if not motion.moves:
         return path, slope
-    v, speed = values[2:4], np.zeros((n, 2))
-    path += since[:, None] * v
+    v, a, at, sign = values[2:4], np.zeros(2), 4, 1.0 if after else -1.0
     slope[2, :, 0] = slope[3, :, 1] = since
-    at, speed = 4, speed + v
+    slope[-1] = -v
+    path += since[:, None] * v
     ahead = np.abs(since)
-    sign = 1.0 if after else -1.0
-    a, late, curve, free = np.zeros(2), np.zeros(n), ahead**2 / 2, ahead**2 / 2
-    k_tau = -1
+    late, curve, free = np.zeros(len(since)), ahead**2 / 2, ahead**2 / 2
+    tau, k_tau = np.inf, -1
     if motion.pushed:
         a, at = values[4:6], 6
-        tau = np.inf
         if motion.ends:
             tau, k_tau, at = float(np.exp(values[6])), 6, 7
-        late = np.maximum(ahead - tau, 0.0)
+            late = np.maximum(ahead - tau, 0.0)
         far = late**2 / 2
-        curve, free = (ahead**2 / 2 - far, far) if after or not motion.ends else (far, ahead**2 / 2 - far)
+        curve, free = (curve - far, far) if after or not motion.ends else (far, curve - far)
         path += curve[:, None] * a
         slope[4, :, 0] = slope[5, :, 1] = curve
         rate = ahead - late if after or not motion.ends else late
-        speed = speed + sign * rate[:, None] * a
+        slope[-1] -= (sign * rate)[:, None] * a
     if motion.rolls:
         carries = motion.ends and after  # the push, which turns the direction in which the body rolls
-        tau = float(np.exp(values[k_tau])) if carries else 0.0
-        along = v + a * tau
-        speed_along = max(float(np.hypot(*along)), 1e-12)
+        along = v + a * tau if carries else v
+        speed_along = max(math.hypot(*along), 1e-12)
         along = along / speed_along
-        loss = values[at]
-        path -= loss * free[:, None] * along
+        loss = float(values[at])
         slope[at] = -free[:, None] * along
-        turn = (np.eye(2) - np.outer(along, along)) / speed_along
-        slope[2:4] -= loss * free[:, None] * turn[:, None]
+        path += loss * slope[at]
+        turn = (np.eye(2) - along[:, None] * along) / speed_along
+        turns = (loss * free)[:, None] * turn[:, None]
+        slope[2:4] -= turns
         if carries:
-            slope[4:6] -= loss * tau * free[:, None] * turn[:, None]
-            slope[k_tau] -= loss * tau * free[:, None] * (turn @ a)
+            slope[4:6] -= tau * turns
+            slope[k_tau] -= (loss * tau * free)[:, None] * (turn @ a)
         kept = late if motion.ends and after else ahead - late
-        speed = speed - sign * loss * kept[:, None] * along
+        slope[-1] += (sign * loss * kept)[:, None] * along
         if motion.ends:
-            slope[k_tau] += (np.exp(values[k_tau]) * late)[:, None] * sign * (a + loss * along)
-    slope[-1] = -speed
+            slope[k_tau] += (sign * tau * late)[:, None] * (a + loss * along)
     return path, slope
