@@ -9,7 +9,7 @@ Weak knowledge keeps short stretches regular, as rows of the least squares:
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 MAX_RESIDUAL = 2.0  # rms residual of a window, in errors
 MAX_SOLUTIONS = 8  # that are averaged
 MAX_COST = 16.0  # beyond that of the best duration of a slide
+ROUGH_GAIN = 0.01  # of the cost, with which a descent ends whose solution is solved again
 
 
 @dataclass(frozen=True)
@@ -73,14 +74,14 @@ class LocalProblem:
         return self.start[-1]
 
     def values(self, x: Floats, k: int) -> Floats:
-        """The parameters of a stretch, with its place at the contact."""
-        own = x[self.start[k] : self.start[k + 1]].copy()
-        own[:2] += x[self.place(k)]
+        """The parameters (..., size) of a stretch, with its place at the contact, of all parameters (..., n)."""
+        own = x[..., self.start[k] : self.start[k + 1]].copy()
+        own[..., :2] += x[..., self.place(k)]
         if self.rubs(k):
-            size, angle = float(np.exp(x[5] + own[4])) * GRAVITY, own[5]
-            own[4:6] = size * np.cos(angle), size * np.sin(angle)
+            size, angle = np.exp(x[..., 5] + own[..., 4]) * GRAVITY, own[..., 5].copy()
+            own[..., 4], own[..., 5] = size * np.cos(angle), size * np.sin(angle)
         if self.slides_first(k):
-            own[2:4] -= own[4:6] * min(float(np.exp(own[6])), self.spans[k])
+            own[..., 2:4] -= own[..., 4:6] * np.minimum(np.exp(own[..., 6:7]), self.spans[k])
         return own
 
     def rubs(self, k: int) -> bool:
@@ -103,42 +104,46 @@ class LocalProblem:
         """Tell which coordinates (2n,) show the size of the errors: not those beside the contact."""
         return np.concatenate([np.repeat(~s.near, 2) for s in self.stretches])
 
-    def residuals(self, x: Floats, sizes: Sequence[float]) -> tuple[Floats, Floats]:
-        """Whitened residuals and derivatives, positions first and then what is known.
+    def residuals(self, x: Floats, sizes: Sequence[float], known: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Whitened residuals (m, rows) and derivatives (m, rows, n) of parameters (m, n).
 
-        sizes: of the errors of each stretch, over the claimed ones.
+        Rows of positions come first, then those of what is known. sizes: of the errors of each stretch, over the
+        claimed ones. known: `known` of each of m problems.
         """
-        whole, slopes, end = list[Floats](), np.zeros((len(self.counted) + len(self._known[0]), self.size)), 0
+        values, by = known
+        whole, slopes, end = list[Floats](), np.zeros((len(x), len(self.counted) + values.shape[1], self.size)), 0
         for k, (stretch, motion, size) in enumerate(zip(self.stretches, self.motions, sizes, strict=True)):
             own = self.values(x, k)
-            path, slope = evaluate_path(motion, own, stretch.time - x[0], stretch.after)
+            path, slope = evaluate_path(motion, own, stretch.time - x[:, :1], stretch.after)
             if self.slides_first(k):
-                tau, by_v = min(float(np.exp(own[6])), self.spans[k]), slope[2:4].copy()
-                slope[4:6] -= tau * by_v
-                if tau < self.spans[k]:
-                    slope[6] -= tau * (own[4] * by_v[0] + own[5] * by_v[1])
+                lasts = np.exp(own[:, 6])
+                tau, by_v = np.minimum(lasts, self.spans[k])[:, None, None, None], slope[:, 2:4].copy()
+                slope[:, 4:6] -= tau * by_v
+                ends = tau[:, 0] * (lasts < self.spans[k])[:, None, None]
+                slope[:, 6] -= ends * (own[:, 4, None, None] * by_v[:, 0] + own[:, 5, None, None] * by_v[:, 1])
             if self.rubs(k):
-                along = own[4] * slope[4] + own[5] * slope[5]
-                slope[5] = own[4] * slope[5] - own[5] * slope[4]
-                slope[4] = along
-            white = stretch.whiten(np.concatenate([(path - stretch.position)[None], slope])) / size
-            rows, end = slice(end, end + white.shape[1]), end + white.shape[1]
-            whole.append(white[0])
-            slopes[rows, self.start[k] : self.start[k + 1]] = white[1:-1].T
-            slopes[rows, self.place(k)] = white[1:3].T
-            slopes[rows, 0] = white[-1]
+                ax, ay = own[:, 4, None, None], own[:, 5, None, None]
+                along = ax * slope[:, 4] + ay * slope[:, 5]
+                slope[:, 5] = ax * slope[:, 5] - ay * slope[:, 4]
+                slope[:, 4] = along
+            white = stretch.whiten(np.concatenate([(path - stretch.position)[:, None], slope], axis=1)) / size
+            rows, end = slice(end, end + white.shape[2]), end + white.shape[2]
+            whole.append(white[:, 0])
+            white = np.swapaxes(white, 1, 2)
+            slopes[:, rows, self.start[k] : self.start[k + 1]] = white[:, :, 1:-1]
+            slopes[:, rows, self.place(k)] = white[:, :, 1:3]
+            slopes[:, rows, 0] = white[:, :, -1]
             if self.rubs(k):
-                slopes[rows, 5] = white[5]
-        known, by = self._known
-        slopes[end:] = by
-        whole.append(by @ x - known)
-        self._add_distance(x, whole[-1], slopes[end:])
+                slopes[:, rows, 5] = white[:, :, 5]
+        slopes[:, end:] = by
+        whole.append((by @ x[..., None])[..., 0] - values)
+        self._add_distance(x, whole[-1], slopes[:, end:])
         for row, k in enumerate((k for k in range(len(self.stretches)) if self.slides_first(k)), 1):
-            self._add_friction_direction(x, k, whole[-1], slopes[end:], row)
-        return np.concatenate(whole), slopes
+            self._add_friction_direction(x, k, whole[-1], slopes[:, end:], row)
+        return np.concatenate(whole, axis=1), slopes
 
     @cached_property
-    def _known(self) -> tuple[Floats, Floats]:
+    def known(self) -> tuple[Floats, Floats]:
         """Prior knowledge as equations with errors of one: values, and matrix of the parameters.
 
         The first rows, of the distance and of the directions of friction, are not linear; they are zero here.
@@ -183,10 +188,11 @@ class LocalProblem:
 
     def _add_distance(self, x: Floats, known: Floats, by: Floats) -> None:
         """Add the residual and the derivatives of the distance at which the bodies touch."""
-        gap, error = x[1:3] - x[3:5], self.priors.distance_share * self.priors.diameter
-        apart = max(float(np.hypot(*gap)), 1e-12)
-        known[0] = (apart - self.priors.diameter) / error
-        by[0, 1:3], by[0, 3:5] = gap / apart / error, -gap / apart / error
+        gap, error = x[:, 1:3] - x[:, 3:5], self.priors.distance_share * self.priors.diameter
+        apart = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-12)
+        known[:, 0] = (apart - self.priors.diameter) / error
+        by[:, 0, 1:3] = gap / apart[:, None] / error
+        by[:, 0, 3:5] = -by[:, 0, 1:3]
 
     def _add_friction_direction(self, x: Floats, k: int, known: Floats, by: Floats, row: int) -> None:
         """Add the residual and the derivatives of the direction of friction.
@@ -196,17 +202,18 @@ class LocalProblem:
         """
         before = self._before(k)
         at, from_ = self.start[k], self.start[before]
-        moved = self.motions[before].moves
-        old = x[from_ + 2 : from_ + 4] if moved else np.zeros(2)
-        way = old - x[at + 2 : at + 4]
-        size = max(float(np.hypot(*way)), 1e-9)
-        share = (float(np.hypot(*old)) + float(np.hypot(*x[at + 2 : at + 4]))) / size
-        error = float(np.hypot(0.1 * share, np.pi / np.sqrt(3) if self.motions[before].pushed else self.priors.turn))
-        known[row] = ((x[at + 5] - np.arctan2(way[1], way[0]) + np.pi) % (2 * np.pi) - np.pi) / error
-        turn = np.array([-way[1], way[0]]) / size**2 / error
-        by[row, at + 5], by[row, at + 2 : at + 4] = 1 / error, turn
+        moved, now = self.motions[before].moves, x[:, at + 2 : at + 4]
+        old = x[:, from_ + 2 : from_ + 4] if moved else np.zeros_like(now)
+        way = old - now
+        size = np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9)
+        share = (np.hypot(old[:, 0], old[:, 1]) + np.hypot(now[:, 0], now[:, 1])) / size
+        error = np.hypot(0.1 * share, np.pi / np.sqrt(3) if self.motions[before].pushed else self.priors.turn)
+        off = x[:, at + 5] - np.arctan2(way[:, 1], way[:, 0])
+        known[:, row] = ((off + np.pi) % (2 * np.pi) - np.pi) / error
+        turn = np.column_stack([-way[:, 1], way[:, 0]]) / (size**2 * error)[:, None]
+        by[:, row, at + 5], by[:, row, at + 2 : at + 4] = 1 / error, turn
         if moved:
-            by[row, from_ + 2 : from_ + 4] = -turn
+            by[:, row, from_ + 2 : from_ + 4] = -turn
 
 
 @dataclass(frozen=True)
@@ -256,53 +263,75 @@ class LocalSolution:
 
 
 def solve(
-    problem: LocalProblem,
+    problem: LocalProblem, x: Floats, sizes: Sequence[float], steps: int = 40, least_gain: float = 1e-4
+) -> LocalSolution:
+    """Descend to the minimum of one problem."""
+    return solve_all([problem], x[None], sizes, steps, least_gain=least_gain)[0]
+
+
+def solve_all(
+    problems: Sequence[LocalProblem],
     x: Floats,
     sizes: Sequence[float],
     steps: int = 40,
+    *,
     hopeless: float = np.inf,
-    gain_at_end: float = 1e-4,
-) -> LocalSolution:
-    """Descend to the minimum by damped Gauss-Newton steps (Levenberg and Marquardt).
+    least_gain: float = 1e-4,
+) -> list[LocalSolution]:
+    """Descend to the minima of problems, from x (m, n), by damped Gauss-Newton steps (Levenberg and Marquardt).
 
-    hopeless: the cost above which the descent ends after two steps, because nothing needs so poor a solution.
+    The problems differ only in what is known. hopeless: by which a cost exceeds the least one where the descent ends
+    after two steps, because nothing needs so poor a solution.
     """
-    damping, (r, j) = 1e-3, problem.residuals(x, sizes)
-    cost = float(r @ r)
-    for turn in range(steps):
-        square, pull = j.T @ j, j.T @ r
-        scale = np.diag(square)
-        while True:
-            step = -np.linalg.solve(square + damping * np.diag(scale + 1e-12), pull)
-            tried = _within_reach(problem, x, np.asarray(step, dtype=np.float64))
-            new_r, new_j = problem.residuals(tried, sizes)
-            new = float(new_r @ new_r)
-            if new <= cost or damping > 1e8:
-                break
-            damping *= 8
-        gain, x = cost - new, tried if new <= cost else x
-        if not new <= cost:
-            break
-        r, j, cost, damping = new_r, new_j, new, damping / 5
-        if gain < gain_at_end * (1 + 1e-3 * cost) or (turn and cost > hopeless):
-            break
-    n = 2 * sum(map(len, problem.stretches))
-    size = np.sqrt(np.maximum((j**2).sum(axis=0), 1e-300))
-    square = (j / size).T @ (j / size)
-    cov = np.linalg.pinv(square, rcond=1e-13, hermitian=True) / np.outer(size, size)
-    freedom = 1 - ((j[:n] @ cov) * j[:n]).sum(axis=1)
-    free = (j == 0).all(axis=0)  # the direction of a slide that no position shows: any
-    volume = -float(np.linalg.slogdet(square + np.diag(1.0 * free))[1] / 2 + np.log(np.where(free, 0.55, size)).sum())
-    return LocalSolution(problem, x, cov, tuple(sizes), r[:n], freedom, cost, float(r[n:] @ r[n:]), volume)
+    one, x = problems[0], x.copy()
+    known = [np.stack(part) for part in zip(*(p.known for p in problems), strict=True)]
+    r, j = one.residuals(x, sizes, known)
+    cost, damping, turns = (r**2).sum(axis=1), np.full(len(x), 1e-3), np.zeros(len(x), dtype=int)
+    active = np.arange(len(x))
+    while len(active):
+        slopes = j[active]
+        square = np.swapaxes(slopes, 1, 2) @ slopes
+        pull = np.swapaxes(slopes, 1, 2) @ r[active][..., None]
+        size = np.diagonal(square, axis1=1, axis2=2) + 1e-12
+        square[:, np.arange(one.size), np.arange(one.size)] += damping[active][:, None] * size
+        step = -np.asarray(np.linalg.solve(square, pull)[..., 0], dtype=np.float64)
+        tried = _within_reach(one, x[active], step)
+        new_r, new_j = one.residuals(tried, sizes, [part[active] for part in known])
+        new = (new_r**2).sum(axis=1)
+        better = new <= cost[active]
+        gain, at = (cost[active] - new)[better], active[better]
+        x[at], r[at], j[at], cost[at] = tried[better], new_r[better], new_j[better], new[better]
+        damping[active] *= np.where(better, 0.2, 8.0)
+        turns[at] += 1
+        ends = np.zeros(len(x), dtype=bool)
+        ends[at] = (gain < least_gain * (1 + 1e-3 * cost[at])) | (turns[at] >= steps)
+        ends |= (damping > 1e8) | ((turns > 1) & (cost > cost.min() + hopeless))
+        active = active[~ends[active]]
+    n = 2 * sum(map(len, one.stretches))
+    size = np.sqrt(np.maximum((j**2).sum(axis=1), 1e-300))
+    unit = j / size[:, None]
+    square = np.swapaxes(unit, 1, 2) @ unit
+    cov = np.linalg.pinv(square, rcond=1e-13, hermitian=True) / (size[:, :, None] * size[:, None])
+    freedom = 1 - ((j[:, :n] @ cov) * j[:, :n]).sum(axis=2)
+    free = (j == 0).all(axis=1)  # the direction of a slide that no position shows: any
+    square[:, np.arange(one.size), np.arange(one.size)] += free
+    volume = -np.linalg.slogdet(square)[1] / 2 - np.log(np.where(free, 0.55, size)).sum(axis=1)
+    known_cost = (r[:, n:] ** 2).sum(axis=1)
+    return [
+        LocalSolution(
+            p, x[i], cov[i], tuple(sizes), r[i, :n], freedom[i], float(cost[i]), float(known_cost[i]), float(volume[i])
+        )
+        for i, p in enumerate(problems)
+    ]
 
 
 def _within_reach(problem: LocalProblem, x: Floats, step: Floats) -> Floats:
-    """A step whose logarithms change by at most one."""
+    """Steps (m, n) whose logarithms change by at most one."""
     out = x + step
     taus = [problem.start[k] + 6 for k, motion in enumerate(problem.motions) if motion.ends]
     logs = [5, *taus, *(problem.start[k] + 4 for k in range(len(problem.motions)) if problem.rubs(k))]
-    out[logs] = np.clip(out[logs], x[logs] - 1, x[logs] + 1)
-    out[taus] = np.clip(out[taus], np.log(1e-4), np.log(1e2))
+    out[:, logs] = np.clip(out[:, logs], x[:, logs] - 1, x[:, logs] + 1)
+    out[:, taus] = np.clip(out[:, taus], np.log(1e-4), np.log(1e2))
     return out
 
 
@@ -461,7 +490,7 @@ def fit_motions(
                 x[2 * ball - 1 : 2 * ball + 1] = np.mean(own_places, axis=0)
             for k in range(len(stretches)):
                 x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
-            found.append(_try_other_starts(solve(problem, x, [1.0] * len(stretches))))
+            found.append(_try_other_starts(solve(problem, x, [1.0] * len(stretches), least_gain=ROUGH_GAIN)))
             if found[-1].is_good:  # the simplest come first
                 return found[-1:]
     noise = max(1.0, min(s.chi2 / s.dof for s in found))
@@ -479,7 +508,7 @@ def _try_other_starts(solution: LocalSolution) -> LocalSolution:
             for share in (0.2, 0.5, 0.8):
                 x = solution.x.copy()
                 x[problem.start[k] + 6], x[problem.start[k + 1] - 1] = np.log(share * problem.spans[k]), x[6]
-                tries.append(solve(problem, x, solution.sizes, steps=15))
+                tries.append(solve(problem, x, solution.sizes, 15, ROUGH_GAIN))
     return min(tries, key=lambda one: one.cost)
 
 
@@ -513,7 +542,7 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool, shared: floa
             factor = own * lasting[k] + (1 - own) * usual
         square *= factor
         sizes.append(size * float(np.sqrt(max(square, 1.0 if known else 1e-12))))
-    again = [solve(one.problem, one.x, sizes) for one in found]
+    again = [solve(one.problem, one.x, sizes, least_gain=ROUGH_GAIN) for one in found]
     return sorted(again, key=lambda s: -s.log_evidence)
 
 
@@ -552,7 +581,7 @@ def mix_solutions(
     for one in found:
         if one.log_evidence < best - 7:  # its slides may fit better with another duration
             continue
-        parts = _drop_unlikely([(0.0, _solve_with_shift(one, share)) for share in shifts], least_weight)
+        parts = _drop_unlikely([(0.0, each) for each in _solve_with_shifts(one, shifts)], least_weight)
         usual = one.problem.priors.shift_share
         shifts = [each.problem.priors.shift_share / usual for _, each in parts]  # the next motions have the same
         for k, motion in enumerate(one.problem.motions):
@@ -564,11 +593,12 @@ def mix_solutions(
     return [(float(w), one) for w, (_, one) in zip(weights / weights.sum(), mixture, strict=True)]
 
 
-def _solve_with_shift(solution: LocalSolution, share: float) -> LocalSolution:
-    """Solve again with another distance by which a body may be elsewhere after the contact."""
-    priors = solution.problem.priors
-    problem = replace(solution.problem, priors=replace(priors, shift_share=share * priors.shift_share))
-    return solve(problem, solution.x, solution.sizes, steps=8)
+def _solve_with_shifts(solution: LocalSolution, shares: Sequence[float]) -> list[LocalSolution]:
+    """Solve again with other distances by which a body may be elsewhere after the contact."""
+    problem, usual = solution.problem, solution.problem.priors
+    priors = [replace(usual, shift_share=share * usual.shift_share) for share in shares]
+    problems = [replace(problem, priors=each) for each in priors]
+    return solve_all(problems, np.tile(solution.x, (len(problems), 1)), solution.sizes, 8)
 
 
 def _log_weight(part: tuple[float, LocalSolution]) -> float:
@@ -585,46 +615,59 @@ def _drop_unlikely(parts: list[tuple[float, LocalSolution]], least: float) -> li
 def _vary_each_slide(
     parts: Sequence[tuple[float, LocalSolution]], k: int, durations: int, least: float, margin: float = 3.0
 ) -> list[tuple[float, LocalSolution]]:
-    """Solve each solution, the likeliest first, with each duration of one slide.
+    """Solve each solution of the same motions, the likeliest first, with each duration of one slide.
 
     The others get only durations that are likely in the first, by `least` and a margin of the logarithm.
     """
-    likely, out = range(durations + 2), list[tuple[float, LocalSolution]]()
-    for log, each in parts:
-        cells = {i: (log + more, one) for i, (more, one) in _vary_slide(each, k, durations, likely).items()}
-        if not out:
-            best = max(map(_log_weight, cells.values()))
-            likely = [i for i, one in cells.items() if _log_weight(one) >= best + np.log(least) - margin]
-        out += cells.values()
-    return out
+    cells = _list_durations(parts[0][1], k, durations)
+    out = _solve_with_durations(parts[:1], k, cells)
+    best = max(map(_log_weight, out))
+    likely = [c for c, one in zip(cells, out, strict=True) if _log_weight(one) >= best + np.log(least) - margin]
+    return out + (_solve_with_durations(parts[1:], k, likely) if len(parts) > 1 else [])
 
 
-def _vary_slide(
-    solution: LocalSolution, k: int, durations: int, likely: Container[int]
-) -> dict[int, tuple[float, LocalSolution]]:
-    """Solve with the likely durations of one slide, of all these: below the first position, cells, above the stretch.
+@dataclass(frozen=True)
+class SlideDuration:
+    """A duration that a slide may have, s, with the error of its logarithm and the logarithm of its prior."""
 
-    The logarithm of the prior of its cell comes with each.
+    lasts: float
+    error: float
+    log_prior: float
+
+
+def _solve_with_durations(
+    parts: Sequence[tuple[float, LocalSolution]], k: int, cells: Sequence[SlideDuration]
+) -> list[tuple[float, LocalSolution]]:
+    """Solve each solution with each duration of one slide."""
+    problems, starts, logs = list[LocalProblem](), list[Floats](), list[float]()
+    for log, one in parts:
+        for cell in cells:
+            problems.append(replace(one.problem, slides={**one.problem.slides, k: (cell.lasts, cell.error)}))
+            starts.append(one.x.copy())
+            starts[-1][one.problem.start[k] + 6] = np.log(cell.lasts)
+            logs.append(log + cell.log_prior)
+    found = solve_all(problems, np.array(starts), parts[0][1].sizes, 8, hopeless=1.5 * MAX_COST, least_gain=3e-3)
+    return list(zip(logs, found, strict=True))
+
+
+def _list_durations(solution: LocalSolution, k: int, durations: int) -> list[SlideDuration]:
+    """List durations of one slide: below the first position, cells, and above the stretch.
+
+    Those with which the stretch alone fits much worse than with the best are left out.
     """
-    problem, priors, stretch = solution.problem, solution.problem.priors, solution.problem.stretches[k]
+    priors, stretch = solution.problem.priors, solution.problem.stretches[k]
     since = np.abs(stretch.time - solution.x[0])
     first, last = max(float(since.min()), 1e-5), float(since.max())
     edges = np.linspace(first, max(last, 1.01 * first), durations + 1)
     middles = np.concatenate([[first / 2], (edges[1:] + edges[:-1]) / 2, [1.5 * edges[-1]]])
     widths = np.concatenate([[0.3], np.diff(edges) / np.sqrt(12) / middles[1:-1], [0.1]])  # of the logarithms
     below = norm.cdf((np.log(edges) - np.log(priors.slide_s)) / priors.slide_factor)
-    masses = np.diff(np.concatenate([[0.0], below, [1.0]]))
-    motion, at, found = problem.motions[k], problem.start[k] + 6, dict[int, tuple[float, LocalSolution]]()
+    logs = np.log(np.maximum(np.diff(np.concatenate([[0.0], below, [1.0]])), 1e-12))
     fine = np.concatenate([middles, edges, np.linspace(0, middles[-1], 5 * durations)[1:]])
-    costs = _fit_each(stretch, float(solution.x[0]), motion, fine)[0] / solution.sizes[k] ** 2
-    cell = np.searchsorted(edges, fine)
-    for i in range(len(middles)):
-        if i not in likely or not (costs[cell == i] < costs.min() + MAX_COST).any():
-            continue
-        x = solution.x.copy()
-        x[at] = np.log(middles[i])
-        slides = {**problem.slides, k: (float(middles[i]), float(widths[i]))}
-        hopeless = min((one.cost for _, one in found.values()), default=np.inf) + 1.5 * MAX_COST
-        one = solve(replace(problem, slides=slides), x, solution.sizes, 8, hopeless, 3e-3)
-        found[i] = float(np.log(max(masses[i], 1e-12))), one
-    return found or {0: (0.0, solution)}
+    costs = _fit_each(stretch, float(solution.x[0]), solution.problem.motions[k], fine)[0] / solution.sizes[k] ** 2
+    enough, cell = costs < costs.min() + MAX_COST, np.searchsorted(edges, fine)
+    return [
+        SlideDuration(float(middles[i]), float(widths[i]), float(logs[i]))
+        for i in range(len(middles))
+        if enough[cell == i].any()
+    ]

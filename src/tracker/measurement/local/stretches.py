@@ -12,7 +12,6 @@ Without tau the acceleration lasts for the whole stretch. Pucks on air move so, 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -172,49 +171,51 @@ def _end_at_contact(
 
 
 def evaluate_path(motion: MotionKind, values: Floats, since: Floats, after: bool) -> tuple[Floats, Floats]:
-    """Evaluate the path of a stretch at times since the contact: (n, 2), and derivatives (size + 1, n, 2).
+    """Evaluate the paths of a stretch at times (..., n) since the contact, for values (..., size) of its parameters.
 
-    The last derivative is that by the instant of the contact.
+    Returns positions (..., n, 2) and derivatives (..., size + 1, n, 2); the last is that by the instant of the contact.
     """
-    path, slope = np.empty((len(since), 2)), np.zeros((motion.size + 1, len(since), 2))
-    path[:] = values[:2]
-    slope[0, :, 0] = slope[1, :, 1] = 1.0
+    values = values[..., None]  # to be multiplied by times
+    path = np.stack([values[..., 0, :] + 0 * since, values[..., 1, :] + 0 * since], axis=-1)
+    slope = np.zeros((*values.shape[:-2], motion.size + 1, since.shape[-1], 2))
+    slope[..., 0, :, 0] = slope[..., 1, :, 1] = 1.0
     if not motion.moves:
         return path, slope
-    v, a, at, sign = values[2:4], np.zeros(2), 4, 1.0 if after else -1.0
-    slope[2, :, 0] = slope[3, :, 1] = since
-    slope[-1] = -v
-    path += since[:, None] * v
+    v, at, sign = values[..., None, 2:4, 0], 4, 1.0 if after else -1.0
+    a = np.zeros(2)
+    slope[..., 2, :, 0] = slope[..., 3, :, 1] = since
+    slope[..., -1, :, :] = -v
+    path += since[..., None] * v
     ahead = np.abs(since)
-    late, curve, free = np.zeros(len(since)), ahead**2 / 2, ahead**2 / 2
-    tau, k_tau = np.inf, -1
+    late, curve, free = 0 * ahead, ahead**2 / 2, ahead**2 / 2
+    tau, k_tau = 0.0 * values[..., 0, :], -1
     if motion.pushed:
-        a, at = values[4:6], 6
+        a, at = values[..., None, 4:6, 0], 6
         if motion.ends:
-            tau, k_tau, at = float(np.exp(values[6])), 6, 7
+            tau, k_tau, at = np.exp(values[..., 6, :]), 6, 7
             late = np.maximum(ahead - tau, 0.0)
         far = late**2 / 2
         curve, free = (curve - far, far) if after or not motion.ends else (far, curve - far)
-        path += curve[:, None] * a
-        slope[4, :, 0] = slope[5, :, 1] = curve
+        path += curve[..., None] * a
+        slope[..., 4, :, 0] = slope[..., 5, :, 1] = curve
         rate = ahead - late if after or not motion.ends else late
-        slope[-1] -= (sign * rate)[:, None] * a
+        slope[..., -1, :, :] -= (sign * rate)[..., None] * a
     if motion.rolls:
         carries = motion.ends and after  # the push, which turns the direction in which the body rolls
-        along = v + a * tau if carries else v
-        speed_along = max(math.hypot(*along), 1e-12)
+        along = v + a * tau[..., None] if carries else v
+        speed_along = np.maximum(np.hypot(along[..., :1], along[..., 1:]), 1e-12)
         along = along / speed_along
-        loss = float(values[at])
-        slope[at] = -free[:, None] * along
-        path += loss * slope[at]
-        turn = (np.eye(2) - along[:, None] * along) / speed_along
-        turns = (loss * free)[:, None] * turn[:, None]
-        slope[2:4] -= turns
+        loss = values[..., at, :]
+        slope[..., at, :, :] = -free[..., None] * along
+        path += loss[..., None] * slope[..., at, :, :]
+        turn = (np.eye(2) - along[..., 0, :, None] * along) / speed_along
+        turns = (loss * free)[..., None, :, None] * turn[..., :, None, :]
+        slope[..., 2:4, :, :] -= turns
         if carries:
-            slope[4:6] -= tau * turns
-            slope[k_tau] -= (loss * tau * free)[:, None] * (turn @ a)
+            slope[..., 4:6, :, :] -= tau[..., None, None] * turns
+            slope[..., k_tau, :, :] -= (loss * tau * free)[..., None] * (a @ turn)
         kept = late if motion.ends and after else ahead - late
-        slope[-1] += (sign * loss * kept)[:, None] * along
+        slope[..., -1, :, :] += (sign * loss * kept)[..., None] * along
         if motion.ends:
-            slope[k_tau] += (sign * tau * late)[:, None] * (a + loss * along)
+            slope[..., k_tau, :, :] += (sign * tau * late)[..., None] * (a + loss[..., None] * along)
     return path, slope

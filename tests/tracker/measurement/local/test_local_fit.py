@@ -1,5 +1,7 @@
 """Fits of one stretch: the end of its slide, and the window that is fitted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,8 @@ from tracker.measurement.local.local_fit import (
     fit_single_stretch,
     mix_solutions,
     shows_end,
+    solve,
+    solve_all,
 )
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
 
@@ -72,6 +76,12 @@ def test_an_end_of_a_slide_that_is_not_seen_leaves_the_velocity_known(slide_s, s
     )
     found = fit_motions(stretches, 0.0, True, (False,), LocalPriors(diameter))
     assert shows_end(found[0], 2) == seen
+    problems = [replace(found[0].problem, priors=LocalPriors(diameter, loss=loss)) for loss in (0.05, 0.3)]
+    starts = np.stack([found[0].x, found[0].x + 1e-3])
+    for together, problem, x in zip(solve_all(problems, starts, found[0].sizes), problems, starts, strict=True):
+        alone = solve(problem, x, found[0].sizes)
+        assert together.cost == pytest.approx(alone.cost)
+        assert together.log_evidence == pytest.approx(alone.log_evidence, abs=1e-3)
     mixture = mix_solutions(found)
     assert sum(weight for weight, _ in mixture) == pytest.approx(1)
     speeds = np.array([one.problem.values(one.x, 2)[2] for _, one in mixture])

@@ -35,6 +35,9 @@ def test_derivatives_are_those_of_differences(motion, after):
         late = step * (k == motion.size)  # the instant of the contact
         high, low = (evaluate_path(motion, values + sign * move, since - sign * late, after)[0] for sign in (1, -1))
         assert slope[k] == pytest.approx((high - low) / (2 * step), abs=1e-7)
+    both = evaluate_path(motion, np.stack([0.9 * values, values]), np.stack([since + 0.01, since]), after)
+    np.testing.assert_array_equal(both[0][1], evaluate_path(motion, values, since, after)[0])
+    np.testing.assert_array_equal(both[1][1], slope)
 
 
 def test_a_slide_ends_at_the_velocity_that_friction_leaves():
