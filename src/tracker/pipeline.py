@@ -21,7 +21,7 @@ from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY, Frames
 from tracker.camera.readers.labelled_array import is_zarr
-from tracker.camera.recordings import Recording, RecordingSource, open_source
+from tracker.camera.recordings import HelperProcesses, Recording, RecordingSource, open_source
 from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import detector_name, load_detector, load_linker
 from tracker.detection.own_detector import digest, is_outside
@@ -87,7 +87,8 @@ def run(
         said += note_all(NoteKind.DETECTOR, [why])
     clips, frames, notes = len(films), 0, Counter[Note]()
     # A film that is open is not decoded again; of one clip, progress counts the frames.
-    opened = replace(first, progress=progress) if clips == 1 and not scheduler else None
+    helpers = HelperProcesses(films, 0, workers, first.frames.contents)
+    opened = replace(first, progress=progress, helpers=helpers) if clips == 1 and not scheduler else None
 
     def track(partial: Path, todo: list[int]) -> None:
         nonlocal frames

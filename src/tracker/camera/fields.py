@@ -94,6 +94,7 @@ def separate_fields(frames: Frames, order: int) -> Frames:
     if frames.seconds is not None:
         out.seconds = np.repeat(frames.seconds, 2) + np.tile([0, 0.5 / frames.fps], len(frames))
     out.fps, out.lossy, out.aspect, out.fields = 2 * frames.fps, frames.lossy, frames.aspect, True
+    out.contents = frames.contents
     if frames.colours is not None:
         out.colours = fetch(frames.colours)
     first = ("upper", "lower")[order]

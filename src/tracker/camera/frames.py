@@ -30,6 +30,7 @@ class Frames(Sequence[Any]):
     seconds: NDArray[np.float64] | None = None  # time of each frame by that clock, where they are not evenly spaced
     faults: tuple[str, ...] = ()  # of their file
     colours: Callable[[int], Any] | None = None  # red, green and blue (h, w, 3) of a frame, where the film has them
+    contents: Any = None  # what a pass over a video found, for `read_video` to open it again without a pass
 
     def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
         self.shape: tuple[int, int, int] = (count, *shape)
@@ -59,6 +60,8 @@ class Frames(Sequence[Any]):
         A video is decoded once for them. Nothing is kept where it would take more than `most_bytes` of memory.
         """
         wanted = sorted(set(numbers))
+        if self._kept.keys() >= set(wanted):
+            return
         if len(wanted) * math.prod(self.shape[1:]) * self.dtype.itemsize <= most_bytes:
             self._kept = {k: self[k] for k in wanted}
 
@@ -102,7 +105,7 @@ class Frames(Sequence[Any]):
 
     def _share(self, out: Frames) -> Frames:
         """Other frames, with what is known of this film and its clock."""
-        for name in ("fps", "lossy", "fields", "aspect", "seconds", "numbers"):
+        for name in ("fps", "lossy", "fields", "aspect", "seconds", "numbers", "contents"):
             setattr(out, name, getattr(self, name))
         return out
 

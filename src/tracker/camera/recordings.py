@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,7 @@ class Recording:
     area: NDArray[np.bool_] | None = None  # (h, w): the pixels among which balls are searched; None: all
     balls: tuple[BallExample, ...] = ()  # that the user points at
     progress: Progress | None = None  # takes the frames searched for balls, and the frames in all
+    helpers: HelperProcesses | None = None  # processes that may search some of the frames
 
     def watch_frames(self) -> Iterator[Frame]:
         """The frames; `progress` hears of each once it is done."""
@@ -76,28 +78,45 @@ class RecordingSource:
     def __len__(self) -> int:
         return len(self.clips)
 
-    def open_clip(self, index: int) -> Recording:
-        """Opens clip ``index`` (its index in the source, not its number)."""
+    def open_clip(self, index: int, contents: Any = None) -> Recording:
+        """Opens clip ``index`` (its index in the source, not its number).
+
+        contents: `Frames.contents` of the clip, if it was opened before.
+        """
         location = self.clips[index][1]
         own = _camera_beside(location)
         chosen = self.camera if self.camera is not None else own if own.is_file() else None
         if chosen is None and self.dataset:
             raise InputError(f"{own}: no such file, expected the clip's camera.json")
-        number, frames = self.open_film(index)
+        number, frames = self.open_film(index, contents)
         camera = Camera.read(chosen) if chosen is not None else None
         names = f"{location}", f"{chosen}"
         return make_recording(number, frames, camera, names, self.options).select_channel(self.channel)
 
-    def open_film(self, index: int) -> tuple[int, Frames]:
+    def open_film(self, index: int, contents: Any = None) -> tuple[int, Frames]:
         """Number and frames of clip ``index``, whatever its camera."""
         number, location = self.clips[index]
-        return number, open_frames(location, self.options)
+        return number, open_frames(location, self.options, contents)
 
     def camera_files(self) -> list[Path]:
         """The camera file of each clip, where there is one."""
         if self.camera is not None:
             return [self.camera]
         return [file for _, location in self.clips if (file := _camera_beside(location)).is_file()]
+
+
+@dataclass(frozen=True)
+class HelperProcesses:
+    """How other processes open the film of a clip, and how many there may be. Cheap to send to them."""
+
+    source: RecordingSource
+    index: int  # of the clip in the source
+    workers: int  # processes, of which this one is one; 0: one a core, where so many are quicker
+    contents: Any = None  # of the frames
+
+    def open_frames(self) -> Frames:
+        """Open the film again."""
+        return self.source.open_clip(self.index, self.contents).frames
 
 
 def _camera_beside(location: Path) -> Path:
@@ -271,8 +290,8 @@ def _film(folder: Path) -> Path | None:
     return next((film for film in films if film.is_file()), None)
 
 
-def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
-    """Frames of a stack, a video, a folder of pictures, or an array."""
+def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS, contents: Any = None) -> Frames:
+    """Frames of a stack, a video, a folder of pictures, or an array; contents: of a video that was open before."""
     if is_zarr(location) or location.suffix.lower() in HDF5:
         frames = read_labelled_array(location, options)
     elif location.is_dir():
@@ -284,7 +303,7 @@ def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
     else:
         from tracker.camera.readers.video import read_video  # here alone: FFmpeg's libraries are slow to load
 
-        frames = read_video(location, options)
+        frames = read_video(location, options, contents)
     check_two_frames(location, frames)
     return frames if frames.fields or location.suffix.lower() in VIDEOS else separate_or_note(frames, options.fields)
 

@@ -26,9 +26,18 @@ from tracker.detection.autocalibrate import estimate_unknown_settings
 from tracker.detection.background.takes import find_takes
 from tracker.detection.candidates import EmptyPlate, estimate_empty_plate, median_of_nine, spread_frames
 from tracker.detection.choose import find_radius
-from tracker.detection.detector import AnyDetector, ClipDetector, Detections, DetectorClass, Point, View
+from tracker.detection.detector import (
+    AnyDetector,
+    ClipDetector,
+    Detections,
+    DetectorClass,
+    Point,
+    SharedDetector,
+    View,
+)
 from tracker.detection.glints import Glints
 from tracker.detection.own_detector import as_detector, describe_fault, is_outside, load_outside, short_name
+from tracker.detection.shared_frames import share_frames
 from tracker.settings import LinkSettings, TrackerSettings
 
 DetectorChoice: TypeAlias = str | DetectorClass | Callable[[NDArray[Any]], Any]
@@ -154,7 +163,7 @@ def blank_outside(clip: Recording, view: View) -> Recording:
     def fetch(k: int) -> Any:
         return np.where(outside, level, frames[k])
 
-    return replace(clip, frames=frames.with_fetch(fetch))
+    return replace(clip, frames=frames.with_fetch(fetch), helpers=None)
 
 
 def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detections:
@@ -163,10 +172,14 @@ def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detec
     Raises InputError where the detector returns anything but `Glints` of finite numbers and of consistent shapes.
     """
     detector, numbers = load_detector(name)(view), clip.frames.numbers
-    if view.takes is not None or numbers[-1] == len(numbers) - 1:
-        return run_detector(detector, enumerate(clip.watch_frames()), detector_name(name))
     # A detector of glints predicts their motion blur from their motion: it has to know of missing frames.
-    found = run_detector(detector, zip(numbers.tolist(), clip.watch_frames(), strict=True), detector_name(name))
+    known = range(len(numbers)) if view.takes is not None else numbers.tolist()
+    if clip.helpers is not None and isinstance(detector, SharedDetector) and detector.can_share:
+        found = detector.gather(share_frames(clip, detector, known))
+    else:
+        found = run_detector(detector, zip(known, clip.watch_frames(), strict=True), detector_name(name))
+    if view.takes is not None or numbers[-1] == len(numbers) - 1:
+        return found
     return replace(found, glints=replace(found.glints, frame=np.searchsorted(numbers, found.glints.frame)))
 
 

@@ -99,5 +99,20 @@ class ClipDetector(Protocol):
         """The balls of numbered frames, which come once and in order."""
 
 
+@runtime_checkable
+class SharedDetector(ClipDetector, Protocol):
+    """A `ClipDetector` whose frames several processes can share: ``detect`` is `gather` of `examine` of each frame."""
+
+    @property
+    def can_share(self) -> bool:
+        """True if no frame needs the result of another one."""
+
+    def examine(self, number: int, frame: NDArray[Any], /) -> Any:
+        """What one numbered frame shows. It must pickle, as the detector itself."""
+
+    def gather(self, examined: Iterable[tuple[int, Any]], /) -> Detections:
+        """The balls of numbered frames, which come once and in order, from what `examine` returned for each."""
+
+
 AnyDetector: TypeAlias = FrameDetector | ClipDetector
 DetectorClass: TypeAlias = Callable[[View], AnyDetector]

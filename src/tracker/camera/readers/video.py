@@ -36,11 +36,11 @@ av.logging.set_libav_level(av.logging.PANIC)  # a note reports what is wrong wit
 
 
 @dataclass
-class _VideoContents:
-    """Result of one pass over a video: its first frame, times in ticks, key frames, and faults."""
+class VideoContents:
+    """Result of one pass over a video: times in ticks, key frames, colour, and faults."""
 
-    first: VideoFrame
     codec: str
+    curve: int  # FFmpeg's number of the transfer curve
     times: list[int | None]
     keys: list[int]
     damaged: list[int]
@@ -60,24 +60,28 @@ class _VideoContents:
         return len(known) == len(self.times) and all(a < b for a, b in pairwise(known))
 
 
-def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
-    """Frames of a video; ``faults`` say what is wrong with its file."""
+def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS, contents: VideoContents | None = None) -> Frames:
+    """Frames of a video; ``faults`` say what is wrong with its file.
+
+    contents: what a pass over the same file found, if there was one.
+    """
     try:
-        found = _scan_video(path)
+        first_frame = _read_first(path)
+        found = contents or _scan_video(path)
     except (av.error.FFmpegError, IndexError):  # no video in it
-        found = None
-    if found is None:
+        first_frame = found = None
+    if first_frame is None or found is None:
         raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
     lossless = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
     lossy = found.codec not in lossless
-    grey, deep, coloured = _choose_conversion(found.first, lossy)
-    first = grey(found.first)
+    grey, deep, coloured = _choose_conversion(first_frame, lossy)
+    first = grey(first_frame)
     dtype = np.dtype(np.uint16 if deep else np.uint8)
     reader = _VideoReader(path, found, grey)
     frames = make_grey_frames(path, len(found.times), first.shape, dtype, reader)
-    frames.fps, frames.lossy, frames.aspect = found.fps, lossy, found.aspect
+    frames.fps, frames.lossy, frames.aspect, frames.contents = found.fps, lossy, found.aspect, found
     if coloured:
-        frames.colours = _VideoReader(path, found, _make_rgb_reader(found.first, deep))
+        frames.colours = _VideoReader(path, found, _make_rgb_reader(first_frame, deep))
     faults = list(_describe_faults(found))
     clock = read_clock(found.times, found.tick, "the time stamps") if found.has_times else None  # type: ignore[arg-type]
     if clock is not None and options.times != "even":
@@ -86,7 +90,7 @@ def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
             frames.fps = clock.fps
         faults += clock.notes
     frames.faults = tuple(faults)
-    order = found.fields.find_first() if not _quarter_turns(found.first) else None
+    order = found.fields.find_first() if not _quarter_turns(first_frame) else None
     if options.fields != "auto":
         order = (order or 0) if options.fields == "separate" else None
     if order is not None:
@@ -130,11 +134,19 @@ def _decode(container: Any, stream: Any, failed: Callable[[], None] = lambda: No
         yield from frames
 
 
-def _scan_video(path: Path) -> _VideoContents | None:
+def _read_first(path: Path) -> VideoFrame | None:
+    """The first frame that can be decoded, if there is one."""
+    container, stream = _open_stream(path)
+    with container:
+        return next(_decode(container, stream), None)
+
+
+def _scan_video(path: Path) -> VideoContents | None:
     """Decodes all, for what containers claim of themselves are guesses; None without a frame."""
     container, stream = _open_stream(path)
     with container:
-        found: _VideoContents | None = None
+        found: VideoContents | None = None
+        size = (0, 0)
         damaged: list[int] = []
         times: list[int | None] = []
         keys: list[int] = []
@@ -142,9 +154,10 @@ def _scan_video(path: Path) -> _VideoContents | None:
         for frame in _decode(container, stream, lambda: damaged.append(len(times))):
             if found is None:
                 check_frame_size(path, (frame.height, frame.width))
-                found = _VideoContents(
-                    first=frame,
+                size = (frame.width, frame.height)
+                found = VideoContents(
                     codec=stream.codec_context.name,
+                    curve=int(getattr(frame, "color_trc", 0) or 0),
                     times=times,
                     keys=keys,
                     damaged=damaged,
@@ -157,8 +170,8 @@ def _scan_video(path: Path) -> _VideoContents | None:
                     aspect=float(stream.sample_aspect_ratio or 1),
                     streams=sum(_judge_stream(other)[:2] == (True, True) for other in container.streams.video),
                 )
-            elif (frame.width, frame.height) != (found.first.width, found.first.height):
-                has, wants = (f"{f.width}x{f.height}" for f in (frame, found.first))
+            elif (frame.width, frame.height) != size:
+                has, wants = (f"{w}x{h}" for w, h in ((frame.width, frame.height), size))
                 raise InputError(f"{path}: frame {len(times)} is {has}, expected {wants} as frame 0")
             if frame.is_corrupt:
                 damaged.append(len(times))
@@ -182,7 +195,7 @@ def _measure_length(stream: Any) -> float:
     )
 
 
-def _describe_faults(found: _VideoContents) -> Iterator[str]:
+def _describe_faults(found: VideoContents) -> Iterator[str]:
     """Lines on what in a video is not as one would expect."""
     count, promised = len(found.times), found.promised
     if not promised and found.has_times and count > 1:
@@ -195,7 +208,7 @@ def _describe_faults(found: _VideoContents) -> Iterator[str]:
     if found.damaged:
         yield f"damaged: {len(found.damaged)} frames could not be decoded whole, the first at frame {found.damaged[0]}"
     hdr_curves = {16: "PQ", 18: "HLG"}  # by FFmpeg's number of a transfer curve
-    if curve := hdr_curves.get(int(getattr(found.first, "color_trc", 0) or 0)):
+    if curve := hdr_curves.get(found.curve):
         yield (
             f"the film has the HDR curve {curve}: counts are not in proportion to light. Centres of outlines hold; "
             "errors of glints may not, and sensor.gamma does not describe it"
@@ -209,7 +222,7 @@ def _describe_faults(found: _VideoContents) -> Iterator[str]:
 class _VideoReader:
     """Frame k when asked for: decodes on from the last one, or from the key frame before k."""
 
-    def __init__(self, path: Path, found: _VideoContents, grey: Callable[[VideoFrame], NDArray[Any]]) -> None:
+    def __init__(self, path: Path, found: VideoContents, grey: Callable[[VideoFrame], NDArray[Any]]) -> None:
         self.path, self.times, self.keys, self.grey = path, found.times, found.keys, grey
         self.at = {time: k for k, time in enumerate(found.times)} if found.has_times else None
         self.recent: dict[int, NDArray[Any]] = {}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeAlias
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.colour_planes import is_plane
+from tracker.camera.frames import Frames
 from tracker.camera.lens import Array
 from tracker.detection.background.still_background import StillBackground, average_uncovered, estimate_still_background
 from tracker.detection.background.takes import find_takes
@@ -31,7 +33,19 @@ from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, DiscSce
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
 ContrastArea: TypeAlias = tuple[Region, NDArray[np.float32]]  # a region, and its difference from the background
+MAX_ALWAYS_THERE = 4  # discs of a frame in positions that were never seen empty; more are parts of a shaking background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
+
+
+@dataclass
+class _Tally:
+    """Counts of one frame, or of all."""
+
+    refused: int = 0  # objects that are not balls
+    refused_area: float = 0.0  # of these, in balls
+    shadows: int = 0
+    cut_frames: int = 0  # frames with too many objects
+    radii: list[float] = field(default_factory=list)  # of whole discs, px
 
 
 class Discs:
@@ -44,7 +58,7 @@ class Discs:
     point: ClassVar[str] = "centre"
 
     def __init__(self, view: View) -> None:
-        self.view, self.settings = view, view.settings.detection
+        self.view, self.settings = replace(view, frames=()), view.settings.detection
         self.takes = view.takes or find_takes(view.frames)
         self.scene_of = self.takes.scene_of_frames()
         self.noise = self.takes.noise
@@ -55,24 +69,28 @@ class Discs:
         large = not knows_radius or given > 7.5
         self.box = (5, 5) if self.is_noisy and large else (3, 3)
         self.low = max(self.settings.disc_contrast_sigma * self.noise / self.box[0], self.settings.disc_contrast_counts)
-        self.shadows = 0
-        self.cut_frames, self.refused_area = 0, 0.0  # frames with too many objects; of refused objects, in balls
+        self.tally = _Tally()
+        samples, survey = self._choose_samples(), self._choose_survey()
+        if isinstance(view.frames, Frames):
+            view.frames.remember([*itertools.chain(*samples.values()), *survey])
         self.scenes = {
             scene: estimate_still_background(
-                [cv2.blur(frame, self.box) for frame in self._samples(scene)], self.noise * 1.5 / self.box[0]
+                [cv2.blur(np.asarray(view.frames[k]), self.box) for k in numbers], self.noise * 1.5 / self.box[0]
             )
-            for scene in sorted(set(self.takes.scenes))
+            for scene, numbers in samples.items()
         }
         self.in_colour = is_plane(view.channel)  # shadows hardly show; hands and cues do
         self.elongated = False  # balls look elongated even at rest: the view is oblique, or pixels are not square
         self.signs: tuple[int, ...] = (0,)
         self.dark_balls = True
-        self.fitted: list[float] = []  # radii of whole discs, px
         self.relative_radius_std = 0.0
         self.true_to_fitted_radius = 1.0
-        self.radii, self.contrast = self._usual_radius(given if knows_radius else None)
+        areas = [self._survey(k, np.asarray(view.frames[k])) for k in survey]
+        self.radii, self.contrast = self._usual_radius(areas, given if knows_radius else None)
         self.low = max(self.low, 0.2 * self.contrast)  # fainter objects are not balls
-        self.scenes = {scene: self._clean_background(scene) for scene in self.scenes}
+        for scene, numbers in samples.items():
+            self.scenes[scene] = self._clean_background(scene, [np.asarray(view.frames[k]) for k in numbers])
+        self.fitted = tuple(self.tally.radii)  # radii of whole discs in these frames, px
         if self.is_shaded and len(self.fitted) > 3:
             fitted = np.array(self.fitted)
             near = np.abs(fitted[:, None] - self.radii).argmin(axis=1)
@@ -97,43 +115,56 @@ class Discs:
 
         The flux is the area, px^2, of a ball of that size.
         """
-        # More discs than this in one frame, in positions that were never seen empty, are parts of a shaking background.
-        max_always_there = 4
-        refused, parts = dict[int, int](), [Glints.none()]
-        self.shadows, self.cut_frames, self.refused_area = 0, 0, 0.0
-        for number, frame in frames:
-            if number in self.scene_of:
-                ground = self.scenes[self.scene_of[number]]
-                found, others = self._in_frame(frame, ground)
-                moves = np.array([self._was_seen_empty(ground, at) for at in found.xy], dtype=bool)
-                if (~moves).sum() > max_always_there:
-                    found, others = found.take(moves), others + int((~moves).sum())
-                parts.append(replace(found, frame=np.full(len(found), number, np.int64)))
-                if others:
-                    refused[number] = others
+        return self.gather((number, self.examine(number, frame)) for number, frame in frames)
+
+    can_share: ClassVar[bool] = True
+
+    def examine(self, number: int, frame: NDArray[Any]) -> tuple[Glints, _Tally]:
+        """Discs of one frame, and counts; none in a frame between takes or a repeated one."""
+        self.tally = _Tally()
+        if number not in self.scene_of:
+            return Glints.none(), self.tally
+        ground = self.scenes[self.scene_of[number]]
+        found = self._in_frame(frame, ground)
+        moves = np.array([self._was_seen_empty(ground, at) for at in found.xy], dtype=bool)
+        if (~moves).sum() > MAX_ALWAYS_THERE:
+            found = found.take(moves)
+            self.tally.refused += int((~moves).sum())
+        return replace(found, frame=np.full(len(found), number, np.int64)), self.tally
+
+    def gather(self, examined: Iterable[tuple[int, tuple[Glints, _Tally]]]) -> Detections:
+        """The discs of all frames, and notes."""
+        refused, parts, whole = dict[int, int](), [Glints.none()], _Tally(radii=list(self.fitted))
+        for number, (found, tally) in examined:
+            parts.append(found)
+            whole.shadows += tally.shadows
+            whole.cut_frames += tally.cut_frames
+            whole.refused_area += tally.refused_area
+            whole.radii += tally.radii
+            if tally.refused:
+                refused[number] = tally.refused
         return Detections(
             glints=Glints.join(parts),
-            notes=tuple(self._notes(refused, sum(map(len, parts)))),
-            outline_radius=self._measure_radius(),
+            notes=tuple(self._notes(refused, sum(map(len, parts)), whole)),
+            outline_radius=self._measure_radius(np.array(whole.radii)),
         )
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Discs of one frame of the first scene."""
-        return self._in_frame(frame, self.scenes[self.takes.scenes[0]])[0]
+        return self._in_frame(frame, self.scenes[self.takes.scenes[0]])
 
-    def _measure_radius(self) -> OutlineRadius | None:
+    def _measure_radius(self, radii: Array) -> OutlineRadius | None:
         """The radius of discs of the most common size; None of shaded balls, whose dark side does not show."""
-        radii = np.array(self.fitted)
         radii = radii[_are_equal(radii, self.radius)]
         if self.is_shaded or len(radii) < 10:
             return None
         spread = 1.4826 * float(np.median(np.abs(radii - np.median(radii))))  # of a normal distribution
         return OutlineRadius(float(np.median(radii)), spread / float(np.sqrt(len(radii))))
 
-    def _notes(self, refused: dict[int, int], found: int, *, min_crowd: float = 3.0) -> Iterator[str]:
+    def _notes(self, refused: dict[int, int], found: int, tally: _Tally, *, min_crowd: float = 3.0) -> Iterator[str]:
         """Notes for the user on the frames that were searched.
 
-        refused: objects that are not balls, by frame; found: positions of balls.
+        refused: objects that are not balls, by frame; found: positions of balls; tally: of all frames.
         min_crowd: area of what is refused, over that of the balls found, from which on a note reports a crowd.
         """
         yield from self.takes.describe()
@@ -142,24 +173,24 @@ class Discs:
                 f"{sum(refused.values())} objects in {len(refused)} frames are not balls and are left out (not round, "
                 f"of another size, or always there), frame {min(refused)} first"
             )
-        if self.refused_area > min_crowd * max(found, 10):
-            height, width = self.view.frames[0].shape[:2]
-            share = self.refused_area * np.pi * self.radius**2 / (height * width * max(len(self.scene_of), 1))
+        if tally.refused_area > min_crowd * max(found, 10):
+            height, width = self.view.plate.level.shape
+            share = tally.refused_area * np.pi * self.radius**2 / (height * width * max(len(self.scene_of), 1))
             yield (
-                f"crowd: what is left out covers {share:.1%} of each frame, as much as {self.refused_area:.0f} balls "
+                f"crowd: what is left out covers {share:.1%} of each frame, as much as {tally.refused_area:.0f} balls "
                 f"in all, and {found} balls are found; balls that touch are not all separated, and a camera that moves "
                 "shows the same"
             )
-        if self.cut_frames:
+        if tally.cut_frames:
             most = self.settings.max_objects_per_frame
             yield (
-                f"crowd: {self.cut_frames} frames show more than {most} objects, of which the {most} largest are "
+                f"crowd: {tally.cut_frames} frames show more than {most} objects, of which the {most} largest are "
                 f"looked at; a file with `detection: {{max_objects_per_frame: {10 * most}}}` behind --settings has more"
             )
-        if self.shadows:
+        if tally.shadows:
             yield (
-                f"shadows: the tracker takes {self.shadows} dark regions beside brighter balls for their shadows; such "
-                "positions may be off by .2 px towards the lamp; their errors include 1 % of the radius"
+                f"shadows: the tracker takes {tally.shadows} dark regions beside brighter balls for their shadows; "
+                "such positions may be off by .2 px towards the lamp; their errors include 1 % of the radius"
             )
         if len(self.radii) > 1:
             yield "discs of two sizes: " + " and ".join(f"{2 * r:.1f} px across" for r in self.radii)
@@ -170,26 +201,34 @@ class Discs:
         reach = int(self.radius)
         return bool(ground.known[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].mean() > 0.5)
 
-    def _samples(self, scene: int) -> list[NDArray[Any]]:
-        """Frames spread over all takes of a scene."""
-        fresh = sorted(k for k, own in self.scene_of.items() if own == scene)
-        return [np.asarray(self.view.frames[fresh[i]]) for i in sorted({*spread_frames(fresh, 31)})]
+    def _choose_samples(self) -> dict[int, list[int]]:
+        """Numbers of 31 frames spread over all takes of each scene."""
+        chosen = dict[int, list[int]]()
+        for scene in sorted(set(self.takes.scenes)):
+            fresh = sorted(k for k, own in self.scene_of.items() if own == scene)
+            chosen[scene] = [fresh[i] for i in sorted({*spread_frames(fresh, 31)})]
+        return chosen
 
-    def _clean_background(self, scene: int) -> StillBackground:
-        """The background of a scene, without the balls, shadows and other objects in its frames."""
-        ground = self._average_uncovered(scene, self.scenes[scene])
-        return ground if ground.known.all() else self._average_uncovered(scene, ground)
+    def _choose_survey(self) -> list[int]:
+        """Numbers of 25 frames spread over the film."""
+        fresh = sorted(self.scene_of)
+        return [fresh[i] for i in sorted({*spread_frames(fresh, 25)})]
 
-    def _average_uncovered(self, scene: int, ground: StillBackground) -> StillBackground:
+    def _clean_background(self, scene: int, sample: list[NDArray[Any]]) -> StillBackground:
+        """The background of a scene, without the balls, shadows and other objects in these of its frames."""
+        ground = self._average_uncovered(sample, self.scenes[scene])
+        return ground if ground.known.all() else self._average_uncovered(sample, ground)
+
+    def _average_uncovered(self, sample: list[NDArray[Any]], ground: StillBackground) -> StillBackground:
         """The same, from objects found over a background that may be wrong where balls rest."""
         rim_px = 4  # around an object, which it may still affect
         frames, covered = [], []
-        for frame in self._samples(scene):
+        for frame in sample:
             light = _match_brightness(frame, ground.level)
             parts = self._split(self._find_areas(light, ground))
             differs = self._smooth_difference(light, ground) > self.low
             mask = (differs & ground.known).view(np.uint8)  # elsewhere a difference may be the plate's
-            for x, y in self._fit_parts(light, ground, parts)[0].xy:
+            for x, y in self._fit_parts(light, ground, parts).xy:
                 cv2.circle(mask, (round(x), round(y)), round(self.radius), 1, -1)
             balls = [part for part in parts if part.sign > 0 and self._is_disc(part, self.radius)]
             for part in parts:
@@ -199,16 +238,14 @@ class Discs:
             covered.append(cv2.dilate(mask, np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)).view(np.bool_))
         return average_uncovered(frames, covered, self.noise)
 
-    def _in_frame(self, frame: NDArray[Any], ground: StillBackground) -> tuple[Glints, int]:
-        """Discs of one frame, and how many objects are not discs."""
+    def _in_frame(self, frame: NDArray[Any], ground: StillBackground) -> Glints:
+        """Discs of one frame."""
         light = _match_brightness(frame, ground.level)
         return self._fit_parts(light, ground, self._split(self._find_areas(light, ground)))
 
-    def _fit_parts(
-        self, light: NDArray[Any], ground: StillBackground, parts: list[ContrastRegion]
-    ) -> tuple[Glints, int]:
+    def _fit_parts(self, light: NDArray[Any], ground: StillBackground, parts: list[ContrastRegion]) -> Glints:
         """The same, of the parts of its regions."""
-        fits, refused, balls = list[tuple[DiscFit, int, float]](), 0, list[ContrastRegion]()
+        fits, balls = list[tuple[DiscFit, int, float]](), list[ContrastRegion]()
         for part in sorted(parts, key=lambda p: -p.sign):
             radius = min(self.radii, key=lambda r: abs(r - part.minor))
             if part.sign > 0 and self._is_disc(part, radius):
@@ -216,14 +253,14 @@ class Discs:
             elif any(casts_shadow(ball, part) for ball in balls) and not (
                 self.dark_balls and self._is_disc(part, radius)
             ):
-                self.shadows += 1
+                self.tally.shadows += 1
                 continue
             dark = part.sign < 0 and not self.dark_balls
             fitted = [] if dark else self._in_part(light, ground, part, radius)
-            refused += not fitted and part.area > 0.5 * np.pi * radius**2
-            self.refused_area += 0.0 if fitted else part.area / (np.pi * radius**2)
+            self.tally.refused += not fitted and part.area > 0.5 * np.pi * radius**2
+            self.tally.refused_area += 0.0 if fitted else part.area / (np.pi * radius**2)
             fits += [(f, flag, radius) for f, flag in fitted]
-        return self._glints(fits, light.shape) if fits else Glints.none(), refused
+        return self._glints(fits, light.shape) if fits else Glints.none()
 
     def _find_areas(self, light: NDArray[Any], ground: StillBackground) -> list[ContrastArea]:
         """The regions of a frame that differ from the background, largest first, with their differences."""
@@ -242,7 +279,7 @@ class Discs:
         if self.view.area is not None:
             rough &= self.view.area
         regions = find_regions(rough, least, examine)
-        self.cut_frames += len(regions) > self.settings.max_objects_per_frame
+        self.tally.cut_frames += len(regions) > self.settings.max_objects_per_frame
         return [
             (region, np.subtract(light[region.at], ground.level[region.at], dtype=np.float32))
             for region in regions[: self.settings.max_objects_per_frame]
@@ -262,9 +299,9 @@ class Discs:
                 parts += split_region(smooth, region.own, box, sign, self.low, least)
         return parts
 
-    def _usual_radius(self, given: float | None) -> tuple[list[float], float]:
+    def _usual_radius(self, areas: list[list[ContrastArea]], given: float | None) -> tuple[list[float], float]:
         """The common radii of discs in frames spread over the film, px, or the given one; and their contrast."""
-        seen = self._without_shadows(given)
+        seen = self._without_shadows(areas, given)
         if not seen:
             return [given or self.view.camera.diameter_px / 2], 0.0
         radii, contrasts = np.array([(p.radius, p.contrast) for p in seen]).T
@@ -281,9 +318,8 @@ class Discs:
             radii, still = np.array([p.minor for p in seen]), strong
         return _common_radii(radii[still], self.settings.disc_radius_tolerance), usual
 
-    def _without_shadows(self, given: float | None) -> list[ContrastRegion]:
+    def _without_shadows(self, areas_of_frames: list[list[ContrastArea]], given: float | None) -> list[ContrastRegion]:
         """Discs in frames spread over the film; decides whether balls are lit from one side or are dark."""
-        areas_of_frames = list(self._survey())
         either = [p for areas in areas_of_frames for p in self._split(areas) if self._is_disc(p, given or p.minor)]
         if self.in_colour:  # light and shadow show too little
             return either
@@ -302,13 +338,11 @@ class Discs:
         self.signs = (0,)
         return either
 
-    def _survey(self) -> Iterator[list[ContrastArea]]:
-        """The regions of each of 25 frames spread over the film that do not touch the picture's rim."""
-        frames = sorted(self.scene_of)
-        for k in (frames[i] for i in sorted({*spread_frames(frames, 25)})):
-            ground = self.scenes[self.scene_of[k]]
-            light = _match_brightness(np.asarray(self.view.frames[k]), ground.level)
-            yield [area for area in self._find_areas(light, ground) if not area[0].touches_rim(light.shape)]
+    def _survey(self, number: int, frame: NDArray[Any]) -> list[ContrastArea]:
+        """The regions of a frame that do not touch the picture's rim."""
+        ground = self.scenes[self.scene_of[number]]
+        light = _match_brightness(frame, ground.level)
+        return [area for area in self._find_areas(light, ground) if not area[0].touches_rim(light.shape)]
 
     def _is_disc(self, region: ContrastRegion, radius: float) -> bool:
         return region.is_disc(radius, self.settings.disc_radius_tolerance, self.elongated)
@@ -327,7 +361,7 @@ class Discs:
         elif 0.3 < part.area / (np.pi * radius**2) < 6:
             found = self._touching(light, ground, part, radius)
         found = [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]
-        self.fitted += [f.radius for f, flag in found if flag == 0]
+        self.tally.radii += [f.radius for f, flag in found if flag == 0]
         return found
 
     def _in_coloured_part(

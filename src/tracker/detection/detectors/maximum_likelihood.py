@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
 from tracker.camera.mirror_images import locate_zenith_point
-from tracker.detection.candidates import CandidateSearch, estimate_coarse_positions
+from tracker.detection.candidates import Candidates, CandidateSearch, estimate_coarse_positions
 from tracker.detection.detector import Detections, View
 from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.likelihood.ball_profile import BallProfile
@@ -32,7 +32,7 @@ from tracker.detection.likelihood.glint_fit import (
     score_blur_length,
 )
 from tracker.detection.likelihood.neighbours import find_isolated, find_neighbours
-from tracker.detection.likelihood.patches import GlintGeometry, Patches, PatchStack, make_windows
+from tracker.detection.likelihood.patches import GlintGeometry, Patch, Patches, PatchStack, cut_patches, make_windows
 from tracker.detection.link import assign, estimate_velocities
 from tracker.detection.motion_blur import MotionBlurEvidence
 
@@ -75,14 +75,26 @@ class MaximumLikelihood:
 
     def detect(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Detections:
         """Glints of numbered frames, their motion blur from the glints' own motion from frame to frame."""
+        return self.gather((number, self.examine(number, frame)) for number, frame in frames)
+
+    @property
+    def can_share(self) -> bool:
+        """False where all frames give the offsets of the pixels."""
+        return self.dsnu is None
+
+    def examine(self, number: int, frame: NDArray[Any]) -> tuple[Candidates, list[Patch]]:
+        """The candidates of a frame, and the pixels around each."""
+        found = self.search(frame)
+        if self.dsnu and not found.crowded:
+            self.dsnu.add(frame, found.row, found.column)
+        return found, cut_patches(frame, found, self.geometry.reach, self.sound)
+
+    def gather(self, examined: Iterable[tuple[int, tuple[Candidates, list[Patch]]]]) -> Detections:
+        """The glints of these candidates, fitted in blocks."""
         parts = [Glints.none()]
-        waiting = PatchStack(self.geometry.reach, self.sound)
-        for number, frame in frames:
-            found = self.search(frame)
-            if self.dsnu and not found.crowded:
-                self.dsnu.add(frame, found.row, found.column)
-            if len(found.row):
-                waiting.add(frame, number, found)
+        waiting = PatchStack()
+        for number, (found, patches) in examined:
+            waiting.add(number, found, patches)
             if len(waiting) >= self.settings.block_windows:
                 parts.append(self._fit_block(waiting.take_all()))
         if len(waiting):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from tracker.detection.glints import RowArrays
 from tracker.detection.likelihood.glint_fit import GlintWindows
 
 Ints = NDArray[np.int64]
+Patch: TypeAlias = tuple[NDArray[Any], NDArray[np.bool_]]  # counts (p, p), and which pixels of it can be used
 
 
 class GlintGeometry:
@@ -61,21 +62,24 @@ class Patches(RowArrays):
     level: NDArray[np.bool_]  # (n,): the counts are corrected for the fixed offsets of their pixels
 
 
-class PatchStack:
-    """Gathers the patches of many frames; `sound` (h, w): which pixels are not hot."""
+def cut_patches(frame: NDArray[Any], found: Candidates, reach: int, sound: NDArray[np.bool_]) -> list[Patch]:
+    """Cut the pixels out to `reach` around each candidate of a frame; `sound` (h, w): which pixels are not hot."""
+    at = zip(found.row.tolist(), found.column.tolist(), strict=True)
+    return [_cut(frame, *one, reach, sound) for one in at]
 
-    def __init__(self, reach: int, sound: NDArray[np.bool_]) -> None:
-        self.reach, self.sound = reach, sound
-        self.found, self.numbers = list[Candidates](), list[int]()
-        self.parts = list[tuple[NDArray[Any], NDArray[np.bool_]]]()
+
+class PatchStack:
+    """Gathers the patches of many frames."""
+
+    def __init__(self) -> None:
+        self.found, self.numbers, self.parts = list[Candidates](), list[int](), list[Patch]()
 
     def __len__(self) -> int:
         return len(self.parts)
 
-    def add(self, frame: NDArray[Any], number: int, found: Candidates) -> None:
-        """Cut the patches of one frame's candidates."""
-        at = zip(found.row.tolist(), found.column.tolist(), strict=True)
-        self.parts += [_cut(frame, *one, self.reach, self.sound) for one in at]
+    def add(self, number: int, found: Candidates, patches: list[Patch]) -> None:
+        """Add the patches of one frame's candidates."""
+        self.parts += patches
         self.numbers += [number] * len(found.row)
         self.found.append(found)
 
@@ -98,9 +102,7 @@ class PatchStack:
         return patches
 
 
-def _cut(
-    frame: NDArray[Any], row: int, column: int, reach: int, sound: NDArray[np.bool_]
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _cut(frame: NDArray[Any], row: int, column: int, reach: int, sound: NDArray[np.bool_]) -> Patch:
     """The pixels (p, p) around one, those of the rim repeated beyond it, and which are in the frame and not hot."""
     h, w = frame.shape
     if reach <= row < h - reach and reach <= column < w - reach:

@@ -1,0 +1,67 @@
+"""Frames that several processes share: the same detections as in one process, whoever examines which frames."""
+
+import json
+import pickle
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import tifffile
+import tracker_discs
+import tracker_film
+
+from synthcam_shared.errors import InputError
+from synthcam_shared.job_result import JobValue, LostJob
+from tracker.camera.recordings import HelperProcesses, RecordingSource
+from tracker.detection import shared_frames
+from tracker.detection.detect import detect, make_view
+
+
+def discs():
+    return tracker_discs.film(np.random.default_rng(3), tracker_discs.apart(40)), tracker_discs.CAMERA
+
+
+def glints():
+    ways = np.stack(
+        [np.linspace([40.0, 60.0], [150.0, 70.0], 40), np.linspace([60.0, 120.0], [70.0, 20.0], 40)], axis=1
+    )
+    return tracker_film.film(np.random.default_rng(3), ways), tracker_film.CAMERA
+
+
+@pytest.mark.parametrize(("name", "drawn"), [("discs", discs), ("maximum_likelihood", glints)])
+def test_other_processes_find_the_same(tmp_path, monkeypatch, name, drawn):
+    """They get a pickled copy of the detector and open the film again; the last stretch is the first to end."""
+    pictures, keys = drawn()
+    tifffile.imwrite(tmp_path / "film.tif", pictures, photometric="minisblack")
+    source = RecordingSource(tmp_path, ((0, tmp_path / "film.tif"),))
+    (tmp_path / "camera.json").write_text(json.dumps(keys))
+    clip, asked = source.open_clip(0), []
+
+    def run_elsewhere(examiner, stretches, workers):
+        asked.append(workers)
+        there = pickle.loads(pickle.dumps(examiner))
+        for k in reversed(stretches):
+            yield JobValue(k, pickle.loads(pickle.dumps(there(k))))
+
+    monkeypatch.setattr(shared_frames, "STRETCH_FRAMES", 8)
+    monkeypatch.setattr(shared_frames, "run_jobs", run_elsewhere)
+    alone, found = detect(clip, make_view(clip, name), name), []
+    for workers in (1, 2):
+        shared = replace(clip, helpers=HelperProcesses(source, 0, workers, clip.frames.contents))
+        found.append(detect(shared, make_view(shared, name), name))
+    assert asked == [2]
+    assert len(alone.glints) == 80
+    for other in found:
+        assert other.notes == alone.notes
+        if name == "discs":
+            assert vars(other.outline_radius) == vars(alone.outline_radius)
+        for column in fields(alone.glints):
+            assert np.array_equal(getattr(other.glints, column.name), getattr(alone.glints, column.name))
+
+
+def test_a_lost_process_is_reported_with_its_frames(monkeypatch):
+    clip = tracker_discs.recorded(*discs()[:1], None)
+    clip = replace(clip, helpers=HelperProcesses(None, 0, 2))
+    monkeypatch.setattr(shared_frames, "run_jobs", lambda *_: iter([LostJob(1, "its worker was killed (SIGKILL)")]))
+    with pytest.raises(InputError, match=r"frames 32 to 63: its worker was killed .* --workers 1 needs the least"):
+        list(shared_frames.share_frames(clip, None, range(100)))
