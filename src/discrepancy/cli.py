@@ -114,7 +114,7 @@ def find(
         replace_folder(output, search_page.FILES, "a report of an earlier search") as folder,
     ):
         _print_camera_notes(measured, camera)
-        clips, notes = read_collisions(measured, camera, stretches)
+        clips, notes = read_collisions(measured, camera, stretches, workers=0)
         for note in notes:
             if note.kind is SearchNoteKind.NO_STRIKER:  # at once: a search without it may look for the wrong ball
                 print(f"discrepancy: {note}", file=sys.stderr)
@@ -164,7 +164,7 @@ def add(
     check_replaceable(output, ADDED.encode(), "discrepancy add")
     check_writable(output)
     _print_camera_notes(measured, camera)
-    clips, notes = read_collisions(measured, camera)
+    clips, notes = read_collisions(measured, camera, workers=0)
     with show_stages(("noise", "fit", "search")) as progress:
         new = fitted(clips, given, effect, progress)
     with as_input_error(output):

@@ -18,8 +18,9 @@ from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
 from discrepancy.data.stretches import cut_crowd
 from discrepancy.data.track_checks import detect_wrong_units, find_exchange, remove_strays
 from discrepancy.data.uneven_times import note_uneven_times
-from discrepancy.policy import current_policy
+from discrepancy.policy import SearchPolicy, applied_policy, current_policy
 from synthcam_shared.errors import InputError as InputError
+from synthcam_shared.jobs import in_order, run_all_jobs
 from tracker.camera.camera import Camera, CameraSource
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MISFIT
@@ -34,13 +35,16 @@ from tracker.tables.rows import split_tracks
 
 
 def read_collisions(
-    measured: Path | pd.DataFrame | Sequence[Result], camera: CameraSource | None = None, stretches: bool = False
+    measured: Path | pd.DataFrame | Sequence[Result],
+    camera: CameraSource | None = None,
+    stretches: bool = False,
+    workers: int = 1,
 ) -> tuple[list[MeasuredCollision], list[SearchNote]]:
     """Read the collisions of a tracker's RESULTS, of a table of tracks, or of results in memory.
 
     With `stretches`, clips of more than two balls are cut into their free stretches; without, they are left out.
     A table needs its camera.json, `camera`; RESULTS contain their own. A note is returned for each clip, or positions
-    of a clip, that cannot be used.
+    of a clip, that cannot be used. `workers` processes measure the clips of a table; 0: as many as are quickest.
 
     Raises
     ------
@@ -49,16 +53,21 @@ def read_collisions(
     """
     sources, notes, name = _list_sources(measured, camera)
     kept, rejected, durations = [], [], []
-    for source in sources:
+    clips = list(sources)
+    cut = [
+        stretches and len(np.unique(source.tracks.particle)) > 2 and source.camera.knows_diameter for source in clips
+    ]
+    built = _build_all([source for source, is_cut in zip(clips, cut, strict=True) if not is_cut], workers, measured)
+    for source, is_cut in zip(clips, cut, strict=True):
         notes += [
             SearchNote(SearchNoteKind.REPAIRED, source.number, note.frames, {"text": note.text})
             for note in source.repairs
         ]
-        if stretches and len(np.unique(source.tracks.particle)) > 2 and source.camera.knows_diameter:
+        if is_cut:
             kept += (crowd := cut_crowd(source.tracks, source.camera, source.number))
             rejected += [False] * len(crowd)
             continue
-        outcome, misfit, duration = _build(source)
+        outcome, misfit, duration = next(built)
         if isinstance(outcome, SearchNote):
             notes.append(outcome)
             continue
@@ -114,6 +123,23 @@ class _Source:
     estimates: Callable[[], list[dict[Any, Any]]]  # gives the tracker's rows
     strays: list[int] = field(default_factory=list)  # frames of removed positions
     repairs: tuple[Note, ...] = ()
+
+
+def _build_all(
+    sources: Sequence[_Source], workers: int, where: Path
+) -> Iterator[tuple[MeasuredCollision | SearchNote, bool, float]]:
+    """What `_build` gives for each source, from so many processes."""
+    work = partial(_build_one, sources, current_policy())
+    numbers = range(len(sources))
+    return in_order(run_all_jobs(work, numbers, workers, where), numbers)
+
+
+def _build_one(
+    sources: Sequence[_Source], policy: SearchPolicy, index: int
+) -> tuple[int, tuple[MeasuredCollision | SearchNote, bool, float]]:
+    """One of them with its index, by a policy that another process does not know."""
+    with applied_policy(policy):
+        return index, _build(sources[index])
 
 
 def _build(source: _Source) -> tuple[MeasuredCollision | SearchNote, bool, float]:

@@ -1,7 +1,9 @@
 """Measured collisions: the same from a table as from results, in metres, and nothing doubtful taken along."""
 
+import contextvars
 import dataclasses
 import json
+import pickle
 import shutil
 
 import numpy as np
@@ -9,6 +11,7 @@ import pandas as pd
 import pytest
 from discrepancy_files import NOISE, record
 
+from discrepancy.data import reading
 from discrepancy.data.first_guess import build_collision
 from discrepancy.data.launch import T_C, V0, B, X, Y
 from discrepancy.data.notes import SearchNote, SearchNoteKind
@@ -73,8 +76,15 @@ def test_no_exposure_with_an_event_counts_to_a_phase(clips):
             assert np.all(clip.phases()[inside] == -1)
 
 
-def test_a_table_gives_what_results_give(recorded, clips):
-    again, left_out = read_collisions(recorded / "tracks.csv", recorded / "camera.json")
+def test_a_table_gives_what_results_give(recorded, clips, monkeypatch):
+    """Whichever process measures which clip, by the same policy; here the last one is the first to end."""
+
+    def run_elsewhere(work, numbers, workers, where):
+        there = pickle.loads(pickle.dumps(work))
+        return [contextvars.Context().run(there, number) for number in reversed(numbers)]
+
+    monkeypatch.setattr(reading, "run_all_jobs", run_elsewhere)
+    again, left_out = read_collisions(recorded / "tracks.csv", recorded / "camera.json", workers=2)
     assert left_out == []
     for one, other in zip(clips, again, strict=True):
         assert np.allclose(one.xy, other.xy, rtol=0, atol=1e-12)

@@ -66,8 +66,7 @@ def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS, contents: Vid
     contents: what a pass over the same file found, if there was one.
     """
     try:
-        first_frame = _read_first(path)
-        found = contents or _scan_video(path)
+        first_frame, found = _scan_video(path) if contents is None else (_read_first(path), contents)
     except (av.error.FFmpegError, IndexError):  # no video in it
         first_frame = found = None
     if first_frame is None or found is None:
@@ -141,20 +140,20 @@ def _read_first(path: Path) -> VideoFrame | None:
         return next(_decode(container, stream), None)
 
 
-def _scan_video(path: Path) -> VideoContents | None:
-    """Decodes all, for what containers claim of themselves are guesses; None without a frame."""
+def _scan_video(path: Path) -> tuple[VideoFrame | None, VideoContents | None]:
+    """Decodes all, for what containers claim of themselves are guesses: the first frame, and the contents."""
     container, stream = _open_stream(path)
     with container:
         found: VideoContents | None = None
-        size = (0, 0)
+        first: VideoFrame | None = None
         damaged: list[int] = []
         times: list[int | None] = []
         keys: list[int] = []
         before: NDArray[Any] | None = None
         for frame in _decode(container, stream, lambda: damaged.append(len(times))):
-            if found is None:
+            if found is None or first is None:
                 check_frame_size(path, (frame.height, frame.width))
-                size = (frame.width, frame.height)
+                first = frame
                 found = VideoContents(
                     codec=stream.codec_context.name,
                     curve=int(getattr(frame, "color_trc", 0) or 0),
@@ -170,8 +169,8 @@ def _scan_video(path: Path) -> VideoContents | None:
                     aspect=float(stream.sample_aspect_ratio or 1),
                     streams=sum(_judge_stream(other)[:2] == (True, True) for other in container.streams.video),
                 )
-            elif (frame.width, frame.height) != size:
-                has, wants = (f"{w}x{h}" for w, h in ((frame.width, frame.height), size))
+            elif (frame.width, frame.height) != (first.width, first.height):
+                has, wants = (f"{f.width}x{f.height}" for f in (frame, first))
                 raise InputError(f"{path}: frame {len(times)} is {has}, expected {wants} as frame 0")
             if frame.is_corrupt:
                 damaged.append(len(times))
@@ -185,7 +184,7 @@ def _scan_video(path: Path) -> VideoContents | None:
                 if frame.height > 2 and (frame.interlaced_frame or (not found.fields.flagged and len(times) % 4 == 1)):
                     found.fields.add(before, after)
             before = after
-        return found
+        return first, found
 
 
 def _measure_length(stream: Any) -> float:
