@@ -5,7 +5,7 @@ python -m benchmarks.tracker.pace [-o out/pace.json]        # or make bench-pace
 All four get the same films of two matte discs or of glints, drawn here, in the same run. The time of this tracker is
 that of the whole chain: choice of the detector, background, detection, linking and fits. The time of the others is
 that of the call for each frame alone, on every fourth or thirtieth frame. A ball counts as found if a position is
-within half a radius of the true one.
+within half a radius of the true one. A line for each film says how the time of this tracker is spent.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import importlib
 import time
 import warnings
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,10 @@ from synthcam_shared.jobs import use_one_thread
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import Recording
-from tracker.recording import track_and_measure
+from tracker.detection.choose import select_detector
+from tracker.detection.detect import detect_until_blur_converges, detected_point, make_view
+from tracker.detection.link import link
+from tracker.recording import measure_clip, track_and_measure
 
 # width, height, diameter of a ball (px), frames, speed of the striker (m/s)
 DISCS = {
@@ -98,6 +102,21 @@ def track(frames: Any, camera: dict[str, Any]) -> tuple[float, list[Any]]:
     return 1e3 * spent / len(frames), of_frames
 
 
+def time_stages(frames: Any, camera: dict[str, Any]) -> dict[str, float]:
+    """Milliseconds of processor time a frame of each stage of this tracker."""
+    clip, marks = Recording(0, Camera.from_dict(camera), wrap_frames(frames)), [time.process_time()]
+    name, _ = select_detector(clip)
+    marks.append(time.process_time())
+    found, view = detect_until_blur_converges(clip, make_view(clip, name), name)
+    marks.append(time.process_time())
+    tracks = link(found.glints, view.camera, detected_point(name, clip.camera))
+    marks.append(time.process_time())
+    measure_clip(tracks, view.camera)
+    marks.append(time.process_time())
+    names = ("choice", "detection", "linking", "fits")
+    return {name: round(1e3 * (b - a) / len(frames), 2) for name, (a, b) in zip(names, pairwise(marks), strict=True)}
+
+
 def make_peers(px: float, glints: bool) -> dict[str, Callable[[NDArray[Any]], Any]]:
     """The other programs with the size of what they look for, px."""
     opencv: Any = cv2  # its stubs lack SimpleBlobDetector_Params
@@ -160,6 +179,8 @@ def main() -> None:
             hit, false = count_found(found, true, diameter / 2)
             table[name][program] = {"ms_per_frame": round(spent, 2), "found": hit, "false": false}
             print(f"{name:30} {program:20} {spent:9.2f} ms  found {hit:.3f}  false {false:.3f}", flush=True)
+        stages = table[name]["stages"] = time_stages(frames, camera)
+        print(f"{name:30} " + ", ".join(f"{stage} {spent:.2f} ms" for stage, spent in stages.items()), flush=True)
     save(asked.output, table)
 
 

@@ -75,6 +75,10 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
 def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float) -> tuple[str, str]:
     """Maximum likelihood, or centroids where a frame shows so many specks that to fit each would take minutes."""
     bright = [cv2.subtract(np.asarray(picture), level) > math.floor(least) for picture in sample]
+    # Each speck has a run of pixels in one line at least, and runs are counted much sooner.
+    runs = [np.count_nonzero(spots[:, 1:] > spots[:, :-1]) + np.count_nonzero(spots[:, 0]) for spots in bright]
+    if np.median(runs) <= MAX_FITTED:
+        return GLINTS, ""
     specks = int(np.median([cv2.connectedComponents(spots.view(np.uint8))[0] - 1 for spots in bright]))
     crowded_share = 0.3  # of the pixels, from which on the light changes
     if specks <= MAX_FITTED or np.median([spots.mean() for spots in bright]) > crowded_share:
