@@ -126,7 +126,7 @@ class _Source:
 
 
 def _build_all(
-    sources: Sequence[_Source], workers: int, where: Path
+    sources: Sequence[_Source], workers: int, where: object
 ) -> Iterator[tuple[MeasuredCollision | SearchNote, bool, float]]:
     """What `_build` gives for each source, from so many processes."""
     work = partial(_build_one, sources, current_policy())
