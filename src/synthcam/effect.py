@@ -182,10 +182,11 @@ class Laws:
         for effect in active:
             for law, bend, asks in effect.bends:
                 self._bends[law].append((bend, asks))
+        self._bent = frozenset(law for law, bends in self._bends.items() if bends)
 
     def has_effect_on(self, *laws: str) -> bool:
         """Tell whether an active effect changes any of these laws."""
-        return any(self._bends[law] for law in laws)
+        return not self._bent.isdisjoint(laws)
 
     def inputs_of(self, law: str) -> set[str]:
         """Return the inputs that the active effects on `law` need."""

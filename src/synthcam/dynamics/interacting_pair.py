@@ -81,7 +81,8 @@ class InteractingPair:
                 leg = make_leg(motion, ball, moved[ball], launch.time)
                 begins = max(leg.t0, self.start)
                 if begins < leg.t1:
-                    past[k].insert(0, leg.spanning(begins, leg.t1))
+                    leg.t0 = begins
+                    past[k].insert(0, leg)
         if onset[0] < 0 and self.start < launch.time + onset[0]:
             still, other = (leg.now(launch.time + onset[0]) for leg in (past[k][-1] for k in order))
             when = launch.time + float(onset[0])
@@ -128,9 +129,9 @@ class InteractingPair:
         legs = [make_leg(motion, k, ROLL if k in loose else modes[k], t) for k in (0, 1)]
         for k in (0, 1):
             if modes[k] == REST and k not in loose:
-                legs[k] = legs[k].spanning(t, self._find_start_time(k, rows[k], legs[1 - k], t, until))
+                legs[k].t1 = self._find_start_time(k, rows[k], legs[1 - k], t, until)
             elif not over[k]:
-                legs[k] = legs[k].spanning(t, math.inf)
+                legs[k].t1 = math.inf
         return legs, until, started
 
     def _propagate(self, rows: Array, modes: Ints, loose: list[int], goal: Array) -> tuple[IntegratedMotion, Flags]:

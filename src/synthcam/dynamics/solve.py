@@ -9,7 +9,7 @@ import numpy as np
 
 from synthcam.dynamics.contacts.calendar import Calendar, ContactDistances
 from synthcam.dynamics.contacts.contact_time import MIN_IMPACT_SPEED_M_S, STAYING
-from synthcam.dynamics.contacts.impact import MIN_BOUNCE_SPEED_M_S, ContactChange, hit_wall, land, strike
+from synthcam.dynamics.contacts.impact import MIN_BOUNCE_SPEED_M_S, hit_wall, land, strike
 from synthcam.dynamics.contacts.lasting import STICKING_M_S, TouchingBodies
 from synthcam.dynamics.contacts.sticking import StickingBodies
 from synthcam.dynamics.forces import (
@@ -37,7 +37,7 @@ from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.propagate import MAX_SPEED_M_S, propagate, propagate_back
 from synthcam.dynamics.start_from_rest import MIN_IMPACT_SPEED_OF_PAIR_M_S, excess_push
 from synthcam.dynamics.supports import Support
-from synthcam.dynamics.tabletop import Table
+from synthcam.dynamics.tabletop import ContactChanges, Table
 from synthcam.dynamics.trajectory import Carried, Event, Fly, Leg, Numeric, Push, Rest, Roll, Slide, Trajectory
 from synthcam.model import Bodies, Model
 
@@ -101,17 +101,17 @@ class _EventLoop:
         table: Table,
     ) -> None:
         self.model, self.bodies, self.end, self.finish_slides = model, launch.bodies, end, finish_slides
-        self.radius, self.mass = launch.bodies.radius.tolist(), launch.bodies.mass.tolist()
-        self.inertia, self.walls = launch.bodies.inertia.tolist(), table.walls
+        self.radius, self.inertia = launch.bodies.radius.tolist(), launch.bodies.inertia.tolist()
+        self.own = list(zip(self.radius, launch.bodies.mass.tolist(), self.inertia, strict=True))
         self.supports: list[Support | None] = list(table.supports or (None,) * len(self.radius))
         self.start, self.t = start, launch.time
         self.table = table
-        self.chance = np.random.default_rng(table.scatter.seed) if table.scatter.active else None
-        self.contact_duration, self.last_hit = table.contact_duration, [-math.inf] * len(self.radius)
+        changed = table.scatter.active or table.plate_share or table.contact_duration
+        self.changes = ContactChanges(table, model.gravity) if changed else None
         self.events: list[Event] = []
         self.rolled: set[int] = set()  # balls whose slide ended at a bounce: slip in a flight is not a slide
         laws = model.laws
-        self.slides, self.rolls = (laws.has_effect_on(*LAWS[mode]) for mode in (SLIDE, ROLL))  # without closed form
+        self.slides, self.rolls = laws.has_effect_on(*LAWS[SLIDE]), laws.has_effect_on(*LAWS[ROLL])  # no closed form
         self.pushes, self.drills = laws.has_effect_on("push"), laws.has_effect_on("drilling")
         mutual = laws.needs("push", "other") and len(launch.states) == 2
         self.pairing = InteractingPair(model, launch.bodies, start, end) if mutual else None
@@ -132,7 +132,7 @@ class _EventLoop:
             self.past = [self._past_legs(k, states[k], launch.time) for k in states]
         width, seed = table.scatter.distance, table.scatter.seed
         distances = ContactDistances(width, seed) if width else None
-        self.calendar = Calendar(self.radius, self.walls, max(end, self.t), distances)
+        self.calendar = Calendar(self.radius, table.walls, max(end, self.t), distances)
         for number, one in enumerate(self.later):
             self.calendar.schedule(one.time, number)
         self.legs: list[Leg] = []
@@ -145,17 +145,17 @@ class _EventLoop:
             due = self.calendar.pop(math.inf if self.finish_slides and self.unsettled else max(self.end, self.t))
             if due is None:
                 break
-            self.t = due.t
-            if due.kind == "contact":
-                self._collide(due.i, due.j)
-            elif due.kind == "wall":
-                self._bounce(due.i, due.j)
-            elif due.kind == "renewal":
+            self.t, _, kind, i, j, *_ = due
+            if kind == "contact":
+                self._collide(i, j)
+            elif kind == "wall":
+                self._bounce(i, j)
+            elif kind == "renewal":
                 self._start_legs({})
-            elif due.kind == "launch":
-                self._launch(self.later[due.i])
+            elif kind == "launch":
+                self._launch(self.later[i])
             else:
-                self._end_leg(due.i)
+                self._end_leg(i)
         else:
             raise ValueError(f"the motion does not settle: {max_events} events by {self.t:g} s")
         self.t = max(self.t, self.end)
@@ -165,36 +165,39 @@ class _EventLoop:
 
     def _start_legs(self, states: dict[int, State]) -> None:
         """Start new legs of these balls, and of those that they push."""
-        restarted, until = tuple(states), math.inf
-        if self.pairing and self.legs:
-            states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
-        joint: dict[int, Leg] = {}
-        if self.joint and self.legs:
-            states = self._gather(*states) | states
-            joint = self.joint.legs(states, self.supports, self.t)
-            self.calendar.joined = self.joint.joined
-        for k in states if self.legs else ():
-            self._archive_leg(k)
+        restarted, until, joint = tuple(states), math.inf, dict[int, Leg]()
+        if self.legs:
+            if self.pairing:
+                states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
+            elif self.joint:
+                states = self._gather(*states) | states
+                joint = self.joint.legs(states, self.supports, self.t)
+                self.calendar.joined = self.joint.joined
+            for k in states:
+                self._archive_leg(k)
         if self.pairing:
             legs, until, started = self.pairing.next_legs(states, self.t, restarted)
             self.events += started
         else:
             legs = [joint.get(k) or self._next_leg(k, state, self.t) for k, state in states.items()]
-        if self.legs:
-            for k, leg in zip(states, legs, strict=True):
-                self.legs[k] = leg
-        else:
-            self.legs = legs
-        self.unsettled.difference_update(states)
-        self.unsettled.update(k for k in states if self.legs[k].motion in ("slide", "fly"))
+        if not self.legs:
+            self.legs = [*legs]
+        for k, leg in zip(states, legs, strict=True):
+            self.legs[k] = leg
+            if leg.motion in ("slide", "fly"):
+                self.unsettled.add(k)
+            else:
+                self.unsettled.discard(k)
         self.calendar.renew(self.legs, states, self.t, until)
 
     def _archive_leg(self, k: int) -> None:
         """Move the present leg of a ball to its past; a rest that continued stays one leg."""
-        leg, past = self.legs[k].spanning(self.legs[k].t0, self.t), self.past[k]
-        if past and isinstance(leg, Rest) and isinstance(past[-1], Rest) and leg.state == past[-1].state:
-            leg = leg.spanning(past.pop().t0, self.t)
-        past.append(leg)
+        leg, past = self.legs[k], self.past[k]
+        leg.t1 = self.t
+        if past and type(leg) is Rest and isinstance(past[-1], Rest) and leg.state == past[-1].state:
+            past[-1].t1 = self.t
+        else:
+            past.append(leg)
 
     # legs
 
@@ -209,7 +212,8 @@ class _EventLoop:
             leg = support.leg(state, self.radius[k], time)
             if isinstance(leg, Numeric):
                 raise ValueError("a disc that slides at its launch has no past: start the run at the launch")
-            return [leg.spanning(self.start, time)]
+            leg.t0, leg.t1 = self.start, time
+            return [leg]
         if state[5] != 0:
             raise ValueError("a ball that flies at its launch has no past: start the run at the launch")
         slides = math.hypot(*slip_velocity(state, self.radius[k])) > ZERO_SPEED_M_S
@@ -218,10 +222,9 @@ class _EventLoop:
             if self._excess(k, still) > 0:
                 raise ValueError(HELD)
             return [Rest(self.start, time, still)]
-        if slides and not self.slides:
-            legs: list[Leg] = [self._slide(k, state, time).spanning(self.start, time)]
-        elif not slides and not self.rolls:
-            legs = [self._roll(k, state, time, self.start).spanning(self.start, time)]
+        if not (self.slides if slides else self.rolls):
+            legs = [self._slide(k, state, time) if slides else self._roll(k, state, time, self.start)]
+            legs[0].t0, legs[0].t1 = self.start, time
         else:
             row, span = np.array([state]), np.array([self.start - time])
             legs = [
@@ -340,20 +343,24 @@ class _EventLoop:
 
     def _collide(self, i: int, j: int) -> None:
         t = self.t
-        states = {k: self.legs[k].now(t) for k in (i, j)}
+        states = {i: self.legs[i].now(t), j: self.legs[j].now(t)}
         if math.hypot(*states[i][3:5]) > math.hypot(*states[j][3:5]):
             i, j = j, i  # the slower ball is the target
-        one, two = ((self.radius[k], self.mass[k], self.inertia[k]) for k in (i, j))
-        change = self._change(i, j, apart=math.dist(states[i][:3], states[j][:3]))
+        change, lasts = None, isinstance(self.joint, TouchingBodies)
+        if self.changes:
+            further = math.dist(states[i][:3], states[j][:3]) - (self.radius[i] + self.radius[j])
+            change = self.changes.draw(t, (i, j), further, lasts)
         self.calendar.forget_distance(i, j)
         if isinstance(self.joint, StickingBodies) and self.joint.concerns(i, j):
             events, new = self.joint.collide(t, i, j, self._gather(i, j), change)
             self.events += events
             self._part(new)
             return
-        if isinstance(self.joint, TouchingBodies):
+        if lasts:
             states[j] = _approach(states[i], states[j])
-        target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], one, two, change)
+        target, striker, n, along_n, along_t = strike(
+            self.model, states[i], states[j], self.own[i], self.own[j], change
+        )
         slowest = MIN_IMPACT_SPEED_OF_PAIR_M_S if self.pairing else MIN_IMPACT_SPEED_M_S
         before: Array = np.array((states[i], states[j]))
         drawn = dict(change.drawn) if change else {}
@@ -366,44 +373,25 @@ class _EventLoop:
             self.events.append(Event(t, "contact", i, j, before, n=n[:2], drawn=drawn))
             self._start_legs({k: self.legs[k].now(t) for k in (i, j)})
             return
-        if not self.contact_duration and along_n < slowest * self.mass[i]:
+        if not self.table.contact_duration and along_n < slowest * self.own[i][1]:
             raise ValueError(f"balls {i} and {j} " + STAYING.format(t))
         new = {i: self._settle(i, target), j: self._settle(j, striker)}
         after: Array = np.array((new[i], new[j]))
         self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t, drawn))
         self._part(new)
 
-    def _change(self, *balls: int, apart: float = 0.0) -> ContactChange | None:
-        """Return what changes an impact of these balls: chance, where there are two, and whether it follows another.
-
-        apart: the distance of their centres, m.
-        """
-        drawn = ContactChange()
-        if self.chance and len(balls) == 2:
-            drawn = self.table.scatter.draw(self.chance, apart - sum(self.radius[k] for k in balls))
-        if self.table.plate_share and len(balls) == 2:
-            drawn = dataclasses.replace(drawn, plate_share=self.table.plate_share)
-        if self.contact_duration:
-            springs = isinstance(self.joint, TouchingBodies) and len(balls) == 2
-            recent = any(self.t - self.last_hit[k] < self.contact_duration for k in balls) and not springs
-            slowest = 0.0 if springs else self.model.gravity * self.contact_duration / 2
-            for k in balls if not springs else ():
-                self.last_hit[k] = self.t
-            return dataclasses.replace(drawn, elastic=recent, slowest=slowest)
-        return drawn if self.chance or self.table.plate_share else None
-
-    def _bounce(self, k: int, wall: int) -> None:
+    def _bounce(self, k: int, number: int) -> None:
+        wall, change = self.table.walls[number], self.changes.draw(self.t, (k,)) if self.changes else None
         if isinstance(self.joint, StickingBodies) and self.joint.concerns(k):
-            events, new = self.joint.bounce(self.t, k, wall, self.walls[wall], self._gather(k), self._change(k))
+            events, new = self.joint.bounce(self.t, k, number, wall, self._gather(k), change)
             self.events += events
             self._part(new)
             return
         before = self.legs[k].now(self.t)
-        body = self.radius[k], self.mass[k], self.inertia[k]
-        hit = hit_wall(self.model, self.walls[wall], before, body, self._change(k))
+        hit = hit_wall(self.model, wall, before, self.own[k], change)
         after = self._settle(k, hit.after)
         rows = np.array([before]), np.array([after])
-        self.events.append(Event(self.t, "wall", k, wall, *rows, hit.n, hit.impulse_n, hit.impulse_t))
+        self.events.append(Event(self.t, "wall", k, number, *rows, hit.n, hit.impulse_n, hit.impulse_t))
         self._part({k: after})
 
     def _settle(self, k: int, state: State) -> State:
@@ -414,11 +402,11 @@ class _EventLoop:
 
     def _part(self, states: dict[int, State]) -> None:
         """Start the legs of balls after an impact; those that it presses on the plate land at once."""
-        self.rolled -= set(states)
-        for k in set(states) & set(self.pushed):
-            del self.pushed[k]
-            self.events.append(Event(self.t, "release", k, before=np.array([states[k]]), after=np.array([states[k]])))
         for k, state in states.items():
+            self.rolled.discard(k)
+            if k in self.pushed:
+                del self.pushed[k]
+                self.events.append(Event(self.t, "release", k, before=np.array([state]), after=np.array([state])))
             self._start_stretch(k, state)
             if state[5] < 0 and not _is_airborne(state, self.radius[k]):
                 states[k] = self._land(k, state)

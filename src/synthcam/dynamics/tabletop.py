@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,3 +81,28 @@ class Table:
     sticks: tuple[float, ...] = ()
     spring: ContactSpring | None = None
     plate_share: float = 0.0
+
+
+class ContactChanges:
+    """What changes the contacts of one run: chance, a contact duration, and the plate. gravity: m/s^2."""
+
+    def __init__(self, table: Table, gravity: float) -> None:
+        self.table, self.last_hit = table, dict[int, float]()  # of each body, s
+        self.chance = np.random.default_rng(table.scatter.seed) if table.scatter.active else None
+        self.slowest = gravity * table.contact_duration / 2
+
+    def draw(self, t: float, balls: tuple[int, ...], further: float = 0.0, spring: bool = False) -> ContactChange:
+        """Draw what changes an impact of two bodies, or of one on a wall, at the time t, s.
+
+        further: distance of two centres less the radii, m. spring: the contact lasts, so no impact follows another.
+        """
+        change, duration = ContactChange(), self.table.contact_duration
+        if len(balls) == 2:
+            if self.chance:
+                change = self.table.scatter.draw(self.chance, further)
+            change = replace(change, plate_share=self.table.plate_share)
+        if duration and not spring:
+            recent = any(t - self.last_hit.get(k, -math.inf) < duration for k in balls)
+            change = replace(change, elastic=recent, slowest=self.slowest)
+            self.last_hit |= dict.fromkeys(balls, t)
+        return change

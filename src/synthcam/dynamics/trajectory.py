@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Literal, Self
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,37 +18,39 @@ OneBodyEvent = Literal["wall", "slide_end", "stop", "start", "land", "launch", "
 EventKind = Literal["contact", "contact_end", "together", "apart"] | OneBodyEvent
 
 
-@dataclass(frozen=True)
-class Leg(ABC):
-    """The motion of one ball between two of its events, from t0 to t1 (which may be infinite)."""
+@dataclass(slots=True)
+class Leg:
+    """The motion of one ball between two of its events, from t0 to t1 (which may be infinite).
+
+    A run makes several for each event, so legs are not frozen: that would take three times as long. Only the run that
+    makes a leg changes it: it sets t0 and t1 to the events between which the leg holds.
+    """
 
     t0: float
     t1: float
     motion: Motion = field(kw_only=True)
+    is_straight: ClassVar[bool] = False  # the path, at any speed
 
-    @abstractmethod
     def at(self, t: Array) -> Array:
         """Return states (len(t), 9) at times within the leg."""
+        raise NotImplementedError
 
-    @abstractmethod
     def now(self, t: float) -> State:
         """Return the state at one instant, nine floats."""
+        raise NotImplementedError
 
-    @abstractmethod
     def bound(self, t: float) -> float:
         """Return an upper bound of the acceleration after t within the leg, m/s^2."""
-
-    def spanning(self, t0: float, t1: float) -> Self:
-        """Return the same motion between other times."""
-        return replace(self, t0=t0, t1=t1)
+        raise NotImplementedError
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Rest(Leg):
     """A ball at rest, which may spin about the vertical. state: nine floats, here and below."""
 
     state: State
     motion: Motion = field(default="rest", kw_only=True)
+    is_straight: ClassVar[bool] = True
 
     def at(self, t: Array) -> Array:
         return np.broadcast_to(np.array(self.state), (len(t), 9))
@@ -62,7 +62,7 @@ class Rest(Leg):
         return 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Roll(Leg):
     """Rolling on a straight line with a = -(drag v + decel); `state` holds at `time`."""
 
@@ -72,6 +72,7 @@ class Roll(Leg):
     drag: float
     decel: float
     motion: Motion = field(default="roll", kw_only=True)
+    is_straight: ClassVar[bool] = True
 
     def at(self, t: Array) -> Array:
         return kinematics.roll(np.array(self.state), self.radius, self.drag, self.decel, t - self.time)
@@ -84,7 +85,7 @@ class Roll(Leg):
         return self.drag * math.hypot(state[3], state[4]) + self.decel
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Slide(Leg):
     """Sliding with constant friction: a parabola. `state` holds at `time`; `slowing` is mu g, m/s^2."""
 
@@ -94,6 +95,11 @@ class Slide(Leg):
     slowing: float
     inertia: float
     motion: Motion = field(default="slide", kw_only=True)
+    _rates: tuple[float, float, float] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        across, along = kinematics.find_slowing(self.state, self.radius, self.slowing)
+        self._rates = across, along, 1 / self.inertia / self.radius
 
     def at(self, t: Array) -> Array:
         return kinematics.slide(np.array(self.state), self.radius, self.slowing, t - self.time, self.inertia)
@@ -101,15 +107,11 @@ class Slide(Leg):
     def now(self, t: float) -> State:
         return kinematics.after_slowing(self.state, *self._rates, t - self.time)
 
-    @cached_property
-    def _rates(self) -> tuple[float, float, float]:
-        return *kinematics.find_slowing(self.state, self.radius, self.slowing), 1 / self.inertia / self.radius
-
     def bound(self, t: float) -> float:
         return self.slowing
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Fly(Leg):
     """Free flight above the plate; `state` holds at `time`."""
 
@@ -128,7 +130,7 @@ class Fly(Leg):
         return self.gravity
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Glide(Leg):
     """Gliding on air, v' = -(decel + drag v) v/|v| + curl z x v; `state` holds at `time`."""
 
@@ -166,7 +168,7 @@ class Glide(Leg):
         return math.hypot(self.drag * speed + self.decel, self.curl * speed)
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Push(Leg):
     """Moving with a constant acceleration (x, y), m/s^2, as a hand pushes; `state` holds at `time`.
 
@@ -195,7 +197,7 @@ class Push(Leg):
         return math.hypot(*self.acceleration)
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Carried(Leg):
     """The motion of one of several bodies that move as one rigid body, whose centre of mass has the leg `centre`.
 
@@ -227,7 +229,7 @@ class Carried(Leg):
         return self.centre.bound(t) + (spin + self.spin_drag) * spin * far
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Numeric(Leg):
     """A leg without closed form: `states` maps times (m,) to states (m, 9); `steepest` bounds the acceleration."""
 
@@ -252,9 +254,9 @@ class Numeric(Leg):
         return self.steepest
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Event:
-    """Something that happens to one ball, or to two, at one instant."""
+    """Something that happens to one ball, or to two, at one instant. Not to be changed; see `Leg`."""
 
     t: float  # s
     kind: EventKind

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from synthcam.dynamics.contacts.cells import Box, NeighbourCells
 from synthcam.dynamics.contacts.contact_time import OVERLAP_TOLERANCE, find_contact, find_wall_contact
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.kinematics import State
-from synthcam.dynamics.trajectory import Leg, Rest, Roll
+from synthcam.dynamics.trajectory import Leg, Rest
 
 WITHOUT_CELLS = 13  # balls: so few look at all others
 MAX_NEIGHBOURS, MAX_CELLS = 8, 16  # that a ball may come near while it looks ahead
@@ -26,15 +26,9 @@ MAX_LOOK_S = 10.0
 Kind = Literal["contact", "wall", "end", "launch", "renewal", "look"]
 
 
-class Due(NamedTuple):
-    """An event to come. Entries at one time are sorted by `order`: contacts, walls, then ends of legs."""
-
-    t: float
-    order: int
-    kind: Kind
-    i: int
-    j: int
-    versions: tuple[int, int]  # of the legs that it holds for
+# An event to come: its time, a rank, what it is, bodies i and j, and the versions of their legs that it holds for. A
+# plain tuple is made and compared fastest. Of events at one time, contacts come first, then walls, then ends of legs.
+Due = tuple[float, int, Kind, int, int, int, int]
 
 
 class ContactDistances:
@@ -94,16 +88,16 @@ class Calendar:
         self.legs, self.until, changed = legs, until, list(changed)
         if until < math.inf:
             self.renewals += 1
-            heapq.heappush(self.heap, Due(until, 3, "renewal", -1, -1, (self.renewals, 0)))
+            heapq.heappush(self.heap, (until, 3, "renewal", -1, -1, self.renewals, 0))
         for k in changed:
             self.version[k] += 1
             if legs[k].t1 < math.inf:
-                self._add(legs[k].t1, 2, "end", k)
+                heapq.heappush(self.heap, (legs[k].t1, 2, "end", k, -1, self.version[k], 0))
         self._look_ahead(changed, t)
 
     def schedule(self, t: float, number: int) -> None:
         """Add the launch of this number at the time t, s."""
-        self._add(t, 2, "launch", number)
+        heapq.heappush(self.heap, (t, 2, "launch", number, -1, 0, 0))
 
     def forget_distance(self, i: int, j: int) -> None:
         """Let the next contact of two balls that have hit be at another distance."""
@@ -112,54 +106,52 @@ class Calendar:
 
     def pop(self, horizon: float) -> Due | None:
         """Return the next event up to the horizon, s."""
-        while self.heap and self.heap[0].t <= horizon:
-            due = self.heap[0]
-            if due.kind == "look" and due.t >= horizon:
+        heap, version = self.heap, self.version
+        while heap and heap[0][0] <= horizon:
+            due = t, _, kind, i, j, version_i, version_j = heap[0]
+            if kind == "look" and t >= horizon:
                 return None
-            heapq.heappop(self.heap)
-            if due.versions != self._versions(due.kind, due.i, due.j):
+            heapq.heappop(heap)
+            if kind == "renewal":
+                current = version_i == self.renewals
+            else:
+                current = kind == "launch" or version_i == version[i]
+                current = current and (kind != "contact" or version_j == version[j])
+            if not current:
                 continue
-            if due.kind != "look":
+            if kind != "look":
                 return due
-            self._look_ahead([due.i], due.t)
+            self._look_ahead([i], t)
         return None
-
-    def _versions(self, kind: Kind, i: int, j: int) -> tuple[int, int]:
-        if kind == "renewal":
-            return self.renewals, 0
-        if kind == "launch":
-            return 0, 0
-        return self.version[i], self.version[j] if kind == "contact" else 0
-
-    def _add(self, t: float, order: int, kind: Kind, i: int, j: int = -1) -> None:
-        heapq.heappush(self.heap, Due(t, order, kind, i, j, self._versions(kind, i, j)))
 
     def _look_ahead(self, balls: Sequence[int], t: float) -> None:
         """Find the contacts of these balls with all others, as far ahead as each looks."""
-        latest = min(self.until, self.end if t < self.end else math.inf)
+        latest = min(self.until, self.end) if t < self.end else self.until
+        version, legs = self.version, self.legs
         waiting = set(balls)  # these will find the pairs that they make with those before them
         for k in balls:
             waiting.remove(k)
-            leg, radius = self.legs[k], self.radius[k]
-            still, first = isinstance(leg, Rest), leg.now(t)
+            leg, radius = legs[k], self.radius[k]
+            still, first = type(leg) is Rest, leg.now(t)
             horizon, near = self._choose_horizon(k, t, first)
-            known = self.known[k] = min(horizon, latest)
+            known = self.known[k] = horizon if horizon < latest else latest
             for j in near:
-                other = self.legs[j]
-                if j == k or j in waiting or (still and isinstance(other, Rest)):
+                other = legs[j]
+                if j == k or j in waiting or (still and type(other) is Rest):
                     continue
                 if self.joined and (min(k, j), max(k, j)) in self.joined:
                     continue
-                horizon, reach = min(known, self.known[j]), radius + self.radius[j]
+                reach = radius + self.radius[j]
                 if self.distances:
                     reach = min(reach * self.distances.draw(k, j), math.dist(first[:3], other.now(t)[:3]))
-                when = find_contact(leg, other, t, horizon, reach, first)
+                when = find_contact(leg, other, t, min(known, self.known[j]), reach, first)
                 if when is not None:
-                    self._add(when, 0, "contact", min(k, j), max(k, j))
-            if not still:
+                    one, two = (k, j) if k < j else (j, k)
+                    heapq.heappush(self.heap, (when, 0, "contact", one, two, version[one], version[two]))
+            if self.walls and not still:
                 self._add_walls(k, leg, t, known)
-            if known < min(leg.t1, self.until):
-                self._add(known, 4, "look", k)
+            if known < leg.t1 and known < self.until:
+                heapq.heappush(self.heap, (known, 4, "look", k, -1, version[k], 0))
 
     def _add_walls(self, k: int, leg: Leg, t: float, known: float) -> None:
         """Find the first wall that a ball touches."""
@@ -172,14 +164,14 @@ class Calendar:
             if when is not None and (when < first or number < 0):
                 first, number = when, w
         if number >= 0:
-            self._add(first, 1, "wall", k, number)
+            heapq.heappush(self.heap, (first, 1, "wall", k, number, self.version[k], 0))
 
     def _choose_horizon(self, k: int, t: float, first: State) -> tuple[float, Sequence[int]]:
         """Choose how far a ball looks ahead, so that it comes near few others; also return which. first: its state."""
         leg, look = self.legs[k], min(2 * self.look[k], MAX_LOOK_S)
         if self.cells is None:
-            return leg.t1 if isinstance(leg, Rest) else min(t + MAX_LOOK_S, leg.t1), range(len(self.radius))
-        if isinstance(leg, Rest):
+            return leg.t1 if type(leg) is Rest else min(t + MAX_LOOK_S, leg.t1), range(len(self.radius))
+        if type(leg) is Rest:
             box, _ = self._bound_path(k, leg, t, t, first)
             self.cells.put(k, box)
             return leg.t1, self.cells.find_near(box)
@@ -202,7 +194,7 @@ class Calendar:
         x, y = first[:2]
         there_x, there_y, *_ = leg.now(horizon) if horizon > t else first
         wide = margin = self.radius[k] * (1 + self.margin)
-        if not isinstance(leg, Rest | Roll):  # these paths are straight
+        if not leg.is_straight:
             margin += leg.bound(t) * (horizon - t) ** 2 / 8
         low_x, high_x = (x, there_x) if x < there_x else (there_x, x)
         low_y, high_y = (y, there_y) if y < there_y else (there_y, y)

@@ -105,7 +105,7 @@ def strike(
         nx, ny = change.turn_normal(nx, ny, striker[3] - target[3], striker[4] - target[4])
     ax, ay, az = striker[3] - target[3], striker[4] - target[4], striker[5] - target[5]
     v_n = ax * nx + ay * ny + az * nz
-    sx, sy, sz = (r1 * target[k] + r2 * striker[k] for k in (6, 7, 8))
+    sx, sy, sz = r1 * target[6] + r2 * striker[6], r1 * target[7] + r2 * striker[7], r1 * target[8] + r2 * striker[8]
     ux = ax - v_n * nx + sy * nz - sz * ny
     uy = ay - v_n * ny + sz * nx - sx * nz
     uz = az - v_n * nz + sx * ny - sy * nx
@@ -117,15 +117,15 @@ def strike(
     normal, pull = (1 + r) * v_n * reduced, 2 * inertia * c * reduced
     tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
     px, py, pz = normal * nx + tx, normal * ny + ty, (normal * nz + tz) * model.laws("loft", 0.0, {})
-    turn = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
+    along, across, up = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty  # n x J
     share = change.plate_share / (m1 + m2) if change else 0.0
-    lost_x, lost_y = (share * (m1 * target[axis] + m2 * striker[axis]) for axis in (3, 4))
+    lost_x, lost_y = share * (m1 * target[3] + m2 * striker[3]), share * (m1 * target[4] + m2 * striker[4])
 
     def after(state: State, radius: Real, mass: Real, inertia: Real) -> State:
         x, y, z, vx, vy, vz, wx, wy, wz = state
         inverse, size = 1 / inertia, abs(mass) * radius
-        wx, wy, wz = (w + inverse * part / size for w, part in zip((wx, wy, wz), turn, strict=True))
-        return x, y, z, vx + px / mass - lost_x, vy + py / mass - lost_y, vz + pz / mass, wx, wy, wz
+        spin = wx + inverse * along / size, wy + inverse * across / size, wz + inverse * up / size
+        return x, y, z, vx + px / mass - lost_x, vy + py / mass - lost_y, vz + pz / mass, *spin
 
     return after(target, r1, m1, k1), after(striker, r2, -m2, k2), (nx, ny, nz), normal, ty * nx - tx * ny
 
@@ -205,9 +205,8 @@ def find_contact_coefficients(
         }
         c = model.laws("spin_transfer", c, instant)
     if isinstance(v_n, float):
-        limits = ((r, 1.0), (c, push_share(inertia)))
-        one, two = (min(max(float(np.ravel(x)[0]) if isinstance(x, np.ndarray) else x, 0.0), top) for x, top in limits)
-        return one, two
+        r, c = (float(np.ravel(x)[0]) if isinstance(x, np.ndarray) else x for x in (r, c))
+        return min(max(r, 0.0), 1.0), min(max(c, 0.0), push_share(inertia))
     return np.clip(r, 0.0, 1.0), np.clip(c, 0.0, push_share(inertia))
 
 

@@ -17,7 +17,7 @@ def first_contact(legs, radius, t, horizon):
     calendar = Calendar(radius, (), horizon)
     calendar.renew(legs, range(len(legs)), t, math.inf)
     due = calendar.pop(horizon)
-    return due and (due.t, due.i, due.j)
+    return due and (due[0], due[3], due[4])
 
 
 def rest(x, y=0.0):
