@@ -133,11 +133,11 @@ class _EventLoop:
         width, seed = table.scatter.distance, table.scatter.seed
         distances = ContactDistances(width, seed) if width else None
         self.calendar = Calendar(self.radius, table.walls, max(end, self.t), distances)
-        for number, one in enumerate(self.later):
-            self.calendar.schedule(one.time, number)
         self.legs: list[Leg] = []
         self.unsettled: set[int] = set()  # balls that slide or fly
         self._start_legs(states)
+        for number, one in enumerate(self.later):
+            self.calendar.schedule(one.time, number)
 
     def motion(self, max_events: int) -> Trajectory:
         """Run to the end. Raises ValueError after `max_events`: the motion does not settle."""

@@ -23,12 +23,48 @@ from synthcam.dynamics.trajectory import Leg, Rest
 WITHOUT_CELLS = 13  # balls: so few look at all others
 MAX_NEIGHBOURS, MAX_CELLS = 8, 16  # that a ball may come near while it looks ahead
 MAX_LOOK_S = 10.0
+SORTED_EVENTS = 64  # about so many of many bodies
 Kind = Literal["contact", "wall", "end", "launch", "renewal", "look"]
 
 
 # An event to come: its time, a rank, what it is, bodies i and j, and the versions of their legs that it holds for. A
 # plain tuple is made and compared fastest. Of events at one time, contacts come first, then walls, then ends of legs.
 Due = tuple[float, int, Kind, int, int, int, int]
+
+
+class EventQueue:
+    """Coming events, soonest first. Those of a later span of time wait unsorted: many bodies have many of them.
+
+    width: of a span of time, s.
+    """
+
+    def __init__(self, width: float = math.inf) -> None:
+        self.width, self.present = width, -math.inf  # number of the span whose events are sorted
+        self.sorted: list[Due] = []
+        self.later: dict[float, list[Due]] = {}  # by the numbers of spans
+        self.numbers: list[float] = []
+
+    def push(self, due: Due) -> None:
+        number = due[0] // self.width
+        if number <= self.present:
+            heapq.heappush(self.sorted, due)
+        elif number in self.later:
+            self.later[number].append(due)
+        else:
+            self.later[number] = [due]
+            heapq.heappush(self.numbers, number)
+
+    def find_first(self) -> Due | None:
+        while not self.sorted:
+            if not self.numbers:
+                return None
+            self.present = heapq.heappop(self.numbers)
+            self.sorted = self.later.pop(self.present)
+            heapq.heapify(self.sorted)
+        return self.sorted[0]
+
+    def drop_first(self) -> None:
+        heapq.heappop(self.sorted)
 
 
 class ContactDistances:
@@ -75,7 +111,7 @@ class Calendar:
         self.margin = max(OVERLAP_TOLERANCE, distances.largest if distances else 0.0)  # of a radius
         self.joined = set[tuple[int, int]]()
         self.legs: list[Leg] = []
-        self.heap: list[Due] = []
+        self.queue = EventQueue()
         self.version, self.known, self.look = [0] * count, [0.0] * count, [MAX_LOOK_S] * count
         self.until, self.renewals = math.inf, 0
         self.cells: NeighbourCells | None = None  # few balls do without
@@ -88,16 +124,14 @@ class Calendar:
         self.legs, self.until, changed = legs, until, list(changed)
         if until < math.inf:
             self.renewals += 1
-            heapq.heappush(self.heap, (until, 3, "renewal", -1, -1, self.renewals, 0))
+            self.queue.push((until, 3, "renewal", -1, -1, self.renewals, 0))
         for k in changed:
             self.version[k] += 1
-            if legs[k].t1 < math.inf:
-                heapq.heappush(self.heap, (legs[k].t1, 2, "end", k, -1, self.version[k], 0))
         self._look_ahead(changed, t)
 
     def schedule(self, t: float, number: int) -> None:
         """Add the launch of this number at the time t, s."""
-        heapq.heappush(self.heap, (t, 2, "launch", number, -1, 0, 0))
+        self.queue.push((t, 2, "launch", number, -1, 0, 0))
 
     def forget_distance(self, i: int, j: int) -> None:
         """Let the next contact of two balls that have hit be at another distance."""
@@ -106,12 +140,12 @@ class Calendar:
 
     def pop(self, horizon: float) -> Due | None:
         """Return the next event up to the horizon, s."""
-        heap, version = self.heap, self.version
-        while heap and heap[0][0] <= horizon:
-            due = t, _, kind, i, j, version_i, version_j = heap[0]
-            if kind == "look" and t >= horizon:
+        queue, version = self.queue, self.version
+        while (due := queue.find_first()) is not None:
+            t, _, kind, i, j, version_i, version_j = due
+            if t > horizon or (kind == "look" and t >= horizon):
                 return None
-            heapq.heappop(heap)
+            queue.drop_first()
             if kind == "renewal":
                 current = version_i == self.renewals
             else:
@@ -147,16 +181,18 @@ class Calendar:
                 when = find_contact(leg, other, t, min(known, self.known[j]), reach, first)
                 if when is not None:
                     one, two = (k, j) if k < j else (j, k)
-                    heapq.heappush(self.heap, (when, 0, "contact", one, two, version[one], version[two]))
+                    self.queue.push((when, 0, "contact", one, two, version[one], version[two]))
             if self.walls and not still:
                 self._add_walls(k, leg, t, known)
             if known < leg.t1 and known < self.until:
-                heapq.heappush(self.heap, (known, 4, "look", k, -1, version[k], 0))
+                self.queue.push((known, 4, "look", k, -1, version[k], 0))
+            elif leg.t1 < math.inf:
+                self.queue.push((leg.t1, 2, "end", k, -1, version[k], 0))
 
     def _add_walls(self, k: int, leg: Leg, t: float, known: float) -> None:
         """Find the first wall that a ball touches."""
         first, number = known, -1
-        box = self.cells and self.cells.boxes[k]
+        box = self.cells and self.cells.box_of(k)
         for w, wall in enumerate(self.walls):
             if box and not box.meets(self.wall_boxes[w]):
                 continue
@@ -164,7 +200,7 @@ class Calendar:
             if when is not None and (when < first or number < 0):
                 first, number = when, w
         if number >= 0:
-            heapq.heappush(self.heap, (first, 1, "wall", k, number, self.version[k], 0))
+            self.queue.push((first, 1, "wall", k, number, self.version[k], 0))
 
     def _choose_horizon(self, k: int, t: float, first: State) -> tuple[float, Sequence[int]]:
         """Choose how far a ball looks ahead, so that it comes near few others; also return which. first: its state."""
@@ -209,7 +245,8 @@ class Calendar:
         nearest = np.asarray(cKDTree(states[:, :2]).query(states[:, :2], 2)[0])
         side = 2 * max(float(np.median(nearest[:, 1])), 2 * float(np.median(self.radius)))
         self.look = np.minimum(side / np.maximum(np.hypot(states[:, 3], states[:, 4]), 1e-9), MAX_LOOK_S).tolist()
-        cells = NeighbourCells(side)
+        self.queue = EventQueue(SORTED_EVENTS * float(np.median(self.look)) / len(legs))
+        cells = NeighbourCells(side, len(legs))
         for k, (x, y) in enumerate(states[:, :2].tolist()):
             wide = self.radius[k] * (1 + self.margin)
             cells.put(k, Box(x - wide, y - wide, x + wide, y + wide))

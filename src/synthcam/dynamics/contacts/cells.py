@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -24,13 +25,16 @@ Cells = tuple[int, int, int, int]  # numbers of the first and the last, along x 
 
 
 class NeighbourCells:
-    """Boxes of bodies, each listed in all square cells of a grid that it covers. side: of a cell, m."""
+    """Boxes of `count` bodies, each listed in all square cells of a grid that it covers. side: of a cell, m."""
 
-    def __init__(self, side: float) -> None:
+    def __init__(self, side: float, count: int) -> None:
         self.side = side
-        self.boxes: dict[int, Box] = {}
+        self.boxes = array("d", bytes(32 * count))  # of body k from 4 k on: side by side, they are in memory's reach
         self.covered: dict[int, Cells] = {}
         self.bodies: dict[tuple[int, int], set[int]] = {}  # in each cell
+
+    def box_of(self, k: int) -> Box:
+        return Box(*self.boxes[4 * k : 4 * k + 4])
 
     def cover(self, box: Box) -> Cells:
         """Return the cells that a box covers."""
@@ -47,13 +51,16 @@ class NeighbourCells:
         return [
             k
             for k in near
-            if (own := boxes[k])[0] <= high_x and own[2] >= low_x and own[1] <= high_y and own[3] >= low_y
+            if boxes[at := 4 * k] <= high_x
+            and boxes[at + 2] >= low_x
+            and boxes[at + 1] <= high_y
+            and boxes[at + 3] >= low_y
         ]
 
     def put(self, k: int, box: Box) -> None:
         """Put a body into the cells that its new box covers."""
         cells, before = self.cover(box), self.covered.get(k)
-        self.boxes[k] = box
+        self.boxes[4 * k : 4 * k + 4] = array("d", box)
         if cells == before:
             return
         for cell in _list_cells(before) if before else ():
