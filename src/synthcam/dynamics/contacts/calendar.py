@@ -22,6 +22,7 @@ from synthcam.dynamics.trajectory import Leg, Rest
 
 WITHOUT_CELLS = 13  # balls: so few look at all others
 MAX_NEIGHBOURS, MAX_CELLS = 8, 16  # that a ball may come near while it looks ahead
+FEW_NEIGHBOURS = 5  # then it looks twice as far the next time
 MAX_LOOK_S = 10.0
 SORTED_EVENTS = 64  # about so many of many bodies
 Kind = Literal["contact", "wall", "end", "launch", "renewal", "look"]
@@ -204,7 +205,7 @@ class Calendar:
 
     def _choose_horizon(self, k: int, t: float, first: State) -> tuple[float, Sequence[int]]:
         """Choose how far a ball looks ahead, so that it comes near few others; also return which. first: its state."""
-        leg, look = self.legs[k], min(2 * self.look[k], MAX_LOOK_S)
+        leg, look = self.legs[k], self.look[k]
         if self.cells is None:
             return leg.t1 if type(leg) is Rest else min(t + MAX_LOOK_S, leg.t1), range(len(self.radius))
         if type(leg) is Rest:
@@ -221,7 +222,7 @@ class Calendar:
                 if small or len(near) <= MAX_NEIGHBOURS:
                     break
             look = (horizon - t) / 2
-        self.look[k] = look
+        self.look[k] = min(2 * look, MAX_LOOK_S) if len(near) <= FEW_NEIGHBOURS else look
         self.cells.put(k, box)
         return horizon, near
 
