@@ -34,7 +34,9 @@ $(BROWSER_READY): requirements-browser.lock $(READY)
 test-app: $(BROWSER_READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -rs tests/in_browser/workbench.py
 
+# tests of whole searches and of large samples, then tracking errors beside accepted figures
 gate: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m gate $$(grep -rl "mark\.gate\|each_outsider" --include="test_*.py" tests)
 	$(BIN)/python -m benchmarks.regression.gate
 
 coverage: $(READY)

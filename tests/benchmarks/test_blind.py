@@ -267,9 +267,14 @@ SMALL = {"clips": 6, "size": (320, 240), "filmed": True}
     "study",
     [
         Study("nothing", {"none": 1}, 1, **TINY, integrated=0),
-        Study("another integrator", {"one": 1}, 1, **TINY, integrated=1, effects=("spin_transfer_velocity",)),
-        Study("outsider", {"outside": 1}, 1, **TINY, effects=("root_drag",)),
-        Study("film", {"one": 1}, 1, **TINY | SMALL, effects=("velocity_restitution",)),
+        *(
+            pytest.param(study, marks=pytest.mark.gate)
+            for study in (
+                Study("another integrator", {"one": 1}, 1, **TINY, integrated=1, effects=("spin_transfer_velocity",)),
+                Study("outsider", {"outside": 1}, 1, **TINY, effects=("root_drag",)),
+                Study("film", {"one": 1}, 1, **TINY | SMALL, effects=("velocity_restitution",)),
+            )
+        ),
     ],
     ids=lambda study: study.name,
 )

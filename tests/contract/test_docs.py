@@ -31,8 +31,8 @@ CHEAP = (
     "background/physics.md",
     "background/statistics.md",
     "howto/effect.md",
-    "howto/detector.md",
-    "howto/many_bodies.md",
+    pytest.param("howto/detector.md", marks=pytest.mark.gate),
+    pytest.param("howto/many_bodies.md", marks=pytest.mark.gate),
 )
 NAMES = ("synthcam", "tracker", "discrepancy")
 PROGRAMS = {name: typer.main.get_command(import_module(f"{name}.cli").app) for name in NAMES}

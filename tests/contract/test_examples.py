@@ -50,7 +50,9 @@ def of_search(names):
 CHECKS = dict(zip(NOTEBOOKS, (of_simulation, of_tracking, of_search), strict=True))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path", [*NOTEBOOKS[:2], pytest.param(NOTEBOOKS[2], marks=pytest.mark.gate)], ids=lambda p: p.stem
+)
 def test_it_runs_and_says_what_is_true(path, monkeypatch):
     """The search knows two effects and one free law only."""
     only(monkeypatch, ("force_place",), **{name: library()[name] for name in ("plate_tilt", "rolling_quadratic")})

@@ -53,7 +53,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "tracker score out/benchmark_results --truth out/benchmark -o out/score",
         "tracker measure crowd.csv --camera crowd.json -o out/crowd",
     ]
-    crowd = Scene.read("tray", timing={"frames": 60}).draw(seed=1)
+    crowd = Scene.read("tray", timing={"frames": 20}).draw(seed=1)
     crowd.tracks[["frame", "particle"]].assign(x=crowd.tracks.x_mean_px, y=crowd.tracks.y_mean_px).to_csv(
         folder / "crowd.csv", index=False
     )

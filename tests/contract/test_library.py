@@ -128,6 +128,7 @@ def test_a_package_and_its_cli_run_as_the_command(module):
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.gate
 def test_the_page_runs_as_it_stands(tmp_path, monkeypatch, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/library.md").read_text(), re.DOTALL)
     monkeypatch.chdir(tmp_path)

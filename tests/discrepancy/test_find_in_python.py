@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from tracker_noisy import without_local
 
 import synthcam
 import tracker
@@ -13,6 +14,7 @@ from discrepancy.data.reading import read_collisions
 from synthcam_shared.errors import InputError
 
 NUMBERS = (2, 5, 9)
+pytestmark = pytest.mark.usefixtures("not_local")
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +29,17 @@ def made():
         for c in clips
     ]
     return pd.concat(parts, ignore_index=True), clips[0].camera_json, [c.truth["r"] for c in clips]
+
+
+@pytest.fixture(scope="module")
+def from_file(made, tmp_path_factory):
+    """The collisions of the same table in a file, and the path of their camera."""
+    table, camera, _ = made
+    folder = tmp_path_factory.mktemp("file")
+    (folder / "camera.json").write_text(json.dumps(camera))
+    table.to_csv(folder / "tracks.csv", index=False)
+    with without_local():
+        return read_collisions(folder / "tracks.csv", folder / "camera.json")[0], folder / "camera.json"
 
 
 def test_measure_all_keeps_the_numbers_of_clips(made):
@@ -44,15 +57,13 @@ def test_measure_names_the_function_for_several(made):
 
 
 @pytest.mark.parametrize("kind", ["keys", "camera", "path", "results", "one result"])
-def test_collisions_of_a_table_in_memory(kind, made, tmp_path):
+def test_collisions_of_a_table_in_memory(kind, made, from_file):
     table, camera, _ = made
-    (tmp_path / "camera.json").write_text(json.dumps(camera))
-    table.to_csv(tmp_path / "tracks.csv", index=False)
-    of_file, _ = read_collisions(tmp_path / "tracks.csv", tmp_path / "camera.json")
+    of_file, path = from_file
     given = {
         "keys": (table, camera),
         "camera": (table, tracker.Camera.from_dict(camera)),
-        "path": (table, tmp_path / "camera.json"),
+        "path": (table, path),
         "results": (tracker.measure_all(table, camera), None),
         "one result": (tracker.measure(table[table["clip"] == NUMBERS[0]], camera), None),
     }[kind]

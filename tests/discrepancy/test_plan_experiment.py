@@ -44,6 +44,7 @@ def test_a_row_for_each_strength_the_clearest_first(planned):
     assert (table["naming_then"].dropna() < table["naming_limit"][table["naming_then"].notna()]).all()
 
 
+@pytest.mark.gate
 def test_what_a_change_does_to_a_large_experiment_is_scaled_from_some_of_it(planned, monkeypatch):
     """Changes are tried on 24 collisions at most, here of 30 fitted, and must gain as they do of six."""
     few(monkeypatch)

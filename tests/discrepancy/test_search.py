@@ -20,7 +20,7 @@ from discrepancy_clips import (
     only,
     searched,
 )
-from discrepancy_outsiders import OUTSIDERS, outsider
+from discrepancy_outsiders import OUTSIDERS, each_outsider, outsider
 
 from benchmarks.search.sealed.integrator import Plate, collision, means
 from discrepancy.add import add
@@ -63,7 +63,7 @@ def within(found, truth, times=3.5):
             assert n.std[key] < 0.2 * max(abs(v) for v in truth.values())
 
 
-@pytest.mark.parametrize("hidden", ["velocity_restitution", "rolling_quadratic"])
+@pytest.mark.parametrize("hidden", ["velocity_restitution", pytest.param("rolling_quadratic", marks=pytest.mark.gate)])
 def test_a_hidden_effect_is_named_with_its_strength(hidden):
     found = searched(hidden)
     assert found.verdict == "named"
@@ -89,6 +89,7 @@ def test_strikers_that_slide_or_spin_hide_nothing_and_are_nothing(monkeypatch, s
         within(found, {"velocity_restitution.e": strength})
 
 
+@pytest.mark.gate
 def test_a_tilt_hidden_by_another_integrator_is_named(monkeypatch):
     known = ("plate_tilt", "velocity_restitution", "friction_anisotropy", "camera_tilt")
     only(monkeypatch, ("force_place", "friction_heading"), **{name: library()[name] for name in known})
@@ -100,7 +101,7 @@ def test_a_tilt_hidden_by_another_integrator_is_named(monkeypatch):
     assert abs(best.chi2 / (best.points - best.parameters) - 1) < 0.15
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.9])
+@pytest.mark.parametrize("rho", [0.0, pytest.param(0.9, marks=pytest.mark.gate)])
 def test_nothing_hidden_is_nothing_found(rho):
     found = searched("nothing", rho)
     assert found.verdict == "none"
@@ -118,6 +119,7 @@ def test_the_document_has_every_key(hidden):
     assert all(n.keys() >= {"effect", "parameters", "std", "sigma"} for n in document["named"])
 
 
+@pytest.mark.gate
 def test_two_hidden_effects_are_both_named_with_the_strengths_of_the_last_fit(monkeypatch):
     only(monkeypatch)
     truth = HIDDEN["velocity_restitution"] | {"rolling_quadratic.K": 0.3}
@@ -147,6 +149,7 @@ def test_the_library_is_asked_again_for_what_stands_in_place_of_a_free_law(monke
     assert any(again)  # it is this search that found them
 
 
+@pytest.mark.gate
 def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(monkeypatch):
     known = ("stribeck", "viscous_friction")
     only(monkeypatch, ("friction_speed",), **{n: library()[n] for n in known})
@@ -160,7 +163,7 @@ def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(m
 @pytest.mark.parametrize(
     ("hidden", "bent"),
     [
-        ({"stribeck.rise": 0.03}, ("friction_speed", "friction_heading")),
+        pytest.param({"stribeck.rise": 0.03}, ("friction_speed", "friction_heading"), marks=pytest.mark.gate),
         ({"plate_tilt.x": 1e-3}, ("force_place", "force_velocity")),
     ],
 )
@@ -174,7 +177,7 @@ def test_what_the_library_holds_is_not_called_outside_it(monkeypatch, hidden, be
     assert set(names(found)) == {k.partition(".")[0] for k in hidden}
 
 
-@pytest.mark.parametrize("law", list(OUTSIDERS))
+@each_outsider
 def test_an_effect_outside_the_library_gets_its_free_law_and_no_name(law):
     found = outsider(law)
     assert found.verdict == "outside_library"
@@ -187,7 +190,7 @@ def test_an_effect_outside_the_library_gets_its_free_law_and_no_name(law):
     assert chance < 0.2
 
 
-@pytest.mark.parametrize("law", list(OUTSIDERS))
+@each_outsider
 def test_its_curve_is_the_truth_within_the_band(law):
     """At nine of ten places; and the band is no cloak, but narrower than the change it shows."""
     said = outsider(law).document()["outside"][0]
@@ -224,6 +227,7 @@ def test_exact_aliases_are_reported_as_a_class(monkeypatch):
     assert found.document()["experiment"]
 
 
+@pytest.mark.gate
 def test_the_order_of_the_clips_does_not_matter(monkeypatch):
     only(monkeypatch)
     clips = collisions(Model().replace(HIDDEN["velocity_restitution"]), 6, 3)
@@ -446,6 +450,7 @@ def test_clips_of_two_frame_rates_are_searched_together(monkeypatch):
     assert found.gap.after < 1.2
 
 
+@pytest.mark.gate
 def test_noise_that_motion_fills_is_read_from_short_pieces_and_it_is_said(monkeypatch):
     """Balls roll where they are said to slide, and each clip sways in its own way: what is missing is no noise."""
     only(monkeypatch, ("restitution_speed",))  # no rolling law: its fit to such a motion takes a minute

@@ -86,6 +86,12 @@ RIVALS = {
 }
 
 
+# one search is enough to see that all stages fit together
+each_outsider = pytest.mark.parametrize(
+    "law", [pytest.param(law, marks=[pytest.mark.gate] * (law != "restitution_speed")) for law in OUTSIDERS]
+)
+
+
 @cache
 def outsider(law):
     """A search of collisions in which the outsider of this free law is hidden, with a small library.

@@ -17,6 +17,7 @@ from tracker import cli, pipeline
 ROOM = 1 << 16  # bytes of the probe file
 NOWHERE = Path("/proc/nowhere")  # nobody may write there, root neither
 SRC = Path(cli.__file__).parent
+pytestmark = pytest.mark.usefixtures("not_local")
 
 
 def three_clips(folder):

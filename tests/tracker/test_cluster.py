@@ -62,6 +62,7 @@ def by_cluster(folder, *words):
     return said.stdout
 
 
+@pytest.mark.gate
 @needs_dask
 def test_a_suite_made_run_and_scored_by_a_cluster_is_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr("tracker.benchmark.contest.write_report", lambda *words: None)

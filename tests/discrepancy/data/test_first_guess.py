@@ -65,6 +65,7 @@ def test_what_the_balls_do_after_the_hit_tells_the_launch(filmed, late, speed):
     assert np.abs(np.median(off[:, 3:], axis=0)).max() < 2 / filmed[3]
 
 
+@pytest.mark.gate
 def test_a_search_names_what_tracks_from_the_hit_on_hide(filmed, monkeypatch):
     few = {name: library()[name] for name in ("plate_tilt", "camera_tilt", "rolling_quadratic")}
     only(monkeypatch, ("force_place",), **few)

@@ -54,6 +54,7 @@ def test_a_free_start_follows_any_motion_that_slides_and_then_rolls():
     assert fit.chi2 < 1e-3 * fit.points  # a thousandth of a claimed error, which is 1.6 um
 
 
+@pytest.mark.gate
 @pytest.mark.usefixtures("undrawn")
 def test_an_effect_of_the_plate_is_named_whatever_the_impacts_were(monkeypatch, tmp_path):
     few = ("plate_tilt", "velocity_restitution", "rolling_quadratic")

@@ -209,7 +209,15 @@ def fit_from():
     )
 
 
-@pytest.mark.parametrize(("rise", "slip"), [(1.9, 0.0116), (5, 0.004), (0.02, 0.004), (0.3, 0.5)])
+@pytest.mark.parametrize(
+    ("rise", "slip"),
+    [
+        pytest.param(1.9, 0.0116, marks=pytest.mark.gate),
+        (5, 0.004),
+        (0.02, 0.004),
+        pytest.param(0.3, 0.5, marks=pytest.mark.gate),
+    ],
+)
 def test_a_valley_that_bends_is_followed_to_its_end(fit_from, rise, slip):
     """Friction that rises steeply in the slowest slip looks like one that rises gently."""
     end = fit_from(*(IN_VALLEY | {"stribeck.rise": rise, "stribeck.slip": slip}).items())

@@ -83,6 +83,7 @@ def smooth(x):
     return np.sin(x / 0.1)
 
 
+@pytest.mark.gate
 def test_the_band_holds_a_step_as_often_as_it_says():
     """In 70 draws the band holds the truth. That of the smooth curve alone is wider about a wiggle and holds less."""
     draws = [bands(step, 10, seed) for seed in range(70)]

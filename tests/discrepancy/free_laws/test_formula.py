@@ -23,6 +23,7 @@ def numbers(text):
     return [float(x) for x in re.findall(r"(?<![\w.])\d+\.?\d*(?:e-?\d+)?", text)]
 
 
+@pytest.mark.gate
 def test_waves_of_friction():
     """0.232 (1 + 0.02 sin(x / 3 mm))"""
     formula = outsider("friction_place").law_summary.formula
@@ -51,6 +52,7 @@ def test_a_step():
     assert (at, width) == (pytest.approx(0.2, abs=0.02), pytest.approx(0.03, rel=0.6))
 
 
+@pytest.mark.gate
 def test_a_resonance():
     formula = outsider("spin_transfer_speed").law_summary.formula
     mean, one, size, at, *_, width, _ = numbers(formula)
@@ -60,6 +62,7 @@ def test_a_resonance():
     assert (one, width) == (1, pytest.approx(0.06, rel=0.3))
 
 
+@pytest.mark.gate
 def test_a_power():
     """-0.015 v^0.5"""
     formula = outsider("force_speed").law_summary.formula
@@ -92,7 +95,7 @@ def test_a_lag_is_told_but_for_a_constant():
 
 
 def test_a_formula_that_suffices_is_not_refused():
-    proposed = propose_formula(outsider("spin_transfer_speed").free_law)
+    proposed = propose_formula(outsider("restitution_speed").free_law)
     assert not proposed.is_rejected
     assert proposed.parameters == 4
     assert np.isfinite(proposed.chi2)

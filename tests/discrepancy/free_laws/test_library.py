@@ -163,6 +163,7 @@ def test_a_loss_by_heading_is_found_and_written():
     assert np.median(high - low) < 0.7 * np.ptp(true)
 
 
+@pytest.mark.gate
 def test_a_friction_of_one_ball_is_found_and_said_to_be_of_that_ball():
     best = likeliest(Rust(0.02))
     assert best.law.name == "friction_speed_a"
@@ -177,6 +178,7 @@ def test_a_friction_of_one_ball_is_found_and_said_to_be_of_that_ball():
     assert np.median(std) < 0.05 * np.ptp(true)
 
 
+@pytest.mark.gate
 def test_a_ball_that_rolls_worse_is_named_and_no_free_law_is_declared(monkeypatch):
     few = ("rolling_mismatch", "drag_mismatch", "mass_mismatch")
     only(monkeypatch, ("rolling_speed", "force_speed"), **{name: effects()[name] for name in few})
@@ -220,8 +222,12 @@ def one_more(tmp_path, monkeypatch):
     library.cache_clear()
 
 
-def test_a_file_dropped_into_the_folder_is_found_fitted_and_named(one_more, monkeypatch):
+def test_a_file_dropped_into_the_folder_is_found(one_more):
     assert law_count() == one_more + 1
+
+
+@pytest.mark.gate
+def test_a_file_dropped_into_the_folder_is_fitted_and_named(one_more, monkeypatch):
     few = {name: effects()[name] for name in ("velocity_restitution", "spin_transfer_velocity")}
     only(monkeypatch, ("restitution_side", "restitution_obliqueness", "spin_transfer_speed"), **few)
     clips = exact(Model(), 12, 6)

@@ -21,6 +21,7 @@ def clips(spins, seed=5):
     return [dataclasses.replace(c, launch=c.launch[:6]) for c in every]
 
 
+@pytest.mark.gate
 def test_it_is_found_and_its_model_leaves_nothing(monkeypatch):
     only(monkeypatch, free_laws=("side_spin_clip", "spin_transfer_clip", "restitution_clip"))
     hidden = clips(SPINS)

@@ -17,8 +17,10 @@ from discrepancy.wording import format_with_error
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
 
+WITH_A_MAP = pytest.param("friction_place", marks=pytest.mark.gate)
 
-@pytest.fixture(scope="module", params=["nothing", "velocity_restitution", "friction_place", "restitution_speed"])
+
+@pytest.fixture(scope="module", params=["nothing", "velocity_restitution", WITH_A_MAP, "restitution_speed"])
 def written(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     found = outsider(request.param) if request.param in OUTSIDERS else searched(request.param)

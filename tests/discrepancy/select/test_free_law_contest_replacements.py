@@ -61,6 +61,7 @@ def test_what_fits_better_in_the_place_of_an_effect_is_found(rubbed):
     )
 
 
+@pytest.mark.gate
 def test_a_shape_parameter_is_found_from_far_beside_a_free_law(rubbed):
     near, *far = (beside(rubbed, "stribeck", slip=s)[1].score for s in (SLIP, 0.1, 0.3))
     assert far == pytest.approx([near, near], abs=1)

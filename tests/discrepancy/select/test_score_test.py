@@ -75,6 +75,7 @@ def test_an_exchange_is_foretold_as_by_dense_linear_fits():
     assert tests.chi2(gone) - rival.gain == pytest.approx(remainder(both, left))
 
 
+@pytest.mark.gate
 def test_searches_with_nothing_hidden_claim_something_at_the_level_they_say():
     _, tests = nothing()
     rng, level, draws = np.random.default_rng(3), 0.2, 60

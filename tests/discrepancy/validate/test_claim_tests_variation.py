@@ -26,6 +26,7 @@ def fitted(hidden, name, seed):
     return np.sqrt(base.chi2 - best.chi2), find_variation(WhitenedClips.of(clips, CLAIMED), best, [name])
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize(
     ("name", "value"), [("plate_tilt.x", 1e-3), ("stribeck.rise", 0.1), ("velocity_restitution.e", 0.05)]
 )

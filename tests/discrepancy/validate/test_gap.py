@@ -44,7 +44,7 @@ def test_kept_out_clips_cover_the_speeds_and_the_extremes(count, out):
         assert all(any(c.clip in numbers for c in by_speed[k : k + 10]) for k in (0, 10, 20))
 
 
-@pytest.mark.parametrize("hidden", EFFECTS)
+@pytest.mark.parametrize("hidden", [EFFECTS[0], pytest.param(EFFECTS[1], marks=pytest.mark.gate)])
 def test_the_gap_closes(hidden):
     shown = searched(hidden).gap_fits
     gap, points = shown.gap, shown.after.points
@@ -56,7 +56,7 @@ def test_the_gap_closes(hidden):
     assert gap.before_um > gap.after_um == pytest.approx(gap.floor_um, rel=0.05)
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5])
+@pytest.mark.parametrize("rho", [0.0, pytest.param(0.5, marks=pytest.mark.gate)])
 def test_with_nothing_hidden_there_is_no_gap(rho):
     gap = searched("nothing", rho).gap
     assert gap.before == gap.after
@@ -70,7 +70,7 @@ def test_the_floor_is_what_six_numbers_a_clip_leave_of_noise():
     assert found.gap.floor == pytest.approx(1 - 6 / np.mean([2 * len(c.frame) for c in found.data.held_out]))
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5])
+@pytest.mark.parametrize("rho", [0.0, pytest.param(0.5, marks=pytest.mark.gate)])
 def test_the_floor_of_each_phase_is_what_drawn_noise_leaves(rho):
     found, rng = searched("nothing", rho), np.random.default_rng(8)
     before, gap = found.gap_fits.before, found.gap

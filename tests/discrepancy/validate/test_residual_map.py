@@ -33,6 +33,7 @@ def most(places, **wanted):
     return max(p.sigma for p in places if all(getattr(p, k) == v for k, v in wanted.items()))
 
 
+@pytest.mark.gate
 def test_noise_alone_draws_uniform_chances():
     clips = exact(Model(), 6, 5)
     fit = fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED, np.array([c.launch for c in clips]))

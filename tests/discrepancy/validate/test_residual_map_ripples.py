@@ -49,6 +49,7 @@ def test_a_mark_that_turns_with_a_ball_is_told(times, ball, axis):
     assert worst.size == pytest.approx(1e6 * SIZE / np.sqrt(2), rel=0.2)
 
 
+@pytest.mark.gate
 def test_noise_alone_draws_uniform_chances():
     clips = exact(Model(), 6, 5)
     fit = fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED, np.array([c.launch for c in clips]))

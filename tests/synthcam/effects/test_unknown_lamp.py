@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from discrepancy_clips import CAMERA, EFFECTS, exact, noisy, only
 
 from discrepancy.add import add
@@ -27,6 +28,7 @@ def without_a_lamp(clips, lamp=None):
     return out
 
 
+@pytest.mark.gate
 def test_the_lamp_is_named_and_found(monkeypatch):
     only(monkeypatch, RIVALS, **{name: library()[name] for name in KNOWN})
     found = search(noisy(without_a_lamp(exact(Model(), 12, 3), LampSettings(POSITION)), 3), Model())
@@ -57,6 +59,7 @@ def test_a_lamp_that_is_given_is_not_unknown(monkeypatch):
     assert "unknown_lamp" in found.undetectable
 
 
+@pytest.mark.gate
 def test_errors_reach_along_the_valley_of_share_and_height(monkeypatch):
     """A small share of a lamp aside is nearly as likely: eight clips tell little more."""
     only(monkeypatch, unknown_lamp=library()["unknown_lamp"])

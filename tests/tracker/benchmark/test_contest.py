@@ -24,6 +24,7 @@ def report(tmp_path_factory):
     return folder, entries
 
 
+@pytest.mark.gate
 def test_the_likelihood_is_ahead_of_the_centroid_and_at_the_bound(report):
     _, entries = report
     assert [one["tracker"]["name"] for one in entries] == ["synthcam", "centroid"]

@@ -32,6 +32,7 @@ def tables(folder, clips=range(4), change=noisy, **form):
     return folder
 
 
+@pytest.mark.gate
 def test_tables_at_the_bound_score_as_a_tracker_at_the_bound(tmp_path):
     entries, notes = score_submission(
         suite(), tables(tmp_path / "s", authors="A. N. Other", ms_per_frame=3), tmp_path / "r", ""

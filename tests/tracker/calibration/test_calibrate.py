@@ -85,6 +85,7 @@ def test_every_hit_of_a_long_film_counts():
     assert abs(mean - 14.875) < 4 * std < 0.3
 
 
+@pytest.mark.gate
 def test_an_encoded_film_is_calibrated_by_its_contacts(tmp_path, capfd, monkeypatch):
     """H.264 smooths the plate and breaks up outlines: the scale comes from two hits, in a few passes."""
     rng = np.random.default_rng(6)
@@ -224,6 +225,7 @@ def test_the_scale_of_discs_is_that_of_their_hit_and_of_their_outlines(tmp_path)
     assert Camera.from_dict(written).diameter_px == pytest.approx(18.6, rel=0.005)
 
 
+@pytest.mark.gate
 def test_discs_in_noise_are_seen(tmp_path):
     """25 counts over a plate with 6 of noise a pixel: they were taken for glints, with a scale twice too large."""
     found = calibrate(drawn(tmp_path, ball=95.0, noise=6.0), 0.0186, 60.0, 1e-3)

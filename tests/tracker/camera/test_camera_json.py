@@ -95,6 +95,7 @@ def test_nonsense_is_refused_by_its_key(section, keys, said):
         camera(**{section: keys})
 
 
+@pytest.mark.gate
 def test_a_rolling_shutter_is_accounted_for(tmp_path):
     """Each row later than the one above: speeds down and up the picture differ by a per cent if that is left out."""
     settings = {

@@ -69,5 +69,6 @@ def test_the_choice_is_said_and_can_be_forced():
     result = tracker.track(pictures, CAMERA)
     assert [note for note in map(str, result.notes) if note.startswith("detector: discs")]
     assert len(np.unique(result.found.particle)) == 2
-    forced = tracker.track(pictures[:3], CAMERA, detector="maximum_likelihood")
+    known = {key: STEEL[key] for key in ("psf", "sensor")}  # else they are estimated first
+    forced = tracker.track(pictures[:3], CAMERA | known, detector="maximum_likelihood")
     assert not [note for note in map(str, forced.notes) if note.startswith("detector")]

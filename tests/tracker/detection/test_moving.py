@@ -62,6 +62,7 @@ def moving(camera):
     return out
 
 
+@pytest.mark.gate
 def test_a_moving_target_is_measured(moving):
     for row, true, hit, _ in moving:
         assert row["status"] == "ok"
@@ -70,6 +71,7 @@ def test_a_moving_target_is_measured(moving):
         assert np.hypot(row["v1ix"] - hit[3][hit[2]][1][0], row["v1iy"] - hit[3][hit[2]][1][1]) < 2e-3
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("kind", ["", "_free"])
 def test_error_bars_of_moving_targets_are_true(moving, kind):
     off = []
@@ -82,6 +84,7 @@ def test_error_bars_of_moving_targets_are_true(moving, kind):
     assert off == []
 
 
+@pytest.mark.gate
 def test_slip_directions_of_a_moving_target(moving):
     for row, _, hit, p in moving[:10]:
         for ball, way in slip_directions(row).items():

@@ -179,6 +179,7 @@ def test_bounds_of_a_hit_that_is_exactly_head_on(tmp_path):
         assert exact[name] == pytest.approx(nearly[name], rel=0.01), name
 
 
+@pytest.mark.gate
 def test_bound_is_reached_by_the_fit(data):
     """The Fisher bound at the truth, against the scatter of 60 films of that clip."""
     truth, camera = truth_of(data, 1)

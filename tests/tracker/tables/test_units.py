@@ -81,6 +81,7 @@ def test_who_strikes_is_asked_at_once(tmp_path):
     assert kinds(table(clips=3), CAMERA | {"striker": "b"}) == []
 
 
+@pytest.mark.usefixtures("not_local")
 @pytest.mark.parametrize("factor", [0.02, 0.05, 0.1, 0.3])
 def test_ok_is_never_without_a_value(factor):
     """Whatever the unit is taken for: `ok` has at least one of v0, b, r, mu_k, C."""

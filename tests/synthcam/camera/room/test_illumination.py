@@ -12,7 +12,10 @@ LAMP = Lamp(np.array([0.2, 0.1, 0.5]), 0.03)
 ALONE, PAIR = 0.02, 0.055  # of the plate's light, rms over a region
 
 
-@pytest.mark.parametrize("case", CASES)
+MANY = [case for case in CASES if "two" in case][1:]
+
+
+@pytest.mark.parametrize("case", [pytest.param(c, marks=[pytest.mark.gate] * (c in MANY)) for c in CASES])
 def test_light_is_that_of_paths(case):
     most = ALONE if CASES[case][0] is None else PAIR
     for region, found in errors(case, 1500).items():

@@ -80,6 +80,7 @@ def test_the_share_of_light_is_the_films(gap):
         np.testing.assert_allclose(0.55 * secondary_flux_ratio(camera, seen, seen[::-1]), two / one, rtol=0.025)
 
 
+@pytest.mark.gate
 def test_small_balls_that_touch_are_where_the_bound_says():
     """Ten pixels wide, all images of the lamp as the camera has them: errors, and what is claimed, beside the bound."""
     rng, radius, size = np.random.default_rng(7), 1.19e-3, 25

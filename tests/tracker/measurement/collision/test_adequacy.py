@@ -154,6 +154,7 @@ def test_errors_claimed_wrongly_are_found_from_the_tracks(own, times):
     assert list_messages(without) == []  # a table that claims nothing claims nothing wrong
 
 
+@pytest.mark.gate
 def test_noise_that_lasts_is_counted(own, monkeypatch):
     table = claiming(own, NOISE, NOISE, rho=0.9)
     assert (table["status"] == "ok").all()
@@ -199,6 +200,7 @@ def pucks(camera, r, mass, v0=0.3, b=0.2, frames=100, noise=0.02):
     return Tracks(frame, particle, xy[:, 0], xy[:, 1], cov, plain, np.full(2 * frames, ""), plain, plain)
 
 
+@pytest.mark.gate
 def test_pucks_on_air(own):
     """Gliding discs are balls without friction; unequal ones are no equal balls, and a restitution over 1 is said."""
     camera = truth_of(own, 0)[1]

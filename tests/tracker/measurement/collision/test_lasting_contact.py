@@ -192,6 +192,7 @@ def test_derivatives_are_those_of_the_residuals(kind):
         assert numeric == pytest.approx(slope[:, k], abs=0.01 * np.abs(slope[:, k]).max() + 1e-6)
 
 
+@pytest.mark.gate
 def test_scores_of_contacts_of_all_kinds():
     """8 clips: rms z of what is claimed as ok, and no wild claim."""
     found = []

@@ -136,6 +136,7 @@ def test_a_warp_keeps_its_error_when_the_scatter_resizes_the_others(clips):
     assert smaller.drifts == ((1e-4, 0.05),)
 
 
+@pytest.mark.gate
 def test_of_an_encoded_film_errors_are_as_large_as_a_free_fit_leaves(clips):
     """A wobble too slow for windows of seven frames, as large as the noise, is an encoder's doing."""
     seen = []

@@ -104,6 +104,7 @@ def repeated(tmp_path_factory):
     return rows, scalars_of(data).iloc[0]
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("kind", ["", "_free"])
 def test_fisher_errors_agree_with_repetition(repeated, kind):
     """The claimed covariance against the scatter of many films of one collision: a parametric bootstrap."""
@@ -117,6 +118,7 @@ def test_fisher_errors_agree_with_repetition(repeated, kind):
     assert [n for n, r in ratios.items() if abs(r - 1) > 4 / np.sqrt(2 * len(rows))] == []
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("name", ["b_free", "t_c", "final_angle", "w1n_free"])
 def test_errors_are_too_small_when_the_shared_part_is_left_out(repeated, name):
     rows, true = repeated
@@ -171,6 +173,7 @@ def shaded(tmp_path_factory):
     return told, untold
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("name", ["r", "mu_k", "v0"])
 def test_balls_in_their_own_shadow_have_errors_that_hold(shaded, name):
     rows = [row for row in shaded[0] if row["status"] == "ok"]
@@ -179,6 +182,7 @@ def test_balls_in_their_own_shadow_have_errors_that_hold(shaded, name):
     assert np.sqrt(np.mean(z**2)) < 1 + 3 / np.sqrt(2 * len(z))
 
 
+@pytest.mark.gate
 def test_without_the_flag_a_smooth_shift_is_taken_for_rough_noise(shaded):
     few = len(shaded[1])
     told, untold = (np.nanmedian([row["v0_std"] for row in part[:few]]) for part in shaded)
