@@ -249,6 +249,7 @@ def test_a_secret_is_made_once_and_for_its_owner_alone(tmp_path):
     assert (tmp_path / "secret.txt").stat().st_mode & 0o777 == 0o600
 
 
+@pytest.mark.gate
 def test_what_the_docs_tell_of_the_rounds_is_what_the_rounds_tell(monkeypatch):
     """And each round that lies in the repository holds, and is small."""
     for name in ("read_boxes", "judge_round"):  # several ask for the same boxes

@@ -64,6 +64,7 @@ def collisions(rng, count, speed=None):
         )
 
 
+@pytest.mark.gate
 def test_no_swap_in_four_hundred_collisions():
     rng = np.random.default_rng(0)
     for paths in collisions(rng, 400):
@@ -92,7 +93,7 @@ def test_gaps_are_bridged_and_long_ones_are_not():
     assert len(np.unique(assign(found, CAM))) == 3
 
 
-@pytest.mark.parametrize("lost", [(0,), (1,), (0, 1)])
+@pytest.mark.parametrize("lost", [(0,), pytest.param((1,), marks=pytest.mark.gate), (0, 1)])
 def test_a_ball_not_seen_as_it_is_hit_goes_on(lost):
     """Either or both are missing in the first frame, or two, after the contact, where encoders smear them together."""
     rng = np.random.default_rng(8)

@@ -15,7 +15,7 @@ def measure(hit, seed=0):
 
 
 @pytest.mark.parametrize("b", [0.0, 0.3, -0.5])
-@pytest.mark.parametrize("noise", [2e-5, 1e-4])
+@pytest.mark.parametrize("noise", [2e-5, pytest.param(1e-4, marks=pytest.mark.gate)])
 def test_tape_has_a_restitution_of_zero(b, noise):
     table = measure(SoftHit(0.012, sticky=True, b=b, noise=noise, after=180))
     assert table["status"].tolist() == ["stay_together"]
