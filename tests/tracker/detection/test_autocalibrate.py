@@ -51,7 +51,8 @@ def test_what_is_given_is_left_alone():
 
 
 @pytest.mark.parametrize(
-    ("sensor", "sigma", "diameter"), [({}, 1.0, 14.875), ({"gain": 6.0, "read": 9.0, "black": 15.0}, 1.5, 26.0)]
+    ("sensor", "sigma", "diameter"),
+    [({}, 1.0, 14.875), pytest.param({"gain": 6.0, "read": 9.0, "black": 15.0}, 1.5, 26.0, marks=pytest.mark.gate)],
 )
 def test_errors_stay_honest_with_estimated_noise_and_width(sensor, sigma, diameter):
     """With no ball_diameter in the file either, which stands for nothing but the size of a search."""

@@ -14,6 +14,7 @@ from tracker import cli
 from tracker.detection.detect import detector_name, load_detector
 
 pytestmark = pytest.mark.usefixtures("unfitted")
+PATHS = collision(24, contact=9.3, speed=4.0)
 
 CENTROID = '''
 import numpy as np
@@ -36,7 +37,7 @@ def brightest(frame):
 
 @pytest.fixture(scope="module")
 def frames():
-    return film(np.random.default_rng(0), collision()[:25])
+    return film(np.random.default_rng(0), PATHS)
 
 
 @pytest.fixture
@@ -61,9 +62,8 @@ def brightest(frame):
 
 def errors_of(result):
     """Distances of the found glints from the true ones, px."""
-    paths = collision()
     seen = result.tracks[["glint_x", "glint_y"]].to_numpy()
-    true = paths[result.tracks["frame"].to_numpy()]
+    true = PATHS[result.tracks["frame"].to_numpy()]
     return np.hypot(*(true - seen[:, None]).transpose(2, 0, 1)).min(axis=1)
 
 
