@@ -146,7 +146,7 @@ def measure_film(number: int) -> dict[str, Any]:
             z.append(off[k] / near[k]["t_s_std"])
     means = {
         name: [float(mean.coefficients[0]), float(mean.std[0]), len(mean.weights)]
-        for name, mean in summarise_contacts(found).items()
+        for name, mean in summarise_contacts(found, result.rows).items()
     }
     model = clip.model
     each = (found.r - model.restitution) / found.r_std

@@ -53,7 +53,7 @@ def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]
 def cut_crowd(tracks: Tracks, camera: Camera, number: int) -> list[MeasuredCollision]:
     """Cut the paths of more than two balls into stretches between contacts, with one another and with walls."""
     balls, policy = to_ball_tracks(tracks, camera), current_policy()
-    contacts = find_track_contacts(balls, camera.ball_diameter)
+    contacts = find_track_contacts(balls, camera.ball_diameter, glides=camera.glides)
     stretches = []
     for ball in balls:
         whole = MeasuredCollision(

@@ -131,6 +131,11 @@ class Camera:
         return math.isfinite(self.ball_diameter)
 
     @property
+    def glides(self) -> bool:
+        """True if the camera file says that bodies glide: they do not roll after a slide."""
+        return self.support in ("air", "sliding")
+
+    @property
     def diameter_px(self) -> float:
         """Ball diameter in the picture, px; if unknown 15 px, a usual one, which is enough for a search."""
         return self.ball_diameter / self.scale if self.knows_diameter else 15.0

@@ -41,6 +41,7 @@ def measure_contact_losses(contacts: pd.DataFrame, paths: Sequence[FreePath], no
     value[balls[:, 1] < 0, 1] = variance[balls[:, 1] < 0, 1] = 0.0
     for path in paths:
         own, error = measure_energies(path.velocities.take(slice(-2, None)), noise)
+        error = error + 2 * np.maximum(own, 0) * path.unsure[[0, -1]] ** 2
         for row, after, k in ((path.start, 1, 0), (path.end, 0, 1)):
             if row >= 0:
                 which = int(balls[row, 0] != path.ball)
@@ -65,17 +66,22 @@ def measure_losses(
 
     frames: (n,) ascending. noise: of a coordinate, m.
     """
-    seen, lost = _Sums(len(frames)), {name: _Sums(len(frames)) for name in SINKS}
+    seen, smoothed = _Sums(len(frames)), _Sums(len(frames))  # by how much all may err alike
+    lost = {name: _Sums(len(frames)) for name in SINKS}
     taken, variances = measure_contact_losses(contacts, paths, noise)
     steps: dict[int, list[tuple[int, float, float]]] = {}  # by contact: row of frames, loss across it, its variance
+    in_view: dict[int, list[tuple[NDArray[np.int64], Floats, Floats]]] = {}  # by ball: rows of frames, energy, variance
     before: dict[int, tuple[FreePath, float, float]] = {}  # by ball: its last path, and its energy at its last frame
     for path in sorted(paths, key=lambda path: (path.ball, path.start_time)):
         value, error = measure_energies(path.velocities.take(slice(None, -2)), noise)
         rows, known = np.searchsorted(frames, path.frame), np.isfinite(value)
+        shift = np.sqrt(2 * np.maximum(np.nan_to_num(value), 0)) * path.unsure
+        error = error + shift**2
+        smoothed.add(rows, shift, 0.0)
+        in_view.setdefault(path.ball, []).append((rows, value, error))
         value, error, rows = value[known], error[known], rows[known]
         if not len(value):
             continue
-        seen.add(rows, value, error)
         lost["plate"].add(rows[1:], -np.diff(value), 0.0)
         lost["plate"].add(rows[-1], 0.0, error[0] + error[-1])
         if path.ball in before:
@@ -86,6 +92,8 @@ def measure_losses(
             else:
                 lost["unresolved"].add(*step)
         before[path.ball] = path, float(value[-1]), float(error[-1])
+    for parts in in_view.values():
+        _add_held(seen, *(np.concatenate(part) for part in zip(*parts, strict=True)))
     for contact, both in steps.items():
         wall = contacts["particle2"].iloc[contact] < 0
         if not np.isfinite(taken[contact]) or len(both) < 2 - wall:
@@ -95,11 +103,23 @@ def measure_losses(
         lost["walls" if wall else "contacts"].add(both[0][0], taken[contact], variances[contact])
         for row, energy, variance in both:
             lost["plate"].add(row, energy - taken[contact] / len(both), variance + variances[contact] / len(both))
-    columns = {"energy": seen.value[:-1], "energy_std": np.sqrt(seen.variance[:-1])}
+    columns = {"energy": seen.value[:-1], "energy_std": np.hypot(np.sqrt(seen.variance), smoothed.value)[:-1]}
     for name, column in SINKS.items():
         columns[column] = lost[name].value[:-1].cumsum()
         columns[f"{column}_std"] = np.sqrt(lost[name].variance[:-1].cumsum())
     return pd.DataFrame(columns)
+
+
+def _add_held(sums: _Sums, rows: NDArray[np.int64], value: Floats, variance: Floats) -> None:
+    """Add the energy of one ball; where it has no velocity, its last known energy, which may have changed since."""
+    at = np.flatnonzero(np.isfinite(value))
+    if not len(at):
+        return
+    last = np.maximum(np.searchsorted(at, np.arange(len(value)), side="right") - 1, 0)
+    after = np.minimum(last + 1, len(at) - 1)
+    held, change = value[at[last]], value[at[after]] - value[at[last]]
+    unsure = np.where(np.isfinite(value), 0.0, change**2 / 3)
+    sums.add(rows, held, variance[at[last]] + unsure)
 
 
 class _Sums:

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.gas.energy import measure_losses
+from tracker.gas.energy import SINKS, measure_losses
 from tracker.gas.kinetic_theory import contact_rate, mean_free_path
 from tracker.gas.pair_correlation import pair_correlation
 from tracker.gas.temperature import (
@@ -21,7 +21,7 @@ from tracker.gas.temperature import (
     measure_temperatures,
     tabulate_velocities,
 )
-from tracker.gas.velocities import FreePath, cut_free_paths
+from tracker.gas.velocities import FreePath, cut_free_paths, extrapolate_to_contact
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import measure_noise as measure_scatter_of_paths
 
@@ -34,7 +34,7 @@ class GasSettings:
     """How velocities and distributions are estimated."""
 
     window_rows: int = 10  # of a velocity: 5 in each half, for a parabola and an error
-    margin_frames: float = 1.0  # positions nearer to a contact than this do not count
+    margin_frames: float = 1.0  # positions nearer to a contact do not count, or fewer if its time is known better
     max_gap_frames: int = 10  # a ball that was not seen for longer may have hit something
     pair_reach_diameters: float = 6.0  # largest distance of the pair correlation
     pair_bins: int = 60
@@ -64,6 +64,8 @@ def measure_gas(
     area: Rectangle | None = None,
     on_air: bool = False,
     scale_error: float = 0.0,
+    fps_error: float = 0.0,
+    diameter_error: float = 0.0,
     settings: GasSettings | None = None,
 ) -> GasObservables:
     """Measure the observables of a gas from the tracks of its balls and their contacts.
@@ -74,7 +76,7 @@ def measure_gas(
         Tracks in metres.
     contacts : DataFrame
         Columns t_s, particle1, particle2 (-1 at a wall), energy_lost, energy_lost_std (m^2/s^2, NaN if unknown) and
-        misfit, as `Result.contacts` has them.
+        misfit, as `Result.contacts` has them; t_s_std if it is known.
     diameter : float
         Of a ball, m.
     fps : float
@@ -83,8 +85,8 @@ def measure_gas(
         The rectangle that the centres can reach, m. Without it: the one that they reached.
     on_air : bool
         Whether the bodies glide on air, and do not slide after a contact.
-    scale_error : float
-        Relative standard error of lengths. It counts in temperature_std and energy_std.
+    scale_error, fps_error, diameter_error : float
+        Relative standard errors of lengths, of the frame rate and of the diameter. They count in all errors.
     settings : GasSettings, optional
         How velocities and distributions are estimated.
 
@@ -103,7 +105,7 @@ def measure_gas(
         balls,
         contacts,
         window_rows=used.window_rows,
-        margin_s=used.margin_frames / fps,
+        margins_s=_find_margins(contacts, balls, used.margin_frames / fps),
         max_gap_s=(used.max_gap_frames + 0.5) / fps,
         noise=measure_scatter_of_paths([(ball.frame, ball.position) for ball in balls]),
         slides=not on_air,
@@ -117,11 +119,14 @@ def measure_gas(
     sides = where[2] - where[0], where[3] - where[1]
     a2, a2_std = measure_sonine(table, time, noise)
     values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
+    values |= _measure_rates(balls, contacts)
+    values |= _predict_rates(time, sides, diameter, fps, scale_error, fps_error, diameter_error)
+    time, values = _add_camera_errors(time, values, scale_error, fps_error)
     return GasObservables(
-        time=_add_scale_error(time, scale_error),
+        time=time,
         pairs=pair_correlation(_split_by_frame(balls), sides, used.pair_reach_diameters * diameter, used.pair_bins),
         velocities=measure_distribution(table, time, used.velocity_bins),
-        values=values | _measure_rates(time, balls, contacts, sides, diameter, fps),
+        values=values,
         area=where,
         diameter=diameter,
     )
@@ -138,11 +143,19 @@ def _measure_time(
     return time.join(measure_losses(paths, contacts, time["frame"].to_numpy(), noise))
 
 
-def _add_scale_error(time: pd.DataFrame, scale_error: float) -> pd.DataFrame:
-    """The table with the relative error of lengths in what is a square of lengths."""
-    return time.assign(
-        **{f"{k}_std": np.hypot(time[f"{k}_std"], 2 * scale_error * time[k]) for k in ("temperature", "energy")}
+def _add_camera_errors(
+    time: pd.DataFrame, values: dict[str, float], scale_error: float, fps_error: float
+) -> tuple[pd.DataFrame, dict[str, float]]:
+    """Both with the relative errors of lengths and of the frame rate in whatever depends on them."""
+    energies = ("temperature", "energy", *SINKS.values())
+    time = time.assign(
+        **{f"{k}_std": np.hypot(time[f"{k}_std"], 2 * np.hypot(scale_error, fps_error) * time[k]) for k in energies}
     )
+    wider = {
+        f"{name}_std": float(np.hypot(values[f"{name}_std"], error * values[name]))
+        for name, error in (("free_path", scale_error), ("contact_rate", fps_error))
+    }
+    return time, values | wider
 
 
 def _sort_contacts(contacts: pd.DataFrame) -> pd.DataFrame:
@@ -156,33 +169,112 @@ def _claimed_variance(ball: BallTrack) -> Floats:
     return np.asarray(np.trace(ball.cov - ball.fixed, axis1=1, axis2=2) / 2)
 
 
-def _measure_rates(
-    time: pd.DataFrame,
-    balls: Sequence[BallTrack],
-    contacts: pd.DataFrame,
-    sides: tuple[float, float],
-    diameter: float,
-    fps: float,
-) -> dict[str, float]:
-    """Contacts, rate and free path, beside Enskog's for hard discs at the measured temperature and density."""
+def _find_margins(contacts: pd.DataFrame, balls: Sequence[BallTrack], most: float) -> Floats:
+    """How near to each contact positions do not count, s: half an exposure and twice the error of its time."""
+    if "t_s_std" not in contacts:
+        return np.full(len(contacts), most)
+    margin = max(ball.exposure for ball in balls) / 2 + 2 * contacts["t_s_std"].to_numpy(dtype=np.float64)
+    return np.fmin(margin, most)
+
+
+def _measure_rates(balls: Sequence[BallTrack], contacts: pd.DataFrame) -> dict[str, float]:
+    """Contacts of two balls, their rate, and the free path."""
     found = int((contacts["particle2"] >= 0).sum())
     ball_time = float(sum(ball.time[-1] - ball.time[0] for ball in balls))
     way = float(sum(_measure_way(ball, contacts) for ball in balls))
-    seen = (time["balls"] + time["unknown"]).to_numpy()
-    density = seen / ((sides[0] + diameter) * (sides[1] + diameter))
-    rate = contact_rate(np.maximum(time["temperature"].to_numpy(), 0), density, diameter)
-    expected = float((seen * rate).sum() / 2 / fps)
     relative = 1 / np.sqrt(found) if found else np.nan
     return {
-        "area_fraction": float(density.mean() * np.pi * diameter**2 / 4),
         "contacts": found,
         "contacts_std": float(np.sqrt(found)),
-        "contacts_theory": expected,
         "contact_rate": 2 * found / ball_time,
         "contact_rate_std": float(2 * found / ball_time * relative),
         "free_path": way / (2 * found) if found else np.nan,
         "free_path_std": float(way / (2 * found) * relative) if found else np.nan,
-        "free_path_theory": float(mean_free_path(density.mean(), diameter)),
+    }
+
+
+def _predict_rates(
+    time: pd.DataFrame,
+    sides: tuple[float, float],
+    diameter: float,
+    fps: float,
+    scale_error: float,
+    fps_error: float,
+    diameter_error: float,
+) -> dict[str, float]:
+    """Area fraction, and contacts and free path of Enskog's hard discs at the measured temperature and density.
+
+    Their errors are those of the camera file, by one standard error of each of its three values.
+    """
+    seen, temperature = (time["balls"] + time["unknown"]).to_numpy(), np.maximum(time["temperature"].to_numpy(), 0)
+
+    def predict(length: float, rate: float, body: float) -> Floats:
+        d = diameter * body
+        density = seen / ((sides[0] * length + d) * (sides[1] * length + d))
+        each = contact_rate(temperature * (length * rate) ** 2, density, d) / (fps * rate)
+        return np.array([density.mean() * np.pi * d**2 / 4, (seen * each).sum() / 2, mean_free_path(density.mean(), d)])
+
+    expected = predict(1.0, 1.0, 1.0)
+    errors = np.diag([scale_error, fps_error, diameter_error])
+    std = np.sqrt(sum((predict(*(1 + error)) - expected) ** 2 for error in errors))
+    names = ("area_fraction", "contacts_theory", "free_path_theory")
+    errors_of = {f"{name}_std": float(value) for name, value in zip(names, std, strict=True)}
+    return {name: float(value) for name, value in zip(names, expected, strict=True)} | errors_of
+
+
+def _find_margins(contacts: pd.DataFrame, balls: Sequence[BallTrack], most: float) -> Floats:
+    """How near to each contact positions do not count, s: half an exposure and twice the error of its time."""
+    if "t_s_std" not in contacts:
+        return np.full(len(contacts), most)
+    margin = max(ball.exposure for ball in balls) / 2 + 2 * contacts["t_s_std"].to_numpy(dtype=np.float64)
+    return np.fmin(margin, most)
+
+
+def _measure_rates(balls: Sequence[BallTrack], contacts: pd.DataFrame) -> dict[str, float]:
+    """Contacts of two balls, their rate, and the free path."""
+    found = int((contacts["particle2"] >= 0).sum())
+    ball_time = float(sum(ball.time[-1] - ball.time[0] for ball in balls))
+    way = float(sum(_measure_way(ball, contacts) for ball in balls))
+    relative = 1 / np.sqrt(found) if found else np.nan
+    return {
+        "contacts": found,
+        "contacts_std": float(np.sqrt(found)),
+        "contact_rate": 2 * found / ball_time,
+        "contact_rate_std": float(2 * found / ball_time * relative),
+        "free_path": way / (2 * found) if found else np.nan,
+        "free_path_std": float(way / (2 * found) * relative) if found else np.nan,
+    }
+
+
+def _predict_rates(
+    time: pd.DataFrame,
+    sides: tuple[float, float],
+    diameter: float,
+    fps: float,
+    scale_error: float,
+    fps_error: float,
+    diameter_error: float,
+) -> dict[str, float]:
+    """Area fraction, and contacts and free path of Enskog's hard discs at the measured temperature and density.
+
+    Their errors are those of the camera file, by one standard error of each of its three values.
+    """
+    seen, temperature = (time["balls"] + time["unknown"]).to_numpy(), np.maximum(time["temperature"].to_numpy(), 0)
+
+    def predict(length: float, rate: float, body: float) -> Floats:
+        d = diameter * body
+        density = seen / ((sides[0] * length + d) * (sides[1] * length + d))
+        each = contact_rate(temperature * (length * rate) ** 2, density, d) / (fps * rate)
+        return np.array([density.mean() * np.pi * d**2 / 4, (seen * each).sum() / 2, mean_free_path(density.mean(), d)])
+
+    expected = predict(1.0, 1.0, 1.0)
+    errors = np.diag([scale_error, fps_error, diameter_error])
+    std = np.sqrt(sum((predict(*(1 + error)) - expected) ** 2 for error in errors))
+    names = ("area_fraction", "contacts_theory", "free_path_theory")
+    return {
+        f"{name}{end}": float(v)
+        for end, part in (("", expected), ("_std", std))
+        for name, v in zip(names, part, strict=True)
     }
 
 
@@ -190,10 +282,12 @@ def _measure_way(ball: BallTrack, contacts: pd.DataFrame) -> float:
     """The way of a ball, m, as straight lines from contact to contact."""
     own = (contacts["particle1"] == ball.particle) | (contacts["particle2"] == ball.particle)
     at = contacts["t_s"][own].to_numpy(dtype=np.float64)
-    inside = at[(at > ball.time[0]) & (at < ball.time[-1])]
-    corners = np.concatenate([ball.time[:1], np.sort(inside), ball.time[-1:]])
-    xy = np.column_stack([np.interp(corners, ball.time, ball.position[:, k]) for k in (0, 1)])
-    return float(np.hypot(*np.diff(xy, axis=0).T).sum())
+    inside = np.sort(at[(at > ball.time[0]) & (at < ball.time[-1])])
+    corners = [ball.position[0]]
+    for instant in inside:
+        sides = [extrapolate_to_contact(ball, inside, float(instant), later) for later in (False, True)]
+        corners.append(np.mean([place for place, sure in sides if sure] or [sides[0][0]], axis=0))
+    return float(np.hypot(*np.diff([*corners, ball.position[-1]], axis=0).T).sum())
 
 
 def _find_area(balls: Sequence[BallTrack]) -> Rectangle:

@@ -14,6 +14,7 @@ from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.gas.gas import GasObservables, GasSettings, Rectangle, measure_gas
 from tracker.gas.gas_page import summarise, write_gas
+from tracker.measurement.camera_errors import camera_errors
 from tracker.measurement.positions import to_ball_tracks
 from tracker.recording import Result
 from tracker.results import read_clip, read_contacts
@@ -117,15 +118,17 @@ def observe_gas(
         name, tracks, camera, contacts = _read(Path(source), number)
     if not (camera.metric and camera.knows_diameter):
         raise InputError(f"{name}: the camera file has no scale or no ball_diameter; a gas needs both, and fps")
-    balls = to_ball_tracks(tracks, camera)
+    balls, shares = to_ball_tracks(tracks, camera), {error.key: error.share for error in camera_errors(camera)}
     gas = measure_gas(
         balls,
         contacts,
         camera.ball_diameter,
         camera.fps,
         area=_check_area(area),
-        on_air=camera.support in ("air", "sliding"),
-        scale_error=camera.scale_std / camera.scale if camera.scale_std else 0.0,
+        on_air=camera.glides,
+        scale_error=shares.get("scale", 0.0),
+        fps_error=shares.get("fps", 0.0),
+        diameter_error=shares.get("ball_diameter", 0.0),
         settings=settings,
     )
     return Gas(**vars(gas) | {"name": name, "notes": tuple(_limits(gas, camera))})

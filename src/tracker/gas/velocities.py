@@ -216,14 +216,14 @@ def cut_free_paths(
     contacts: pd.DataFrame,
     *,
     window_rows: int,
-    margin_s: float,
+    margins_s: Floats,
     max_gap_s: float,
     noise: float,
     slides: bool,
 ) -> list[FreePath]:
     """Cut tracks at contacts and gaps, and estimate the velocities of each part.
 
-    contacts: columns t_s, particle1, particle2, in the order of time. margin_s: positions nearer to a
+    contacts: columns t_s, particle1, particle2, in the order of time. margins_s: positions nearer to each
     contact do not count in a velocity. max_gap_s: a ball that was not seen for longer starts a new path. noise: of a
     coordinate, m. slides: whether balls slide after a contact, as on a plate.
     """
@@ -240,7 +240,9 @@ def cut_free_paths(
                     continue
                 start = int(own[k - 1]) if k > 0 and rows[0] == inside[0] and rows[0] not in gaps else -1
                 end = int(own[k]) if k < len(breaks) and rows[-1] == inside[-1] and rows[-1] + 1 not in gaps else -1
-                paths.append(_fit_path(ball, rows, (start, end), contacts, window_rows, margin_s, noise, slides))
+                paths.append(
+                    _fit_path(ball, rows, (start, end), contacts, breaks, window_rows, margins_s, noise, slides)
+                )
     return paths
 
 
@@ -249,8 +251,9 @@ def _fit_path(
     rows: Rows,
     ends: tuple[int, int],
     contacts: pd.DataFrame,
+    breaks: Floats,
     window_rows: int,
-    margin_s: float,
+    margins_s: Floats,
     noise: float,
     slides: bool,
 ) -> FreePath:
@@ -258,24 +261,40 @@ def _fit_path(
     time = ball.time[rows]
     at = contacts["t_s"].to_numpy(dtype=np.float64)
     first, last = (float(at[k]) if k >= 0 else float(edge) for k, edge in zip(ends, time[[0, -1]], strict=True))
-    near = ((ends[0] >= 0) & (time - first < margin_s)) | ((ends[1] >= 0) & (last - time < margin_s))
+    early, late = (float(margins_s[k]) if k >= 0 else 0.0 for k in ends)
+    near = (time - first < early) | (last - time < late)
     free, position = time[~near], ball.position[rows[~near]]
     slide_end = find_slide_end(free, position, noise) if slides and ends[0] >= 0 else np.nan
     velocities = fit_velocities(free, position, np.append(time, [first, last]), window_rows, slide_end)
-    unsure = np.zeros(len(time))
+    unsure, step = np.zeros(len(time)), float(np.diff(ball.time).min(initial=1.0))
     if len(free) < 2 and min(ends) >= 0:
-        velocities = _chord(ball, first, last, len(time) + 2)
-        unsure += np.hypot(*velocities.even[0]) * min(margin_s / (last - first), 1.0) / 2  # chords cut the corners
+        places = [extrapolate_to_contact(ball, breaks, edge, later) for edge, later in ((first, False), (last, True))]
+        velocities = _chord(np.array([place for place, _ in places]), last - first, len(time) + 2)
+        short = (early + late + step * (2 - sum(sure for _, sure in places))) / 4  # interpolation cuts the corners
+        unsure += np.hypot(*velocities.even[0]) * min(short / (last - first), 0.5)
     if slides and ends[0] >= 0 and not (free < slide_end).sum() >= ROWS_OF_SLIDE:
         velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
-        rest = margin_s * (ROWS_OF_SLIDE + 1) - (time - first)  # of the longest slide that would not be seen
+        rest = early + ROWS_OF_SLIDE * step - (time - first)  # of the longest slide that would not be seen
         unsure = USUAL_FRICTION * np.maximum(rest, 0) / 2
     return FreePath(ball.particle, ball.frame[rows], time, *ends, first, last, velocities, unsure)
 
 
-def _chord(ball: BallTrack, first: float, last: float, count: int) -> HalfVelocities:
-    """The mean velocity between two contacts, `count` times, by the positions that the track has there."""
-    ends = np.column_stack([np.interp([first, last], ball.time, ball.position[:, k]) for k in (0, 1)])
-    velocity = np.tile((ends[1] - ends[0]) / (last - first), (count, 1))
-    gain = np.full(count, 2 / (last - first) ** 2)
+def extrapolate_to_contact(ball: BallTrack, breaks: Floats, at: float, later: bool) -> tuple[Floats, bool]:
+    """Find the place of a ball at one of its contacts, by its path beyond it, and whether two positions show that path.
+
+    breaks: times of all its contacts, s. later: whether that path comes after the contact.
+    """
+    beyond = breaks[breaks > at].min(initial=np.inf) if later else breaks[breaks < at].max(initial=-np.inf)
+    inside = np.flatnonzero((ball.time > min(at, beyond)) & (ball.time < max(at, beyond)))
+    rows = inside[:2] if later else inside[-2:]
+    if len(rows) < 2:
+        return np.array([np.interp(at, ball.time, axis) for axis in ball.position.T]), False
+    (one, other), (start, end) = ball.position[rows], ball.time[rows]
+    return one + (other - one) * (at - start) / (end - start), True
+
+
+def _chord(ends: Floats, duration: float, count: int) -> HalfVelocities:
+    """The mean velocity between the places (2, 2) of two contacts, `count` times."""
+    velocity = np.tile((ends[1] - ends[0]) / duration, (count, 1))
+    gain = np.full(count, 2 / duration**2)
     return HalfVelocities(velocity, velocity.copy(), gain, gain.copy(), gain.copy())

@@ -192,11 +192,12 @@ def _measure_balls(
 
 def _measure_crowd(balls: list[BallTrack], camera: Camera, settings: FitSettings) -> list[dict[str, Any]]:
     """A row for each contact of two balls, measured by the local estimate alone."""
-    found, rows = find_track_contacts(balls, camera.ball_diameter), []
+    found, rows = find_track_contacts(balls, camera.ball_diameter, glides=camera.glides), []
     pairs = [contact for contact in found if len(contact.balls) == 2]
     estimates = estimate_contacts(found, balls, camera, settings)
     for index, (seen, (contact, local)) in enumerate(zip(pairs, estimates, strict=True)):
         row = empty_row(camera, CROWD, index) | {"particle1": seen.one, "particle2": seen.other}
+        row |= {"t_c": seen.time, "t_c_std": seen.time_std}
         if contact is not None:
             row |= {f"particle{i}": track.particle for i, track in contact.pair.balls}
             frames = np.concatenate([track.frame for _, track in contact.pair.balls])
@@ -348,7 +349,7 @@ def _why_foreign(masses: tuple[float, float], camera: Camera, flags: str, *, max
     """
     if abs(masses[0] / masses[1] - 1) > max_mass_difference:
         return "the tied fit is that of equal masses"
-    glides = camera.support in ("air", "sliding") or camera.body != BODIES["ball"]
+    glides = camera.glides or camera.body != BODIES["ball"]
     if glides and Flag.STRAIGHT not in flags.split("|"):
         return "the tied fit is that of balls that roll"
     return ""

@@ -131,7 +131,7 @@ class RecordingPage:
         """The physics that the contacts share, and a table of them."""
         means = [
             (name, str(len(mean.weights)), format_with_error(mean.coefficients[0], mean.std[0]), f"{mean.scatter:.2g}")
-            for name, mean in summarise_contacts(self.contacts).items()
+            for name, mean in summarise_contacts(self.contacts, self.rows).items()
         ]
         shared = PageTable(["quantity", "contacts", "mean", "scatter"], means, "Random-effects means over the contacts")
         columns = {"v_n": 1e2, "r": 1.0, "mu_bb": 1.0, "impulse": 1e2, "energy_lost": 1e4}

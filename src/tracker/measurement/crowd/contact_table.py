@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.adequacy import CROWD
+from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.crowd.track_contacts import NO_BALL, TrackContact, find_track_contacts
-from tracker.measurement.local.recommendation import NONE, recommended_suffix
+from tracker.measurement.local.local_columns import find_covariance
+from tracker.measurement.local.recommendation import COMPARED, LOCAL, NONE, SUFFIXES, recommended_suffix
 from tracker.measurement.positions import to_ball_tracks
 from tracker.measurement.random_effects import RandomEffects, fit_random_effects
 
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 DERIVED = ("v_n", "v_t", "mu_bb", "impulse", "energy", "energy_lost")  # of v0, b, r and s
+SIGNED = np.array([name in ("v_t", "mu_bb") for name in DERIVED])  # of which the table has the size
 SHARED = ("r", "mu_bb", "mu_k")  # what all contacts of a film have in common
+LEAST_SHARE = 0.1  # of the error of a contact that is its own
 UNKNOWN_S = (5 / 7, 0.3)  # and its error, where the tracks do not show it
 TABLE_COLUMNS = (
     "contact t_s t_s_std kind particle1 particle2 x y nx ny kick kick_std confidence collision".split()
@@ -37,15 +40,11 @@ def tabulate_contacts(tracks: Tracks, camera: Camera, rows: Sequence[Mapping[str
     """
     if not (camera.metric and camera.knows_diameter) or len(np.unique(tracks.particle)) < 3:
         return pd.DataFrame(columns=list(TABLE_COLUMNS))
-    found = find_track_contacts(to_ball_tracks(tracks, camera), camera.ball_diameter)
-    is_crowd = any(row["status"] == CROWD for row in rows)
-    pairs, out = 0, []
-    for number, contact in enumerate(found):
-        row: Mapping[str, Any] | None = None
-        if len(contact.balls) == 2:
-            row = rows[pairs] if is_crowd and pairs < len(rows) else _find_row(contact, rows, camera)
-            pairs += 1
-        out.append({"contact": number} | _describe(contact) | _measure(row))
+    found = find_track_contacts(to_ball_tracks(tracks, camera), camera.ball_diameter, glides=camera.glides)
+    out = [
+        {"contact": number} | _describe(contact) | _measure(_find_row(contact, rows, camera))
+        for number, contact in enumerate(found)
+    ]
     return pd.DataFrame(out, columns=list(TABLE_COLUMNS))
 
 
@@ -94,18 +93,18 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
     if out["recommended"] == NONE:
         return out
     suffix = recommended_suffix(row)
-    names = ("v0", "b", "r", "s", "mu_k")
-    value, std = (np.array([_number(row.get(f"{n}{suffix}{end}")) for n in names]) for end in ("", "_std"))
+    value, std = (
+        np.array([_number(row.get(f"{name}{suffix}{end}")) for name in (*COMPARED, "mu_k")]) for end in ("", "_std")
+    )
     out |= {"r": value[2], "r_std": std[2], "mu_k": value[4], "mu_k_std": std[4]}
     if not np.isfinite([value[:3], std[:3]]).all():
         return out
-    has_s = np.isfinite(value[3]) and np.isfinite(std[3])
+    cov = find_covariance(row) if suffix == SUFFIXES[LOCAL] else np.diag(std[:4] ** 2)
+    has_s = bool(np.isfinite([value[3], std[3]]).all())
     if not has_s:  # a contact that is almost head-on
-        value[3], std[3] = UNKNOWN_S
-    step = 1e-4 * np.maximum(std[:4], 1e-12)
-    slopes = np.array([(_derive(value[:4] + d) - _derive(value[:4] - d)) / (2 * d.max()) for d in np.diag(step)])
-    errors = np.sqrt(((slopes * std[:4, None]) ** 2).sum(axis=0))
-    derived = dict(zip(DERIVED, zip(_derive(value[:4]).tolist(), errors.tolist(), strict=True), strict=True))
+        cov[3] = cov[:, 3] = 0.0
+        value[3], cov[3, 3] = UNKNOWN_S[0], UNKNOWN_S[1] ** 2
+    derived = dict(zip(DERIVED, zip(*derive_with_errors(value[:4], cov), strict=True), strict=True))
     if not has_s:
         del derived["mu_bb"]
     return out | {f"{n}{end}": v for n, pair in derived.items() for end, v in zip(("", "_std"), pair, strict=True)}
@@ -115,24 +114,48 @@ def _number(value: Any) -> float:
     return np.nan if value is None else float(value)
 
 
+def derive_with_errors(value: Floats, cov: Floats) -> tuple[list[float], list[float]]:
+    """Compute DERIVED and their errors, by values one standard error away along each axis of the covariance.
+
+    The mean of a quantity that bends, such as 1 - r^2, is corrected for the spread of r.
+    """
+    variances, axes = np.linalg.eigh(cov)
+    away = (axes * np.sqrt(np.maximum(variances, 0))).T
+    middle = _derive(value)
+    high, low = (np.array([_derive(value + sign * step) for step in away]) for sign in (1, -1))
+    slope, bend = (high - low) / 2, high + low - 2 * middle
+    corrected, std = middle - bend.sum(axis=0) / 2, np.sqrt((slope**2 + bend**2 / 2).sum(axis=0))
+    return np.where(SIGNED, np.abs(corrected), corrected).tolist(), std.tolist()
+
+
 def _derive(values: Floats) -> Floats:
-    """DERIVED from v0, b, r and s."""
+    """DERIVED from v0, b, r and s; v_t and mu_bb with the sign of b."""
     v0, b, r, s = values
-    along, across = v0 * np.sqrt(max(1 - b * b, 1e-12)), v0 * abs(b)
+    along, across = v0 * np.sqrt(max(1 - b * b, 1e-12)), v0 * b
     friction = (1 - s) * across / ((1 + r) * along)
     lost = ((1 - r * r) * along**2 + (1 - s * s) * across**2) / 4
     return np.array([along, across, friction, (1 + r) * along / 2, v0**2 / 4, lost])
 
 
-def summarise_contacts(table: pd.DataFrame, *, least: int = 3) -> dict[str, RandomEffects]:
+def summarise_contacts(
+    table: pd.DataFrame, rows: Sequence[Mapping[str, Any]], *, least: int = 3
+) -> dict[str, RandomEffects]:
     """Compute the random-effects means of r, mu_bb and mu_k over the contacts of a film that show them.
 
-    Contacts whose motion the local estimate does not describe are left out.
+    Contacts whose motion the local estimate does not describe are left out. Errors that contacts share, such as that of
+    the friction of the plate, do not average out.
+
+    rows: the estimates of the film.
     """
-    out = {}
+    out, by_number = {}, {row["collision"]: row for row in rows}
     for name in SHARED:
         value, std = (table[f"{name}{end}"].to_numpy(float) for end in ("", "_std"))
         known = np.isfinite(value) & (std > 0) & ~table["misfit"].to_numpy(bool)
-        if known.sum() >= least:
-            out[name] = fit_random_effects(value[known], std[known])
+        if known.sum() < least:
+            continue
+        own = [by_number[n] for n in table["collision"][known]]
+        local = [row["local_shared"] if row["recommended"] == LOCAL else "" for row in own]
+        shared = shared_effects(pd.DataFrame({"local_shared": local, "fit": LOCAL}), [name])[:, 0]
+        alone = np.maximum(std[known] ** 2 - (shared**2).sum(axis=1), (LEAST_SHARE * std[known]) ** 2)
+        out[name] = fit_random_effects(value[known], np.sqrt(alone), shared)
     return out

@@ -19,6 +19,9 @@ from tracker.settings import FitSettings
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
 
+MU_K = LOCAL_NAMES.index("mu_k")
+MEDIAN_ERROR = 1.2533  # of a median of normal values, over that of their mean
+SLIDE_SHARE = 0.3  # of the errors of r and mu_k that all contacts have in common, by benchmarks.tracker.crowd_contacts
 BOTH_SLIDE = "both balls still slide from an earlier contact"
 WINDOW_IN_SLIDES = 10.0  # durations of the slide after a contact, up to which its stretches reach
 MIN_WINDOW_S = 0.05
@@ -40,15 +43,46 @@ def estimate_contacts(
     known = camera
     if not camera.support and camera.body == BODIES["ball"]:
         known = replace(camera, support="cloth")  # contacts of slow balls hide that they slide
-    first = [_estimate(c, found, tracks, known, settings) for c in found if len(c.balls) == 2]
-    at = LOCAL_NAMES.index("mu_k")
-    seen = [(each.value[at], each.std[at]) for _, each in first if isinstance(each, LocalEstimate)]
+    pairs = [contact for contact in found if len(contact.balls) == 2]
+    first = [_estimate(c, found, tracks, known, settings) for c in pairs]
+    seen = [(each.value[MU_K], each.std[MU_K]) for _, each in first if isinstance(each, LocalEstimate)]
     friction = [mu for mu, std in seen if mu > 0 and 0 < std < MAX_FRICTION_ERROR * mu]
-    if len(friction) < MIN_FRICTIONS:
-        return first
-    common = float(np.median(friction))
-    closer = settings.model_copy(update={"local_friction": common, "local_friction_factor": FILM_FRICTION_FACTOR})
-    return [_estimate(c, found, tracks, known, closer) for c in found if len(c.balls) == 2]
+    second, used, error = first, settings, settings.local_friction_factor
+    if len(friction) >= MIN_FRICTIONS:
+        common = {"local_friction": float(np.median(friction)), "local_friction_factor": FILM_FRICTION_FACTOR}
+        used = settings.model_copy(update=common)
+        second = [_estimate(c, found, tracks, known, used) for c in pairs]
+        error = min(float(np.std(np.log(friction))) / np.sqrt(len(friction)) * MEDIAN_ERROR, FILM_FRICTION_FACTOR)
+    return [
+        (contact, _share_friction(each, own, used, error))
+        for (contact, each), (_, own) in zip(second, first, strict=True)
+    ]
+
+
+def _share_friction(
+    estimate: LocalEstimate | str, own: LocalEstimate | str, settings: FitSettings, error: float
+) -> LocalEstimate | str:
+    """The estimate with what a mean over contacts must know of the friction of the plate.
+
+    All contacts share the error of the friction that they take as known; error: of its logarithm. They also share a
+    part of their error because short slides are all modelled in one way. The friction of the estimate is that which its
+    contact alone shows, so that a mean does not count the film's again.
+    """
+    if isinstance(estimate, str) or estimate.glides:
+        return estimate
+    value, cov, response = estimate.value.copy(), estimate.cov.copy(), estimate.response.copy()
+    effect = cov[MU_K] / value[MU_K] / settings.local_friction_factor**2 * error
+    effect[~np.isfinite(effect)] = effect[MU_K] = 0.0
+    alike = np.where(np.isin(LOCAL_NAMES, ("r", "mu_k")), SLIDE_SHARE * estimate.std, 0.0)
+    common = {"friction": (settings.local_friction, effect), "slides": (0.0, alike)}
+    estimate = replace(estimate, shared=estimate.shared | common)
+    if isinstance(own, str):
+        return replace(estimate, unseen=estimate.unseen | {"mu_k"})
+    value[MU_K], response[MU_K] = own.value[MU_K], own.response[MU_K]
+    cov[MU_K] = cov[:, MU_K] = 0.0
+    cov[MU_K, MU_K] = own.cov[MU_K, MU_K]
+    unseen = estimate.unseen - {"mu_k"} | (own.unseen & {"mu_k"})
+    return replace(estimate, value=value, cov=cov, response=response, unseen=unseen)
 
 
 def _estimate(

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import find_near_pairs
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import StretchCutter, measure_noise
@@ -35,7 +36,8 @@ class FinderSettings:
     positions: int = 6  # of a path before a contact
     positions_after: int = 4  # and after it, where a slide may end
     least_positions: int = 2
-    curvature: float = 2.0  # rms acceleration of a ball, m/s^2
+    curvature: float = 2.0  # rms acceleration of a ball beyond that of its slide after the contact, m/s^2
+    friction: float = 0.2  # of the plate, on which a ball slides after a contact; 0 of bodies that glide
     distance_share: float = 0.016  # error of the distance at which balls touch, diameters
     near_share: float = 0.05  # farther than a diameter by this, balls do not touch
     prior_log_odds: float = -10.0  # of a contact at a place and time where one is looked for
@@ -44,6 +46,8 @@ class FinderSettings:
     vague_frames: float = 3.5  # the same, where the instants are not yet known
     other_frames: float = 0.5  # from which on another contact of a ball is not this one
     event_frames: float = 0.1  # from an event to the first position that counts
+    unseen_share: float = 0.5  # of a kick within `same_frames` of another, by which both may be mixed
+    slide_share: float = 0.04  # error of a kick, relative, by the slide after it
     turns: int = 3
     least_impulse_sigma: float = 3.0
     least_alignment: float = 0.85  # cosine between a kick and the line of centres
@@ -117,6 +121,32 @@ def _fit_path(time: Floats, position: Floats, variance: float, curvature: float)
     return _Path(value, cov, float((left**2).sum() / variance + (2 * value[2] ** 2).sum() * 2 / curvature**2))
 
 
+def _fit_slide(
+    time: Floats,
+    position: Floats,
+    variance: float,
+    sides: Sequence[_Path | None],
+    settings: FinderSettings,
+    *,
+    turns: int = 2,
+) -> _Path | None:
+    """Fit the path after a contact at time 0 without the way that a ball loses while it slides.
+
+    A ball that rolled slides after a kick, against the kick, until two sevenths of the kick are lost.
+    """
+    before, after = sides
+    for _ in range(turns):  # the kick and the slide depend on one another
+        if before is None or after is None:
+            break
+        kick = after.velocity(0.0)[0] - before.velocity(0.0)[0]
+        size = max(float(np.hypot(*kick)), 1e-12)
+        decel = settings.friction * GRAVITY
+        lasts = np.minimum(time, 2 * size / (7 * decel))
+        lost = decel * lasts * (time - lasts / 2)
+        after = _fit_path(time, position + np.outer(lost, kick / size), variance, settings.curvature)
+    return after
+
+
 class _Found(NamedTuple):
     """The best instant of a contact, and what is known there."""
 
@@ -124,6 +154,7 @@ class _Found(NamedTuple):
     time_std: float
     chi2: float
     smooth: float  # chi^2 without a contact
+    excess: float  # chi^2 over its degrees of freedom, at least 1
     places: Floats  # (balls, 2)
     before: Floats  # (balls, 2) velocities; NaN where too few positions show one
     after: Floats
@@ -131,10 +162,14 @@ class _Found(NamedTuple):
 
 
 def find_track_contacts(
-    balls: Sequence[BallTrack], diameter: float, settings: FinderSettings | None = None
+    balls: Sequence[BallTrack], diameter: float, settings: FinderSettings | None = None, *, glides: bool = False
 ) -> list[TrackContact]:
-    """Find all contacts in the tracks of a recording, in order of time; diameter: m."""
+    """Find all contacts in the tracks of a recording, in order of time; diameter: m.
+
+    glides: whether the bodies glide, as on air, and do not slide after a contact until they roll.
+    """
     settings = settings or FinderSettings()
+    settings = replace(settings, friction=0.0) if glides else settings
     noise = measure_noise([(ball.frame, ball.position) for ball in balls])
     kinks = {ball.particle: _find_kinks(ball, noise) for ball in balls}
     by_number = {ball.particle: ball for ball in balls}
@@ -168,7 +203,27 @@ def find_track_contacts(
                 contact = _examine((ball,), frame, events, settings.other_frames, frame_s, diameter, settings)
                 if contact is not None:
                     found.append(contact)
-    return sorted(_find_partners(found, balls, diameter, frame_s, settings), key=lambda contact: contact.time)
+    return _widen_errors(_find_partners(found, balls, diameter, frame_s, settings), frame_s, settings)
+
+
+def _widen_errors(found: Sequence[TrackContact], frame_s: float, settings: FinderSettings) -> list[TrackContact]:
+    """The contacts in order of time, with larger errors where a ball has another contact within a frame or so.
+
+    Its path between both is not seen. The path after both then is off by the other kick times the time between.
+    """
+    found, out, same = sorted(found, key=lambda contact: contact.time), [], settings.same_frames * frame_s
+    time = np.array([contact.time for contact in found])
+    for contact in found:
+        late = kick = 0.0
+        first, last = np.searchsorted(time, (contact.time - same, contact.time + same))
+        for other in found[first:last]:
+            if other is not contact and set(other.balls) & set(contact.balls):
+                kick = max(kick, settings.unseen_share * other.kick)
+                share = settings.unseen_share * min(other.kick / contact.kick, 1.0)
+                late = max(late, share * max(abs(other.time - contact.time), same / 3))
+        wide = {"time_std": np.hypot(contact.time_std, late), "kick_std": np.hypot(contact.kick_std, kick / 2)}
+        out.append(replace(contact, **{name: float(std) for name, std in wide.items()}))
+    return out
 
 
 def _find_partners(
@@ -270,7 +325,7 @@ def _examine(
 
     events: by particle, frames at which other things happen. away: frames within which they are the same as this.
     """
-    best: _Found | None = None
+    fits = list[_Found]()
     parts = [_cut(ball, frame, events[ball.particle], away, settings) for ball in pair]
     if max(len(part) for part in parts) < 2 * settings.least_positions:
         return None
@@ -278,9 +333,17 @@ def _examine(
     gaps = gaps[(gaps >= frame - 2.5) & (gaps <= frame + 2.5)]
     for left, right in pairwise(gaps):
         here = _fit_gap(parts, int(left), int(right), frame_s, diameter, settings)
-        if here is not None and (best is None or here.chi2 < best.chi2):
-            best = here
-    return None if best is None else _judge(pair, best, diameter, settings)
+        if here is not None:
+            fits.append(here)
+    return _judge(pair, _weigh_gaps(fits), diameter, settings) if fits else None
+
+
+def _weigh_gaps(fits: Sequence[_Found]) -> _Found:
+    """The best of the fits of several gaps, with the error of an instant that may lie in another of them."""
+    best = min(fits, key=lambda fit: fit.chi2)
+    time, std, chi2 = np.array([(fit.time, fit.time_std, fit.chi2) for fit in fits]).T
+    weight = std * np.exp((best.chi2 - chi2) / (2 * best.excess))
+    return best._replace(time_std=float(np.sqrt(weight @ (std**2 + (time - best.time) ** 2) / weight.sum())))
 
 
 def _cut(ball: BallTrack, frame: float, events: list[float], away: float, settings: FinderSettings) -> BallTrack:
@@ -328,6 +391,8 @@ def _fit_gap(
             _fit_path(part.time[rows] - zero, part.position[rows], variance, settings.curvature) if known else None
             for rows, known in zip((early, late), seen, strict=True)
         ]
+        if all(seen) and settings.friction:
+            sides[1] = _fit_slide(part.time[late] - zero, part.position[late], variance, sides, settings)
         known_sides = [(side.chi2, *side.at(times)) for side in sides if side is not None]
         chi2, (place, var) = sum(side[0] for side in known_sides), known_sides[0][1:]
         cost += chi2
@@ -354,12 +419,16 @@ def _fit_gap(
     bend = max((cost[inner + 1] - 2 * cost[inner] + cost[inner - 1]) / step**2, 1e-300)
     slope = (cost[inner + 1] - cost[inner - 1]) / (2 * step)
     at = float(np.clip(times[inner] - slope / bend, low, high)) if 0 < k < len(times) - 1 else float(times[k])
+    excess = max(float(cost[k]) / dof, 1.0)
+    exposed = min(at - low, high - at) < parts[0].exposure / 2  # a frame shows both paths
+    blur = parts[0].exposure / 2 if exposed else 0.0
     velocities = [[None if side is None else side.velocity(at) for side in way] for way in ways]
     return _Found(
         time=zero + at,
-        time_std=float(np.sqrt(2 / bend * max(cost[k] / dof, 1.0))),
+        time_std=min(float(np.hypot(np.sqrt(2 / bend * excess), blur)), float(high - low)),
         chi2=float(cost[k]),
         smooth=smooth,
+        excess=excess,
         places=np.array([place[k] for place in places]),
         before=np.array([_NOTHING if first is None else first[0] for first, _ in velocities]),
         after=np.array([_NOTHING if second is None else second[0] for _, second in velocities]),
@@ -399,6 +468,8 @@ def _judge(
         approach = float((found.before[0] - found.before[1]) @ normal)
         if approach > settings.least_impulse_sigma * error or not kick > settings.least_impulse_sigma * error:
             return None
+    if settings.friction:
+        error = float(np.hypot(error, settings.slide_share * kick))
     other = pair[1].particle if len(pair) == 2 else NO_BALL
     return TrackContact(
         found.time, found.time_std, pair[0].particle, other, place, normal, kick, error, gain, confidence

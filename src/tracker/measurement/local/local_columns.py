@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, VELOCITIES, LocalEstimate
-from tracker.measurement.local.recommendation import recommend
+from tracker.measurement.local.recommendation import COMPARED, recommend
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
@@ -33,6 +33,7 @@ USUAL_EXCESS = 1.0  # of what a set adds to the errors of residuals, over them
 _LARGEST_ERRORS = {"b": 0.05, "s": 0.3, "r": 0.2, "C": 0.1, "final_angle": 0.1, "impact_energy": 0.1}
 _LARGEST_ERRORS |= {"energy_fraction": 0.1, "momentum_fraction": 0.1, "mass_ratio": np.inf}
 _LARGEST_ERRORS |= dict.fromkeys(("t_c", *VELOCITIES, *BALANCE, "w1n", "w1t", "w2n", "w2t"), np.inf)
+_COMPARED = [LOCAL_NAMES.index(name) for name in COMPARED]
 COLUMNS = tuple(name if name == "mass_ratio" else f"{name}_local" for name in LOCAL_NAMES)
 
 
@@ -80,6 +81,7 @@ def local_columns(
         "std": _rounded(estimate.std),
         "r_std": _rounded(estimate.std[[LOCAL_NAMES.index("r")]])[0],
         "response": [_rounded(line) for line in estimate.response],
+        "cov": [_rounded(line) for line in estimate.cov[np.ix_(_COMPARED, _COMPARED)]],
         "shared": dict(_name_effects(key, of, effect) for key, (of, effect) in estimate.shared.items()),
         "v0": float(estimate.value[LOCAL_NAMES.index("v0")]),
         "vn": estimate.normal_speed,
@@ -148,6 +150,18 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     out |= {"local_bias": errors.bias_n, "local_error_n": errors.error_n, "local_error_t": errors.error_t}
     out |= {"local_factor": errors.factor, "local_hits": errors.hits}
     return out | {"local_shared": json.dumps(shared, separators=(",", ":"))}
+
+
+def find_covariance(row: Mapping[str, Any]) -> Floats:
+    """Find the covariance (4, 4) of v0, b, r and s of a row, with the errors beyond the residuals."""
+    raw = json.loads(row["local"])
+    response = np.nan_to_num(np.array(raw["response"], dtype=np.float64))[_COMPARED, :8]
+    spread = [response * raw["v0"] * np.tile([row["local_error_n"], row["local_error_t"]], 4)]
+    for key, block in json.loads(row["local_shared"]).items():
+        if key not in raw["shared"]:  # the covariance has those of the camera
+            spread.append(np.array([[block["effect"].get(name, 0.0)] for name in COMPARED], dtype=np.float64))
+    every = np.hstack(spread)
+    return np.nan_to_num(np.array(raw["cov"], dtype=np.float64)) + every @ every.T
 
 
 def _list_common_errors(

@@ -7,7 +7,7 @@ import pytest
 
 import synthcam
 import tracker
-from tracker.measurement.crowd.contact_table import summarise_contacts
+from tracker.measurement.crowd.contact_table import DERIVED, derive_with_errors, summarise_contacts
 
 NOISE_PX = 0.05
 MARGIN_S = 0.012  # at either end of a film, where paths are too short
@@ -49,8 +49,11 @@ def test_contacts_are_those_of_the_simulation(scene, seed, recall):
     assert len(pairs) >= recall * there
     assert len(pairs) >= 0.9 * found  # precision
     late = np.array([(row["t_s"] - event.t_s, row["t_s_std"]) for event, row in pairs])
-    assert np.median(np.abs(late[:, 0])) < 0.0004  # a tenth of a frame
-    assert np.median(np.abs(late[:, 0] / late[:, 1])) < 2
+    assert np.median(np.abs(late[:, 0])) < 0.0003
+    z = late[:, 0] / late[:, 1]
+    assert abs(np.median(z)) < 0.6  # without the slides after contacts all times are too early
+    assert 0.3 < np.median(np.abs(z)) < 1
+    assert np.mean(np.abs(z) < 3) > 0.9  # a wall within a frame of a contact may be missed
     for event, row in pairs:
         if row["kind"] == "ball":
             direction = 1 if row["particle1"] == event.i else -1
@@ -64,26 +67,56 @@ def test_each_contact_gives_r_and_all_give_the_mean():
         clip, result = measured(scene, 1)
         table, truth = result.contacts, clip.model
         assert (result.estimates["status"] == "crowd").all()
+        assert set(table["collision"][table["kind"] == "ball"]) == set(result.estimates["collision"])
         z += ((table.r - truth.restitution) / table.r_std)[table.r_std < 0.2].tolist()
-        mean = summarise_contacts(table)["r"]
-        assert abs(mean.coefficients[0] - truth.restitution) < 3 * mean.std[0] < 0.15
+        means = summarise_contacts(table, result.rows)
+        for name, true in (("r", truth.restitution), ("mu_k", truth.sliding_friction)):
+            if name in means:
+                mean = means[name]
+                assert abs(mean.coefficients[0] - true) < 2.5 * mean.std[0] < 0.15
+                assert mean.shared_std[0] > 0.3 * mean.std[0]  # the way in which slides are modelled
     assert len(z) > 10
-    assert 0.2 < np.sqrt(np.mean(np.square(z))) < 1.6
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
 @pytest.mark.gate
-def test_impulses_are_those_of_the_simulation():
+def test_impulses_kicks_and_friction_are_those_of_the_simulation():
     clip, result = measured("crowd", 1)
     ball = clip.model.ball
     mass = ball.density * np.pi * ball.diameter**3 / 6
     pairs, *_ = pair_up(clip, result.contacts)
-    off = [
-        (row["impulse"] - event.impulse_n / mass) / row["impulse_std"]
-        for event, row in pairs
-        if row["kind"] == "ball" and np.isfinite(row["impulse"])
-    ]
-    assert len(off) > 5
-    assert np.sqrt(np.mean(np.square(off))) < 2
+    truths = {
+        "impulse": lambda event: event.impulse_n / mass,
+        "kick": lambda event: event.impulse_n / mass,
+        "mu_bb": lambda event: abs(event.impulse_t) / event.impulse_n,
+    }
+    for name, truth in truths.items():
+        off = [
+            (row[name] - truth(event)) / row[f"{name}_std"]
+            for event, row in pairs
+            if row["kind"] == "ball" and np.isfinite(row[name])
+        ]
+        assert len(off) > 4
+        assert 0.3 < np.sqrt(np.mean(np.square(off))) < 1.7, name
+
+
+def test_errors_of_derived_values_are_those_of_draws():
+    """Correlated errors of v0, b, r and s: the energy that is lost has the mean and scatter of draws."""
+    value, std = np.array([0.2, -0.3, 0.9, 0.8]), np.array([0.01, 0.03, 0.08, 0.1])
+    correlation = np.eye(4)
+    correlation[0, 2] = correlation[2, 0] = -0.8  # a larger speed of approach makes r smaller
+    cov = correlation * np.outer(std, std)
+    draws = np.random.default_rng(1).multivariate_normal(value, cov, 4000)
+    along, across = draws[:, 0] * np.sqrt(1 - draws[:, 1] ** 2), draws[:, 0] * draws[:, 1]
+    r, s = draws[:, 2], draws[:, 3]
+    lost = ((1 - r**2) * along**2 + (1 - s**2) * across**2) / 4
+    found = dict(zip(DERIVED, zip(*derive_with_errors(value, cov), strict=True), strict=True))
+    true = ((1 - 0.81) * 0.2**2 * 0.91 + (1 - 0.64) * 0.2**2 * 0.09) / 4
+    bias = lost.mean() - true
+    assert found["energy_lost"][0] == pytest.approx(true - bias, abs=0.1 * abs(bias) + 3 * lost.std() / 4000**0.5)
+    for name, drawn in (("energy_lost", lost), ("impulse", (1 + r) * along / 2), ("v_t", across)):
+        assert found[name][1] == pytest.approx(drawn.std(), rel=0.05), name
+    assert found["v_t"][0] == pytest.approx(0.06, rel=0.01)
 
 
 def test_two_balls_have_no_table_of_contacts():
