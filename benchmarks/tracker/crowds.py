@@ -22,15 +22,14 @@ import pandas as pd
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
-import tracker
 from benchmarks.harness import ROOT, save
+from benchmarks.tracker.crowd_contacts import measure_films
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
 from tracker.camera.camera import Camera
 from tracker.detection.glints import Glints
 from tracker.detection.link import assign
 from tracker.detection.linkers.laptrack import Laptrack
-from tracker.measurement.crowd.contact_table import summarise_contacts
 from tracker.scoring.tracking_metrics import TrackPoints, score_tracks
 from tracker.settings import LinkSettings
 
@@ -39,7 +38,6 @@ Ints = NDArray[np.int64]
 NOISE_PX, MISSED, FALSE_SPOTS = 0.05, 0.01, 1.0
 SPEEDS = (0.1, 0.3, 0.6, 1.2, 2.4, 4.8)  # m/s, root mean square at the start
 SIDE = 0.15  # m, of the tray of 100 balls
-MARGIN_S = 0.012  # at either end of a film, where paths are too short for a contact
 
 
 def make_tray(speed: float, frames: int, count: int = 100, side: float = SIDE) -> Clip:
@@ -122,65 +120,6 @@ def score_linkers(clip: Clip) -> dict[str, Any]:
     return out
 
 
-def measure_film(number: int) -> dict[str, Any]:
-    """One film of the crowd: how many contacts are found, how well, and the physics that they share."""
-    clip, rng = Scene.read("crowd").draw(seed=number), np.random.default_rng(number)
-    x, y = (clip.tracks[f"{axis}_mean_px"] + NOISE_PX * rng.standard_normal(len(clip.tracks)) for axis in "xy")
-    table = clip.tracks[["frame", "particle"]].assign(x=x, y=y, x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0)
-    result = tracker.measure(table[clip.tracks.visible], clip.camera_json)
-    found = result.contacts
-    last = clip.frames / clip.camera_json["fps"] - MARGIN_S
-    events = clip.solve().events
-    events = events[(events.kind == "contact") & events.t_s.between(MARGIN_S, last)]
-    balls = found[(found.kind == "ball") & found.t_s.between(MARGIN_S, last)]
-    z, us = list[float](), list[float]()
-    left = balls.to_dict("records")
-    for event in events.to_dict("records"):
-        own = {event["i"], event["j"]}
-        near = [c for c in left if {c["particle1"], c["particle2"]} == own and abs(c["t_s"] - event["t_s"]) < 0.008]
-        if near:
-            off = [float(c["t_s"] - event["t_s"]) for c in near]
-            k = int(np.argmin(np.abs(off)))
-            left.remove(near[k])
-            us.append(1e6 * off[k])
-            z.append(off[k] / near[k]["t_s_std"])
-    means = {
-        name: [float(mean.coefficients[0]), float(mean.std[0]), len(mean.weights)]
-        for name, mean in summarise_contacts(found, result.rows).items()
-    }
-    model = clip.model
-    each = (found.r - model.restitution) / found.r_std
-    return {
-        "contacts": len(events),
-        "found": len(balls),
-        "matched": len(z),
-        "time_us": us,
-        "time_z": z,
-        "r_z": each[each.notna()].tolist(),
-        "means": means,
-        "truth": {"r": model.restitution, "mu_k": model.sliding_friction},
-    }
-
-
-def summarise_films(films: list[dict[str, Any]]) -> dict[str, Any]:
-    """Recall and precision of contacts, and scores z of times, of r of each contact, and of the means of the films."""
-    total = {key: sum(film[key] for film in films) for key in ("contacts", "found", "matched")}
-    out: dict[str, Any] = {
-        "recall": total["matched"] / total["contacts"],
-        "precision": total["matched"] / total["found"],
-    }
-    lists = {key: np.array([z for film in films for z in film[key]]) for key in ("time_us", "time_z", "r_z")}
-    out["median_time_error_us"] = float(np.median(np.abs(lists["time_us"])))
-    for name in ("time_z", "r_z"):
-        out[name] = {"median_size": float(np.median(np.abs(lists[name]))), "n": len(lists[name])}
-        out[name] |= {"rms": float(np.sqrt(np.mean(lists[name] ** 2)))}
-    for name in ("r", "mu_k"):
-        means = [(film["means"][name], film["truth"][name]) for film in films if name in film["means"]]
-        z = np.array([(value - true) / std for (value, std, _), true in means])
-        out[f"mean_{name}"] = {"films": len(z), "z_mean": float(z.mean()), "z_rms": float(np.sqrt((z**2).mean()))}
-    return out
-
-
 def draw(figures: dict[str, Any], path: Path) -> None:
     """HOTA by step over spacing, and the mean r of each film with its error."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
@@ -190,11 +129,11 @@ def draw(figures: dict[str, Any], path: Path) -> None:
         left.plot(*zip(*known, strict=True), marker=marker, label=name)
     left.set(xlabel="median first step / spacing", ylabel="HOTA", ylim=(0, 1.02))
     left.legend()
-    films = [film for film in figures["films"] if "r" in film["means"]]
-    value, std = np.array([film["means"]["r"][:2] for film in films]).T
-    right.errorbar(np.arange(len(films)), value, std, fmt="o", ms=4)
+    means = [film["means"]["r"] for film in figures["contacts"]["films"] if "r" in film["means"]]
+    value, std = (np.array([mean[key] for mean in means]) for key in ("value", "std"))
+    right.errorbar(np.arange(len(means)), value, std, fmt="o", ms=4)
     right.xaxis.get_major_locator().set_params(integer=True)
-    right.axhline(films[0]["truth"]["r"], color="grey", lw=1)
+    right.axhline(means[0]["truth"], color="grey", lw=1)
     right.set(xlabel="film", ylabel="mean r of its contacts")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
@@ -215,9 +154,8 @@ def main() -> None:
     ):
         figures[name] = score_linkers(clip)
         print(name, figures[name], flush=True)
-    figures["films"] = [measure_film(number) for number in range(1, given.films + 1)]
-    figures["summary"] = summarise_films(figures["films"])
-    print(figures["summary"])
+    figures["contacts"] = measure_films("crowd", given.films)
+    print({name: value for name, value in figures["contacts"].items() if name != "films"})
     save(given.output, figures)
     draw(figures, given.figure)
 

@@ -221,8 +221,8 @@ def _widen_errors(found: Sequence[TrackContact], frame_s: float, settings: Finde
                 kick = max(kick, settings.unseen_share * other.kick)
                 share = settings.unseen_share * min(other.kick / contact.kick, 1.0)
                 late = max(late, share * max(abs(other.time - contact.time), same / 3))
-        wide = {"time_std": np.hypot(contact.time_std, late), "kick_std": np.hypot(contact.kick_std, kick / 2)}
-        out.append(replace(contact, **{name: float(std) for name, std in wide.items()}))
+        time_std, kick_std = np.hypot(contact.time_std, late), np.hypot(contact.kick_std, kick / 2)
+        out.append(replace(contact, time_std=float(time_std), kick_std=float(kick_std)))
     return out
 
 

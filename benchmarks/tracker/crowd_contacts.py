@@ -1,0 +1,155 @@
+"""The contacts of crowds and what each gives, with their errors, against the truth of the simulation.
+
+python -m benchmarks.tracker.crowd_contacts [--films 20] [--scene crowd]   # or make bench-crowd-contacts
+
+No film is rendered: positions are true ones with 0.05 px noise. The score z is a deviation over its standard error.
+Each column of contacts.parquet has its mean and rms z, and the shares of |z| below 1 and 1.96: 0.68 and 0.95 are right.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+import tracker
+from benchmarks.harness import ROOT, save
+from synthcam.scene.clip import Clip
+from synthcam.scene.scene import Scene
+from tracker.measurement.crowd.contact_table import summarise_contacts
+
+Floats = NDArray[np.float64]
+NOISE_PX = 0.05
+MARGIN_S = 0.012  # at either end of a film, where paths are too short for a contact
+REACH_S = 0.008  # within which a contact that is found may be a true one
+COLUMNS = ("t_s", "kick", "v_n", "v_t", "r", "mu_bb", "mu_k", "impulse", "energy", "energy_lost")
+
+
+def measure_film(scene: str, number: int) -> tuple[dict[str, Any], pd.DataFrame]:
+    """Numbers of one film, and a row for each true contact that is found: column, value, std, truth, gap."""
+    clip, rng = Scene.read(scene).draw(seed=number), np.random.default_rng(number)
+    x, y = (clip.tracks[f"{axis}_mean_px"] + NOISE_PX * rng.standard_normal(len(clip.tracks)) for axis in "xy")
+    table = clip.tracks[["frame", "particle"]].assign(x=x, y=y, x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0)
+    result = tracker.measure(table[clip.tracks.visible], clip.camera_json)
+    last = clip.frames / clip.camera_json["fps"] - MARGIN_S
+    true = read_true_contacts(clip)
+    true = true[true["t_s"].between(MARGIN_S, last)]
+    found = result.contacts[result.contacts["t_s"].between(MARGIN_S, last)]
+    rows = match(true, found)
+    model = clip.model
+    truths = {"r": model.restitution, "mu_k": model.sliding_friction}
+    means = {
+        name: {"value": float(mean.coefficients[0]), "std": float(mean.std[0]), "truth": truths[name]}
+        for name, mean in summarise_contacts(result.contacts, result.rows).items()
+        if name in truths
+    }
+    counts = {"contacts": len(true), "found": len(found), "matched": int((rows["column"] == "t_s").sum())}
+    return counts | {"means": means}, rows
+
+
+def read_true_contacts(clip: Clip) -> pd.DataFrame:
+    """The contacts and bounces of the simulation with the values that contacts.parquet has."""
+    motion, ball = clip.solve(), clip.model.ball
+    events = motion.events[motion.events["kind"].isin(["contact", "wall"])].reset_index(drop=True)
+    at, count = events["t_s"].to_numpy(), clip.tracks["particle"].nunique()
+    before, after = (
+        motion.at(when).sort_values(["particle", "t_s"])[["x", "y", "vx", "vy"]].to_numpy().reshape(count, len(at), 4)
+        for when in (np.maximum(at - 1e-9, 0), at)
+    )
+    one, other = (events[k].to_numpy() for k in "ij")
+    is_pair, rows = (events["kind"] == "contact").to_numpy(), np.arange(len(at))
+    pair = np.where(is_pair, other, one)
+    normal = before[pair, rows, :2] - before[one, rows, :2]
+    normal /= np.maximum(np.hypot(*normal.T), 1e-12)[:, None]
+    into, out = (state[pair, rows, 2:] - state[one, rows, 2:] for state in (before, after))
+    along = np.maximum(np.abs((into * normal).sum(axis=1)), 1e-12)
+    impulse = events["impulse_n"].to_numpy() / (ball.density * np.pi * ball.diameter**3 / 6)
+    energies = [(state[pair, rows, 2:] ** 2 + state[one, rows, 2:] ** 2).sum(axis=1) / 2 for state in (before, after)]
+    values = {
+        "v_n": along,
+        "v_t": np.abs(into[:, 0] * normal[:, 1] - into[:, 1] * normal[:, 0]),
+        "r": np.abs((out * normal).sum(axis=1)) / along,
+        "mu_bb": np.abs(events["impulse_t"]) / events["impulse_n"],
+        "mu_k": clip.model.sliding_friction,
+        "impulse": impulse,
+        "kick": impulse,
+        "energy": (into**2).sum(axis=1) / 4,
+        "energy_lost": energies[0] - energies[1],
+    }
+    return pd.DataFrame({"t_s": at, "one": one, "other": np.where(is_pair, other, -1)} | values)
+
+
+def match(true: pd.DataFrame, found: pd.DataFrame) -> pd.DataFrame:
+    """Rows column, value, std, truth and gap of the contacts that are found; gap: s, to the next of either ball."""
+    left, out = found.to_dict("records"), list[dict[str, Any]]()
+    for event in true.to_dict("records"):
+        own = {event["one"], event["other"]}
+        near = [c for c in left if {c["particle1"], c["particle2"]} == own and abs(c["t_s"] - event["t_s"]) < REACH_S]
+        if not near:
+            continue
+        best = min(near, key=lambda contact: abs(contact["t_s"] - event["t_s"]))
+        left.remove(best)
+        same = true["one"].isin(own - {-1}) | true["other"].isin(own - {-1})
+        gap = (true["t_s"][same] - event["t_s"]).abs().nlargest(int(same.sum()) - 1).min()
+        names = COLUMNS if event["other"] >= 0 else ("t_s",)
+        out += [
+            {"column": name, "value": best[name], "std": best[f"{name}_std"], "truth": event[name], "gap": gap}
+            for name in names
+            if np.isfinite(best[name])
+        ]
+    return pd.DataFrame(out, columns=["column", "value", "std", "truth", "gap"])
+
+
+def score(z: Floats) -> dict[str, float]:
+    """Mean, median size and rms of scores, and the shares within one error and within 1.96."""
+    size = np.abs(z)
+    return {
+        "n": len(z),
+        "mean": float(z.mean()),
+        "rms": float(np.sqrt((z**2).mean())),
+        "median_size": float(np.median(size)),
+        "cover68": float((size < 1).mean()),
+        "cover95": float((size < 1.96).mean()),
+    }
+
+
+def measure_films(scene: str, count: int) -> dict[str, Any]:
+    """Recall and precision of contacts, scores of each column, scores of the means of the films, and the films."""
+    films, rows = zip(*(measure_film(scene, number) for number in range(1, count + 1)), strict=True)
+    table = pd.concat(rows, ignore_index=True)
+    table["z"] = (table["value"] - table["truth"]) / table["std"]
+    total = {key: sum(film[key] for film in films) for key in ("contacts", "found", "matched")}
+    late = table[table["column"] == "t_s"]
+    figures: dict[str, Any] = {
+        "recall": total["matched"] / total["contacts"],
+        "precision": total["matched"] / total["found"],
+        "median_time_error_us": float(1e6 * (late["value"] - late["truth"]).abs().median()),
+        "columns": {name: score(part["z"].to_numpy()) for name, part in table.groupby("column")},
+    }
+    for name in ("r", "mu_k"):
+        means = [film["means"][name] for film in films if name in film["means"]]
+        if means:
+            figures[f"mean_{name}"] = score(np.array([(m["value"] - m["truth"]) / m["std"] for m in means]))
+            figures[f"mean_{name}"]["std"] = float(np.median([m["std"] for m in means]))
+    return figures | {"films": films}
+
+
+def main() -> None:
+    """Measure all films and write the scores of each column."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--films", type=int, default=20)
+    parser.add_argument("--scene", default="crowd")
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out/crowd_contacts.json")
+    given = parser.parse_args()
+    figures = measure_films(given.scene, given.films)
+    save(given.output, figures)
+    print(pd.DataFrame(figures["columns"]).T.round(2).to_string())
+    print({name: value for name, value in figures.items() if name not in ("columns", "films")})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,267 @@
+"""The observables of a gas from true positions with noise, against the truth of the simulation and kinetic theory.
+
+python -m benchmarks.tracker.gas [--films 20] [--trays 5] [-o out/gas.json] [--figure out/gas.png]   # or make bench-gas
+
+No film is rendered, and contacts of discs are the true ones. Positions have 0.05 px noise. Discs on air without any
+loss are a gas of hard discs, for Enskog's theory; with r = 0.9 they cool by Haff's law. `cooling` has steel
+balls that slide and roll. The energies of the truth are those of translation, because a film shows no rotation.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib import pyplot as plt
+from numpy.typing import NDArray
+
+from benchmarks.harness import ROOT, save
+from synthcam.scene.clip import Clip
+from synthcam.scene.scene import Scene
+from tracker.gas.gas import GasObservables, measure_gas
+from tracker.gas.kinetic_theory import contact_pair_correlation, contact_rate
+from tracker.gas.pair_correlation import pair_correlation
+from tracker.measurement.crowd.contact_table import tabulate_contacts
+from tracker.measurement.positions import BallTrack, to_ball_tracks
+from tracker.tables.read import to_pixels
+from tracker.tables.table import TrackTable
+
+Floats = NDArray[np.float64]
+NOISE_PX = 0.05
+DISCS, DIAMETER, SPEED = 60, 0.02, 0.1  # number, m, and root of the temperature, m/s
+SIDE = 0.22  # m, of the box: area fraction 0.39
+FRAMES_BETWEEN = (40, 20, 10, 6, 4)  # contacts of a disc
+CURVES = ("temperature", "energy", "lost_in_contacts", "lost_at_walls", "lost_to_plate", "lost_unresolved")
+COMPARED_FRAMES = 10  # of a film
+TRAY_SIDE = 0.094  # m, of the scene cooling
+HAFF_R = 0.9  # restitution of the discs that cool
+
+
+def make_discs(seed: int, frames_between: float, restitution: float = 1.0) -> Clip:
+    """Discs on air in a box; frames_between: frames between two contacts of a disc, by Enskog's rate."""
+    corners = [[-SIDE / 2, -SIDE / 2], [SIDE / 2, -SIDE / 2], [SIDE / 2, SIDE / 2], [-SIDE / 2, SIDE / 2]]
+    walls = [
+        {"start": a, "end": b, "restitution": 1.0, "friction": 0.0}
+        for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+    ]
+    fps = round(frames_between * float(contact_rate(SPEED**2, DISCS / SIDE**2, DIAMETER)))
+    inside = [SIDE - 1.05 * DIAMETER] * 2
+    return Scene.build(
+        "discs",
+        ball={"diameter": DIAMETER, "density": 1000},
+        model={"restitution": restitution, "spin_transfer": 0},
+        bodies={"shape": "disc", "mass": 0.01},
+        support={"kind": "air", "decel": 0, "drag": 0},
+        groups=[{"count": DISCS, "size": inside, "arrangement": "lattice", "rms_speed": SPEED * np.sqrt(2)}],
+        walls=walls,
+        timing={"fps": fps, "frames": min(12 * frames_between, 240), "exposure": 0.1 / fps},
+        camera={"size": [1024, 1024], "scale": 1.05 * SIDE / 1024, "height": 2.0},
+    ).draw(seed=seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """A film with its gas, and the same curves and numbers of the truth."""
+
+    gas: GasObservables
+    curves: pd.DataFrame
+    values: dict[str, float]
+    velocities: Floats  # (bodies, frames, 2)
+    g_at_contact: float
+
+
+def observe(clip: Clip, side: float, seed: int, *, finds: bool = True) -> Film:
+    """Measure the gas of one clip; side: of the box, m; finds: whether contacts are found in the tracks, or true."""
+    rng = np.random.default_rng(seed)
+    x, y = (clip.tracks[f"{axis}_mean_px"] + NOISE_PX * rng.standard_normal(len(clip.tracks)) for axis in "xy")
+    table = clip.tracks[["frame", "particle"]].assign(x=x, y=y, x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0)
+    read = to_pixels(TrackTable(table[clip.tracks.visible]), "truth", clip.camera_json)
+    tracks, camera = read.clips[0][0], read.camera
+    contacts = tabulate_contacts(tracks, camera, []) if finds else _list_true_contacts(clip)
+    reach = (side - camera.ball_diameter) / 2
+    gas = measure_gas(
+        to_ball_tracks(tracks, camera),
+        contacts,
+        camera.ball_diameter,
+        camera.fps,
+        area=(-reach, -reach, reach, reach),
+        on_air=camera.glides,
+    )
+    balls = to_ball_tracks(tracks, camera)
+    return Film(gas, *_read_truth(clip), _extrapolate_pairs(balls, 2 * reach, camera.ball_diameter))
+
+
+def _extrapolate_pairs(balls: list[BallTrack], side: float, diameter: float) -> float:
+    """The pair correlation at contact, by a parabola through that up to 1.3 diameters."""
+    table = pd.DataFrame(np.vstack([ball.position for ball in balls]), columns=["x", "y"])
+    table["frame"] = np.concatenate([ball.frame for ball in balls])
+    positions = [rows[["x", "y"]].to_numpy() for _, rows in table.groupby("frame")]
+    near = pair_correlation(positions, (side, side), 1.3 * diameter, bins=10, least=diameter)
+    return float(np.polyval(np.polyfit(near["r"] / diameter - 1, near["g"], 2), 0.0))
+
+
+def _list_true_contacts(clip: Clip) -> pd.DataFrame:
+    """The contacts of the simulation as the tracker tabulates them."""
+    events = clip.solve().events
+    events = events[events["kind"].isin(["contact", "wall"]) & (events["t_s"] < clip.frames / clip.camera_json["fps"])]
+    other = np.where(events["kind"] == "wall", -1, events["j"])
+    unknown = {"energy_lost": np.nan, "energy_lost_std": np.nan, "misfit": False, "t_s_std": 0.0}
+    return pd.DataFrame({"t_s": events["t_s"], "particle1": events["i"], "particle2": other} | unknown)
+
+
+def _read_truth(clip: Clip) -> tuple[pd.DataFrame, dict[str, float], Floats]:
+    """Curves, numbers and velocities of a clip by its simulation."""
+    motion, bodies = clip.solve(), clip.tracks["particle"].nunique()
+    every = clip.tracks.sort_values(["particle", "frame"])
+    velocities = every[["vx", "vy"]].to_numpy().reshape(bodies, clip.frames, 2)
+    time = every["t_s"].to_numpy()[: clip.frames]
+    energy = (velocities**2).sum(axis=(0, 2)) / 2
+    events = motion.events[motion.events["kind"].isin(["contact", "wall"]) & (motion.events["t_s"] < time[-1])]
+    at = events["t_s"].to_numpy()
+    lost = {}
+    before, after = (
+        motion.at(when)[["vx", "vy"]].to_numpy().reshape(bodies, len(at), 2) for when in (np.maximum(at - 1e-9, 0), at)
+    )
+    step = ((before**2).sum(axis=2) - (after**2).sum(axis=2)) / 2
+    rows, one, wall = np.arange(len(at)), events["i"].to_numpy(), (events["kind"] == "wall").to_numpy()
+    taken = step[one, rows] + np.where(wall, 0.0, step[np.where(wall, 0, events["j"].to_numpy()), rows])
+    for name, kind in (("lost_at_walls", wall), ("lost_in_contacts", ~wall)):
+        own = kind & (at > time[0])
+        lost[name] = np.append(0.0, taken[own].cumsum())[np.searchsorted(at[own], time)]
+    curves = pd.DataFrame({"temperature": velocities.var(axis=0, ddof=1).mean(axis=1), "energy": energy} | lost)
+    curves["lost_to_plate"] = energy[0] - energy - curves["lost_in_contacts"] - curves["lost_at_walls"]
+    way = np.hypot(velocities[..., 0], velocities[..., 1]).mean(axis=1).sum() * (time[-1] - time[0])
+    count = int((~wall & (at > time[0])).sum())
+    return (
+        curves,
+        {"contacts": count, "contact_rate": 2 * count / bodies / (time[-1] - time[0]), "free_path": way / (2 * count)},
+        velocities,
+    )
+
+
+def compare(film: Film) -> Iterator[dict[str, Any]]:
+    """Deviations of one film from its truth: name, value, truth, std."""
+    time = film.gas.time.iloc[np.linspace(0, len(film.gas.time) - 1, COMPARED_FRAMES).astype(int)]
+    for name in CURVES[:-1]:
+        true = film.curves[name].to_numpy()[time["frame"]]
+        for value, std, truth in zip(time[name], time[f"{name}_std"], true, strict=True):
+            yield {"name": name, "value": value, "std": std, "truth": truth}
+    for name, truth in film.values.items():
+        yield {"name": name, "value": film.gas.values[name], "std": film.gas.values[f"{name}_std"], "truth": truth}
+    yield {"name": "sonine_a2", "value": film.gas.values["sonine_a2"], "std": film.gas.values["sonine_a2_std"]} | {
+        "truth": _true_sonine(film.velocities)
+    }
+
+
+def _true_sonine(velocities: Floats) -> float:
+    about = velocities - velocities.mean(axis=0)
+    n = len(about)
+    square = (about**2).sum(axis=2) / about.var(axis=0, ddof=1).mean(axis=1)
+    return float((square**2).mean() / 8 * (n / (n - 1)) ** 2 * n / (n - 1) - 1)
+
+
+def summarise(films: list[Film]) -> dict[str, dict[str, float]]:
+    """Bias (of the sums), and rms and coverage of z, by name."""
+    table = pd.DataFrame([row for film in films for row in compare(film)])
+    out = {}
+    for name, rows in table.groupby("name", sort=False):
+        known = rows[rows["std"] > 0]
+        z = ((known["value"] - known["truth"]) / known["std"]).to_numpy()
+        out[str(name)] = {
+            "ratio": float(rows["value"].sum() / rows["truth"].sum()) if rows["truth"].abs().sum() > 0 else np.nan,
+            "z_mean": float(z.mean()) if len(z) else np.nan,
+            "z_rms": float(np.sqrt((z**2).mean())) if len(z) else np.nan,
+            "cover68": float((np.abs(z) < 1).mean()) if len(z) else np.nan,
+            "cover95": float((np.abs(z) < 1.96).mean()) if len(z) else np.nan,
+            "n": len(z),
+        }
+    return out
+
+
+def compare_with_theory(films: list[Film]) -> dict[str, float]:
+    """Contacts and free path of hard discs over those of theory, and the pair correlation at contact; with errors."""
+    ratios = {
+        name: np.array([film.gas.values[name] / film.gas.values[f"{name}_theory"] for film in films])
+        for name in ("contacts", "free_path")
+    }
+    phi = np.mean([film.gas.values["area_fraction"] for film in films])
+    ratios["g_at_contact"] = np.array([film.g_at_contact for film in films]) / float(contact_pair_correlation(phi))
+    out = {}
+    for name, ratio in ratios.items():
+        out[name], out[f"{name}_std"] = float(ratio.mean()), float(ratio.std(ddof=1) / np.sqrt(len(ratio)))
+    return out
+
+
+def cool_by_haff(film: Film, restitution: float) -> Floats:
+    """The temperature of Haff's law in two dimensions at each frame, from that of the first and Enskog's rate."""
+    time, first = film.gas.time["t_s"].to_numpy(), float(film.curves["temperature"].iloc[0])
+    rate = float(contact_rate(first, DISCS / SIDE**2, DIAMETER))
+    return np.asarray(first / (1 + (1 - restitution**2) * rate * (time - time[0]) / 4) ** 2)
+
+
+def draw(figures: dict[str, Any], cooled: list[Film], trays: list[Film], path: Path) -> None:
+    """Temperature by Haff's law, the ratio of temperatures by frame rate, and energies of a tray, beside the truth."""
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+    film = cooled[0]
+    time = film.gas.time
+    t = time["t_s"] - time["t_s"].iloc[0]
+    some = np.arange(0, len(time), max(len(time) // 25, 1))
+    shown = time.iloc[some]
+    left.errorbar(t.iloc[some], shown["temperature"], shown["temperature_std"], fmt="o", ms=3, label="measured")
+    left.plot(t, film.curves["temperature"].to_numpy()[time["frame"]], color="0.2", lw=1, label="truth")
+    left.plot(t, cool_by_haff(film, HAFF_R), ls="--", color="#c1440e", lw=1, label="Haff")
+    left.set(xlabel="t / s", ylabel="T / (m²/s²)", yscale="log", title="60 discs on air, r = 0.9")
+    left.legend(frameon=False)
+    ratios = [figures[f"discs, {k} frames"]["temperature"] for k in FRAMES_BETWEEN]
+    middle.plot(FRAMES_BETWEEN, [each["ratio"] for each in ratios], "o-", label="temperature")
+    middle.plot(FRAMES_BETWEEN, [each["z_rms"] for each in ratios], "s--", label="rms of z")
+    middle.axhline(1, color="0.6", lw=0.8)
+    middle.set(xlabel="frames between contacts", ylabel="measured / truth, rms of z", xscale="log", ylim=(0, None))
+    middle.legend(frameon=False)
+    film = trays[0]
+    time = film.gas.time
+    for name in CURVES[2:-1]:
+        value, std = 1e3 * time[name], 1e3 * time[f"{name}_std"]
+        (line,) = right.plot(time["t_s"], value, label=name.replace("_", " "))
+        right.fill_between(time["t_s"], value - std, value + std, color=line.get_color(), alpha=0.3, lw=0)
+        right.plot(time["t_s"], 1e3 * film.curves[name].to_numpy()[time["frame"]], color=line.get_color(), ls=":")
+    unknown = 1e3 * time["lost_unresolved"]
+    right.plot(time["t_s"], unknown, color="0.5", label="not resolved")
+    right.set(xlabel="t / s", ylabel="energy per unit mass / (10⁻³ m²/s²)", title="cooling; dotted: truth")
+    right.legend(frameon=False, fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Run all parts and write the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--films", type=int, default=20)
+    parser.add_argument("--trays", type=int, default=5)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out/gas.json")
+    parser.add_argument("--figure", type=Path, default=ROOT / "out/gas.png")
+    given = parser.parse_args()
+    figures: dict[str, Any] = {}
+    seeds = range(1, given.films + 1)
+    for between in FRAMES_BETWEEN:
+        films = [observe(make_discs(seed, between), SIDE, seed, finds=False) for seed in seeds]
+        figures[f"discs, {between} frames"] = summarise(films) | {"theory": compare_with_theory(films)}
+        print(f"discs, {between} frames", *figures[f"discs, {between} frames"].items(), sep="\n", flush=True)
+    cooled = [observe(make_discs(seed, 20, HAFF_R), SIDE, seed, finds=False) for seed in seeds]
+    haff = [film.curves["temperature"].iloc[-1] / cool_by_haff(film, HAFF_R)[-1] for film in cooled]
+    figures["discs that cool"] = summarise(cooled) | {"truth_over_haff": float(np.mean(haff))}
+    print("discs that cool", *figures["discs that cool"].items(), sep="\n", flush=True)
+    trays = [observe(Scene.read("cooling").draw(seed=seed), TRAY_SIDE, seed) for seed in range(1, given.trays + 1)]
+    figures["cooling"] = summarise(trays)
+    print("cooling", *figures["cooling"].items(), sep="\n")
+    save(given.output, figures)
+    draw(figures, cooled, trays, given.figure)
+
+
+if __name__ == "__main__":
+    main()
