@@ -120,7 +120,7 @@ def score(z: Floats) -> dict[str, float]:
 def measure_films(scene: str, count: int) -> dict[str, Any]:
     """Recall and precision of contacts, scores of each column, scores of the means of the films, and the films."""
     films, rows = zip(*(measure_film(scene, number) for number in range(1, count + 1)), strict=True)
-    table = pd.concat(rows, ignore_index=True)
+    table: pd.DataFrame = pd.concat(rows, ignore_index=True)
     table["z"] = (table["value"] - table["truth"]) / table["std"]
     total = {key: sum(film[key] for film in films) for key in ("contacts", "found", "matched")}
     late = table[table["column"] == "t_s"]

@@ -222,62 +222,6 @@ def _predict_rates(
     return {name: float(value) for name, value in zip(names, expected, strict=True)} | errors_of
 
 
-def _find_margins(contacts: pd.DataFrame, balls: Sequence[BallTrack], most: float) -> Floats:
-    """How near to each contact positions do not count, s: half an exposure and twice the error of its time."""
-    if "t_s_std" not in contacts:
-        return np.full(len(contacts), most)
-    margin = max(ball.exposure for ball in balls) / 2 + 2 * contacts["t_s_std"].to_numpy(dtype=np.float64)
-    return np.fmin(margin, most)
-
-
-def _measure_rates(balls: Sequence[BallTrack], contacts: pd.DataFrame) -> dict[str, float]:
-    """Contacts of two balls, their rate, and the free path."""
-    found = int((contacts["particle2"] >= 0).sum())
-    ball_time = float(sum(ball.time[-1] - ball.time[0] for ball in balls))
-    way = float(sum(_measure_way(ball, contacts) for ball in balls))
-    relative = 1 / np.sqrt(found) if found else np.nan
-    return {
-        "contacts": found,
-        "contacts_std": float(np.sqrt(found)),
-        "contact_rate": 2 * found / ball_time,
-        "contact_rate_std": float(2 * found / ball_time * relative),
-        "free_path": way / (2 * found) if found else np.nan,
-        "free_path_std": float(way / (2 * found) * relative) if found else np.nan,
-    }
-
-
-def _predict_rates(
-    time: pd.DataFrame,
-    sides: tuple[float, float],
-    diameter: float,
-    fps: float,
-    scale_error: float,
-    fps_error: float,
-    diameter_error: float,
-) -> dict[str, float]:
-    """Area fraction, and contacts and free path of Enskog's hard discs at the measured temperature and density.
-
-    Their errors are those of the camera file, by one standard error of each of its three values.
-    """
-    seen, temperature = (time["balls"] + time["unknown"]).to_numpy(), np.maximum(time["temperature"].to_numpy(), 0)
-
-    def predict(length: float, rate: float, body: float) -> Floats:
-        d = diameter * body
-        density = seen / ((sides[0] * length + d) * (sides[1] * length + d))
-        each = contact_rate(temperature * (length * rate) ** 2, density, d) / (fps * rate)
-        return np.array([density.mean() * np.pi * d**2 / 4, (seen * each).sum() / 2, mean_free_path(density.mean(), d)])
-
-    expected = predict(1.0, 1.0, 1.0)
-    errors = np.diag([scale_error, fps_error, diameter_error])
-    std = np.sqrt(sum((predict(*(1 + error)) - expected) ** 2 for error in errors))
-    names = ("area_fraction", "contacts_theory", "free_path_theory")
-    return {
-        f"{name}{end}": float(v)
-        for end, part in (("", expected), ("_std", std))
-        for name, v in zip(names, part, strict=True)
-    }
-
-
 def _measure_way(ball: BallTrack, contacts: pd.DataFrame) -> float:
     """The way of a ball, m, as straight lines from contact to contact."""
     own = (contacts["particle1"] == ball.particle) | (contacts["particle2"] == ball.particle)

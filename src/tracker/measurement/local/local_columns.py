@@ -161,7 +161,7 @@ def find_covariance(row: Mapping[str, Any]) -> Floats:
         if key not in raw["shared"]:  # the covariance has those of the camera
             spread.append(np.array([[block["effect"].get(name, 0.0)] for name in COMPARED], dtype=np.float64))
     every = np.hstack(spread)
-    return np.nan_to_num(np.array(raw["cov"], dtype=np.float64)) + every @ every.T
+    return np.asarray(np.nan_to_num(np.array(raw["cov"], dtype=np.float64)) + every @ every.T)
 
 
 def _list_common_errors(
