@@ -75,7 +75,7 @@ def test_by_way_of_a_path_a_list_a_generator_and_a_camera(clip, folders):
         (position, None),
         (str(position / "frames.tif"), position / "camera.json"),
         (list(clip.film()), camera),
-        (clip.pictures(), clip.camera_json),
+        (clip.pictures(), clip.camera),
     ):
         same(tracker.track(film, known, number=1), folders / "results")
 

@@ -11,7 +11,7 @@ from discrepancy_clips import searched
 from discrepancy_outsiders import OUTSIDERS, outsider
 
 from discrepancy.report import search_page as report
-from discrepancy.report.figures import draw_figures
+from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw_figures, name_of_best
 from discrepancy.report.narrative import write_story
 from discrepancy.wording import format_with_error
 from synthcam.model import read_model
@@ -84,6 +84,13 @@ def test_the_caption_counts_the_effects(written):
     total, page = len(written[0].scores), html.unescape((written[1] / "index.html").read_text())
     which = f"The 20 most significant of {total}" if total > 20 else f"All {total}"
     assert f"{which} effects, each added alone" in page
+
+
+def test_a_model_that_lacks_nothing_is_drawn_once(written):
+    found, _ = written
+    labels = [bars.get_label() for bars in _gap_by_phase_figure(found).axes[0].containers]
+    assert labels == ["base model", *(() if found.is_empty else [name_of_best(found)]), "noise alone"]
+    assert len(_fits_to_draw(found)) == len(labels) - 1
 
 
 def test_the_page_distinguishes_a_similar_effect_from_an_alias(tmp_path, without_figures):
