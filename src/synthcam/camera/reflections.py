@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+CHAINS_AT_ONCE = 8192  # that are grown together, to save memory
 FAINTEST = 1e-4  # flux of a secondary glint over that of the primary, below which it is left out
 
 
@@ -37,30 +38,30 @@ def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
     count, order = centres.shape[:2]
     normals = _first_guess(lamp, eye, centres)
     ends = _join(lamp, centres, eye)
-    step = np.full((count, order, 2), np.inf)
+    moving, last = np.arange(count), np.full(count, np.inf)  # paths, and the size of their last step
     for _ in range(40):
-        ends[:, 1:-1] = centres + radii[..., None] * normals
-        tangents = _tangents(normals)
-        slope, curvature, pressure, first = _expand(ends, normals, tangents, radii)
-        # The step after one this small is its square, which is rounding. A converged path is not changed any more, so
-        # that its last bit does not depend on the other paths.
-        moving = np.abs(step).max(axis=(1, 2)) > 1e-8
-        if not moving.any():
-            break
-        step = np.linalg.solve(curvature, -slope[..., None]).reshape(count, order, 2) / radii[..., None]
+        own, corners, spheres = normals[moving], ends[moving], radii[moving]
+        corners[:, 1:-1] = centres[moving] + spheres[..., None] * own
+        tangents = _tangents(own)
+        slope, curvature, _, _ = _expand(corners, own, tangents, spheres)
+        step = np.linalg.solve(curvature, -slope[..., None]).reshape(-1, order, 2) / spheres[..., None]
         # With longer steps, one path in a thousand of balls in contact ends where the balls overlap.
         step *= np.minimum(1, 0.15 / np.maximum(np.abs(step).max(axis=(1, 2), keepdims=True), 1e-30))
-        step *= moving[:, None, None]
-        moved = normals + (tangents @ step[..., None])[..., 0]
-        moved /= np.linalg.norm(moved, axis=2, keepdims=True)
-        normals = np.where(moving[:, None, None], moved, normals)
+        moved = own + (tangents @ step[..., None])[..., 0]
+        normals[moving] = moved / np.linalg.norm(moved, axis=2, keepdims=True)
+        last[moving] = np.abs(step).max(axis=(1, 2))
+        moving = moving[last[moving] > 1e-8]  # the step after one this small is its square, which is rounding
+        if not len(moving):
+            break
+    ends[:, 1:-1] = centres + radii[..., None] * normals
+    tangents = _tangents(normals)
+    _, curvature, pressure, first = _expand(ends, normals, tangents, radii)
     # Only the first corner depends on the lamp: H dq + (dslope/dlamp) dlamp = 0.
     push = np.zeros((count, 2 * order, 3))
     push[:, :2] = first
     moves = -np.linalg.solve(curvature, push)
     transfer = tangents[:, -1] @ moves[:, -2:]
-    converged = np.abs(step).max(axis=(1, 2)) < 1e-6
-    return Paths(ends[:, 1:-1], transfer, pressure / 2, converged & (pressure > 1e-6).all(axis=1))
+    return Paths(ends[:, 1:-1], transfer, pressure / 2, (last < 1e-6) & (pressure > 1e-6).all(axis=1))
 
 
 def differentiate_by_tilt(lamp: Array, eye: Array, paths: Paths, centres: Array, radii: Array) -> Array:
@@ -254,23 +255,31 @@ def iterate_chains(
     order = np.lexsort([moment, ball])
     chains, moment, gaps = ball[order][:, None], moment[order], np.zeros((moments * balls, 0))
     yield chains, moment
+    # Neighbours beyond the widest gap make no image: of each ball's list, so many come first.
+    widest = float(apart[min((bright[1] > faintest).sum(), len(apart) - 1)]) if len(bright) > 1 else 0.0
+    reaching = np.append(0, np.cumsum(near.distance < (widest + 1e-9) * radii.max()))
+    within = reaching[near.first + near.counts] - reaching[near.first]
     for length in range(2, min(len(bright), most_bounces) + 1):
-        row = moment * balls + chains[:, -1]
-        many = near.counts[row]
-        grown = np.repeat(np.arange(len(chains)), many)
-        entry = np.repeat(near.first[row] - np.cumsum(many) + many, many) + np.arange(len(grown))
-        other = near.other[entry]
-        gap = near.distance[entry] / ((radii[chains[grown, -1]] + radii[other]) / 2)
-        legs = np.sort(np.column_stack([gaps[grown], gap]), axis=1)[:, ::-1]
-        place = np.clip(np.searchsorted(apart, legs, "right") - 1, 0, len(apart) - 1)
-        step = [bright[k + 1, place[:, k]] / np.maximum(bright[k, place[:, k]], 1e-300) for k in range(length - 1)]
-        kept = (gap < apart[-1]) & (np.prod(step, axis=0) > faintest)
-        if length > 4:
-            there = np.column_stack([chains[grown], other])
-            kept &= (there[:, 2:] == there[:, :-2]).all(axis=1)
-        grown, other = grown[kept], other[kept]
+        found = []
+        for first in range(0, len(chains), CHAINS_AT_ONCE):
+            some = slice(first, first + CHAINS_AT_ONCE)
+            row = moment[some] * balls + chains[some, -1]
+            many = within[row]
+            grown = first + np.repeat(np.arange(len(row)), many)
+            entry = np.repeat(near.first[row] - np.cumsum(many) + many, many) + np.arange(len(grown))
+            other = near.other[entry]
+            gap = near.distance[entry] / ((radii[chains[grown, -1]] + radii[other]) / 2)
+            legs = np.sort(np.column_stack([gaps[grown], gap]), axis=1)[:, ::-1]
+            place = np.clip(np.searchsorted(apart, legs, "right") - 1, 0, len(apart) - 1)
+            step = [bright[k + 1, place[:, k]] / np.maximum(bright[k, place[:, k]], 1e-300) for k in range(length - 1)]
+            kept = (gap < apart[-1]) & (np.prod(step, axis=0) > faintest)
+            if length > 4:
+                there = np.column_stack([chains[grown], other])
+                kept &= (there[:, 2:] == there[:, :-2]).all(axis=1)
+            found.append((grown[kept], other[kept], gap[kept]))
+        grown, other, gap = (np.concatenate(part) for part in zip(*found, strict=True))
         chains, moment = np.column_stack([chains[grown], other]), moment[grown]
-        gaps = np.column_stack([gaps[grown], gap[kept]])
+        gaps = np.column_stack([gaps[grown], gap])
         order = np.lexsort([moment, *chains.T[::-1]])
         chains, moment, gaps = chains[order], moment[order], gaps[order]
         if not len(chains):

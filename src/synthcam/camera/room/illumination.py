@@ -17,6 +17,7 @@ from synthcam.camera.room.radiosity import (
     EXCHANGE_CELLS,
     UP,
     BallExchange,
+    ExchangeTable,
     LightSource,
     PlateExchange,
     ReflectionTable,
@@ -57,6 +58,19 @@ class BallsAtMoment(NamedTuple):
 
     centres: Array
     exchange: BallExchange | None
+
+
+class BallView(NamedTuple):
+    """Rays from n points of one ball, the receiver, to another, the sender: m from each point."""
+
+    receiver: int
+    sender: int
+    axes: Array  # (3, 3), as of `sample_facing_side`
+    weights: Array  # (n, m)
+    face: Array  # unit vectors (n m, 3) from the sender's centre to where the rays meet it
+    direct: Array  # light (n m, c) of lamps, sky and plate there
+    hidden: Array  # radiance (n, m, c) of the sky and the plate behind the sender
+    share: Array  # form factor (n,) of the sender
 
 
 class Illumination:
@@ -146,6 +160,13 @@ class Illumination:
         self, ball: int, points: Array, normals: Array, centres: Array, exchange: BallExchange | None = None
     ) -> Array:
         """Light (n, c) on a ball at points (n, 3), m. exchange: the light between balls."""
+        total = self._direct(ball, points, normals, centres)
+        if exchange is not None:
+            total += exchange.on_ball(ball, normals)
+        return np.asarray(np.maximum(total, 0))
+
+    def _direct(self, ball: int, points: Array, normals: Array, centres: Array) -> Array:
+        """Light (n, c) of lamps, sky and plate on a ball."""
         lamps = np.zeros(len(points))
         for cell in self.cells:
             light = _irradiance(cell, points, normals)
@@ -153,10 +174,7 @@ class Illumination:
                 light = light * _visible_share(cell, points, centres[k], self.radii[k])
             lamps += light
         sky = self.finish.ambient * (1 + normals[:, 2]) / 2
-        total = (lamps + sky)[:, None] + self._from_plate(ball, normals, centres)
-        if exchange is not None:
-            total += exchange.on_ball(ball, normals)
-        return np.asarray(np.maximum(total, 0))
+        return np.asarray((lamps + sky)[:, None] + self._from_plate(ball, normals, centres))
 
     def _neighbours(self, ball: int, centres: Array, reach: float = np.inf) -> list[int]:
         """Other balls up to `reach` radii away, or as far as a shadow falls; of two balls the other one."""
@@ -186,28 +204,35 @@ class Illumination:
         pairs = [(a, b) for a in range(len(centres)) for b in self._neighbours(a, centres, EXCHANGE_REACH_RADII)]
         if not pairs:
             return None
+        views = [self._view(a, b, centres) for a, b in pairs]
         found: BallExchange | None = None
         for _ in range(3):  # reflections to and fro
-            tables = {}
-            for a, b in pairs:
-                axes, normals = sample_facing_side(centres[b] - centres[a])
-                points = centres[a] + self.radii[a] * normals
-                ways, weights = sample_directions(points, normals, centres[b], self.radii[b])
-                many = np.repeat(points, ways.shape[1], axis=0)
-                flat = ways.reshape(-1, 3)
-                offset = many - centres[b]
-                along = dot(offset, flat)
-                root = np.sqrt(np.maximum(along**2 - dot(offset, offset) + self.radii[b] ** 2, 0))
-                face = _units(offset + (-along - root)[:, None] * flat)
-                given = self.colours[b] * self.on_ball(b, centres[b] + self.radii[b] * face, face, centres, found)
-                plate = self._from_plate(a, normals, centres) / np.maximum((1 - normals[:, 2:]) / 2, 1e-3)
-                up = ways[..., 2:] > 0
-                hidden = np.where(up, self.finish.ambient, plate[:, None])
-                net = (weights[..., None] * (given.reshape(hidden.shape) - hidden)).sum(axis=1)
-                share = form_factor(normals, centres[b] - points, self.radii[b])
-                tables[a, b] = axes, ReflectionTable((share[:, None] * net).reshape(*EXCHANGE_CELLS, -1))
+            tables: dict[int, list[ExchangeTable]] = {}
+            for view in views:
+                light = view.direct if found is None else view.direct + found.on_ball(view.sender, view.face)
+                given = self.colours[view.sender] * np.maximum(light, 0)
+                net = (view.weights[..., None] * (given.reshape(view.hidden.shape) - view.hidden)).sum(axis=1)
+                table = ReflectionTable((view.share[:, None] * net).reshape(*EXCHANGE_CELLS, -1))
+                tables.setdefault(view.receiver, []).append((view.axes, table))
             found = BallExchange(tables)
         return found
+
+    def _view(self, a: int, b: int, centres: Array) -> "BallView":
+        """Sample what ball a sees of ball b."""
+        axes, normals = sample_facing_side(centres[b] - centres[a])
+        points = centres[a] + self.radii[a] * normals
+        ways, weights = sample_directions(points, normals, centres[b], self.radii[b])
+        flat = ways.reshape(-1, 3)
+        offset = np.repeat(points, ways.shape[1], axis=0) - centres[b]
+        along = dot(offset, flat)
+        root = np.sqrt(np.maximum(along**2 - dot(offset, offset) + self.radii[b] ** 2, 0))
+        face = _units(offset + (-along - root)[:, None] * flat)
+        plate = self._from_plate(a, normals, centres) / np.maximum((1 - normals[:, 2:]) / 2, 1e-3)
+        hidden = np.where(ways[..., 2:] > 0, self.finish.ambient, plate[:, None])
+        direct = self._direct(b, centres[b] + self.radii[b] * face, face, centres)
+        return BallView(
+            a, b, axes, weights, face, direct, hidden, form_factor(normals, centres[b] - points, self.radii[b])
+        )
 
     def radiance(
         self, ball: int, points: Array, ways: Array, among: BallsAtMoment, paint: Array, mirrors: int | None = None

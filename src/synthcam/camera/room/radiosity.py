@@ -124,21 +124,23 @@ def _exchange(normals: Array, spots: Array, areas: Array) -> tuple[Array, Array]
     return to_plate, to_ball
 
 
+ExchangeTable = tuple[Array, ReflectionTable]  # axes (3, 3), and light over angle and azimuth
+
+
 @dataclass(frozen=True)
 class BallExchange:
-    """Light that balls exchange, by pair (receiver, sender): axes (3, 3), and a table over angle and azimuth."""
+    """Light that balls exchange, by receiver: a table for each sender."""
 
-    pairs: dict[tuple[int, int], tuple[Array, ReflectionTable]]
+    tables: dict[int, list[ExchangeTable]]
 
     def on_ball(self, ball: int, normals: Array) -> Array:
         """Net light (n, c) that a ball receives from all others, at unit vectors (n, 3) from its centre."""
         total = np.zeros((len(normals), 1))
-        for (own, _), (axes, table) in self.pairs.items():
-            if own == ball:
-                x, y, z = (normals @ axes).T
-                angle = np.arccos(np.clip(z, -1, 1))
-                light = table.at(np.sqrt(angle / EXCHANGE_ANGLE), np.arctan2(y, x))
-                total = total + light * (angle < EXCHANGE_ANGLE)[:, None]
+        for axes, table in self.tables.get(ball, ()):
+            x, y, z = (normals @ axes).T
+            angle = np.arccos(np.clip(z, -1, 1))
+            light = table.at(np.sqrt(angle / EXCHANGE_ANGLE), np.arctan2(y, x))
+            total = total + light * (angle < EXCHANGE_ANGLE)[:, None]
         return total
 
 
