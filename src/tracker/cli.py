@@ -120,33 +120,52 @@ def track(
 
 @app.command("open")
 def open_workbench(
-    source: Annotated[Path, typer.Argument(metavar="FILM", help="Dataset, clip, stack, video, pictures or array.")],
+    sources: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[FILM|RESULTS...]", help="Film or dataset, or RESULTS of tracker; without it, example films."
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="FOLDER", help="Where runs are written; default: FILM_workbench."),
     ] = None,
+    film: Annotated[Path | None, typer.Option(help="The film of RESULTS, where it does not lie beside them.")] = None,
     camera: Annotated[Path | None, typer.Option(help="camera.json that replaces the source's own.")] = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address alone.")] = False,
 ) -> None:
-    """Open a film in a page on this machine: look at it, point at scale and balls, track it, read the result.
+    """Open a film in a page on this machine: look at it, point at scale and balls, track it, correct it, read on.
 
     Example: tracker open film.mp4
+
+    Example: tracker open out/results
     """
     from tracker.camera.recordings import open_source
     from tracker.results import RUN
 
-    if (source / RUN).is_file():
-        raise InputError(f"{source}: results, expected their film; {source / 'index.html'} is their report")
-    films = open_source(source, camera)
     try:
         from tracker.app.server import serve
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn"):
             raise
         raise InputError("tracker open needs the extra app; type: pip install 'synthcam[app]'") from None
+    from tracker.app.examples import make_examples
+    from tracker.app.opened_results import OpenedResults, find_film, show_tracks_alone
     from tracker.app.workbench import Workbench
 
-    serve(Workbench(films, output), not no_browser)
+    source, *others = sources or [make_examples()]
+    opened = None
+    for other in others:
+        if not all((folder / RUN).is_file() for folder in (source, other)):
+            raise InputError(f"{other}: expected one film, or several RESULTS")
+    if (source / RUN).is_file():
+        opened = OpenedResults(source)
+        films = find_film(opened, film, camera) or show_tracks_alone(opened)
+    elif film is not None:
+        raise InputError(f"--film: expected RESULTS before it, and {source} are none")
+    else:
+        films = open_source(source, camera)
+    serve(Workbench(films, output, opened, others), not no_browser)
 
 
 @app.command()

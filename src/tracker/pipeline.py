@@ -206,6 +206,15 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
 
 def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
     """The entries of run.json that distinguish one run from another, without paths or times."""
+    colour = {} if source.channel == GREY else {"channel": source.channel}
+    film = {"film": source.options.changed()} if source.options.changed() else {}
+    own = {"detector_file": digest(detector)} if is_outside(detector) else {}
+    run = {"made_by": "tracker track", "detector": detector_name(detector), "clips": len(source)}
+    return run | {"input": digest_films(source)} | colour | film | own
+
+
+def digest_films(source: RecordingSource) -> str:
+    """A digest of the films and camera files of a source, by which run.json knows them."""
     mark = hashlib.sha256()
     for number, location in source.clips:
         mark.update(f"{number}".encode())
@@ -221,11 +230,7 @@ def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
                 mark.update(stream.read(1 << 16))
     for file in source.camera_files():
         mark.update(file.read_bytes())
-    colour = {} if source.channel == GREY else {"channel": source.channel}
-    film = {"film": source.options.changed()} if source.options.changed() else {}
-    own = {"detector_file": digest(detector)} if is_outside(detector) else {}
-    run = {"made_by": "tracker track", "detector": detector_name(detector), "clips": len(source)}
-    return run | {"input": mark.hexdigest()} | colour | film | own
+    return mark.hexdigest()
 
 
 def _track_clip(

@@ -142,15 +142,41 @@ def test_from_a_film_to_a_number(films, browser, tmp_path):
             assert abs(float(value) - 0.6) < 4 * int(error) * 10.0 ** -len(value.partition(".")[2])
             says(page.frame_locator("#report"), "h1", "hit & run")
             says(page, "#command", "results_2")
-            page.wait_for_selector("#show-tracks")
+            # mend
+            page.wait_for_selector("#mend-box")
+            page.keyboard.press("Home")
+            page.check("input[value=mend]")
+            x, y = PATHS[0, 1]
+            page.mouse.click(*at(page, x, y))
+            says(page, "#mend-point", "frame 0: ")
+            page.click("#remove-point")
+            says(page, "#mend-state", "1 correction since the run")
+            says(page, "#edits li", r"point of ball \d in frame 0 removed")
+            says(page, "#command", r"--edits \S+edits_2.yaml")
+            page.click("#run")
+            says(page, "#results", "results_2")
+            says(page, "#log", "edited by hand: 1 position removed")
+            page.wait_for_selector("#mend-state:empty", state="attached")
             # load again
             page.reload()
             page.wait_for_selector("#results table")
             assert page.input_value("#region") == "2,3,197,156"
             says(page, "#scale", r"0\.16")
+            says(page, "#mend-point", "not in this frame|frame 0")
+            page.click("#undo")
+            page.wait_for_selector("#edits:empty", state="attached")
+            page.wait_for_selector("#redo:enabled")
+            assert "--edits" not in page.text_content("#command")
         assert command.wait(20) == 0  # the page is closed
     assert (tmp_path / "bench/camera_1.json").is_file()
     assert (tmp_path / "bench/results_1/estimates.parquet").is_file()
+    assert (tmp_path / "bench/edits.yaml").read_text() == "edits: []\n"
+    assert "remove_point" in (tmp_path / "bench/edits_2.yaml").read_text()
+
+    with workbench(tmp_path / "bench/results_2", tmp_path / "again") as (_, address), opened(browser, address) as page:
+        says(page, "#film-name", "hit & run")  # found by the command beside the results
+        page.wait_for_selector("#results table")
+        says(page, "#edits", "point of ball")
 
 
 def test_everything_by_keyboard(address, browser):

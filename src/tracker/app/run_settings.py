@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.settings import Settings
+from synthcam_shared.settings import Settings, build_settings
 from tracker.app.film_view import FilmView
 from tracker.camera.camera import Camera
 from tracker.camera.film_options import FilmOptions
@@ -83,6 +83,14 @@ class RunPlan:
         for name in ("region", "frames", "channel"):
             words += [f"--{name}", value] if (value := getattr(self.settings, name)) else []
         return words
+
+
+def read_run_settings(run: Mapping[str, Any]) -> RunSettings:
+    """The settings of a run from the entries of its run.json. Raises InputError."""
+    film = run.get("film", {})
+    names = {"ball": "balls", "region": "region", "frames": "frames"}
+    known = {names[key]: list(value) if key == "ball" else value for key, value in film.items() if key in names}
+    return build_settings(known | {"channel": run.get("channel", "")}, RunSettings, "run.json")
 
 
 def name_as_argument(film: Path) -> str:

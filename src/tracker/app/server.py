@@ -81,11 +81,14 @@ class SessionAddresses:
             Route("/api/levels", self.find_levels),
             Route("/api/balls/{index:int}", self.find_balls),
             Route("/api/results/{number:int}", self.describe_results),
-            Route("/api/tracks/{number:int}", self.list_tracks),
+            Route("/api/tracks", self.describe_tracks),
             Route("/api/clip", self.open_clip, methods=["POST"]),
             Route("/api/settings", self.apply, methods=["POST"]),
             Route("/api/run", self.start_run, methods=["POST"]),
             Route("/api/calibrate", self.start_calibration, methods=["POST"]),
+            Route("/api/edits", self.mend, methods=["POST"]),
+            Route("/api/combine", self.start_combination, methods=["POST"]),
+            Route("/api/search", self.start_search, methods=["POST"]),
             Route("/api/cancel", self.cancel_run, methods=["POST"]),
             Route("/api/status", self.stream_status),
         ]
@@ -100,7 +103,7 @@ class SessionAddresses:
 
     def show_report(self, request: Request) -> Response:
         """A file of a run's results, such as its report."""
-        return _serve_file(self.bench.find_results(request.path_params["number"]), request.path_params["name"])
+        return _serve_file(self.bench.find_page_folder(request.path_params["number"]), request.path_params["name"])
 
     def show_frame(self, request: Request) -> Response:
         """A picture of one frame; the query gives the channel, the levels, the reduction and the box."""
@@ -136,9 +139,9 @@ class SessionAddresses:
         """The results of one run."""
         return JSONResponse(self.bench.describe_results(request.path_params["number"]))
 
-    def list_tracks(self, request: Request) -> Response:
-        """The tracks of one run."""
-        return JSONResponse(self.bench.list_tracks(request.path_params["number"]))
+    def describe_tracks(self, request: Request) -> Response:
+        """The tracks of the clip in view, and their edits."""
+        return JSONResponse(self.bench.describe_tracks())
 
     async def open_clip(self, request: Request) -> Response:
         """Show another clip of the film."""
@@ -160,6 +163,18 @@ class SessionAddresses:
     async def start_calibration(self, request: Request) -> Response:
         """Start the calibration that the page asks for."""
         return JSONResponse(await run_in_threadpool(self.bench.start_calibration, await _read_body(request)))
+
+    async def mend(self, request: Request) -> Response:
+        """Correct the tracks, or undo a correction."""
+        return JSONResponse(await run_in_threadpool(self.bench.mend, await _read_body(request)))
+
+    async def start_combination(self, request: Request) -> Response:
+        """Combine results to a set."""
+        return JSONResponse(await run_in_threadpool(self.bench.start_combination))
+
+    async def start_search(self, request: Request) -> Response:
+        """Search results for what a model lacks, whose name the page sends."""
+        return JSONResponse(await run_in_threadpool(self.bench.start_search, await _read_body(request)))
 
     async def cancel_run(self, request: Request) -> Response:
         """Stop the run."""

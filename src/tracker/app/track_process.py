@@ -1,4 +1,4 @@
-"""Runs `tracker track` or `calibrate` as a child process: its progress, its end, and how it is cancelled."""
+"""Runs a command of the package as a child process: its progress, its end, and how it is cancelled."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class TrackProcess:
     def __init__(
         self,
         changed: Callable[[], None] = lambda: None,
-        program: Sequence[str] = (sys.executable, "-m", "tracker"),
+        program: Sequence[str] = (),
     ) -> None:
         self.status = RunStatus()
         self._changed, self._program = changed, program
@@ -57,12 +57,12 @@ class TrackProcess:
         return self.status.state == "running"
 
     def start(self, number: int, words: list[str]) -> None:
-        """Start the command, without its first word, as a process group of its own."""
+        """Start a command of the package as a process group of its own."""
         assert not self.is_running
         self._cancelled = False
         printed = tempfile.TemporaryFile("w+")  # noqa: SIM115  # a pipe that nobody empties would stop the child
         self._child = subprocess.Popen(
-            [*self._program, *words[1:], "--json"],
+            [*(self._program or (sys.executable, "-m", words[0])), *words[1:], "--json"],
             stdin=subprocess.DEVNULL,
             stdout=printed,
             stderr=subprocess.PIPE,
@@ -108,7 +108,8 @@ class TrackProcess:
                     what, done, total = match[1], int(match[2]), int(match[3])
                     self._set(replace(self.status, what=what, done=done, total=total))
                 else:
-                    lines = (*self.status.lines, line.strip().removeprefix("tracker: "))[-MAX_LINES:]
+                    text = line.strip().removeprefix("tracker: ").removeprefix("discrepancy: ")
+                    lines = (*self.status.lines, text)[-MAX_LINES:]
                     self._set(replace(self.status, lines=lines))
             code = child.wait()
             printed.seek(0)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import secrets
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
@@ -14,31 +15,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import check_writable, write_atomically
 from synthcam_shared.settings import build_settings
 from tracker.app.film_view import FilmView
 from tracker.app.frame_detector import PreparedDetector, list_balls, prepare_detector
-from tracker.app.run_settings import RunPlan, RunSettings, join_words, make_plan, name_as_argument
+from tracker.app.mending import Mending
+from tracker.app.opened_results import OpenedResults, TracksAlone
+from tracker.app.run_settings import (
+    RunPlan,
+    RunSettings,
+    join_words,
+    make_plan,
+    name_as_argument,
+    read_run_settings,
+)
 from tracker.app.track_process import TrackProcess
 from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource
-from tracker.report.estimates_text import (
-    METHODS,
-    describe_recommendation,
-    describe_status,
-    list_quantities,
-    order_methods,
-    rows_as_dicts,
-)
-from tracker.results import finite
+from tracker.edits import EDITS, TrackEdits
+from tracker.results import clip_folder, finite
 
-MAX_COLLISIONS = 20  # whose numbers the page lists; the report has all
-MAX_POSITIONS = 200_000  # of tracks that the page draws
-QUANTITIES = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction", "momentum_fraction")
+OPENED = 0  # the number of the results that the session was opened with; its runs count from 1
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,26 @@ class DetectorStatus:
 
 
 class Workbench:
-    """One page's work on one source. Methods may be called from any thread."""
+    """One page's work on one source. Methods may be called from any thread.
 
-    def __init__(self, source: RecordingSource, folder: Path | None = None) -> None:
-        beside = source.path.resolve()
+    opened: the results that are shown at the start; their film is the source. others: results of the same set.
+    """
+
+    def __init__(
+        self,
+        source: RecordingSource,
+        folder: Path | None = None,
+        opened: OpenedResults | None = None,
+        others: Sequence[Path] = (),
+    ) -> None:
+        beside = (opened.folder if opened else source.path).resolve()
         self.source = source
+        self.view: FilmView
+        self.has_film = not isinstance(source, TracksAlone)
+        self.results = {} if opened is None else {OPENED: opened}  # by number; runs of this session alone
+        self.others = [path.absolute() for path in others]
+        self.pages: dict[int, Path] = {}  # by number: what this session has made of results
+        self._start = RunSettings() if opened is None else read_run_settings(opened.run)
         self.folder = (folder or beside.with_name(f"{beside.stem}_workbench")).absolute()
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: a file, expected a folder for the results")
@@ -67,7 +82,6 @@ class Workbench:
             raise InputError(f"{self.folder}: lies in {source.path}, expected a folder outside it")
         self.process = TrackProcess(self._hear_process)
         self.report_key = secrets.token_urlsafe(24)  # part of the addresses of reports
-        self.made: set[int] = set()  # numbers of the runs of this session
         self.version = 0  # grows with every change of detector and run
         self.detector: PreparedDetector | None = None
         self.detector_status = DetectorStatus()
@@ -107,9 +121,14 @@ class Workbench:
         view = FilmView(self.source, index)
         file = replace(self.source, clips=(self.source.clips[index],)).camera_files()
         given: Mapping[str, Any] | None = read_source(file[0]) if file else None
-        plan = make_plan(RunSettings(), view, given, where=f"{file[0]}" if file else "")
+        plan = make_plan(self._start, view, given, where=f"{file[0]}" if file else "")
+        edits_file = self.folder / (EDITS if len(self.source) == 1 else f"edits_clip_{view.number:06d}.yaml")
+        applied = [self._list_applied(number, view.number) for number in self.results]
         with self._lock:
+            if "view" in vars(self):
+                self.view.close()
             self.view, self.given = view, given
+            self.mending = Mending(edits_file, max(applied, key=len, default=[]))
             self._take(plan)
 
     @property
@@ -136,6 +155,9 @@ class Workbench:
             "notes": [str(note) for note in view.clip.notes],
             "given": None if self.given is None else finite(dict(self.given)),
             "folder": f"{self.folder}",
+            "has_film": self.has_film,
+            "opened": self.results[OPENED].describe_clips() if OPENED in self.results else [],
+            "results": self._find_latest(),
             "settings": self.plan.settings.model_dump(),
             "plan": self.describe_plan(),
             "status": self.describe_status(),
@@ -154,8 +176,8 @@ class Workbench:
         """The settings as camera.json and as a command line."""
         with self._lock:
             number, plan = self._next_number(), self.plan
-            camera = self._camera_file(number) if plan.needs_file else self.source.camera
-            command = join_words(plan.write_command(self.film, camera, self._results(number)))
+            command = join_words(self._write_command(number))
+            camera = self._camera_file(number)
             return {
                 "camera": None if plan.keys is None else json.dumps(finite(plan.keys), indent=1),
                 "camera_file": f"{camera}" if plan.needs_file else "",
@@ -166,7 +188,9 @@ class Workbench:
         """Use a plan from now on, and prepare its detector if that may differ."""
         self.plan = plan
         mark = json.dumps([plan.keys, *vars(plan.settings.options).values(), plan.settings.channel, self.view.index])
-        if mark != self._mark:
+        if not self.has_film:
+            self.detector_status = DetectorStatus("failed", error="The film of these results is not here.")
+        elif mark != self._mark:
             self._mark, self.detector, self.detector_status = mark, None, DetectorStatus()
             self._note_change()
             self._wake.set()
@@ -230,12 +254,15 @@ class Workbench:
     def _next_number(self) -> int:
         """The first number without a file of an earlier run, finished, interrupted or claimed."""
         taken = {path.name.removesuffix(".partial") for path in self.folder.glob("*_*")}
-        paths = ((self._command_file(n), self._camera_file(n), self._calibrated(n), self._results(n)) for n in count(1))
-        names = ({path.name for path in own} for own in paths)
+        files = "command_{}.txt", "edits_{}.yaml", "camera_{}.json", "calibrated_{}.json", "model_{}.yaml"
+        names = ({kind.format(n) for kind in (*files, "results_{}", "set_{}", "search_{}")} for n in count(1))
         return next(n for n, own in enumerate(names, 1) if not own & taken)
 
     def _command_file(self, number: int) -> Path:
         return self.folder / f"command_{number}.txt"
+
+    def _edits_file(self, number: int) -> Path:
+        return self.folder / f"edits_{number}.yaml"
 
     def _camera_file(self, number: int) -> Path:
         return self.folder / f"camera_{number}.json"
@@ -256,6 +283,8 @@ class Workbench:
         given = self.given or {}
         wanted["--diameter"] = wanted["--diameter"] or given.get("ball_diameter")
         wanted["--fps"] = wanted["--fps"] or given.get("fps")
+        if not self.has_film:
+            raise InputError("calibrate: the film of these results is not here")
         if not (wanted["--diameter"] and wanted["--fps"]):
             raise InputError("calibrate: set the ball diameter and the frames a second; the balls then give the scale")
         with self._lock:
@@ -263,7 +292,7 @@ class Workbench:
             words = ["tracker", "calibrate", name_as_argument(self.film), "-o", f"{self._calibrated(number)}"]
             for name, value in wanted.items():
                 words += [name, f"{value:.12g}"] if value else []
-            self._start(number, words)
+            self._start_process(number, words)
             return self.describe_status()
 
     def _take_camera(self, file: Path) -> None:
@@ -285,7 +314,7 @@ class Workbench:
                 self._command_file(number).touch(exist_ok=False)
                 return number
 
-    def _start(self, number: int, words: list[str]) -> None:
+    def _start_process(self, number: int, words: list[str]) -> None:
         """Start a run, and note its command beside its results."""
         write_atomically(self._command_file(number), join_words(words) + "\n")
         self.process.start(number, words)
@@ -294,13 +323,23 @@ class Workbench:
         """Start `tracker track` with the settings of the page. Raises InputError."""
         with self._lock:
             number, plan = self._claim_number(), self.plan
-            camera = self.source.camera
-            if plan.needs_file:
-                camera = self._camera_file(number)
-                write_atomically(camera, json.dumps(finite(plan.keys), indent=1) + "\n")
-            self.made.add(number)
-            self._start(number, plan.write_command(self.film, camera, self._results(number)))
+            if plan.needs_file and self.has_film:
+                write_atomically(self._camera_file(number), json.dumps(finite(plan.keys), indent=1) + "\n")
+            if self.mending.edits:
+                write_atomically(self._edits_file(number), TrackEdits.of({"edits": self.mending.edits}).write())
+            self.results[number] = OpenedResults(self._results(number))
+            self._start_process(number, self._write_command(number))
             return self.describe_status()
+
+    def _write_command(self, number: int) -> list[str]:
+        """The words of the command of run `number`: of results without their film, the one that measures tracks."""
+        edits = ["--edits", f"{self._edits_file(number)}"] if self.mending.edits else []
+        if self.has_film:
+            camera = self._camera_file(number) if self.plan.needs_file else self.source.camera
+            return [*self.plan.write_command(self.film, camera, self._results(number)), *edits]
+        own = clip_folder(self.source.path, self.view.number)
+        words = ["tracker", "measure", name_as_argument(own / "tracks.parquet"), "--camera", f"{own / 'camera.json'}"]
+        return [*words, "-o", f"{self._results(number)}", *edits]
 
     def describe_status(self) -> dict[str, Any]:
         """State of the detector and of the run."""
@@ -309,46 +348,132 @@ class Workbench:
             "version": self.version,
             "detector": vars(self.detector_status),
             "run": {key: value for key, value in vars(run).items() if key != "summary"},
+            "page": self._find_made_page(run.number),
         }
+
+    # --- comparisons
+
+    def start_combination(self) -> dict[str, Any]:
+        """Start `tracker combine`, for the results that were opened, or for the latest run of each clip."""
+        with self._lock:
+            folders = self._list_set()
+            if not folders:
+                raise InputError("combine: there are no results yet")
+            number = self._claim_number()
+            self.pages[number] = self.folder / f"set_{number}"
+            words = ["tracker", "combine", *map(name_as_argument, folders), "-o", f"{self.pages[number]}"]
+            self._start_process(number, words)
+            return self.describe_status()
+
+    def start_search(self, name: Any) -> dict[str, Any]:
+        """Start `discrepancy find` with a model file of the folder; "" is the model of all defaults."""
+        if not isinstance(name, str) or not re.fullmatch(r"(\w[\w.-]*)?", name):
+            raise InputError(f"search: expected the name of a model file in {self.folder}")
+        if name and not (self.folder / name).is_file():
+            raise InputError(f"search: there is no file {self.folder / name}")
+        with self._lock:
+            folders = self._list_set()
+            if len(folders) != 1:
+                raise InputError(f"search: expected one folder of results, there are {len(folders)}")
+            number = self._claim_number()
+            model = self.folder / (name or f"model_{number}.yaml")
+            if not name:
+                write_atomically(model, "model: {}  # all defaults\n")
+            self.pages[number] = self.folder / f"search_{number}"
+            words = ["discrepancy", "find", name_as_argument(folders[0]), "--model", f"{model}"]
+            self._start_process(number, [*words, "-o", f"{self.pages[number]}"])
+            return self.describe_status()
+
+    def _list_set(self) -> list[Path]:
+        if OPENED in self.results:
+            return [self.results[OPENED].folder, *self.others]
+        latest: dict[tuple[int, ...], Path] = {}
+        for number, found in self.results.items():
+            with suppress(InputError):
+                latest[tuple(self.find_results(number).numbers)] = found.folder
+        return list(latest.values())
+
+    def _find_made_page(self, number: int) -> str:
+        made = number in self.pages and (self.pages[number] / "index.html").is_file()
+        return f"/report/{self.report_key}/{number}/index.html" if made else ""
+
+    def find_page_folder(self, number: int) -> Path:
+        """The folder of results, or of what was made of them, whose pages are shown. Raises InputError."""
+        return self.pages[number] if number in self.pages else self.find_results(number).folder
+
+    # --- results and their edits
 
     def describe_results(self, number: int) -> dict[str, Any]:
-        """The recommended numbers of a run of this session, with their errors. Raises InputError."""
-        folder = self.find_results(number)
-        table = pd.read_parquet(folder / "estimates.parquet")
-        return {
-            "folder": f"{folder}",
-            "collisions": [_describe_collision(row) for row in rows_as_dicts(table.head(MAX_COLLISIONS))],
-            "more": max(len(table) - MAX_COLLISIONS, 0),
-            "page": f"/report/{self.report_key}/{number}/index.html" if (folder / "index.html").is_file() else "",
-        }
+        """The recommended numbers of the clip in view in one of the results, with their errors. Raises InputError."""
+        found, clip = self.find_results(number), self._find_clip(number)
+        page = found.find_page(clip)
+        address = f"/report/{self.report_key}/{number}/{page}" if page else ""
+        return {"number": number, **found.describe_collisions(clip), "page": address}
 
-    def list_tracks(self, number: int) -> list[dict[str, Any]]:
-        """The tracks of a run of this session, each with its frames and positions, px. Raises InputError."""
-        (file,) = (self.find_results(number) / "clips").glob("*/tracks.parquet")
-        table = pd.read_parquet(file, columns=["frame", "particle", "x", "y"])
-        if len(table) > MAX_POSITIONS:
-            raise InputError(f"tracks: {len(table)} positions, the page draws at most {MAX_POSITIONS}")
-        return [
-            {"particle": name, **table[table["particle"] == name][["frame", "x", "y"]].round(3).to_dict("list")}
-            for name in table["particle"].unique().tolist()
-        ]
+    def describe_tracks(self) -> dict[str, Any]:
+        """The tracks of the clip in view as the edits leave them, and the edits. Raises InputError.
 
-    def find_results(self, number: int) -> Path:
-        """The folder of a run that was made in this session. Raises InputError."""
-        if number not in self.made or not (self._results(number) / "estimates.parquet").is_file():
+        pending: how many edits the shown results do not have yet; None if no results fit to the edits.
+        """
+        with self._lock:
+            edits, base = self.mending.edits, self._find_base()
+            about = {"edits": edits, "can_redo": bool(self.mending.undone), "file": f"{self.mending.file}"}
+            if base is None:
+                return {**about, "tracks": [], "pending": None}
+            rest = edits[len(self._list_applied(base, self.view.number)) :]
+            return {**about, "tracks": self._list_tracks(base, rest), "pending": len(rest)}
+
+    def mend(self, values: Any) -> dict[str, Any]:
+        """Add an edit, undo or redo one, and write the file of edits. Raises InputError."""
+        with self._lock:
+
+            def check(edits: list[dict[str, Any]]) -> None:
+                base = self._find_base(edits)
+                if base is not None:
+                    self._list_tracks(base, edits[len(self._list_applied(base, self.view.number)) :])
+
+            if not self.results:
+                raise InputError("edits: track the film before you correct its tracks")
+            self.mending.take(values, check)
+            return {**self.describe_tracks(), "plan": self.describe_plan()}
+
+    def _list_tracks(self, number: int, edits: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        found, clip = self.find_results(number), self._find_clip(number)
+        return found.list_tracks(clip, TrackEdits.of({"edits": edits}))
+
+    def _list_applied(self, number: int, clip: int) -> list[dict[str, Any]]:
+        """The edits that results have, of those that a run from this source applies."""
+        return [] if number == OPENED and not self.has_film else self.results[number].list_edits(clip)
+
+    def _find_base(self, edits: list[dict[str, Any]] | None = None) -> int | None:
+        """The results of the clip in view that have the most of the edits, and no others; the latest of equal ones."""
+        wanted, best = self.mending.edits if edits is None else edits, None
+        for number in self._list_finished():
+            applied = self._list_applied(number, self.view.number)
+            if applied == wanted[: len(applied)] and (best is None or len(applied) >= best[0]):
+                best = len(applied), number
+        return None if best is None else best[1]
+
+    def _list_finished(self) -> list[int]:
+        """The numbers of the results that have the clip in view."""
+        out = []
+        for number in self.results:
+            with suppress(InputError):
+                if self.view.number in self.find_results(number).numbers:
+                    out.append(number)
+        return out
+
+    def _find_latest(self) -> int | None:
+        return max(self._list_finished(), default=None)
+
+    def _find_clip(self, number: int) -> int:
+        if self.view.number not in self.find_results(number).numbers:
+            raise InputError(f"run {number}: of another clip")
+        return self.view.number
+
+    def find_results(self, number: int) -> OpenedResults:
+        """Results that this session has opened or made. Raises InputError."""
+        found = self.results.get(number)
+        if found is None or not (found.folder / "estimates.parquet").is_file():
             raise InputError(f"run {number}: not one of this page")
-        return self._results(number)
-
-
-def _describe_collision(row: Mapping[str, Any]) -> dict[str, Any]:
-    methods = order_methods(row)
-    return {
-        "title": f"Collision {row['collision']}",
-        "status": describe_status(row),
-        "why": describe_recommendation(row),
-        "method": METHODS[next(iter(methods))],
-        "rows": [
-            [line.quantity.plain_symbol, line.values[0], line.quantity.unit, line.quantity.meaning]
-            for line in list_quantities(row, QUANTITIES)
-        ],
-    }
+        return found

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from synthcam_shared.report.page import make_axes
+from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.collision_model import mean_positions, tied_to_free
 from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.positions import BallTrack, to_ball_tracks
@@ -58,6 +59,25 @@ class CollisionView:
         """Predict positions (n, 2) m by the tied fit, averaged over exposures that begin at start (n,) s."""
         free = np.asarray(tied_to_free(self.parameters), dtype=np.float64)
         return mean_positions(free, ball, start, self.camera.exposure, self.camera.ball_diameter)[0]
+
+
+def view_collision(row: Mapping[str, Any], tracks: Tracks, camera: Camera) -> CollisionView | None:
+    """Give a collision with the tracks of its balls; None where the tied fit lacks a parameter."""
+    if row["status"] not in MEASURED:
+        return None
+    view = CollisionView.of(pd.Series(row), tracks, camera)
+    return view if np.isfinite(view.parameters).all() else None
+
+
+def list_residuals(views: Iterable[CollisionView | None]) -> dict[tuple[int, int], tuple[float, float]]:
+    """List by particle and frame the measured position minus the tied fit, m; of two collisions the first counts."""
+    residuals: dict[tuple[int, int], tuple[float, float]] = {}
+    for view in views:
+        for ball, track in view.balls.items() if view is not None and view.is_instantaneous else ():
+            off = track.position - view.predict(ball, track.start)  # type: ignore[union-attr]
+            for frame, (x, y) in zip(track.frame.tolist(), off.tolist(), strict=True):
+                residuals.setdefault((track.particle, frame), (x, y))
+    return residuals
 
 
 def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera) -> Figure:

@@ -39,10 +39,12 @@ from tracker.report.collision_figures import (
     CollisionView,
     all_tracks_figure,
     energy_figure,
+    list_residuals,
     residuals_figure,
     separation_figure,
     speed_figure,
     tracks_figure,
+    view_collision,
 )
 from tracker.report.estimates_text import (
     describe_contact,
@@ -103,7 +105,7 @@ class RecordingPage:
     def write(self, folder: Path, command: str) -> Path:
         """Write FOLDER/index.html, and FOLDER/overlay.mp4, the film that it also holds; return the path of the page."""
         fitted = [row for row in self.rows if row["status"] != CROWD]
-        views = [self._view(row) for row in fitted]
+        views = [view_collision(row, self.tracks, self.camera) for row in fitted]
         results_tables = [block for row in fitted for block in self._results(row)]
         titles = [f"Collision {row['collision']}" for row in fitted]
         sections = [
@@ -215,12 +217,7 @@ class RecordingPage:
 
     def _list_frames(self, first: int, last: int, views: Sequence[CollisionView | None]) -> list[dict[str, Any]]:
         """List for each frame of the film the balls: position, errors, light, residuals (µm) and flags."""
-        residuals: dict[tuple[int, int], tuple[float, float]] = {}
-        for view in views:
-            for ball, track in view.balls.items() if view is not None and view.is_instantaneous else ():
-                off = (track.position - view.predict(ball, track.start)) * 1e6  # type: ignore[union-attr]
-                for frame, (x, y) in zip(track.frame.tolist(), off.tolist(), strict=True):
-                    residuals.setdefault((track.particle, frame), (x, y))
+        residuals = list_residuals(views)
         tracks, steps = self.tracks, []
         shown = self.frames.numbers[first : last + 1] if self.frames is not None else range(first, last + 1)
         for k in map(int, shown):
@@ -229,17 +226,10 @@ class RecordingPage:
                 particle = int(tracks.particle[row])
                 position = [f"{v:.3f}" for v in (tracks.x[row], tracks.y[row])]
                 errors = [f"{np.sqrt(tracks.cov[row, axis, axis]):.3f}" for axis in (0, 1)]
-                off = [f"{v:.1f}" for v in residuals.get((particle, k), ())] or ["–", "–"]
+                off = [f"{1e6 * v:.1f}" for v in residuals.get((particle, k), ())] or ["–", "–"]
                 balls.append([particle, *position, *errors, f"{tracks.flux[row]:.4g}", *off, str(tracks.flags[row])])
             steps.append({"frame": k, "balls": balls})
         return steps
-
-    def _view(self, row: Mapping[str, Any]) -> CollisionView | None:
-        """A collision with the tracks of its balls; None where the tied fit lacks a parameter."""
-        if row["status"] not in MEASURED:
-            return None
-        view = CollisionView.of(pd.Series(row), self.tracks, self.camera)
-        return view if np.isfinite(view.parameters).all() else None
 
     def _figures(self, view: CollisionView | None) -> list[Block]:
         if view is None:

@@ -138,10 +138,7 @@ def test_a_run_writes_the_camera_file_and_serves_its_report_alone(client, bench,
         folder.mkdir()
         (folder / "index.html").write_text("the report")
         (folder / "run.json").write_text("{}")
-        (folder / "estimates.parquet").touch()
-        (folder / "clips/000000").mkdir(parents=True)
-        table = pd.DataFrame({"frame": [4, 5, 4], "particle": [0, 0, 1], "x": [1.0, 2.0, 7.0], "y": 3.0})
-        table.to_parquet(folder / "clips/000000/tracks.parquet")
+        pd.DataFrame({"clip": [0], "status": ["ok"]}).to_parquet(folder / "estimates.parquet")
         (bench.folder / "other.html").write_text("not of this run")
         (folder / "out.html").symlink_to(bench.folder / "other.html")
         started.append(words)
@@ -159,9 +156,6 @@ def test_a_run_writes_the_camera_file_and_serves_its_report_alone(client, bench,
     assert "frame-ancestors 'self'; sandbox allow-scripts" in report.headers["content-security-policy"]
     assert stranger.get("/report/other/1/index.html").status_code == 403
     assert stranger.post(f"{reports}/1/index.html").status_code == 403
-    tracks = client.get("/api/tracks/1").json()
-    assert tracks[0] == {"particle": 0, "frame": [4, 5], "x": [1.0, 2.0], "y": [3.0, 3.0]}
-    assert [track["particle"] for track in tracks] == [0, 1]
     for name in ("run.json", "..%2fother.html", "out.html", "none.html"):
         assert client.get(f"{reports}/1/{name}").status_code == 404
     assert client.get(f"{reports}/2/index.html").status_code == 422
@@ -169,7 +163,7 @@ def test_a_run_writes_the_camera_file_and_serves_its_report_alone(client, bench,
 
 
 def test_two_sessions_on_one_folder_take_different_numbers(tmp_path, pictures, monkeypatch):
-    tifffile.imwrite(tmp_path / "film.tif", pictures[1], imagej=True)
+    tifffile.imwrite(tmp_path / "film.tif", pictures[1][:4], imagej=True)
     both = [Workbench(open_source(tmp_path / "film.tif")) for _ in range(2)]
     numbers = []
     for bench in both:

@@ -12,6 +12,7 @@ export class Inspector {
     this.list = document.getElementById("ball");
     this.magnify = newestOnly((...values) => this.fetchCrop(...values));
     this.point = "centre";
+    this.findTracked = () => null; // the position of a track near a place of this frame
     stage.addEventListener("point", (event) => this.look(event.detail));
   }
 
@@ -43,6 +44,11 @@ export class Inspector {
       [this.point === "glint" ? "Light" : "Area", `${ball.flux} ${this.point === "glint" ? "counts" : "px²"}`],
       ["Flags", ball.flags.join(", ") || "none"],
     ] : [["Pointer", `${place} px`], ["Ball", "none here"]];
+    const tracked = this.findTracked(this.last);
+    if (tracked) {
+      rows.push(["Track", `ball ${tracked.particle}${tracked.flags ? ` (${tracked.flags.replaceAll("|", ", ")})` : ""}`]);
+      if (tracked.x_off_um != null) rows.push(["Residual", `${tracked.x_off_um.toFixed(1)}, ${tracked.y_off_um.toFixed(1)} µm`]);
+    }
     this.list.replaceChildren(...rows.flatMap(([name, value]) => {
       const term = document.createElement("dt"), text = document.createElement("dd");
       term.textContent = name;

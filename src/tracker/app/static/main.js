@@ -2,13 +2,15 @@
 
 import { get, newestOnly, post } from "/static/api.js";
 import { Inspector } from "/static/ball.js";
+import { Mending } from "/static/mending.js";
 import { Player } from "/static/player.js";
 import { Pointing } from "/static/pointing.js";
+import { ResidualPlot } from "/static/residuals.js";
 import { Run } from "/static/run.js";
 import { Stage } from "/static/stage.js";
 
 const element = (id) => document.getElementById(id);
-const TOOLS = ["look", "scale", "ball", "region"];
+const TOOLS = ["look", "scale", "ball", "region", "mend"];
 
 function tell(text) {
   element("message").textContent = text;
@@ -19,7 +21,8 @@ async function begin() {
   let film = await get("/api/film");
   const stage = new Stage(element("stage")), player = new Player(stage, film, tell);
   const inspector = new Inspector(stage, player), pointing = new Pointing(stage, player, inspector);
-  const run = new Run(pointing, stage, tell, async () => { takeSettings(await get("/api/film")); });
+  const plot = new ResidualPlot(player), mending = new Mending(stage, player, pointing, inspector, plot);
+  const run = new Run(pointing, mending, tell, async () => { takeSettings(await get("/api/film")); });
   let detector = film.status.detector;
 
   function takeSettings(next) {
@@ -29,11 +32,14 @@ async function begin() {
 
   function open(next) {
     film = next;
-    run.open(film.status.run);
+    run.open(film);
     document.title = `${film.film.split("/").at(-1)} – workbench`;
     element("film-name").textContent = `${film.film} · ${film.size.join(" × ")} px · ${film.frames} frames`;
     element("clip-choice").hidden = film.clips.length < 2;
-    element("clip").replaceChildren(...film.clips.map((number, k) => new Option(number, k, false, k === film.clip)));
+    element("clip").replaceChildren(...film.clips.map((number, k) => {
+      const known = film.opened.find((clip) => clip.clip === number);
+      return new Option(known ? `${number}: ${known.status}` : number, k, false, k === film.clip);
+    }));
     element("channel").replaceChildren(...film.channels.map((name) => new Option(name, name)));
     element("channel").disabled = film.channels.length < 2;
     element("search-choice").hidden = film.channels.length < 2;
@@ -74,7 +80,7 @@ async function begin() {
     const notes = [...film.notes.filter((note) => !note.startsWith("no camera file")), ...detector.notes];
     element("notes-box").hidden = notes.length === 0;
     element("notes").replaceChildren(...notes.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
-    run.show(status.run);
+    run.show(status);
     stage.draw();
   }
 
@@ -144,6 +150,11 @@ async function begin() {
     "-": () => stage.zoomBy(1 / 1.5, stage.middle),
     0: () => stage.fit(),
     n: jumpToBall,
+    Delete: () => mending.press("remove-point"),
+    b: () => mending.chooseNext(),
+    a: () => mending.addAtCross(),
+    u: () => mending.press("undo"),
+    r: () => mending.press("redo"),
   };
   TOOLS.forEach((tool, k) => { keys[k + 1] = () => pointing.choose(tool); });
   const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };

@@ -10,6 +10,7 @@ const HINTS = {
   scale: "Click both ends of a known length, then type the length.",
   ball: "Click the middle of a ball: an example for --ball. Not needed if the balls are found.",
   region: "Drag a rectangle: balls are searched in it alone.",
+  mend: "Click a ball to choose its track, or the place of a point to add.",
 };
 
 export class Pointing {
@@ -84,6 +85,8 @@ export class Pointing {
     if (tool === "ball") {
       const seen = this.inspector.find(at), [bx, by] = seen ? [seen.x, seen.y] : at;
       this.addBall(`${bx.toFixed(1)},${by.toFixed(1)}@${this.player.number}`);
+    } else if (tool === "mend") {
+      this.stage.dispatchEvent(new CustomEvent("mend", { detail: at }));
     } else if (tool !== "look" && !marks.pending) {
       marks.pending = at;
     } else if (tool === "scale") {

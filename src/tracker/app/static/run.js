@@ -5,36 +5,42 @@ import { get, post } from "/static/api.js";
 const element = (id) => document.getElementById(id);
 const cell = (kind, text) => Object.assign(document.createElement(kind), { textContent: text });
 
+const DOING = { calibrate: "Measuring the scale", measure: "Measuring", combine: "Combined set", find: "Search" };
+const STARTERS = ["run", "calibrate", "combine", "search"];
+
 export class Run {
-  constructor(pointing, stage, tell, whenCalibrated) {
-    Object.assign(this, { pointing, stage, tell, whenCalibrated, shown: 0 });
+  constructor(pointing, mending, tell, whenCalibrated) {
+    Object.assign(this, { pointing, mending, tell, whenCalibrated, shown: 0 });
     element("run").addEventListener("click", () => this.start("/api/run"));
     element("calibrate").addEventListener("click", () => this.start("/api/calibrate"));
-    element("show-tracks").addEventListener("change", () => {
-      stage.marks.showTracks = element("show-tracks").checked;
-      stage.draw();
-    });
+    element("combine").addEventListener("click", () => this.start("/api/combine", () => null));
+    element("search").addEventListener("click", () => this.start("/api/search", () => element("model").value.trim()));
     element("cancel").addEventListener("click", () => post("/api/cancel").catch((error) => tell(error.message)));
   }
 
-  async start(address) {
-    element("run").disabled = element("calibrate").disabled = true;
+  async start(address, collect = () => this.pointing.collect()) {
+    this.disable(true);
     try {
-      this.show((await post(address, this.pointing.collect())).run);
+      this.show(await post(address, collect()));
     } catch (error) {
-      element("run").disabled = element("calibrate").disabled = false;
-      element(address === "/api/run" ? "run-state" : "settings-error").textContent = error.message;
+      this.disable(false);
+      element(address === "/api/calibrate" ? "settings-error" : "run-state").textContent = error.message;
     }
   }
 
-  // After the page is loaded again: a calibration that has ended is part of the film's description.
-  open(run) {
-    if (run.command === "calibrate" && run.state === "done") this.shown = run.number;
+  disable(disabled) { for (const id of STARTERS) element(id).disabled = disabled; }
+
+  // After the page is loaded again: what has ended is part of the film's description.
+  open({ results, has_film: hasFilm, status: { run } }) {
+    if (run.state === "done") this.shown = run.number;
+    element("run").textContent = hasFilm ? "Track" : "Measure again";
+    element("settings").hidden = !hasFilm;
+    if (results != null) this.showResults(results);
   }
 
-  show(run) {
+  show({ run, page }) {
     const running = run.state === "running", progress = element("progress");
-    element("run").disabled = element("calibrate").disabled = running;
+    this.disable(running);
     element("cancel").hidden = progress.hidden = !running;
     if (running && run.total) {
       progress.max = run.total;
@@ -43,8 +49,8 @@ export class Run {
       progress.removeAttribute("value");
     }
     const counted = run.total ? ` ${run.done} of ${run.total} ${run.what}` : "";
-    const calibrates = run.command === "calibrate", doing = calibrates ? "Measuring the scale" : "Tracking";
-    const done = calibrates ? "The balls give the scale." : "Done.";
+    const calibrates = run.command === "calibrate", stage = run.command === "find" ? ` ${run.lines.at(-1) ?? ""}` : "";
+    const doing = (DOING[run.command] ?? "Tracking") + stage, done = calibrates ? "The balls give the scale." : "Done.";
     const words = { idle: "", running: `${doing}${counted}`, done, cancelled: "Cancelled.", failed: run.error };
     element("run-state").textContent = words[run.state];
     element("run-state").className = run.state === "failed" ? "error" : "";
@@ -53,6 +59,7 @@ export class Run {
     if (run.state === "done" && this.shown !== run.number) {
       this.shown = run.number;
       if (calibrates) this.whenCalibrated();
+      else if (page) this.showReport(page, DOING[run.command]);
       else this.showResults(run.number);
     }
   }
@@ -70,26 +77,21 @@ export class Run {
     parts.push(Object.assign(cell("p", `Written to ${found.folder}`), { className: "note" }));
     element("results").replaceChildren(...parts);
     this.pointing.send(); // the next run has another folder
-    this.showTracks(number);
-    element("report-box").hidden = !found.page;
-    if (found.page) element("report").src = found.page;
+    this.mending.load();
+    element("compare-box").hidden = false;
+    this.showReport(found.page, "Report");
   }
 
-  async showTracks(number) {
-    try {
-      this.stage.marks.tracks = await get(`/api/tracks/${number}`);
-      this.stage.marks.showTracks = element("show-tracks").checked;
-      element("tracks-choice").hidden = false;
-      this.stage.draw();
-    } catch (error) {
-      this.tell(error.message);
-    }
+  showReport(page, title) {
+    element("report-box").hidden = !page;
+    element("report-title").textContent = title;
+    if (page) element("report").src = page;
   }
 
   // Another clip has other tracks.
   clear() {
-    this.stage.marks.tracks = [];
-    element("tracks-choice").hidden = element("report-box").hidden = true;
+    this.mending.clear();
+    element("report-box").hidden = true;
     element("results").replaceChildren();
     element("report").removeAttribute("src");
   }

@@ -12,7 +12,7 @@ export class Stage extends EventTarget {
     this.at = [0, 0]; // film position in the upper left corner
     this.fitted = true;
     this.picture = null;
-    this.marks = { balls: [], radius: 8, hints: [], scale: [], region: null, pending: null, tracks: [], showTracks: true };
+    this.marks = { balls: [], radius: 8, hints: [], scale: [], region: null, pending: null, tracks: [], showTracks: true, showArrows: false, chosen: null };
     this.frame = 0; // number of the frame in view
     this.cross = null;
     this.tool = "look";
@@ -159,6 +159,8 @@ export class Stage extends EventTarget {
     if (this.picture) pen.drawImage(this.picture, left, top, this.size[0] * this.zoom, this.size[1] * this.zoom);
     const { balls, radius, hints, scale, region, pending } = this.marks;
     if (this.marks.showTracks) this.marks.tracks.forEach((track, k) => this.drawTrack(pen, track, k));
+    if (this.marks.showArrows) this.marks.tracks.forEach((track) => this.drawArrows(pen, track));
+    if (this.marks.chosen) this.drawChosen(pen, this.marks.chosen);
     for (const ball of balls) this.ring(pen, ball, radius, BALL, []);
     for (const hint of hints) this.ring(pen, hint, hint.radius ?? radius, HINT, [6, 4]);
     if (region) this.outline(pen, region, REGION);
@@ -194,6 +196,24 @@ export class Stage extends EventTarget {
     pen.fillStyle = "#fff";
     pen.strokeText(particle, left + away, top - away / 2);
     pen.fillText(particle, left + away, top - away / 2);
+  }
+
+  // The residuals of a track: the longest of all tracks is as long as three radii.
+  drawArrows(pen, { x, y, x_off: right, y_off: down }) {
+    const longest = this.marks.longest || 1, scale = (3 * Math.max(this.marks.radius, 5)) / longest;
+    this.stroke(pen, CROSS, () => {
+      x.forEach((_, row) => {
+        if (right[row] == null) return;
+        pen.moveTo(...this.toScreen([x[row], y[row]]));
+        pen.lineTo(...this.toScreen([x[row] + scale * right[row], y[row] + scale * down[row]]));
+      });
+    });
+  }
+
+  // The position that a correction is about: a square.
+  drawChosen(pen, [x, y]) {
+    const [left, top] = this.toScreen([x, y]), half = Math.max(this.marks.radius * this.zoom, 5) + 5;
+    this.stroke(pen, CROSS, () => pen.rect(left - half, top - half, 2 * half, 2 * half));
   }
 
   ring(pen, ball, radius, colour, dash) {

@@ -1,0 +1,195 @@
+"""Results that the page shows: their clips, recommended numbers, and tracks with residuals; and the film of results."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import islice, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from synthcam_shared.errors import InputError
+from tracker import results
+from tracker.camera.camera import Camera
+from tracker.camera.frames import Frames
+from tracker.camera.recordings import RecordingSource, open_source
+from tracker.detection.link import Tracks
+from tracker.edits import TrackEdits
+from tracker.pipeline import digest_films
+from tracker.report.collision_figures import list_residuals, view_collision
+from tracker.report.estimates_text import (
+    METHODS,
+    describe_recommendation,
+    describe_status,
+    list_quantities,
+    order_methods,
+    rows_as_dicts,
+)
+from tracker.report.pages import PAGE
+from tracker.results import RUN
+
+MAX_COLLISIONS = 20  # whose numbers the page lists; the report has all
+MAX_POSITIONS = 200_000  # of tracks that the page draws
+MAX_TRIED_FILMS = 100  # neighbours of results that may be their film
+QUANTITIES = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction", "momentum_fraction")
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedResults:
+    """RESULTS of `tracker track` or `tracker measure` that are complete."""
+
+    folder: Path
+    _residuals: dict[int, dict[tuple[int, int], Any]] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def run(self) -> dict[str, Any]:
+        """The entries of run.json. Raises InputError."""
+        run = results.load_json(self.folder / RUN)
+        if not isinstance(run, dict):
+            raise InputError(f"{self.folder / RUN}: damaged, expected keys and values")
+        return run
+
+    @cached_property
+    def estimates(self) -> pd.DataFrame:
+        """The table of estimates. Raises InputError where the run is not complete."""
+        file = self.folder / "estimates.parquet"
+        try:
+            return pd.read_parquet(file)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{file}: expected the estimates of a complete run ({type(error).__name__})") from None
+
+    @cached_property
+    def numbers(self) -> list[int]:
+        """The numbers of the clips."""
+        return [int(number) for number in self.estimates["clip"].unique()]
+
+    def list_edits(self, number: int) -> list[dict[str, Any]]:
+        """The edits of a clip that the run has applied, without its number."""
+        given = [edit for edit in self.run.get("edits", []) if edit.get("clip") in (None, number)]
+        return [{key: value for key, value in edit.items() if key != "clip"} for edit in given]
+
+    def describe_clips(self) -> list[dict[str, Any]]:
+        """Each clip with its status, or the statuses of its collisions."""
+        return [
+            {"clip": int(str(number)), "status": ", ".join(dict.fromkeys(rows["status"].map(str)))}
+            for number, rows in self.estimates.groupby("clip", sort=False)
+        ]
+
+    def find_page(self, number: int) -> str:
+        """The report of a clip, in the folder; "" where none was written."""
+        own = f"{results.clip_folder(self.folder, number).relative_to(self.folder)}/{PAGE}"
+        return next((name for name in (own, PAGE) if (self.folder / name).is_file()), "")
+
+    def describe_collisions(self, number: int) -> dict[str, Any]:
+        """The recommended numbers of a clip, with their errors."""
+        table = self.estimates[self.estimates["clip"] == number]
+        return {
+            "folder": f"{self.folder}",
+            "collisions": [_describe_collision(row) for row in rows_as_dicts(table.head(MAX_COLLISIONS))],
+            "more": max(len(table) - MAX_COLLISIONS, 0),
+        }
+
+    def list_tracks(self, number: int, edits: TrackEdits) -> list[dict[str, Any]]:
+        """The tracks of a clip after further edits, px, with the residuals of the tied fit, px and um."""
+        tracks, camera = results.read_clip(self.folder, number)
+        if len(tracks) > MAX_POSITIONS:
+            raise InputError(f"tracks: {len(tracks)} positions, the page draws at most {MAX_POSITIONS}")
+        if number not in self._residuals:
+            rows = rows_as_dicts(self.estimates[self.estimates["clip"] == number])
+            off = list_residuals(view_collision(row, tracks, camera) for row in rows) if camera.metric else {}
+            # positions tell points apart after an exchange of numbers
+            known = zip(tracks.particle.tolist(), tracks.frame.tolist(), tracks.x.tolist(), strict=True)
+            self._residuals[number] = {(k, x): off[p, k] for p, k, x in known if (p, k) in off}
+        return _list_tracks(edits.apply(tracks, number).tracks, camera, self._residuals[number])
+
+
+def _list_tracks(tracks: Tracks, camera: Camera, residuals: Mapping[Any, tuple[float, float]]) -> list[dict[str, Any]]:
+    keys = zip(tracks.frame.tolist(), tracks.x.tolist(), strict=True)
+    metres = np.array([residuals.get(key, (np.nan, np.nan)) for key in keys]).reshape(-1, 2)
+    pixels = metres
+    if camera.metric and len(tracks):
+        slopes = camera.unproject(tracks.xy)[1]
+        pixels = np.linalg.solve(slopes, metres[:, :, None])[:, :, 0]
+    std = np.sqrt(np.diagonal(tracks.cov, axis1=1, axis2=2))
+    columns: dict[str, Any] = {"frame": tracks.frame, "x": tracks.x.round(3), "y": tracks.y.round(3)}
+    columns |= {f"{name}_std": std[:, axis].round(4) for axis, name in enumerate("xy")}
+    columns |= {f"{name}_off": pixels[:, axis].round(4) for axis, name in enumerate("xy")}
+    columns |= {f"{name}_off_um": (1e6 * metres[:, axis]).round(2) for axis, name in enumerate("xy")}
+    columns["flags"] = tracks.flags
+    return [
+        {"particle": int(number), **{key: results.finite(v[own].tolist()) for key, v in columns.items()}}
+        for number in np.unique(tracks.particle)
+        for own in [tracks.particle == number]
+    ]
+
+
+def _describe_collision(row: Mapping[str, Any]) -> dict[str, Any]:
+    methods = order_methods(row)
+    return {
+        "title": f"Collision {row['collision']}",
+        "status": describe_status(row),
+        "why": describe_recommendation(row),
+        "method": METHODS[next(iter(methods))],
+        "rows": [
+            [line.quantity.plain_symbol, line.values[0], line.quantity.unit, line.quantity.meaning]
+            for line in list_quantities(row, QUANTITIES)
+        ],
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class TracksAlone(RecordingSource):
+    """Results whose film is not there: black frames, over which the tracks are drawn."""
+
+    def open_film(self, index: int) -> tuple[int, Frames]:
+        """Number and black frames of clip ``index``, as many as its tracks have."""
+        number = self.clips[index][0]
+        tracks, camera = results.read_clip(self.path, number)
+        black = np.zeros(camera.size[::-1], np.uint8)
+        frames = Frames(max(int(tracks.frame.max(initial=0)) + 1, 2), black.shape, black.dtype, lambda k: black)
+        frames.fps = camera.fps if camera.metric else 0.0
+        return number, frames
+
+
+def show_tracks_alone(opened: OpenedResults) -> TracksAlone:
+    """The source of results without their film; each clip has the camera file of its results."""
+    tables = [(number, results.clip_folder(opened.folder, number) / "tracks.parquet") for number in opened.numbers]
+    return TracksAlone(opened.folder, tuple(tables), dataset=len(tables) > 1)
+
+
+def find_film(opened: OpenedResults, film: Path | None = None, camera: Path | None = None) -> RecordingSource | None:
+    """The film of results; None where it is not found.
+
+    It is the given one, or that of the command beside a run of the page, or a neighbour of RESULTS whose files are
+    those that were tracked. Raises InputError for a given film that has other clips.
+    """
+    if film is not None:
+        source = open_source(film, camera)
+        if missing := sorted({*opened.numbers} - {number for number, _ in source.clips}):
+            raise InputError(f"{film}: has no clip {missing[0]}, which {opened.folder} has")
+        return source
+    for source in _try_films(opened.folder.resolve(), camera):
+        if digest_films(source) == opened.run.get("input"):
+            return source
+    return None
+
+
+def _try_films(folder: Path, camera: Path | None) -> Iterable[RecordingSource]:
+    """Films that may be those of results, with the camera files that may be theirs."""
+    command = folder.with_name(f"{folder.name.replace('results_', 'command_')}.txt")
+    films: list[Path] = []
+    with suppress(OSError, ValueError):  # ValueError: no text, or quotes that do not match
+        words = shlex.split(command.read_text())
+        films.append(Path(words[2]))
+    folders = (folder.parent, folder.parent.parent)  # runs of the page lie in a folder of their own beside the film
+    near = [path for one in folders for path in islice(sorted(one.iterdir()), MAX_TRIED_FILMS) if path != folder]
+    cameras: Sequence[Path | None] = [camera] if camera else [None, *(path for path in near if path.suffix == ".json")]
+    for film, own in product([*films, *near], cameras):
+        with suppress(InputError, OSError, IndexError):
+            yield open_source(film, own)
