@@ -184,11 +184,11 @@ def test_everything_by_keyboard(address, browser):
         page.focus("#stage")
         page.keyboard.press("n")
         says(page, "#ball", "Glint at")
-        page.keyboard.press("3")
+        page.keyboard.press("4")
         page.keyboard.press("Enter")
         says(page, "#command", r"--ball (99|100|101)\.\d,(79|80|81)\.\d@0")
         page.click("#balls button")
-        page.keyboard.press("4")
+        page.keyboard.press("5")
         page.focus("#stage")
         for _ in range(2):
             page.keyboard.press("Enter")

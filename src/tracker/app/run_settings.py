@@ -59,6 +59,14 @@ class RunSettings(Settings):
         return FilmOptions(frames=self.frames, region=self.region, ball=tuple(self.balls))
 
 
+class KnownPoints(Settings):
+    """Points of the plate that the user knows: x and y in px, and x and y in m, y up."""
+
+    points: list[Annotated[list[float], Field(min_length=4, max_length=4)]] | None = Field(
+        None, min_length=4, max_length=1000
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class RunPlan:
     """Checked settings: the recording that they make, the keys of its camera, whether these need a file."""

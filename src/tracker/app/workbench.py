@@ -24,6 +24,7 @@ from tracker.app.frame_detector import PreparedDetector, list_balls, prepare_det
 from tracker.app.mending import Mending
 from tracker.app.opened_results import OpenedResults, TracksAlone
 from tracker.app.run_settings import (
+    KnownPoints,
     RunPlan,
     RunSettings,
     join_words,
@@ -38,6 +39,10 @@ from tracker.camera.recordings import RecordingSource
 from tracker.edits import EDITS, TrackEdits
 from tracker.results import clip_folder, finite
 
+FILES_OF_RUNS = (
+    *("command_{}.txt", "edits_{}.yaml", "camera_{}.json", "calibrated_{}.json", "points_{}.csv", "model_{}.yaml"),
+    *("results_{}", "set_{}", "search_{}"),
+)
 OPENED = 0  # the number of the results that the session was opened with; its runs count from 1
 
 
@@ -254,8 +259,7 @@ class Workbench:
     def _next_number(self) -> int:
         """The first number without a file of an earlier run, finished, interrupted or claimed."""
         taken = {path.name.removesuffix(".partial") for path in self.folder.glob("*_*")}
-        files = "command_{}.txt", "edits_{}.yaml", "camera_{}.json", "calibrated_{}.json", "model_{}.yaml"
-        names = ({kind.format(n) for kind in (*files, "results_{}", "set_{}", "search_{}")} for n in count(1))
+        names = ({kind.format(n) for kind in FILES_OF_RUNS} for n in count(1))
         return next(n for n, own in enumerate(names, 1) if not own & taken)
 
     def _command_file(self, number: int) -> Path:
@@ -274,24 +278,32 @@ class Workbench:
         return self.folder / f"calibrated_{number}.json"
 
     def start_calibration(self, values: Any) -> dict[str, Any]:
-        """Start `tracker calibrate`, which measures the scale by the balls. Raises InputError.
+        """Start `tracker calibrate`: the scale by the balls, or the perspective by known points. Raises InputError.
 
-        When it is done, its camera file becomes that of the film.
+        values: RunSettings, and perhaps `points`, four numbers each: x and y in px, x and y in m. When it is done, its
+        camera file becomes that of the film.
         """
-        settings = build_settings(values, RunSettings, "settings")
+        rest = {key: value for key, value in values.items() if key != "points"} if isinstance(values, dict) else values
+        settings = build_settings(rest, RunSettings, "settings")
+        given = build_settings({"points": values.get("points")}, KnownPoints, "points")
         wanted = {"--diameter": settings.ball_diameter, "--fps": settings.fps, "--exposure": settings.exposure}
-        given = self.given or {}
-        wanted["--diameter"] = wanted["--diameter"] or given.get("ball_diameter")
-        wanted["--fps"] = wanted["--fps"] or given.get("fps")
+        known = self.given or {}
+        wanted["--diameter"] = wanted["--diameter"] or known.get("ball_diameter")
+        wanted["--fps"] = wanted["--fps"] or known.get("fps")
         if not self.has_film:
             raise InputError("calibrate: the film of these results is not here")
         if not (wanted["--diameter"] and wanted["--fps"]):
-            raise InputError("calibrate: set the ball diameter and the frames a second; the balls then give the scale")
+            raise InputError("calibrate: set the ball diameter and the frames a second; the film then gives the rest")
         with self._lock:
             number = self._claim_number()
             words = ["tracker", "calibrate", name_as_argument(self.film), "-o", f"{self._calibrated(number)}"]
             for name, value in wanted.items():
                 words += [name, f"{value:.12g}"] if value else []
+            if given.points is not None:
+                table = self.folder / f"points_{number}.csv"
+                lines = [",".join(f"{value:.12g}" for value in point) for point in given.points]
+                write_atomically(table, "\n".join(["x_px,y_px,x,y", *lines, ""]))
+                words += ["--points", f"{table}"]
             self._start_process(number, words)
             return self.describe_status()
 

@@ -192,6 +192,14 @@ def test_a_calibration_gives_the_film_its_camera_file(tmp_path, pictures, monkey
     monkeypatch.setattr(bench.process, "start", lambda number, words: started.append((number, words)))
     assert "set the ball diameter and" in client.post("/api/calibrate", json={"fps": 250}).json()["error"]
     client.post("/api/calibrate", json={"fps": 250, "ball_diameter": 2.38e-3})
+    points = [[10, 20, 0.0, 0.1], [150, 20, 0.1, 0.1], [150, 120, 0.1, 0.0], [10, 120, 0.0, 0.0]]
+    size = {"fps": 250, "ball_diameter": 2.38e-3}
+    client.post("/api/calibrate", json={**size, "points": points})
+    number, words = started.pop()
+    assert words[-2:] == ["--points", f"{bench.folder / f'points_{number}.csv'}"]
+    assert (bench.folder / f"points_{number}.csv").read_text().splitlines()[:2] == ["x_px,y_px,x,y", "10,20,0,0.1"]
+    for wrong in (points[:3], [[1, 2, 3]] * 4, [["1", 2, 3, 4]] * 4, 7):
+        assert client.post("/api/calibrate", json={**size, "points": wrong}).status_code == 422
     ((number, words),) = started
     file = bench.folder / f"calibrated_{number}.json"
     film = ["tracker", "calibrate", f"{tmp_path / 'film.tif'}", "-o", f"{file}"]
@@ -201,7 +209,7 @@ def test_a_calibration_gives_the_film_its_camera_file(tmp_path, pictures, monkey
     about = client.get("/api/film").json()
     assert (about["given"]["scale"], about["settings"]["region"]) == (CAMERA["scale"], "0,0,150,90")
     assert f"--camera {file}" in about["plan"]["command"]
-    assert "results_2" in about["plan"]["command"]
+    assert "results_3" in about["plan"]["command"]
     bench.close()
 
 

@@ -10,7 +10,7 @@ import { Run } from "/static/run.js";
 import { Stage } from "/static/stage.js";
 
 const element = (id) => document.getElementById(id);
-const TOOLS = ["look", "scale", "ball", "region", "mend"];
+const TOOLS = ["look", "scale", "points", "ball", "region", "mend"];
 
 function tell(text) {
   element("message").textContent = text;

@@ -8,6 +8,7 @@ const rounded = (value, digits = 6) => Number(value.toPrecision(digits));
 const HINTS = {
   look: "Drag to move the picture; turn the wheel to zoom.",
   scale: "Click both ends of a known length, then type the length.",
+  points: "Click a point of the table that you know, then type its x and y in mm, y up. Four or more give the perspective.",
   ball: "Click the middle of a ball: an example for --ball. Not needed if the balls are found.",
   region: "Drag a rectangle: balls are searched in it alone.",
   mend: "Click a ball to choose its track, or the place of a point to add.",
@@ -21,6 +22,7 @@ export class Pointing {
       element(id).addEventListener("input", () => this.send());
     }
     for (const id of ["length", "points"]) element(id).addEventListener("input", () => this.setScale());
+    element("known-points").addEventListener("input", () => this.markPoints());
     element("no-scale").addEventListener("click", () => this.clearScale());
     element("region").addEventListener("input", () => this.markRegion());
     element("add-ball").addEventListener("click", () => this.addTypedBall());
@@ -58,6 +60,8 @@ export class Pointing {
     element("last").value = last ?? "";
     element("region").value = settings.region;
     element("points").value = element("length").value = "";
+    element("known-points").value = "";
+    this.stage.marks.points = [];
     element("search-channel").checked = settings.channel !== "";
     this.searched = settings.channel;
     element("film-fps").textContent = film.fps ? `The file says ${rounded(film.fps)}.` : "The file does not say.";
@@ -85,6 +89,11 @@ export class Pointing {
     if (tool === "ball") {
       const seen = this.inspector.find(at), [bx, by] = seen ? [seen.x, seen.y] : at;
       this.addBall(`${bx.toFixed(1)},${by.toFixed(1)}@${this.player.number}`);
+    } else if (tool === "points") {
+      const text = element("known-points");
+      text.value = `${text.value.trimEnd()}${text.value.trim() ? "\n" : ""}${at.map((v) => v.toFixed(1)).join(" ")} `;
+      this.markPoints();
+      text.focus();
     } else if (tool === "mend") {
       this.stage.dispatchEvent(new CustomEvent("mend", { detail: at }));
     } else if (tool !== "look" && !marks.pending) {
@@ -103,6 +112,17 @@ export class Pointing {
       this.markRegion();
       this.send();
     }
+    this.stage.draw();
+  }
+
+  // Each line of the field: x and y in px, x and y in mm.
+  get knownPoints() {
+    const lines = element("known-points").value.split("\n").map((line) => line.split(/[\s,;]+/).filter(Boolean).map(Number));
+    return lines.filter((line) => line.length).map(([a, b, x, y]) => [a, b, rounded(x / 1e3, 12), rounded(y / 1e3, 12)]);
+  }
+
+  markPoints() {
+    this.stage.marks.points = this.knownPoints.map(([x, y]) => ({ x, y })).filter(({ x, y }) => Number.isFinite(x + y));
     this.stage.draw();
   }
 

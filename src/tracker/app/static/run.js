@@ -6,13 +6,16 @@ const element = (id) => document.getElementById(id);
 const cell = (kind, text) => Object.assign(document.createElement(kind), { textContent: text });
 
 const DOING = { calibrate: "Measuring the scale", measure: "Measuring", combine: "Combined set", find: "Search" };
-const STARTERS = ["run", "calibrate", "combine", "search"];
+const STARTERS = ["run", "calibrate", "perspective", "combine", "search"];
 
 export class Run {
   constructor(pointing, mending, tell, whenCalibrated) {
     Object.assign(this, { pointing, mending, tell, whenCalibrated, shown: 0 });
     element("run").addEventListener("click", () => this.start("/api/run"));
     element("calibrate").addEventListener("click", () => this.start("/api/calibrate"));
+    element("perspective").addEventListener("click", () => {
+      this.start("/api/calibrate", () => ({ ...pointing.collect(), points: pointing.knownPoints }));
+    });
     element("combine").addEventListener("click", () => this.start("/api/combine", () => null));
     element("search").addEventListener("click", () => this.start("/api/search", () => element("model").value.trim()));
     element("cancel").addEventListener("click", () => post("/api/cancel").catch((error) => tell(error.message)));
@@ -50,7 +53,7 @@ export class Run {
     }
     const counted = run.total ? ` ${run.done} of ${run.total} ${run.what}` : "";
     const calibrates = run.command === "calibrate", stage = run.command === "find" ? ` ${run.lines.at(-1) ?? ""}` : "";
-    const doing = (DOING[run.command] ?? "Tracking") + stage, done = calibrates ? "The balls give the scale." : "Done.";
+    const doing = (DOING[run.command] ?? "Tracking") + stage, done = calibrates ? "The film has a camera file now." : "Done.";
     const words = { idle: "", running: `${doing}${counted}`, done, cancelled: "Cancelled.", failed: run.error };
     element("run-state").textContent = words[run.state];
     element("run-state").className = run.state === "failed" ? "error" : "";

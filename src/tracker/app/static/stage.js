@@ -12,7 +12,7 @@ export class Stage extends EventTarget {
     this.at = [0, 0]; // film position in the upper left corner
     this.fitted = true;
     this.picture = null;
-    this.marks = { balls: [], radius: 8, hints: [], scale: [], region: null, pending: null, tracks: [], showTracks: true, showArrows: false, chosen: null };
+    this.marks = { balls: [], radius: 8, hints: [], scale: [], region: null, pending: null, points: [], tracks: [], showTracks: true, showArrows: false, chosen: null };
     this.frame = 0; // number of the frame in view
     this.cross = null;
     this.tool = "look";
@@ -163,6 +163,7 @@ export class Stage extends EventTarget {
     if (this.marks.chosen) this.drawChosen(pen, this.marks.chosen);
     for (const ball of balls) this.ring(pen, ball, radius, BALL, []);
     for (const hint of hints) this.ring(pen, hint, hint.radius ?? radius, HINT, [6, 4]);
+    for (const point of this.marks.points) this.ring(pen, point, 4 / this.zoom, SCALE, [2, 2]);
     if (region) this.outline(pen, region, REGION);
     if (scale.length === 2) this.line(pen, scale[0], scale[1]);
     if (pending && this.tool === "scale") this.line(pen, pending, this.cross);
