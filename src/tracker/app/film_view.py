@@ -78,7 +78,7 @@ class FilmView:
     @cached_property
     def _apart(self) -> Frames:
         """The film once more, with the frames that the page has decoded."""
-        frames, lock = self.source.open_film(self.index)[1], threading.RLock()
+        frames, lock = self.source.open_film(self.index, self.frames.contents)[1], threading.RLock()
 
         def read(k: int) -> Any:
             if self._closed:

@@ -147,7 +147,7 @@ def _describe_collision(row: Mapping[str, Any]) -> dict[str, Any]:
 class TracksAlone(RecordingSource):
     """Results whose film is not there: black frames, over which the tracks are drawn."""
 
-    def open_film(self, index: int) -> tuple[int, Frames]:
+    def open_film(self, index: int, contents: Any = None) -> tuple[int, Frames]:
         """Number and black frames of clip ``index``, as many as its tracks have."""
         number = self.clips[index][0]
         tracks, camera = results.read_clip(self.path, number)
