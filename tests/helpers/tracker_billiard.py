@@ -22,15 +22,20 @@ class Physics:
     radius: float = 1.19e-3
 
 
+def cross(a, b):
+    """The vector product of two vectors; numpy's takes 40 microseconds for it."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
 def rolling(x, v, radius):
     """State (x, v, w) of a ball that rolls at v."""
     x, v = np.array([*x, 0.0]), np.array([*v, 0.0])
-    return [x, v, np.cross(Z, v) / radius]
+    return [x, v, cross(Z, v) / radius]
 
 
 def slip(ball, radius):
     """Velocity of the lowest point."""
-    u = ball[1] + np.cross(ball[2], -radius * Z)
+    u = ball[1] + cross(ball[2], -radius * Z)
     return u * [1, 1, 0]
 
 
@@ -43,12 +48,12 @@ def moved(ball, t, p):
         tau = size / (3.5 * p.mu * G)
         dt = min(t, tau)
         a = -p.mu * G * u / size
-        force_spin = np.cross(-p.radius * Z, a) / (0.4 * p.radius**2)
+        force_spin = cross(-p.radius * Z, a) / (0.4 * p.radius**2)
         x, v, w = x + v * dt + a * dt**2 / 2, v + a * dt, w + force_spin * dt
         if dt < tau:
             return [x, v, w]
         t = t - dt
-        w = np.cross(Z, v) / p.radius + (w @ Z) * Z
+        w = cross(Z, v) / p.radius + (w @ Z) * Z
     speed = np.linalg.norm(v)
     if speed < 1e-12:
         return [x, v, w]
@@ -57,17 +62,17 @@ def moved(ball, t, p):
     left = (speed + k) * np.exp(-p.drag * t)
     way = (speed + k) * -np.expm1(-p.drag * t) / p.drag - k * t
     v_new = v * (left - k) / speed
-    return [x + v / speed * way, v_new, np.cross(Z, v_new) / p.radius + (w @ Z) * Z]
+    return [x + v / speed * way, v_new, cross(Z, v_new) / p.radius + (w @ Z) * Z]
 
 
 def hit(two, one, p):
     """States just after ball `two` touched ball `one`, and what happened."""
     n = (one[0] - two[0]) / np.linalg.norm(one[0] - two[0])
-    rub = two[1] - one[1] + np.cross(two[2] + one[2], p.radius * n)
+    rub = two[1] - one[1] + cross(two[2] + one[2], p.radius * n)
     rub = rub - rub @ n * n
     push = (1 + p.r) / 2 * ((two[1] - one[1]) @ n) * n
     drag = 0.4 * p.c * rub
-    spin = np.cross(n, -drag) / (0.4 * p.radius)
+    spin = cross(n, -drag) / (0.4 * p.radius)
     flat = drag * [1, 1, 0]
     return [two[0], two[1] - push - flat, two[2] + spin], [one[0], one[1] + push + flat, one[2] + spin], n
 
@@ -120,7 +125,7 @@ def truth(event, p):
     t_c, two, one, before, after = event
     v1, v2 = before[one][1], before[two][1]
     n = (before[one][0] - before[two][0]) / (2 * p.radius)
-    t = np.cross(Z, n)
+    t = cross(Z, n)
     rel, gone = v2 - v1, after[two][1] - after[one][1]
     v0 = np.linalg.norm(rel)
     ends = {}
@@ -128,7 +133,7 @@ def truth(event, p):
         tau = np.linalg.norm(slip(after[ball], p.radius)) / (3.5 * p.mu * G)
         ends[ball] = tau, moved(after[ball], tau * (1 + 1e-12), p)[1]
     f1, f2 = ends[one][1], ends[two][1]
-    out = {"v0": v0, "b": Z @ np.cross(rel / v0, before[two][0] - before[one][0]) / (2 * p.radius), "t_c": t_c}
+    out = {"v0": v0, "b": Z @ cross(rel / v0, before[two][0] - before[one][0]) / (2 * p.radius), "t_c": t_c}
     out |= {"r": -(gone @ n) / (rel @ n), "s": (gone @ t) / (rel @ t), "C": p.c, "mu_k": p.mu}
     out |= {"tau1": ends[one][0], "tau2": ends[two][0], "v1f": np.linalg.norm(f1), "v2f": np.linalg.norm(f2)}
     out["energy_fraction"] = (f1 @ f1 + f2 @ f2) / (v1 @ v1 + v2 @ v2)

@@ -204,13 +204,18 @@ def combine(
     rows = {name: _take_values(table, name) for name in wanted}
     found = {}
     for name, values in rows.items():
-        effects = shared_effects(table.loc[values.index], (name,), "tied", "rolling", "free")
+        used = table.loc[values.index]
+        effects = shared_effects(used, (name,), "tied", "rolling", "free")
+        if name == "mass_ratio":
+            effects[_is_turned(used)] *= -(values["value"].to_numpy()[_is_turned(used), None, None] ** 2)
         if len(values):
             found[name] = combine_quantity(name, values, effects)
     if not found:
         states = ", ".join(f"{count} {status}" for status, count in table["status"].value_counts().items())
         raise InputError(f"{', '.join(map(str, folders)) or 'results'}: no value of {', '.join(wanted)} ({states})")
     notes += [note for one in found.values() for note in list_warnings(one)]
+    if "mass_ratio" in found:
+        notes.append(f"mass_ratio is that of the particle with the lower number over the other. {SAME_BODIES}")
     return CombinedSet(table, found, fit_all(table), tuple(notes))
 
 
@@ -332,10 +337,19 @@ def _by_fit(table: pd.DataFrame, name: str, end: str = "") -> Floats:
     """A quantity of each row by its recommended fit, or with the end "_std" its standard error; NaN without them."""
     out = np.full(len(table), np.nan)
     for fit, suffix in SUFFIXES.items():
-        rows, column = (table["fit"] == fit).to_numpy(), f"{name}{suffix}{end}"
+        only_local = "mass_ratio"  # whichever fit is recommended
+        rows, column = (table["fit"] == fit).to_numpy(), f"{name}{'' if name == only_local else suffix}{end}"
         if column in table:
             out[rows] = table[column].to_numpy(float)[rows]
     return out
+
+
+def _is_turned(table: pd.DataFrame) -> NDArray[np.bool_]:
+    """Tell which rows (n,) give the mass of the second particle over that of the first, by their numbers."""
+    turned = np.zeros(len(table), dtype=bool)
+    if {"particle1", "particle2"} <= set(table):
+        turned = (table["particle1"] > table["particle2"]).to_numpy()
+    return turned
 
 
 def _take_values(table: pd.DataFrame, name: str) -> pd.DataFrame:
@@ -353,5 +367,7 @@ def _take_values(table: pd.DataFrame, name: str) -> pd.DataFrame:
         )
     with np.errstate(invalid="ignore"):
         along = speed * np.sqrt(1 - np.clip(np.abs(offset), 0, 1) ** 2)
+    if name == "mass_ratio" and len(turned := np.flatnonzero(_is_turned(table))):
+        value[turned], std[turned] = 1 / value[turned], std[turned] / value[turned] ** 2
     columns = {"v_n": along, "value": value, "std": std}
     return table[["result", "clip", "collision", "fit"]].assign(**columns)[rows]

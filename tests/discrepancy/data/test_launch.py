@@ -13,6 +13,7 @@ from discrepancy.data.launch import (
     B,
     X,
     Y,
+    allow_side_spin,
     equalise_launches,
     find_free_columns,
     is_possible,
@@ -45,6 +46,15 @@ def test_a_striker_that_rests_or_misses_is_no_launch(column, value):
     wrong = HITS.copy()
     wrong[1, column] = value
     assert not is_possible(wrong)
+
+
+@pytest.mark.parametrize(("side", "start"), [((), 5e-4), ((0.0, 0.0, 0.0), 5e-4), ((0.0, 0.1, -0.02), -0.02)])
+def test_a_striker_without_side_spin_starts_from_a_small_one(side, start):
+    """No derivative leads a fit on from zero, where a launch has no column to be fitted."""
+    found = allow_side_spin(np.array([*HITS[0], *side]))
+    assert found[SIDE] == pytest.approx(start)
+    assert found[SLIP].tolist() == list(side[:2] or (0.0, 0.0))
+    assert find_free_columns(found[None])[0, SIDE]
 
 
 def test_a_ball_that_rolls_has_no_slip_to_be_fitted():

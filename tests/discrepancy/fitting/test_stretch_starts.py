@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from discrepancy_clips import STD, exact, noisy
 
 from discrepancy.data.launch import SLIP
@@ -14,15 +15,16 @@ from discrepancy.fitting.stretch_starts import choose_starts
 from synthcam.model import Model
 
 
-def spoil(clip):
-    """A first guess whose slide is over at once."""
+def spoil(clip, share):
+    """A first guess whose slide is over at once, or has not been."""
     launch = clip.launch.copy()
-    launch[SLIP] *= 0.05
+    launch[SLIP] *= share
     return dataclasses.replace(clip, launch=launch)
 
 
-def test_a_slide_is_found_from_a_guess_that_is_far_too_short():
-    cut = [spoil(clip) for clip in cut_stretches(noisy(exact(Model(), 4, 2), 2))]
+@pytest.mark.parametrize("share", [0.05, 0.0])
+def test_a_slide_is_found_from_a_guess_that_is_far_too_short(share):
+    cut = [spoil(clip, share) for clip in cut_stretches(noisy(exact(Model(), 4, 2), 2))]
     chosen, left_out = choose_starts(cut, Model())
     assert not left_out
     fit = fit_model(chosen, Model(), (), CLAIMED_NOISE)

@@ -94,6 +94,7 @@ def test_the_command_finds_a_known_map_within_its_error(tmp_path):
     rms = np.sqrt(np.mean(np.sum(true**2, axis=1)))
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.35 * rms
     assert found["certain"] > 0.85
+    assert 0.5 < found["halves"] < 0.99  # each map has the noise of its own half
     assert found["size"] == pytest.approx(rms, rel=0.15)
     assert found["rms_after"] < 1.4 * NOISE < 0.6 * found["rms_before"]
     error = np.sqrt(np.mean(np.sum(off**2, axis=1)) / 2)
@@ -107,7 +108,8 @@ def test_the_command_finds_a_known_map_within_its_error(tmp_path):
 
 def test_an_undistorted_map_is_refused():
     with pytest.raises(InputError, match=r"refused, the free stretches show none: .* expected under 0\.001"):
-        fit_camera_warp(Camera.from_dict(KEYS), stretches_of(film(0.0, 8)))
+        fit_camera_warp(Camera.from_dict(KEYS), stretches := stretches_of(film(0.0, 8)))
+    assert fit_camera_warp(Camera.from_dict(KEYS), stretches, max_p=1.1).halves < 0.5
 
 
 def test_too_few_stretches_are_refused():

@@ -172,6 +172,20 @@ def test_a_common_calibration_says_what_else_it_changes(tmp_path):
     assert "A mass ratio is fitted too. This takes a number for the same body in all clips" in note
 
 
+def test_a_mass_ratio_is_that_of_one_body_over_the_other_whichever_strikes(tmp_path):
+    """Body 7 has exp(0.4) of the mass of body 9. Rows give struck over striking, and one value for the set."""
+    folder = write_rows(tmp_path / "a", draw_unequal_rows(0.4, 12))
+    found = tracker.combine(folder, quantities=["mass_ratio"])
+    values = found.quantities["mass_ratio"].values
+    assert len(values) == 12
+    assert values["value"].to_numpy() == pytest.approx(np.exp(0.4), rel=0.02)
+    single = pd.read_parquet(folder / "estimates.parquet")["mass_ratio_std"].min() * np.exp(0.4) ** 2
+    assert values["std"].max() < 1.2 * single
+    mean = found.quantities["mass_ratio"].mean
+    assert mean.std[0] == pytest.approx(values["std"].iloc[0], rel=0.05)  # the error is shared
+    assert any(note.startswith("mass_ratio is that of the particle with the lower number") for note in found.notes)
+
+
 def test_a_note_says_that_the_error_of_a_warp_averages_out(tmp_path):
     folder = write_local(tmp_path / "a", 5, 0)
     knots = {"x": [0, 1, 2, 3], "y": [0, 1, 2, 3], "dx": [[0] * 4] * 4, "dy": [[0] * 4] * 4}

@@ -651,23 +651,38 @@ def _solve_with_durations(
 
 
 def _list_durations(solution: LocalSolution, k: int, durations: int) -> list[SlideDuration]:
-    """List durations of one slide: below the first position, cells, and above the stretch.
+    """List durations of one slide: two below the first position, cells, and one above the stretch.
 
-    Those with which the stretch alone fits much worse than with the best are left out.
+    The cells divide the durations with which the stretch alone fits hardly worse than with the best: the velocity may
+    change by many errors from one cell to the next if they divide the whole stretch.
     """
     priors, stretch = solution.problem.priors, solution.problem.stretches[k]
     since = np.abs(stretch.time - solution.x[0])
-    first, last = max(float(since.min()), 1e-5), float(since.max())
-    edges = np.linspace(first, max(last, 1.01 * first), durations + 1)
-    middles = np.concatenate([[first / 2], (edges[1:] + edges[:-1]) / 2, [1.5 * edges[-1]]])
-    widths = np.concatenate([[0.3], np.diff(edges) / np.sqrt(12) / middles[1:-1], [0.1]])  # of the logarithms
-    below = norm.cdf((np.log(edges) - np.log(priors.slide_s)) / priors.slide_factor)
-    logs = np.log(np.maximum(np.diff(np.concatenate([[0.0], below, [1.0]])), 1e-12))
-    fine = np.concatenate([middles, edges, np.linspace(0, middles[-1], 5 * durations)[1:]])
-    costs = _fit_each(stretch, float(solution.x[0]), solution.problem.motions[k], fine)[0] / solution.sizes[k] ** 2
-    enough, cell = costs < costs.min() + MAX_COST, np.searchsorted(edges, fine)
+    first = max(float(since.min()), 1e-5)
+    last = max(float(since.max()), 1.01 * first)
+
+    def fits(lasts: Floats) -> NDArray[np.bool_]:
+        motion, size = solution.problem.motions[k], solution.sizes[k]
+        costs = _fit_each(stretch, float(solution.x[0]), motion, np.append(lasts, least))[0] / size**2
+        return np.asarray(costs[: len(lasts)] < costs.min() + MAX_COST)
+
+    least = np.linspace(first, 1.5 * last, 5 * durations)
+    inside = np.append(least[least < last], last)
+    seen = np.flatnonzero(fits(inside))
+    low, high = (
+        (inside[max(seen[0] - 1, 0)], inside[min(seen[-1] + 1, len(inside) - 1)]) if len(seen) else (first, last)
+    )
+    ends = np.concatenate([[1e-3 * first, first / 3, first], np.linspace(low, high, durations + 1), [last, 2 * last]])
+    below = norm.cdf((np.log(np.append(ends[:-1], np.inf)) - np.log(priors.slide_s)) / priors.slide_factor)
+    below[0] = 0.0
+    middles, widths = (ends[1:] + ends[:-1]) / 2, np.diff(ends) / np.sqrt(12)
+    enough = np.any(fits(np.concatenate([ends[:-1], middles, ends[1:]])).reshape(3, -1), axis=0)
     return [
-        SlideDuration(float(middles[i]), float(widths[i]), float(logs[i]))
+        SlideDuration(
+            lasts=float(middles[i]),
+            error=float(widths[i] / middles[i]),
+            log_prior=float(np.log(max(below[i + 1] - below[i], 1e-12))),
+        )
         for i in range(len(middles))
-        if enough[cell == i].any()
+        if enough[i] and widths[i] > 0
     ]
