@@ -15,7 +15,9 @@ import tifffile
 from processes import until
 from tracker_film import CAMERA, collision, film
 
+from synthcam import Scene
 from tracker.app.server import write_opening_page
+from tracker.pipeline import measure_tables
 
 api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make test-app installs it")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -177,6 +179,35 @@ def test_from_a_film_to_a_number(films, browser, tmp_path):
         says(page, "#film-name", "hit & run")  # found by the command beside the results
         page.wait_for_selector("#results table")
         says(page, "#edits", "point of ball")
+
+
+def test_results_without_their_film_are_mended_and_measured_again(browser, tmp_path):
+    clip = Scene.read("painter_behringer").draw(seed=1)
+    noise = np.random.default_rng(0).normal(0, 0.05, (2, len(clip.tracks)))
+    table = clip.tracks[["frame", "particle"]].assign(x_std=0.05, y_std=0.05)
+    table = table.assign(x=clip.tracks.x_mean_px + noise[0], y=clip.tracks.y_mean_px + noise[1])
+    table.to_csv(tmp_path / "tracks.csv", index=False)
+    (tmp_path / "camera.json").write_text(json.dumps(clip.camera_json))
+    measure_tables(tmp_path / "tracks.csv", tmp_path / "out", tmp_path / "camera.json")
+    with workbench(tmp_path / "out", tmp_path / "bench") as (_, address), browser.new_page() as page:
+        page.goto(address)
+        says(page, "#detector", "The film of these results is not here")
+        page.wait_for_selector("#residuals[data-points]")
+        assert int(page.get_attribute("#residuals", "data-points")) > len(table)  # two for each position
+        box = page.locator("#residuals").bounding_box()
+        page.locator("#residuals").click(position={"x": box["width"] / 2, "y": box["height"] / 2})
+        page.wait_for_selector(f"#stage[data-frame='{clip.frames // 2}']")
+        page.check("input[value=mend]")
+        page.keyboard.press("ArrowRight")  # goes through the film, not through the tools
+        page.wait_for_selector(f"#stage[data-frame='{clip.frames // 2 + 1}']")
+        page.keyboard.press("Delete")
+        says(page, "#edits li", f"in frame {clip.frames // 2 + 1} removed")
+        says(page, "#command", "tracker measure")
+        page.click("#run")
+        says(page, "#results", "results_1")
+        page.wait_for_selector("#mend-state:empty", state="attached")
+        page.keyboard.press("u")
+        page.wait_for_selector("#edits:empty", state="attached")
 
 
 def test_everything_by_keyboard(address, browser):

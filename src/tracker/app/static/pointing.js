@@ -30,6 +30,9 @@ export class Pointing {
     element("search-channel").addEventListener("change", () => this.send());
     for (const radio of document.querySelectorAll("input[name=tool]")) {
       radio.addEventListener("change", () => this.choose(radio.value));
+      radio.addEventListener("click", (event) => { // by the mouse: arrow keys then step through the film
+        if (event.detail > 0) stage.canvas.focus({ preventScroll: true });
+      });
     }
     for (const button of document.querySelectorAll("[data-copy]")) {
       button.addEventListener("click", () => this.copy(button));
