@@ -127,7 +127,7 @@ export class Mending {
     const track = this.tracks.find(({ particle }) => particle === Number(element("mend-ball").value));
     const point = track && this.at(track);
     this.stage.marks.chosen = point ? [point.x, point.y] : null;
-    element("mend-point").textContent = !track ? "" : point ? `frame ${this.player.number}: ${point.x.toFixed(2)}, ${point.y.toFixed(2)} px` : "not in this frame";
+    element("mend-point").textContent = !track ? "" : point ? `frame ${this.player.number}: ${point.x.toFixed(1)}, ${point.y.toFixed(1)}` : "not in this frame";
     element("remove-point").disabled = !point;
     element("remove-track").disabled = !track;
     this.stage.draw();

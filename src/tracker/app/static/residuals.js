@@ -25,7 +25,7 @@ export class ResidualPlot extends EventTarget {
     const frames = tracks.flatMap((track) => track.frame);
     this.span = [Math.min(...frames), Math.max(...frames, 1)];
     this.note.textContent = all.length
-      ? `Residuals of the tied fit up to ${this.most.toPrecision(2)} µm, dots along x, squares along y. A click shows the frame.`
+      ? `Residuals of the tied fit up to ${Number(this.most.toPrecision(2))} µm, dots along x, squares along y. A click shows the frame.`
       : "No fit, so that there are no residuals.";
     this.paint();
   }
