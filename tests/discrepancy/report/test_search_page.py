@@ -120,7 +120,7 @@ def test_the_model_reads_back_and_is_a_scene(written):
     )
 
 
-@pytest.mark.parametrize("written", ["velocity_restitution", "friction_place"], indirect=True)
+@pytest.mark.parametrize("written", ["velocity_restitution", WITH_A_MAP], indirect=True)
 def test_the_same_search_gives_the_same_files(written, tmp_path):
     report.write(written[0], tmp_path)
     for path in written[1].iterdir():
