@@ -29,6 +29,7 @@ import math
 import shutil
 import sys
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -199,9 +200,11 @@ def local_hits(seed: int, scale: float) -> Figures:
 def measure(seed: int, shift: float, off: float, scale: float) -> Figures:
     folder = Path(tempfile.mkdtemp(prefix="gate-"))
     try:
+        with ProcessPoolExecutor(2) as pool:  # these two compute on one core
+            alone = [pool.submit(local_hits, seed, scale), pool.submit(measure_error_bars, seed)]
+            local, error_bars = (part.result() for part in alone)
         other = video(folder, seed, shift, OTHER, "other_camera")
-        local = local_hits(seed, scale)
-        return video(folder, seed, shift) | other | tracks(folder, seed, off, scale) | local | measure_error_bars(seed)
+        return video(folder, seed, shift) | other | tracks(folder, seed, off, scale) | local | error_bars
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
