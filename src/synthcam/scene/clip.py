@@ -215,7 +215,7 @@ class Clip:
         """The energy of all bodies at the middle of each exposure, and by what it went since the start, J.
 
         - frame; t_s: time, s; energy: of translation, spin and height
-        - lost_in_contacts, lost_at_walls: in hits
+        - lost_in_contacts, lost_at_walls, lost_in_landings: in hits of bodies, walls and the plate
         - lost_by_sliding, lost_by_rolling, lost_in_air: during such motion
         - given_by_hand: by launches and pushes
         """

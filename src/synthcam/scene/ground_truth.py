@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -142,6 +144,7 @@ def events(motion: Trajectory, fps: float) -> pd.DataFrame:
 SINKS = {
     "lost_in_contacts": ("contact", "contact_end", "together", "apart"),
     "lost_at_walls": ("wall",),
+    "lost_in_landings": ("land",),
     "lost_by_sliding": ("slide",),
     "lost_by_rolling": ("roll",),
     "lost_in_air": ("glide", "fly"),
@@ -153,7 +156,8 @@ def energies(bodies: Bodies, motion: Trajectory, times: Array, gravity: float) -
     """Make the table of `truth/energy.parquet`: energy at times (m,), s, and by what it went since the start, J.
 
     The energy is that of translation, spin and height. An event takes what the bodies lose in that instant, a kind of
-    motion what they lose along it; `given_by_hand` has the other sign.
+    motion what they lose along it; `given_by_hand` has the other sign. A contact that lasts takes all that its bodies
+    lose meanwhile, and gives back what its spring has stored.
     """
     lost = {name: np.zeros(len(times)) for name in SINKS}
     sink = {kind: name for name, kinds in SINKS.items() for kind in kinds}
@@ -163,18 +167,51 @@ def energies(bodies: Bodies, motion: Trajectory, times: Array, gravity: float) -
         spin = bodies.inertia[ball] * radius**2 * (states[..., 6:9] ** 2).sum(axis=-1)
         return np.asarray(mass * ((states[..., 3:6] ** 2).sum(axis=-1) / 2 + spin / 2 + gravity * states[..., 2]))
 
+    pressed = _list_lasting_contacts(motion)
+    sticks = any(event.kind == "together" for event in motion.events)
+    unseen: dict[float, tuple[str, float]] = {}  # by the time of a hit: what it takes from bodies that stick to its two
     for event in motion.events:
-        if event.kind in sink and event.before is not None and event.after is not None:
+        if event.kind not in sink or any(event.t == begins for begins, _ in pressed.get(event.i, ())):
+            continue
+        name, jump = sink[event.kind], 0.0
+        if event.before is not None and event.after is not None:
             balls = [event.i, event.j][: len(event.before)]
-            jump = energy(np.asarray(event.before), balls) - energy(np.asarray(event.after), balls)
-            lost[sink[event.kind]][times >= event.t] += jump.sum()
+            jump = float((energy(np.asarray(event.before), balls) - energy(np.asarray(event.after), balls)).sum())
+            lost[name][times >= event.t] += jump
+        first, booked = unseen.get(event.t, (name, 0.0))
+        unseen[event.t] = first, booked - jump
     for ball, legs in enumerate(motion.legs):
-        for leg in (leg for leg in legs if leg.motion in sink):
+        for before, leg in itertools.pairwise(legs) if sticks else ():
+            if leg.t0 in unseen:
+                name, rest = unseen[leg.t0]
+                ends = energy(np.array([before.now(leg.t0), leg.now(leg.t0)]), ball)
+                unseen[leg.t0] = name, rest + float(ends[0] - ends[1])
+        for leg in legs:
+            held = any(begins <= leg.t0 < ends for begins, ends in pressed.get(ball, ()))
+            name = "lost_in_contacts" if held else sink.get(leg.motion, "")
             later = np.flatnonzero(times > leg.t0)
-            ends = np.minimum(times[later], leg.t1)
-            states = leg.at(np.concatenate([[leg.t0], ends]))
-            lost[sink[leg.motion]][later] += energy(states[0], ball) - energy(states[1:], ball)
+            if not (name and len(later)):
+                continue
+            states = leg.at(np.concatenate([[leg.t0], np.minimum(times[later], leg.t1)]))
+            lost[name][later] += energy(states[0], ball) - energy(states[1:], ball)
+    for t, (name, rest) in unseen.items() if sticks else ():
+        lost[name][times >= t] += rest
     lost["given_by_hand"] = 0.0 - lost["given_by_hand"]
     whole = energy(motion.at(times).swapaxes(0, 1), np.arange(len(motion.legs))).sum(axis=1)
-    rest = float((bodies.mass * bodies.radius).sum() * gravity)
-    return pd.DataFrame({"frame": np.arange(len(times)), "t_s": times, "energy": whole - rest} | lost)
+    lowest = float((bodies.mass * bodies.radius).sum() * gravity)
+    return pd.DataFrame({"frame": np.arange(len(times)), "t_s": times, "energy": whole - lowest} | lost)
+
+
+def _list_lasting_contacts(motion: Trajectory) -> dict[int, list[tuple[float, float]]]:
+    """List when each body is in contacts that last, s; one that the run does not end lasts for ever."""
+    begun: dict[frozenset[int], float] = {}
+    found: dict[int, list[tuple[float, float]]] = {}
+    for event in motion.events:
+        pair = frozenset((event.i, event.j))
+        if event.kind == "contact":
+            begun[pair] = event.t
+        if event.kind == "contact_end" or (event.kind == "contact" and event.after is None):
+            ends = event.t if event.kind == "contact_end" else math.inf
+            for k in pair:
+                found.setdefault(k, []).append((begun[pair], ends))
+    return found

@@ -245,18 +245,51 @@ PUCKS = {
 }
 
 
-@pytest.mark.parametrize("name", ["tray", "pool", "pucks", "slide"])
+THREE = [
+    {"position": [0.0, 0.0], "velocity": [0.3, 0.0]},
+    {"position": [0.004, 0.0003]},
+    {"position": [0.0066, 0.0002], "velocity": [0.0, 0.05]},
+]
+DISCS = {
+    "ball": {"diameter": 0.06, "density": 1000},
+    "bodies": {"shape": "disc", "mass": 0.02},
+    "model": {"restitution": 0.8, "spin_transfer": 0.1},
+    "camera": {"scale": 0.0025, "height": 2.0},
+    "launches": [
+        {"position": [0.0, 0.0], "velocity": [0.6, 0.0]},
+        {"position": [0.1, 0.02]},
+        {"position": [0.3, 0.05], "velocity": [-0.7, 0.0], "time": 0.1},
+    ],
+}
+TAPE = {**DISCS, "bodies": [{"shape": "disc", "mass": 0.02, "sticks": 0.004}] * 3}
+NOSE = {"start": [0.01, -0.1], "end": [0.01, 0.1], "restitution": 0.8, "friction": 0.2, "height": 1.6e-3}
+TABLES = {
+    "spring": {"launches": THREE[:2], "contact_force": {"law": "linear", "duration": 2e-3}},
+    "hertz": {"launches": THREE[:2], "contact_force": {"law": "hertz", "modulus": 1e6}},
+    "spring on air": {**DISCS, "support": {"kind": "air"}, "contact_force": {"law": "linear", "duration": 5e-3}},
+    "tape on air": {**TAPE, "support": {"kind": "air", "decel": 0.02}},
+    "tape on a dry plate": {**TAPE, "support": {"kind": "dry"}},
+    "hop": {"launches": THREE, "effects": {"hop": {"share": 1.0, "bounce": 0.3}}},
+    "flight": {"launches": [{"position": [0, 0], "velocity": [0.2, 0.0], "height": 0.002}], "walls": [NOSE]},
+    "cushion": {"launches": THREE, "walls": [{**NOSE, "cushion": "mathavan"}]},
+    "effects": {"launches": THREE, "effects": {"air_drag": {"share": 5.0}, "stribeck": {"rise": 0.5}}},
+    "drawn contacts": {"launches": THREE, "scatter": {"restitution": 0.05, "friction": 0.2, "normal": 0.01}},
+}
+
+
+@pytest.mark.parametrize("name", ["tray", "pool", "pucks", "slide", *TABLES])
 def test_the_energy_lost_is_what_contacts_walls_plate_and_air_took(name):
     timing = {"timing": {"frames": 60, "fps": 50, "exposure": 0.0}}
     slides = {"launches": [{"position": [0.0, 0.0], "velocity": [0.5, 0.0], "slip": [0.5, 0.0]}]}
     some = {"tray": Scene.read("tray", **timing), "pool": Scene.read("break", **timing)}
-    made = {"pucks": PUCKS, "slide": slides}
+    made = {"pucks": PUCKS, "slide": slides, **TABLES}
     clip = (some.get(name) or check_scene({"name": name, **made.get(name, {}), **timing}, name)).draw(seed=1)
     table, bodies = clip.energy, clip.launch.bodies
     lost = table.filter(like="lost").sum(axis=1) - table["given_by_hand"]
     states = clip.launch.states
     first = 0.5 * bodies.mass @ (states[:, 3:5] ** 2).sum(axis=1)
     first += 0.5 * (bodies.mass * bodies.inertia * bodies.radius**2) @ (states[:, 6:] ** 2).sum(axis=1)
+    first += 9.81 * bodies.mass @ (states[:, 2] - bodies.radius)
     np.testing.assert_allclose(table["energy"] + lost, first, rtol=1e-9)
     assert (table.filter(like="lost").diff().iloc[1:] > -1e-9 * first).all(axis=None)
     if name == "pucks":  # the first hit is head on, of 1 m/s less the air's share: it takes (1 - r^2)/4 m v^2
