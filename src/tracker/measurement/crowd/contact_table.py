@@ -24,7 +24,6 @@ Floats = NDArray[np.float64]
 DERIVED = ("v_n", "v_t", "mu_bb", "impulse", "energy", "energy_lost")  # of v0, b, r and s
 SIGNED = np.array([name in ("v_t", "mu_bb") for name in DERIVED])  # of which the table has the size
 SHARED = ("r", "mu_bb", "mu_k")  # what all contacts of a film have in common
-LEAST_SHARE = 0.1  # of the error of a contact that is its own
 UNKNOWN_S = (5 / 7, 0.3)  # and its error, where the tracks do not show it
 TABLE_COLUMNS = (
     "contact t_s t_s_std kind particle1 particle2 x y nx ny kick kick_std confidence collision".split()
@@ -138,14 +137,15 @@ def _derive(values: Floats) -> Floats:
 
 
 def summarise_contacts(
-    table: pd.DataFrame, rows: Sequence[Mapping[str, Any]], *, least: int = 3
+    table: pd.DataFrame, rows: Sequence[Mapping[str, Any]], *, least: int = 3, least_share: float = 0.1
 ) -> dict[str, RandomEffects]:
     """Compute the random-effects means of r, mu_bb and mu_k over the contacts of a film that show them.
 
     Contacts whose motion the local estimate does not describe are left out. Errors that contacts share, such as that of
     the friction of the plate, do not average out.
 
-    rows: the estimates of the film.
+    rows: the estimates of the film. least: contacts that a mean needs.
+    least_share: of the error of a contact that is its own.
     """
     out, by_number = {}, {row["collision"]: row for row in rows}
     for name in SHARED:
@@ -156,6 +156,6 @@ def summarise_contacts(
         own = [by_number[n] for n in table["collision"][known]]
         local = [row["local_shared"] if row["recommended"] == LOCAL else "" for row in own]
         shared = shared_effects(pd.DataFrame({"local_shared": local, "fit": LOCAL}), [name])[:, 0]
-        alone = np.maximum(std[known] ** 2 - (shared**2).sum(axis=1), (LEAST_SHARE * std[known]) ** 2)
+        alone = np.maximum(std[known] ** 2 - (shared**2).sum(axis=1), (least_share * std[known]) ** 2)
         out[name] = fit_random_effects(value[known], np.sqrt(alone), shared)
     return out

@@ -20,24 +20,28 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
 
 MU_K = LOCAL_NAMES.index("mu_k")
-MEDIAN_ERROR = 1.2533  # of a median of normal values, over that of their mean
-SLIDE_SHARE = 0.3  # of the errors of r and mu_k that all contacts have in common, by benchmarks.tracker.crowd_contacts
 BOTH_SLIDE = "both balls still slide from an earlier contact"
-WINDOW_IN_SLIDES = 10.0  # durations of the slide after a contact, up to which its stretches reach
-MIN_WINDOW_S = 0.05
-SLIDE_MARGIN = 1.5  # factor on the duration of a slide, within which a ball may still slide
-MIN_FRICTIONS = 5  # contacts that show the friction of the plate, from which on the others take it
-MAX_FRICTION_ERROR = 0.2  # relative, of a contact that counts
-FILM_FRICTION_FACTOR = 0.1  # error of the logarithm of the friction that a film shows
 
 
 def estimate_contacts(
-    found: Sequence[TrackContact], balls: Sequence[BallTrack], camera: Camera, settings: FitSettings
+    found: Sequence[TrackContact],
+    balls: Sequence[BallTrack],
+    camera: Camera,
+    settings: FitSettings,
+    *,
+    median_error: float = 1.2533,
+    min_frictions: int = 5,
+    max_friction_error: float = 0.2,
+    film_friction_factor: float = 0.1,
 ) -> list[tuple[Contact | None, LocalEstimate | str]]:
     """Estimate each contact of two balls: its two balls, and the local estimate or the reason why there is none.
 
     found: all contacts of the film; those with walls end the stretches of a ball. The friction of the plate is that
     which the contacts with long slides show; the others take it as known.
+    median_error: of a median of normal values, over that of their mean.
+    min_frictions: contacts that show the friction of the plate, from which on the others take it.
+    max_friction_error: relative, of a contact that counts.
+    film_friction_factor: error of the logarithm of the friction that a film shows.
     """
     tracks = {ball.particle: ball for ball in balls}
     known = camera
@@ -46,13 +50,13 @@ def estimate_contacts(
     pairs = [contact for contact in found if len(contact.balls) == 2]
     first = [_estimate(c, found, tracks, known, settings) for c in pairs]
     seen = [(each.value[MU_K], each.std[MU_K]) for _, each in first if isinstance(each, LocalEstimate)]
-    friction = [mu for mu, std in seen if mu > 0 and 0 < std < MAX_FRICTION_ERROR * mu]
+    friction = [mu for mu, std in seen if mu > 0 and 0 < std < max_friction_error * mu]
     second, used, error = first, settings, settings.local_friction_factor
-    if len(friction) >= MIN_FRICTIONS:
-        common = {"local_friction": float(np.median(friction)), "local_friction_factor": FILM_FRICTION_FACTOR}
+    if len(friction) >= min_frictions:
+        common = {"local_friction": float(np.median(friction)), "local_friction_factor": film_friction_factor}
         used = settings.model_copy(update=common)
         second = [_estimate(c, found, tracks, known, used) for c in pairs]
-        error = min(float(np.std(np.log(friction))) / np.sqrt(len(friction)) * MEDIAN_ERROR, FILM_FRICTION_FACTOR)
+        error = min(float(np.std(np.log(friction))) / np.sqrt(len(friction)) * median_error, film_friction_factor)
     return [
         (contact, _share_friction(each, own, used, error))
         for (contact, each), (_, own) in zip(second, first, strict=True)
@@ -60,20 +64,27 @@ def estimate_contacts(
 
 
 def _share_friction(
-    estimate: LocalEstimate | str, own: LocalEstimate | str, settings: FitSettings, error: float
+    estimate: LocalEstimate | str,
+    own: LocalEstimate | str,
+    settings: FitSettings,
+    error: float,
+    *,
+    slide_share: float = 0.3,
 ) -> LocalEstimate | str:
     """The estimate with what a mean over contacts must know of the friction of the plate.
 
     All contacts share the error of the friction that they take as known; error: of its logarithm. They also share a
     part of their error because short slides are all modelled in one way. The friction of the estimate is that which its
     contact alone shows, so that a mean does not count the film's again.
+
+    slide_share: of the errors of r and mu_k that all contacts have in common, by benchmarks.tracker.crowd_contacts.
     """
     if isinstance(estimate, str) or estimate.glides:
         return estimate
     value, cov, response = estimate.value.copy(), estimate.cov.copy(), estimate.response.copy()
     effect = cov[MU_K] / value[MU_K] / settings.local_friction_factor**2 * error
     effect[~np.isfinite(effect)] = effect[MU_K] = 0.0
-    alike = np.where(np.isin(LOCAL_NAMES, ("r", "mu_k")), SLIDE_SHARE * estimate.std, 0.0)
+    alike = np.where(np.isin(LOCAL_NAMES, ("r", "mu_k")), slide_share * estimate.std, 0.0)
     common = {"friction": (settings.local_friction, effect), "slides": (0.0, alike)}
     estimate = replace(estimate, shared=estimate.shared | common)
     if isinstance(own, str):
@@ -91,9 +102,17 @@ def _estimate(
     tracks: Mapping[int, BallTrack],
     camera: Camera,
     settings: FitSettings,
+    *,
+    window_in_slides: float = 10.0,
+    min_window_s: float = 0.05,
 ) -> tuple[Contact | None, LocalEstimate | str]:
-    window = WINDOW_IN_SLIDES * _slide_duration(contact, settings)
-    own = settings.model_copy(update={"local_window_s": float(np.clip(window, MIN_WINDOW_S, settings.local_window_s))})
+    """The two balls of a contact, and its local estimate or the reason why there is none.
+
+    window_in_slides: durations of the slide after a contact, up to which its stretches reach.
+    min_window_s: the shortest such reach.
+    """
+    window = window_in_slides * _slide_duration(contact, settings)
+    own = settings.model_copy(update={"local_window_s": float(np.clip(window, min_window_s, settings.local_window_s))})
     one, other = (_cut(tracks[n], contact, found, camera) for n in contact.balls)
     frame = round(float(np.interp(contact.time, tracks[contact.one].time, tracks[contact.one].frame)))
     try:
@@ -117,9 +136,15 @@ def _slide_duration(contact: TrackContact, settings: FitSettings) -> float:
     return 2 * contact.kick / (7 * settings.local_friction * GRAVITY)
 
 
-def _still_slides(particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> bool:
+def _still_slides(
+    particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings, *, margin: float = 1.5
+) -> bool:
+    """Decide whether a ball may still slide from its contact before this one.
+
+    margin: factor on the duration of a slide, within which a ball may still slide.
+    """
     before = [c for c in found if particle in c.balls and c.time < contact.time]
-    return bool(before) and contact.time - before[-1].time < SLIDE_MARGIN * _slide_duration(before[-1], settings)
+    return bool(before) and contact.time - before[-1].time < margin * _slide_duration(before[-1], settings)
 
 
 def _cut(track: BallTrack, contact: TrackContact, found: Sequence[TrackContact], camera: Camera) -> BallTrack:

@@ -23,9 +23,7 @@ from tracker.measurement.local.recommendation import COMPARED, recommend
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
-MIN_OBLIQUENESS = 5.0  # errors of the impact parameter, from which on s is reported
 MIN_HITS = 8  # of a set, from which on its errors are fitted
-MIN_STRIKES = 3  # of each body, from which on the ratio of their masses is fitted
 LEAST_PRIOR = 1e-4  # error of a velocity over that of the hit, where a setting says that there is none
 PRIOR_WIDTH = 1.0  # of the logarithm of the errors of a set, about those of its recordings alone
 USUAL_EXCESS = 1.0  # of what a set adds to the errors of residuals, over them
@@ -110,12 +108,14 @@ def _read_effect(block: Mapping[str, Any]) -> Floats:
     return np.array([block["effect"].get(name, 0.0) for name in LOCAL_NAMES])
 
 
-def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
+def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness: float = 5.0) -> dict[str, Any]:
     """Compute the columns of a row with these errors beyond the residuals.
 
     A bias of the balance may be an error of a velocity along n, a loss of momentum, or unknown masses. So it counts as
     an error: that of each velocity in turn, in proportion to its weight in the balance. So does the error of the bias:
     a mean of many hits is no more certain than their balance.
+
+    min_obliqueness: errors of the impact parameter, from which on s is reported.
     """
     raw = json.loads(row.get("local", "{}"))
     if "value" not in raw:
@@ -139,7 +139,7 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
             others = {name: v for name, v in block["effect"].items() if name != "mass_ratio"}
             shared[key] = block | {"effect": others | own}
     b, s = (LOCAL_NAMES.index(name) for name in "bs")
-    if not abs(value[b]) > MIN_OBLIQUENESS * wide[b]:  # s is a ratio by b
+    if not abs(value[b]) > min_obliqueness * wide[b]:  # s is a ratio by b
         value[s] = np.nan
     out = dict[str, Any]()
     for k, (name, column) in enumerate(zip(LOCAL_NAMES, COLUMNS, strict=True)):
@@ -255,14 +255,19 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     return errors
 
 
-def _recoil_by_mass(rows: Sequence[Mapping[str, Any]], found: Sequence[Any], by_mass: Floats) -> list[Floats]:
-    """The derivative of each balance along n by the logarithm of the mass ratio, if the ratio is to be fitted."""
+def _recoil_by_mass(
+    rows: Sequence[Mapping[str, Any]], found: Sequence[Any], by_mass: Floats, *, min_strikes: int = 3
+) -> list[Floats]:
+    """The derivative of each balance along n by the logarithm of the mass ratio, if the ratio is to be fitted.
+
+    min_strikes: of each body, from which on the ratio of their masses is fitted.
+    """
     pairs = [(row.get("particle1", -1), row.get("particle2", -1)) for row in rows]
     strikers = [pair[1] for pair in pairs]
     two = len({frozenset(pair) for pair in pairs}) == 1 and -1 not in pairs[0]
     if any(raw["masses_known"] for raw in found) or not two:
         return []
-    if min(strikers.count(k) for k in pairs[0]) < MIN_STRIKES:
+    if min(strikers.count(k) for k in pairs[0]) < min_strikes:
         return []
     roles = np.array([1.0 if one < other else -1.0 for one, other in pairs])
     return [by_mass * roles]

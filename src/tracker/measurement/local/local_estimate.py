@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 MIN_POSITIONS = 3  # of each stretch
-MASS_STEP = 1e-4  # of the logarithm of the mass ratio, for derivatives
 SIDES = ((1, False), (2, False), (1, True), (2, True))  # ball, whether after the contact
 VELOCITIES = ("v1ix", "v1iy", "v2ix", "v2iy", "v1ox", "v1oy", "v2ox", "v2oy")  # m/s, just before and after
 BALANCE = ("balance_n", "balance_t")  # m/s, momentum after less before over the mean mass, along n and t
@@ -208,9 +207,12 @@ def _read_values(
 
 
 def _read_solution(
-    solution: LocalSolution, camera: Camera, masses: tuple[float, float]
+    solution: LocalSolution, camera: Camera, masses: tuple[float, float], *, mass_step: float = 1e-4
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Values of one solution, their covariance, their response, and the effects (k, n) of errors of the camera file."""
+    """Values of one solution, their covariance, their response, and the effects (k, n) of errors of the camera file.
+
+    mass_step: of the logarithm of the mass ratio, for derivatives.
+    """
     problem, x = solution.problem, solution.x
     std = np.sqrt(np.maximum(np.diag(solution.cov), 0.0))
     step = 0.01 * std + 1e-9
@@ -227,8 +229,8 @@ def _read_solution(
         for axis, unit in enumerate(axes):
             if problem.motions[k].moves:
                 shifts[problem.start[k] + 2 : problem.start[k] + 4, 2 * i + axis] = unit
-    heavier = _quantities(solution, x[None], (masses[0] * np.exp(MASS_STEP), masses[1]))[0]
-    by_mass = (heavier - value) / MASS_STEP
+    heavier = _quantities(solution, x[None], (masses[0] * np.exp(mass_step), masses[1]))[0]
+    by_mass = (heavier - value) / mass_step
     unknown = ~(np.isfinite(value) & np.isfinite(slope).all(axis=1))
     slope[unknown] = 0.0
     merge = mean_of_balls(slope @ solution.cov @ slope.T)
