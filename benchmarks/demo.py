@@ -47,7 +47,7 @@ def main() -> None:
     console.print(said.splitlines()[0], style="bold", highlight=False)
     for name in ("frame.png", "score/index.html", "search/index.html"):
         console.print(DEMO / name, highlight=False)
-    console.print("The films in a browser: .venv/bin/tracker open demo/paper", highlight=False)
+    console.print("The result over its films: .venv/bin/tracker open demo/hidden_tracked", highlight=False)
 
 
 if __name__ == "__main__":

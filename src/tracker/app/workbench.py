@@ -72,7 +72,8 @@ class Workbench:
         opened: OpenedResults | None = None,
         others: Sequence[Path] = (),
     ) -> None:
-        beside = (opened.folder if opened else source.path).resolve()
+        shown = opened.folder if opened else source.path
+        beside = shown.resolve()
         self.source = source
         self.view: FilmView
         self.has_film = not isinstance(source, TracksAlone)
@@ -84,7 +85,7 @@ class Workbench:
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: a file, expected a folder for the results")
         if beside.is_dir() and beside in (self.folder, *self.folder.parents):
-            raise InputError(f"{self.folder}: lies in {source.path}, expected a folder outside it")
+            raise InputError(f"{self.folder}: lies in {shown}, expected a folder outside it")
         self.process = TrackProcess(self._hear_process)
         self.report_key = secrets.token_urlsafe(24)  # part of the addresses of reports
         self.version = 0  # grows with every change of detector and run
