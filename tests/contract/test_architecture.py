@@ -121,7 +121,7 @@ LAYERS = {
         "collision_model",
         "least_squares derived",
         "contacts adequacy",
-        "noise_correlation striker",
+        "noise_correlation striker motion_test",
         "collision_fit",
     ],
     "tracker.benchmark": [

@@ -452,10 +452,14 @@ def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[i
     }
 
 
-def select_claims(read: CollisionFits, *, encoded_outlines: float = 1.5) -> tuple[DerivedValues, DerivedValues]:
+def select_claims(
+    read: CollisionFits, *, encoded_outlines: float = 1.5, least_p_of_motion: float = 0.01
+) -> tuple[DerivedValues, DerivedValues]:
     """Select what each fit, tied and free, may claim.
 
-    A value is NaN where the clip does not show it; it has no error where the data reject the fit.
+    A value is NaN where the clip does not show it; it has no error where the data reject the fit. The free fit of a
+    misfit has none either if other laws of sliding and rolling fit better: what breaks the laws of the tied fit may
+    break these too.
 
     encoded_outlines: by how much errors of outlined balls in lossy video exceed those that residuals show, because a
     fit absorbs part of what the codec moves. Without it, rms z of mu_k in 40 drawn films of eight codecs was 1.58 +-
@@ -493,7 +497,8 @@ def select_claims(read: CollisionFits, *, encoded_outlines: float = 1.5) -> tupl
         return tied, wider.without_errors([name for name in QUANTITY_NAMES if name not in through_a_codec])
     if encoded and outlined:
         tied, free = (replace(values, cov=values.cov * encoded_outlines**2) for values in (tied, free))
-    return tied, free if read.is_free_accepted else free.without_errors(QUANTITY_NAMES)
+    is_trusted = read.is_free_accepted and not (read.is_misfit and read.p_motion < least_p_of_motion)
+    return tied, free if is_trusted else free.without_errors(QUANTITY_NAMES)
 
 
 def largest_error(name: str, value: Floats, is_free: bool, max_relative_error: float = 0.2) -> Floats:

@@ -28,6 +28,7 @@ from tracker.measurement.collision.lasting_contact import (
     fit_lasting_contact,
 )
 from tracker.measurement.collision.least_squares import ROUGH, BallPair, CollisionFit, fit_motion
+from tracker.measurement.collision.motion_test import find_p_of_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
 from tracker.measurement.collision.striker import alternative_strikers, is_believable
 from tracker.settings import FitSettings
@@ -87,6 +88,11 @@ class CollisionFits:
     def p_agree(self) -> float:
         """p-value of what the tied fit's chi^2 has beyond the free one's."""
         return compare_fits(self.tied, self.free, self.noise_dof)
+
+    @cached_property
+    def p_motion(self) -> float:
+        """p-value of the laws of sliding and rolling, beside others; NaN of a contact that lasts."""
+        return np.nan if self.fits is not None else find_p_of_motion(self.free, self.noise_dof)
 
     @property
     def is_free_accepted(self) -> bool:

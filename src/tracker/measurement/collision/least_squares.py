@@ -149,14 +149,18 @@ class WhitenedResiduals:
         else:
             slopes = slopes[self.index]
         rows = np.concatenate([(position - self.seen)[None], slopes])
-        cut = len(self.pair.struck)
-        one, two = self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])
-        white = np.concatenate([one, two], axis=1)
+        white = self.whiten(rows)
         residual = np.concatenate([white[0], (x - self.prior) * self.prior_weight])
         columns = np.concatenate([white[1:], np.diag(self.prior_weight)], axis=1)
         if not (np.isfinite(residual).all() and np.isfinite(columns).all()):
             residual, columns = np.nan_to_num(residual, nan=1e9), np.nan_to_num(columns)
         return np.clip(residual, -1e9, 1e9), columns.T
+
+    def whiten(self, rows: Floats) -> Floats:
+        """Shifts (k, n, 2) of the positions, ball 1's first, in units of their errors, (k, 2n)."""
+        cut = len(self.pair.struck)
+        one, two = self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])
+        return np.concatenate([one, two], axis=1)
 
     def _path(self, full: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 22) by the free parameters."""
