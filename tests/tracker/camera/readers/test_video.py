@@ -1,11 +1,14 @@
 """Videos of all kinds give the counts that were encoded, in any order of reading; what is wrong with one is said."""
 
+import pickle
+
 import av
 import numpy as np
 import pytest
 from tracker_video import encode
 
 from synthcam_shared.errors import InputError
+from tracker.camera.readers import video
 from tracker.camera.recordings import open_frames
 
 ROWS, COLUMNS = np.mgrid[:48, :64]
@@ -54,6 +57,16 @@ def test_order_of_reading_changes_nothing_and_steps_back_open_no_file_anew(folde
     for k in (30, 31, 5, 4, 39, 13, 12, 0, 38, 20, -1):
         assert np.array_equal(frames[k], film[k])
     assert len(opened) <= (2 if name != "mpeg.mpg" else 8)  # MPEG program streams cannot be searched by time
+
+
+@pytest.mark.parametrize("name", ["h264.mp4", "deep.mkv", "mpeg.mpg"])
+def test_a_known_film_is_opened_again_without_a_pass_over_it(folder, name, monkeypatch):
+    """As the processes do that share its frames."""
+    known = open_frames(folder / name)
+    monkeypatch.setattr(video, "_scan_video", None)
+    again = open_frames(folder / name, contents=pickle.loads(pickle.dumps(known.contents)))
+    assert (again.shape, again.dtype, again.fps, again.lossy) == (known.shape, known.dtype, known.fps, known.lossy)
+    assert all(np.array_equal(again[k], known[k]) for k in (7, 30))
 
 
 def test_codes_beyond_black_and_white_are_clipped_and_each_code_between_has_its_count(tmp_path):
