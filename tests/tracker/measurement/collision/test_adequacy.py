@@ -255,8 +255,7 @@ def test_impossible_values_are_a_misfit_however_well_they_fit(own, changes, flag
     assert np.isnan(row[f"{name}_std"])
     assert row[f"{name}_free_std"] > 0 or name == "C"  # velocities are measured whatever the law of the impact
     assert fit_all(table)["clips"] == 0
-    (note,) = list_messages(table)
-    assert note.kind is NoteKind.FLAG
+    (note,) = [one for one in list_messages(table) if one.kind is NoteKind.FLAG]  # and what the local estimate says
     assert str(note).startswith(f"{flag} (1 collision): no two equal balls collide so")
 
 
@@ -342,7 +341,7 @@ def test_a_clip_whose_arithmetic_fails_says_so(own, monkeypatch, error):
     truth, camera = truth_of(own, 0)
     tracks = noisy(truth, np.random.default_rng(0))
 
-    def fails(*_):
+    def fails(*_, **__):
         raise error
 
     for name in ("fit_collision", "find_contacts"):
