@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from tracker.measurement.local.local_columns import local_columns
-from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate
+from tracker.measurement.local.local_estimate import LOCAL_NAMES, VELOCITIES, LocalEstimate
 
 AT = {name: k for k, name in enumerate(LOCAL_NAMES)}
 
@@ -22,6 +22,8 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=(), s
         response = np.zeros((len(LOCAL_NAMES), 9))
         response[AT["balance_n"], [2, 4, 6]] = -1, 1, 1
         response[AT["balance_t"], [3, 5, 7]] = -1, 1, 1
+        for k, name in enumerate(VELOCITIES[2:], 2):  # the normal is x
+            response[AT[name], k] = 1.0
         closing = v2i[0]
         response[AT["v0"], 2] = 1.0
         response[AT["r"], [2, 4, 6]] = np.array([-(v1o[0] - v2o[0]) / closing, 1, -1]) / closing

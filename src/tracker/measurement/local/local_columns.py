@@ -43,7 +43,7 @@ class LocalErrors:
     bias_std: float = 0.0
     error_n: float = 0.0  # of each component along n, over v0
     error_t: float = 0.0  # of each component along t, over v0
-    factor: float = 1.0  # on the errors of the residuals
+    factor: float = 1.0  # on the errors of velocities by the residuals
     log_ratio: float = 0.0  # logarithm of the mass of the first particle over that of the second, beyond what is given
     log_ratio_std: float = 0.0
     hits: int = 0  # from which these are fitted; 0: a prior
@@ -77,6 +77,7 @@ def local_columns(
     raw = {
         "value": _rounded(estimate.value),
         "std": _rounded(estimate.std),
+        "velocity_std": _rounded(_propagate_velocities(estimate)),
         "r_std": _rounded(estimate.std[[LOCAL_NAMES.index("r")]])[0],
         "response": [_rounded(line) for line in estimate.response],
         "cov": [_rounded(line) for line in estimate.cov[np.ix_(_COMPARED, _COMPARED)]],
@@ -94,6 +95,15 @@ def local_columns(
     row["misfit_local"] = bool(estimate.adequate < settings.rejection_level)
     row["motion_local"] = "glide" if estimate.glides else "slide and roll"
     return row | apply_errors(row, LocalErrors(error_n=prior, error_t=prior))
+
+
+def _propagate_velocities(estimate: LocalEstimate) -> Floats:
+    """The part (n,) of the standard errors that velocities make; the rest is that of places, as the line of centres."""
+    at = [LOCAL_NAMES.index(name) for name in VELOCITIES]
+    response = np.nan_to_num(estimate.response[:, :8])
+    turn = response[at]  # of components along n and t to those along x and y
+    cov = turn.T @ np.nan_to_num(estimate.cov[np.ix_(at, at)]) @ turn
+    return np.asarray(np.sqrt(np.maximum(((response @ cov) * response).sum(axis=1), 0.0)))
 
 
 def _rounded(values: Floats) -> list[float | None]:
@@ -120,12 +130,13 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness
     raw = json.loads(row.get("local", "{}"))
     if "value" not in raw:
         return {}
-    value, std = (np.array(raw[key], dtype=np.float64) for key in ("value", "std"))
+    keys = ("value", "std", "velocity_std" if "velocity_std" in raw else "std")
+    value, std, of_velocities = (np.array(raw[key], dtype=np.float64) for key in keys)
     response, by_mass = np.split(np.nan_to_num(np.array(raw["response"], dtype=np.float64)), [8], axis=1)
     size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
     common = _list_common_errors(row, errors, response, by_mass[:, 0])
     of_camera = np.square([np.zeros(len(std)), *map(_read_effect, raw["shared"].values())]).sum(axis=0)
-    own = np.maximum(std**2 - of_camera, 0.0) * errors.factor**2 + of_camera
+    own = std**2 + (errors.factor**2 - 1) * np.clip(of_velocities**2 - of_camera, 0.0, std**2)
     wide = np.sqrt(own + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, _, effect in common))
     shared = raw["shared"] | dict(_name_effects(*one) for one in common)
     role = _role(row)

@@ -44,7 +44,8 @@ def test_the_balance_shows_errors_of_residuals_that_are_too_small(times):
     rows = [r for k in (1, 10) for r in draw_rows(50, 1e-5, 1e-5, 0.0, seed=k, residual=0.002 * k * times)]
     for row in rows:
         raw = json.loads(row["local"])
-        row["local"] = json.dumps(raw | {"std": [s and s / times for s in raw["std"]], "prior": 1e-3})
+        small = {key: [s and s / times for s in raw[key]] for key in ("std", "velocity_std")}
+        row["local"] = json.dumps(raw | small | {"prior": 1e-3})
     errors = calibrate_rows(rows)
     assert errors.factor == pytest.approx(times, rel=0.25)
     wide = [(row | apply_errors(row, errors))["balance_t_local_std"] / row["balance_t_local_std"] for row in rows[50:]]
