@@ -19,7 +19,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
-from typing import Any, TypeVar
+from multiprocessing.reduction import ForkingPickler
+from typing import TypeVar
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.interruption import hold_ctrl_c, raise_if_interrupted
@@ -145,18 +146,20 @@ def use_one_thread() -> None:
 class _Worker:
     """A process that does jobs. It is at the first of `numbers`; the next is ready, so that it never waits."""
 
-    def __init__(self, work: Callable[[int], Any]) -> None:
+    def __init__(self, work: bytes) -> None:
         # llvmpipe and BLAS with threads of their own would compete for the same cores
         os.environ |= {"LP_NUM_THREADS": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         context = multiprocessing.get_context("spawn")
         self.numbers: deque[int] = deque()
         self.pipe, there = context.Pipe()
-        self.process = context.Process(target=_serve, args=(there, work), daemon=True)
+        self.process = context.Process(target=_serve, args=(there,), daemon=True)
         if hasattr(signal, "pthread_sigmask"):
             resource_tracker.ensure_running()  # started with the first process, it would let Ctrl-C through again
         with hold_ctrl_c():  # a process that hears it while it imports prints a traceback
             self.process.start()
         there.close()  # the worker's end is then the only one, and its death is noticed
+        with suppress(OSError):  # it died meanwhile, which the next wait notices
+            self.pipe.send_bytes(work)  # not with its start: that would block, without Ctrl-C, if it died
 
     def take_from(self, queue: deque[int], ahead: int = 2) -> None:
         """Send numbers until the worker has `ahead` of them."""
@@ -178,6 +181,7 @@ def _run_in_processes(
 ) -> Iterator[JobValue[T] | LostJob]:
     """Run the jobs in this process and so many others."""
     queue, busy, lost_in_a_row = deque(numbers), dict[Connection, _Worker](), 0
+    packed = bytes(ForkingPickler.dumps(work)) if others else b""
 
     def hand_out(worker: _Worker) -> None:
         worker.take_from(queue)
@@ -188,7 +192,7 @@ def _run_in_processes(
 
     try:
         for _ in range(others):
-            hand_out(_Worker(work))
+            hand_out(_Worker(packed))
         while busy or queue:
             if queue:
                 number = queue.popleft()
@@ -209,7 +213,7 @@ def _run_in_processes(
                             f"clip {number}: {end}, the third in a row; is there enough memory for each worker?"
                         ) from None
                     queue.extendleft(reversed(worker.numbers))
-                    hand_out(_Worker(work))
+                    hand_out(_Worker(packed))
                     yield LostJob(number, f"its {end}")
                     continue
                 if error is not None:
@@ -223,12 +227,13 @@ def _run_in_processes(
             worker.end()
 
 
-def _serve(pipe: Connection, work: Callable[[int], Any]) -> None:
-    """Answer the numbers that come through the pipe, until there is none or the parent ends."""
+def _serve(pipe: Connection) -> None:
+    """Take the work, then answer the numbers that come through the pipe, until there is none or the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     # Without this, workers of a killed parent would wait for ever, or write into the folder of the next run.
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
+        work = pipe.recv()
         while True:
             pipe.send((work(pipe.recv()), None))
     except (EOFError, BrokenPipeError):

@@ -100,6 +100,29 @@ def test_what_work_raises_is_raised_here():
         list(run_jobs(elsewhere(functools.partial(work, ())), [12, 13, 14, 15, 16], 2))
 
 
+class LoadsOnlyHere:
+    """Work whose module other processes cannot find, larger than a pipe holds."""
+
+    def __init__(self):
+        self.ballast = b"x" * 2_000_000
+
+    def __call__(self, number):
+        return time.sleep(0.2)
+
+    def __reduce__(self):
+        return _load_here, (os.getpid(), self.ballast)
+
+
+def _load_here(parent, ballast):
+    if os.getpid() != parent:
+        raise ModuleNotFoundError("No module named 'mine'")
+
+
+def test_work_that_a_process_cannot_load_is_an_error_and_nobody_waits():
+    with pytest.raises(ModuleNotFoundError, match="mine"):
+        list(run_jobs(LoadsOnlyHere(), range(50), 2))
+
+
 def test_left_in_the_middle_no_worker_stays():
     results = run_jobs(elsewhere(functools.partial(work, ())), range(101, 1000), 3)
     pids = {next(results).value for _ in range(40)} - {os.getpid()}

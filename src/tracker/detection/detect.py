@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from importlib.metadata import entry_points
 from types import ModuleType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 import cv2
 import numpy as np
@@ -174,7 +174,7 @@ def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detec
     detector, numbers = load_detector(name)(view), clip.frames.numbers
     # A detector of glints predicts their motion blur from their motion: it has to know of missing frames.
     known = range(len(numbers)) if view.takes is not None else numbers.tolist()
-    if clip.helpers is not None and isinstance(detector, SharedDetector) and detector.can_share:
+    if clip.helpers is not None and _is_shared(detector):
         found = detector.gather(share_frames(clip, detector, known))
     else:
         found = run_detector(detector, zip(known, clip.watch_frames(), strict=True), detector_name(name))
@@ -183,10 +183,26 @@ def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detec
     return replace(found, glints=replace(found.glints, frame=np.searchsorted(numbers, found.glints.frame)))
 
 
+def _is_own(detector: AnyDetector) -> bool:
+    """Whether the class is one of this program: others may not pickle, and a subclass may change any method."""
+    return type(detector).__module__.startswith("tracker.detection.detectors")
+
+
+def _is_shared(detector: AnyDetector) -> TypeGuard[SharedDetector]:
+    return _is_own(detector) and isinstance(detector, SharedDetector) and detector.can_share
+
+
 def run_detector(detector: AnyDetector, frames: Iterable[tuple[int, NDArray[Any]]], name: str) -> Detections:
     """As `detect`, with a detector that is already made, for any numbered frames."""
     if isinstance(detector, ClipDetector):
-        found = detector.detect(frames)
+        try:
+            found = detector.detect(frames)
+        except (InputError, MemoryError):
+            raise
+        except Exception as error:
+            if _is_own(detector):
+                raise
+            raise InputError(f"detector {name}: {describe_fault(error)}") from error
         if not isinstance(found, Detections):
             raise InputError(f"detector {name}: returned {type(found).__name__}, expected Detections")
         _check_glints(found.glints, f"detector {name}")
@@ -198,7 +214,7 @@ def run_detector(detector: AnyDetector, frames: Iterable[tuple[int, NDArray[Any]
         except (InputError, MemoryError):
             raise
         except Exception as error:
-            if type(detector).__module__.startswith("tracker.detection.detectors"):
+            if _is_own(detector):
                 raise
             raise InputError(f"detector {name}, frame {number}: {describe_fault(error)}") from error
         glints = _check_glints(given, f"detector {name}, frame {number}")

@@ -12,9 +12,11 @@ import tracker_film
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.job_result import JobValue, LostJob
+from tracker.camera.camera import Camera
 from tracker.camera.recordings import HelperProcesses, RecordingSource
 from tracker.detection import shared_frames
 from tracker.detection.detect import detect, make_view
+from tracker.detection.detectors.discs import Discs
 
 
 def discs():
@@ -65,3 +67,29 @@ def test_a_lost_process_is_reported_with_its_frames(monkeypatch):
     monkeypatch.setattr(shared_frames, "run_jobs", lambda *_: iter([LostJob(1, "its worker was killed (SIGKILL)")]))
     with pytest.raises(InputError, match=r"frames 32 to 63: its worker was killed .* --workers 1 needs the least"):
         list(shared_frames.share_frames(clip, None, range(100)))
+
+
+class Halved(Discs):
+    """A user's detector, which inherits all that processes could share, and finds only every second ball."""
+
+    def detect(self, frames):
+        found = super().detect(frames)
+        if not len(found.glints):
+            raise TypeError("no balls")
+        keep = np.arange(len(found.glints)) % 2 == 0
+        return replace(found, glints=found.glints.take(keep))
+
+
+def test_the_subclass_of_a_user_is_asked_itself(monkeypatch):
+    monkeypatch.setattr(shared_frames, "run_jobs", lambda *_: pytest.fail("shared"))
+    pictures, keys = discs()
+    clip = tracker_discs.recorded(pictures, Camera.from_dict(keys))
+    shared = replace(clip, helpers=HelperProcesses(None, 0, 2))
+    assert len(detect(shared, make_view(shared, Halved), Halved).glints) == 40
+
+
+def test_a_fault_of_a_user_that_needs_all_frames_is_one_line():
+    pictures, keys = discs()
+    empty = tracker_discs.recorded(np.full_like(pictures, 60), Camera.from_dict(keys))
+    with pytest.raises(InputError, match=r"detector Halved: .*test_shared_frames.py, line \d+: TypeError: no balls"):
+        detect(empty, make_view(empty, Halved), Halved)
