@@ -39,7 +39,8 @@ def walks(clip, rng):
     return (np.cumsum(steps, axis=1) + rng.uniform(-0.02, 0.02, (2, 1, 2))).reshape(-1, 2)
 
 
-@pytest.mark.parametrize("motion", [pucks, pytest.param(walks, marks=pytest.mark.gate)])
+@pytest.mark.gate
+@pytest.mark.parametrize("motion", [pucks, walks])
 def test_a_search_of_anything_ends_well(monkeypatch, motion):
     only(monkeypatch, ("friction_speed", "force_place"), unknown_lamp=library()["unknown_lamp"])
     rng = np.random.default_rng(1)

@@ -160,10 +160,11 @@ def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(m
     assert "stribeck" in found.experiment
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize(
     ("hidden", "bent"),
     [
-        pytest.param({"stribeck.rise": 0.03}, ("friction_speed", "friction_heading"), marks=pytest.mark.gate),
+        ({"stribeck.rise": 0.03}, ("friction_speed", "friction_heading")),
         ({"plate_tilt.x": 1e-3}, ("force_place", "force_velocity")),
     ],
 )
@@ -435,6 +436,7 @@ def test_how_the_gap_goes_is_said_as_it_is(after, said):
     assert f"On held-out collisions chi^2 per point {said}" in moved.sentence()
 
 
+@pytest.mark.gate
 def test_clips_of_two_frame_rates_are_searched_together(monkeypatch):
     only(monkeypatch)
     true = Model().replace({"rolling_quadratic.K": 0.2})

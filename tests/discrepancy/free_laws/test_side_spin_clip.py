@@ -42,6 +42,7 @@ def test_it_is_found_and_its_model_leaves_nothing(monkeypatch):
     assert np.std(spun - SPINS[[c.clip for c in again.data.clips]]) < 0.1 * SIZE
 
 
+@pytest.mark.gate
 def test_rolling_strikers_with_free_spins_leave_nothing(monkeypatch):
     only(monkeypatch, free_laws=("side_spin_clip", "spin_transfer_clip"))
     assert search(clips(0 * SPINS), Model()).verdict == "none"

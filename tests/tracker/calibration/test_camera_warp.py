@@ -79,6 +79,7 @@ def write_results(folder, recordings):
     return folder
 
 
+@pytest.mark.gate
 def test_the_command_finds_a_known_map_within_its_error(tmp_path):
     """The balls of a recording may pass through each other here: the file gives no diameter by which they touch."""
     recordings = film(1.0)
