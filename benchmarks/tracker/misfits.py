@@ -1,11 +1,13 @@
-"""Collisions whose laws the tied fit does not contain: do the error bars of the free fit hold?
+"""Collisions whose laws the tied fit does not contain. Do the error bars of the free fit hold?
 
 python -m benchmarks.tracker.misfits [--clips 30] [--seed 1] [-o out/misfits.json]        # or make bench-misfits
 
 Each law is hidden in so many collisions at random speeds and offsets. The tracks are true centres with noise of .015
-px. Only rows with the status misfit count. For each quantity of the free fit the table gives the number of values with
-an error, the mean and the rms of z = error / standard error with its sampling error, and the share within 1 and 1.96
-errors. Each |z| counts as 5 at most.
+px. Only rows with the status misfit count. The table has a row for each quantity of the free fit:
+
+- the number of values with an error;
+- mean and rms of z = error / standard error, each |z| at most 5, and the sampling error of the rms;
+- the share within 1 and 1.96 errors.
 """
 
 from __future__ import annotations
