@@ -1,4 +1,4 @@
-"""Compute the marginal likelihood of a free curve: what it explains, and what its freedom costs.
+"""The marginal likelihood of a free curve: what it explains, and what freedom, strengths and choices cost in chi^2.
 
 The coefficients have a Gaussian prior, whose size maximises the marginal likelihood. F is the information of the
 coefficients, marginal over all that the fit absorbs; g is their pull, the gradient of -chi^2/2; s^2 K is their prior

@@ -1,4 +1,4 @@
-"""Scoring of results against the truth, with the keys of score.json."""
+"""Scoring of results against the truth: joins each clip with its truth and bounds, and gives the keys of score.json."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The definition of a suite, read from YAML: films, scenes, seeds, and the axes of the error figures."""
+"""The definition of a suite, read from YAML and merged: films, scenes, seeds, and the axes of the error figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cuts the pixels around candidates out of frames, and from them the windows in which glints are fitted."""
+"""Cuts the pixels around candidates out of frames, and the windows around glints in which they are fitted."""
 
 from __future__ import annotations
 
