@@ -1,4 +1,4 @@
-"""Compares the views of two cameras: the first key that differs. Also changes the view of one by its standard errors."""
+"""Compares the views of two cameras, by the first key that differs, and changes a view by its standard errors."""
 
 from __future__ import annotations
 
