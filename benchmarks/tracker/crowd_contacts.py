@@ -1,9 +1,10 @@
 """The contacts of crowds and what each gives, with their errors, against the truth of the simulation.
 
-python -m benchmarks.tracker.crowd_contacts [--films 20] [--scene crowd]   # or make bench-crowd-contacts
+python -m benchmarks.tracker.crowd_contacts [--films 20] [--scene crowd] [--rendered]   # or make bench-crowd-contacts
 
-No film is rendered: positions are true ones with 0.05 px noise. The score z is a deviation over its standard error.
-Each column of contacts.parquet has its mean and rms z, and the shares of |z| below 1 and 1.96: 0.68 and 0.95 are right.
+Positions are true ones with 0.05 px noise, unless films are rendered and tracked. The score z is a deviation over its
+standard error. Each column of contacts.parquet has its mean and rms z, and the shares of |z| below 1 and 1.96: 0.68 and
+0.95 are right.
 """
 
 from __future__ import annotations
@@ -29,16 +30,15 @@ REACH_S = 0.008  # within which a contact that is found may be a true one
 COLUMNS = ("t_s", "kick", "v_n", "v_t", "r", "mu_bb", "mu_k", "impulse", "energy", "energy_lost")
 
 
-def measure_film(scene: str, number: int) -> tuple[dict[str, Any], pd.DataFrame]:
+def measure_film(scene: str, number: int, *, rendered: bool = False) -> tuple[dict[str, Any], pd.DataFrame]:
     """Numbers of one film, and a row for each true contact that is found: column, value, std, truth, gap."""
-    clip, rng = Scene.read(scene).draw(seed=number), np.random.default_rng(number)
-    x, y = (clip.tracks[f"{axis}_mean_px"] + NOISE_PX * rng.standard_normal(len(clip.tracks)) for axis in "xy")
-    table = clip.tracks[["frame", "particle"]].assign(x=x, y=y, x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0)
-    result = tracker.measure(table[clip.tracks.visible], clip.camera_json)
+    clip = Scene.read(scene).draw(seed=number)
+    result = tracker.track(clip.film(), clip.camera_json) if rendered else measure_true_positions(clip, number)
+    contacts = result.contacts.replace(dict.fromkeys(("particle1", "particle2"), name_balls(clip, result)))
     last = clip.frames / clip.camera_json["fps"] - MARGIN_S
     true = read_true_contacts(clip)
     true = true[true["t_s"].between(MARGIN_S, last)]
-    found = result.contacts[result.contacts["t_s"].between(MARGIN_S, last)]
+    found = contacts[contacts["t_s"].between(MARGIN_S, last)]
     rows = match(true, found)
     model = clip.model
     truths = {"r": model.restitution, "mu_k": model.sliding_friction}
@@ -49,6 +49,24 @@ def measure_film(scene: str, number: int) -> tuple[dict[str, Any], pd.DataFrame]
     }
     counts = {"contacts": len(true), "found": len(found), "matched": int((rows["column"] == "t_s").sum())}
     return counts | {"means": means}, rows
+
+
+def measure_true_positions(clip: Clip, seed: int) -> tracker.Result:
+    """Measure the true positions of a clip with noise."""
+    rng = np.random.default_rng(seed)
+    x, y = (clip.tracks[f"{axis}_mean_px"] + NOISE_PX * rng.standard_normal(len(clip.tracks)) for axis in "xy")
+    table = clip.tracks[["frame", "particle"]].assign(x=x, y=y, x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0)
+    return tracker.measure(table[clip.tracks.visible], clip.camera_json)
+
+
+def name_balls(clip: Clip, result: tracker.Result) -> dict[int, int]:
+    """The true ball of each particle: the one that is nearest in most frames; -1 stays."""
+    both = result.tracks[["frame", "particle", "x", "y"]].merge(
+        clip.tracks[["frame", "particle", "x_mean_px", "y_mean_px"]], on="frame", suffixes=("", "_true")
+    )
+    both["far"] = np.hypot(both["x"] - both["x_mean_px"], both["y"] - both["y_mean_px"])
+    nearest = both.loc[both.groupby(["particle", "frame"])["far"].idxmin()]
+    return {int(k): int(part.mode()[0]) for k, part in nearest.groupby("particle")["particle_true"]}
 
 
 def read_true_contacts(clip: Clip) -> pd.DataFrame:
@@ -117,9 +135,9 @@ def score(z: Floats) -> dict[str, float]:
     }
 
 
-def measure_films(scene: str, count: int) -> dict[str, Any]:
+def measure_films(scene: str, count: int, *, rendered: bool = False) -> dict[str, Any]:
     """Recall and precision of contacts, scores of each column, scores of the means of the films, and the films."""
-    films, rows = zip(*(measure_film(scene, number) for number in range(1, count + 1)), strict=True)
+    films, rows = zip(*(measure_film(scene, number, rendered=rendered) for number in range(1, count + 1)), strict=True)
     table: pd.DataFrame = pd.concat(rows, ignore_index=True)
     table["z"] = (table["value"] - table["truth"]) / table["std"]
     total = {key: sum(film[key] for film in films) for key in ("contacts", "found", "matched")}
@@ -144,8 +162,9 @@ def main() -> None:
     parser.add_argument("--films", type=int, default=20)
     parser.add_argument("--scene", default="crowd")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out/crowd_contacts.json")
+    parser.add_argument("--rendered", action="store_true", help="render the films and track them")
     given = parser.parse_args()
-    figures = measure_films(given.scene, given.films)
+    figures = measure_films(given.scene, given.films, rendered=given.rendered)
     save(given.output, figures)
     print(pd.DataFrame(figures["columns"]).T.round(2).to_string())
     print({name: value for name, value in figures.items() if name not in ("columns", "films")})
