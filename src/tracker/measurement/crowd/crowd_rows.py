@@ -105,11 +105,13 @@ def _estimate(
     *,
     window_in_slides: float = 10.0,
     min_window_s: float = 0.05,
+    slide_factor: float = 0.3,
 ) -> tuple[Contact | None, LocalEstimate | str]:
     """The two balls of a contact, and its local estimate or the reason why there is none.
 
     window_in_slides: durations of the slide after a contact, up to which its stretches reach.
     min_window_s: the shortest such reach.
+    slide_factor: error of the logarithm of the duration of a slide by the kick, beyond that of the friction.
     """
     window = window_in_slides * _slide_duration(contact, settings)
     own = settings.model_copy(update={"local_window_s": float(np.clip(window, min_window_s, settings.local_window_s))})
@@ -126,7 +128,9 @@ def _estimate(
         if sliding[0]:  # only the striker may slide before the hit; roles do not change what is measured
             pair = replace(pair, struck=pair.striker, striker=pair.struck, target_moves=True)
         prepared = replace(prepared, pair=pair)
-        return prepared, estimate_locally(prepared, camera, (1.0, 1.0))
+        factor = float(np.hypot(own.local_friction_factor, slide_factor))
+        slide = (_slide_duration(contact, settings), factor) if contact.kick > 0 else None
+        return prepared, estimate_locally(prepared, camera, (1.0, 1.0), slide)
     except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others
         return None, f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
 

@@ -68,10 +68,13 @@ class LocalEstimate:
         return np.sqrt(np.maximum(np.diag(self.cov), 0.0))
 
 
-def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, float]) -> LocalEstimate | str:
+def estimate_locally(
+    contact: Contact, camera: Camera, masses: tuple[float, float], slide: tuple[float, float] | None = None
+) -> LocalEstimate | str:
     """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
 
-    masses: of ball 1 and ball 2, in any unit.
+    masses: of ball 1 and ball 2, in any unit. slide: a prior of the duration of a slide, s, and the error of its
+    logarithm, if something shows it.
     """
     rests = not contact.pair.target_moves
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
@@ -83,6 +86,8 @@ def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, floa
         friction_factor=settings.local_friction_factor,
         loss=settings.local_rolling_loss_m_s2,
     )
+    if slide is not None:
+        known = replace(known, slide_s=slide[0], slide_factor=slide[1])
     instant = _guess_instant(contact, camera)
     if _stay_together(contact, instant):
         return "the bodies stay together after the hit"
