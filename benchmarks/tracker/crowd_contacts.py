@@ -66,7 +66,8 @@ def name_balls(clip: Clip, result: tracker.Result) -> dict[int, int]:
     )
     both["far"] = np.hypot(both["x"] - both["x_mean_px"], both["y"] - both["y_mean_px"])
     nearest = both.loc[both.groupby(["particle", "frame"])["far"].idxmin()]
-    return {int(k): int(part.mode()[0]) for k, part in nearest.groupby("particle")["particle_true"]}
+    every: list[Any] = nearest["particle"].unique().tolist()
+    return {k: int(nearest["particle_true"][nearest["particle"] == k].mode()[0]) for k in every}
 
 
 def read_true_contacts(clip: Clip) -> pd.DataFrame:

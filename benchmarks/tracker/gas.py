@@ -225,6 +225,8 @@ def draw(figures: dict[str, Any], cooled: list[Film], trays: list[Film], path: P
     middle.plot(FRAMES_BETWEEN, [each["z_rms"] for each in ratios], "s--", label="rms of z")
     middle.axhline(1, color="0.6", lw=0.8)
     middle.set(xlabel="frames between contacts", ylabel="measured / truth, rms of z", xscale="log", ylim=(0, None))
+    middle.minorticks_off()
+    middle.set_xticks(FRAMES_BETWEEN, [str(count) for count in FRAMES_BETWEEN])
     middle.legend(frameon=False)
     film = trays[0]
     time = film.gas.time
@@ -236,7 +238,8 @@ def draw(figures: dict[str, Any], cooled: list[Film], trays: list[Film], path: P
     unknown = 1e3 * time["lost_unresolved"]
     right.plot(time["t_s"], unknown, color="0.5", label="not resolved")
     right.set(xlabel="t / s", ylabel="energy per unit mass / (10⁻³ m²/s²)", title="cooling; dotted: truth")
-    right.legend(frameon=False, fontsize=8)
+    right.set_ylim(top=1.35 * right.get_ylim()[1])
+    right.legend(frameon=False, fontsize=8, ncols=2, loc="upper left")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 
