@@ -136,7 +136,7 @@ def test_what_is_left_is_the_clip_without_them_and_it_is_said():
 @pytest.mark.parametrize("frame", [1.0, pytest.param(40.0, marks=pytest.mark.gate), 78.0, 79.0])
 def test_a_lost_frame_is_none_however_near_the_end(frame):
     lost = Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame})
-    assert prepare(collisions(lost, 6, 3), Model(), lambda stage: None).left_out == ()
+    assert prepare(collisions(lost, 8, 3), Model(), lambda stage: None).left_out == ()
 
 
 def test_a_lost_frame_at_the_end_is_named(monkeypatch):
