@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
@@ -188,16 +189,28 @@ class TrackEdits:
             if edit.clip is not None and edit.clip not in numbers:
                 raise InputError(f"{self.where}: edits.{k}.clip: there is no clip {edit.clip}")
 
-    def apply(self, tracks: Tracks, clip: int) -> EditedTracks:
-        """Apply the edits of one clip. Raises InputError for one that does not fit the tracks."""
+    def apply(self, tracks: Tracks, clip: int, film: NDArray[np.int64] | None = None) -> EditedTracks:
+        """Apply the edits of one clip. Raises InputError for one that does not fit the tracks.
+
+        film: numbers of its frames, to which positions may be added; None: from the first to the last of the tracks.
+        """
         own = [(k, edit) for k, edit in enumerate(self.edits) if edit.clip in (None, clip)]
         marks = [(k, edit) for k, edit in own if isinstance(edit, MarkContact)]
+        frames = tracks.frame if film is None else film
+        first, last = (int(frames.min()), int(frames.max())) if len(frames) else (0, 0)
+        for k, edit in own:
+            if isinstance(edit, AddPoint) and not first <= edit.frame <= last:
+                raise InputError(f"{self.where}: edits.{k}.frame: expected {first} to {last}, found {edit.frame}")
         for k, edit in (*own, *marks):  # a later edit may have taken out a ball of a contact
             try:
                 tracks = edit.change(tracks)
             except InputError as error:
                 raise InputError(f"{self.where}: edits.{k} ({edit.action}): {error}") from None
         contacts = tuple(MarkedContact(edit.ball, edit.other, edit.frame) for _, edit in marks)
+        for (one, (j, _)), (other, (k, _)) in combinations(zip(contacts, marks, strict=True), 2):
+            if one.is_near(other[:2], other.frame):
+                where = f"{self.where}: edits.{k} (mark_contact)"
+                raise InputError(f"{where}: edits.{j} marks this contact, in frame {one.frame}; keep one of the two")
         counts = Counter(edit.noun for _, edit in own)
         text = ", ".join(f"{count} {_write_plural(noun, count)}" for noun, count in counts.items())
         notes = (Note(NoteKind.EDIT, f"edited by hand: {text}", clip),) if own else ()

@@ -6,7 +6,7 @@ import functools
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -173,19 +173,26 @@ def _fill_results(
     check_writable(output)
     partial = output.with_name(output.name + ".partial")
     if partial.is_dir() and any(partial.iterdir()):
-        _same_or_refuse(partial, plan)
+        _same_or_refuse(partial, plan, [number for number in numbers if results.is_done(partial, number)])
     with resume_folder(partial, results.RUN, json.dumps(plan, indent=1) + "\n"):
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         make(partial, todo)
         return results.finish(partial, output, numbers), len(todo)
 
 
+def _edits_of(edits: list[Any], number: int) -> list[Any]:
+    return [edit for edit in edits if isinstance(edit, dict) and edit.get("clip") in (None, number)]
+
+
 def _note_edits(edits: TrackEdits) -> dict[str, Any]:
     return edits.to_keys() if edits.edits else {}
 
 
-def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
-    """An output folder may hold the same run, whole or in part, and nothing else."""
+def _same_or_refuse(folder: Path, plan: dict[str, Any], done: Sequence[int] | None = None) -> None:
+    """An output folder may hold the same run, whole or in part, and nothing else.
+
+    done: the clips that are finished; edits of the others may differ. None: all are.
+    """
     note = folder / results.RUN
     if not folder.is_dir() or not note.is_file():
         raise InputError(f"{folder}: exists and holds something else, expected a new folder for the results")
@@ -193,6 +200,10 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
     known = {k: v for k, v in known.items() if k != results.SEEN} if isinstance(known, dict) else {}
     if known == plan:
         return
+    if done is not None and {**known, "edits": None} == {**plan, "edits": None}:
+        was, now = (run["edits"] if isinstance(run.get("edits"), list) else [] for run in (known, plan))
+        if all(_edits_of(was, number) == _edits_of(now, number) for number in done):
+            return
     names = [name for name in sorted({*known, *plan}) if known.get(name) != plan.get(name)]
     differs = ", ".join(
         f"{name} {known.get(name)} instead of {plan.get(name)}" if name in ("detector", "clips", "made_by") else name

@@ -430,7 +430,7 @@ def track_and_measure(
         if not second[2] and len(second[0]) >= MIN_DETECTIONS:
             why = f"detector: {other}, because {chosen} finds nothing ({reason}); --detector overrides this"
             tracks, camera, reason, said = second
-    edited = (edits or TrackEdits()).apply(tracks, clip.number)
+    edited = (edits or TrackEdits()).apply(tracks, clip.number, clip.frames.numbers)
     rows, motion = measure_clip(edited.tracks, camera, settings.fit, edited.contacts)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]

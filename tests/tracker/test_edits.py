@@ -76,6 +76,15 @@ def test_an_added_point_has_its_error_a_flag_and_a_time():
     assert tracks.time[row] == 5.0  # between 3 s of frame 3 and 7 s of frame 5
 
 
+def test_a_point_may_be_moved_in_the_last_frame_and_added_wherever_the_film_has_one():
+    moved = change(POINT | {"frame": 5}, ADDED | {"frame": 5})
+    assert rows(moved)[-1] == (1, 5, 7.5)
+    edits = TrackEdits.of({"edits": [ADDED | {"frame": 8}]})
+    assert rows(edits.apply(three_frames(), 0, np.arange(9)))[-1] == (1, 8, 7.5)
+    with pytest.raises(InputError, match="expected 0 to 7"):
+        edits.apply(three_frames(), 0, np.arange(8))
+
+
 def test_what_was_done_is_noted():
     edited = change(POINT, POINT | {"frame": 3}, CONTACT)
     assert [str(note) for note in edited.notes] == ["edited by hand: 2 positions removed, 1 contact marked"]
@@ -93,6 +102,9 @@ def test_what_was_done_is_noted():
         ([ADDED | {"frame": 5}], "ball 1 has a position in frame 5; remove that one before"),
         ([CONTACT | {"frame": 3}], "seen before and after the frame"),
         ([CONTACT | {"other": 0}], "expected two"),
+        ([CONTACT, POINT, CONTACT | {"ball": 1, "other": 0}], "edits.2 (mark_contact): edits.0 marks this contact, in"),
+        ([ADDED | {"frame": 6}], "edits.0.frame: expected 1 to 5, found 6"),
+        ([ADDED | {"frame": 0}], "edits.0.frame: expected 1 to 5, found 0"),
         ([CONTACT, TRACK], "edits.0 (mark_contact): ball 0 has no position"),
         ([{"action": "remove"}], "expected tags"),
         ([POINT | {"size": 1}], "size: unknown key"),
@@ -168,3 +180,20 @@ def test_a_run_applies_a_file_and_notes_it(tmp_path):
     assert json.loads((tmp_path / "out/run.json").read_text())["edits"] == [TRACK]
     with pytest.raises(InputError, match=r"another run \(edits\)"):
         measure_tables(tmp_path / "tracks.csv", tmp_path / "out", tmp_path / "camera.json")
+
+
+def test_an_interrupted_run_takes_other_edits_of_the_clips_that_it_lacks(tmp_path):
+    table, out = glancing_balls(), tmp_path / "out"
+    pd.concat([table.assign(clip=1), table.assign(clip=2)]).to_csv(tmp_path / "tracks.csv", index=False)
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
+
+    def measure_with(*edits):
+        return measure_tables(tmp_path / "tracks.csv", out, tmp_path / "camera.json", edits={"edits": list(edits)})
+
+    track, wrong, good = TRACK | {"clip": 1}, POINT | {"clip": 2, "frame": 99}, POINT | {"clip": 2}
+    with pytest.raises(InputError, match="has no position in frame 99"):
+        measure_with(track, wrong)
+    with pytest.raises(InputError, match=r"of other options or files \(edits\)"):
+        measure_with(good)  # clip 1 is measured with an edit
+    measure_with(track, good)
+    assert json.loads((out / "run.json").read_text())["edits"] == [track, good]

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from tracker import results
@@ -36,6 +37,7 @@ from tracker.results import RUN
 
 MAX_COLLISIONS = 20  # whose numbers the page lists; the report has all
 MAX_POSITIONS = 200_000  # of tracks that the page draws
+MAX_FRAMES_ALONE = 10_000_000  # of results without their film: each has a number in memory
 MAX_TRIED_FILMS = 100  # neighbours of results that may be their film
 QUANTITIES = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction", "momentum_fraction")
 
@@ -95,8 +97,13 @@ class OpenedResults:
             "more": max(len(table) - MAX_COLLISIONS, 0),
         }
 
-    def list_tracks(self, number: int, edits: TrackEdits) -> list[dict[str, Any]]:
-        """The tracks of a clip after further edits, px, with the residuals of the tied fit, px and um."""
+    def list_tracks(
+        self, number: int, edits: TrackEdits, film: NDArray[np.int64] | None = None
+    ) -> list[dict[str, Any]]:
+        """The tracks of a clip after further edits, px, with the residuals of the tied fit, px and um.
+
+        film: numbers of the frames of its film, where that is there.
+        """
         tracks, camera = results.read_clip(self.folder, number)
         if len(tracks) > MAX_POSITIONS:
             raise InputError(f"tracks: {len(tracks)} positions, the page draws at most {MAX_POSITIONS}")
@@ -106,7 +113,7 @@ class OpenedResults:
             # positions tell points apart after an exchange of numbers
             known = zip(tracks.particle.tolist(), tracks.frame.tolist(), tracks.x.tolist(), strict=True)
             self._residuals[number] = {(k, x): off[p, k] for p, k, x in known if (p, k) in off}
-        return _list_tracks(edits.apply(tracks, number).tracks, camera, self._residuals[number])
+        return _list_tracks(edits.apply(tracks, number, film).tracks, camera, self._residuals[number])
 
 
 def _list_tracks(tracks: Tracks, camera: Camera, residuals: Mapping[Any, tuple[float, float]]) -> list[dict[str, Any]]:
@@ -151,8 +158,11 @@ class TracksAlone(RecordingSource):
         """Number and black frames of clip ``index``, as many as its tracks have."""
         number = self.clips[index][0]
         tracks, camera = results.read_clip(self.path, number)
-        black = np.zeros(camera.size[::-1], np.uint8)
-        frames = Frames(max(int(tracks.frame.max(initial=0)) + 1, 2), black.shape, black.dtype, lambda k: black)
+        black, last = np.zeros(camera.size[::-1], np.uint8), int(tracks.frame.max(initial=0))
+        if last >= MAX_FRAMES_ALONE:
+            where = f"{self.clips[index][1]}: frame {last}"
+            raise InputError(f"{where}: expected one below {MAX_FRAMES_ALONE}, or the film by --film")
+        frames = Frames(max(last + 1, 2), black.shape, black.dtype, lambda k: black)
         frames.fps = camera.fps if camera.metric else 0.0
         return number, frames
 

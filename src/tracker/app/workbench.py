@@ -452,7 +452,8 @@ class Workbench:
 
     def _list_tracks(self, number: int, edits: list[dict[str, Any]]) -> list[dict[str, Any]]:
         found, clip = self.find_results(number), self._find_clip(number)
-        return found.list_tracks(clip, TrackEdits.of({"edits": edits}))
+        film = self.view.clip.frames.numbers if self.has_film else None
+        return found.list_tracks(clip, TrackEdits.of({"edits": edits}), film)
 
     def _list_applied(self, number: int, clip: int) -> list[dict[str, Any]]:
         """The edits that results have, of those that a run from this source applies."""

@@ -11,6 +11,7 @@ pytest.importorskip("starlette", reason="the extra app is not installed")
 
 from synthcam import Scene
 from synthcam_shared.errors import InputError
+from tracker.app import opened_results
 from tracker.app.opened_results import OpenedResults, TracksAlone, find_film, show_tracks_alone
 from tracker.app.workbench import OPENED, Workbench
 from tracker.camera.recordings import open_source
@@ -162,6 +163,12 @@ def test_a_set_and_a_search_are_started_and_their_pages_shown(bench, folder, mon
         with pytest.raises(InputError, match="search: "):
             bench.start_search(wrong)
     assert bench.find_page_folder(2) == bench.folder / "search_2"
+
+
+def test_tracks_of_too_many_frames_are_not_shown_without_their_film(folder, monkeypatch):
+    monkeypatch.setattr(opened_results, "MAX_FRAMES_ALONE", 39)
+    with pytest.raises(InputError, match="frame 39: expected one below 39, or the film"):
+        show_tracks_alone(OpenedResults(folder / "results")).open_film(0)
 
 
 def test_results_that_are_not_complete(folder, tmp_path):
