@@ -103,6 +103,21 @@ def test_on_the_command_line(name, folder, monkeypatch, capsys):
     assert rows > 50 if name == "my.py" else rows == 1
 
 
+def test_other_processes_find_the_same(folder, monkeypatch, capsys):
+    """The other process loads the file itself. It begins with both clips, whose balls do not meet yet."""
+    write_dataset(folder / "dataset", np.random.default_rng(0), frames=12)
+    found = []
+    for workers in ("1", "2"):
+        words = ["track", "dataset", "-o", workers, "--detector", "my.py", "--no-pages", "--workers", workers]
+        monkeypatch.setattr(sys, "argv", ["tracker", *words])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        assert ended.value.code == 0, capsys.readouterr().err
+        found.append([(folder / workers / f"clips/00000{clip}/tracks.csv").read_text() for clip in (0, 1)])
+    assert found[0] == found[1]
+    assert all(len(text.splitlines()) > 20 for text in found[0])
+
+
 def test_a_changed_file_is_another_run(folder, monkeypatch, capsys):
     write_dataset(folder / "dataset", np.random.default_rng(0), clips=1)
     monkeypatch.setattr(sys, "argv", ["tracker", "track", "dataset", "-o", "out", "--detector", "my.py", "--no-pages"])

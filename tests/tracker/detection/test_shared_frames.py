@@ -5,13 +5,16 @@ import pickle
 from dataclasses import fields, replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import tifffile
 import tracker_discs
 import tracker_film
+from tracker_video import encode
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.job_result import JobValue, LostJob
+from tracker import pipeline
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import HelperProcesses, RecordingSource
 from tracker.detection import shared_frames
@@ -59,6 +62,32 @@ def test_other_processes_find_the_same(tmp_path, monkeypatch, name, drawn):
             assert vars(other.outline_radius) == vars(alone.outline_radius)
         for column in fields(alone.glints):
             assert np.array_equal(getattr(other.glints, column.name), getattr(alone.glints, column.name))
+
+
+def test_real_processes_find_the_same_in_a_colour_of_a_video(tmp_path, monkeypatch):
+    """The balls differ from the plate in colour alone: the other process has to read the same plane as this one."""
+    rng, size, count = np.random.default_rng(5), (72, 104), 70
+    paths = np.linspace([20.0, 20.0], [80.0, 24.0], count), np.linspace([80.0, 52.0], [20.0, 48.0], count)
+    film = []
+    for places in zip(*paths, strict=True):
+        red = 128 + 90 * sum(tracker_discs.disc(place, 7.0, size=size) for place in places)
+        film.append(np.stack([rng.normal(110, 2, size), np.full(size, 128), red]).clip(0, 255).astype(np.uint8))
+    video, taken, run_jobs = encode(tmp_path / "film.mp4", film, fmt="yuv444p"), [], shared_frames.run_jobs
+
+    def watch(examiner, stretches, workers):
+        taken.append((len(stretches), workers))
+        return run_jobs(examiner, stretches, workers)
+
+    monkeypatch.setattr(shared_frames, "run_jobs", watch)
+    camera = {"size": [*size[::-1]], "fps": 60.0, "scale": 1e-3, "ball_diameter": 0.014}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    tables = []
+    for workers in (1, 2):
+        pipeline.run(video, tmp_path / f"{workers}", "discs", workers, channel="red-green")
+        tables.append(pd.read_parquet(tmp_path / f"{workers}/clips/000000/tracks.parquet"))
+    assert taken == [(3, 2)]  # the other process begins with two stretches
+    assert len(tables[0]) == 2 * count
+    pd.testing.assert_frame_equal(*tables)
 
 
 def test_a_lost_process_is_reported_with_its_frames(monkeypatch):
