@@ -270,7 +270,8 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
         bomb(tmp_path / f"{name}.tif", side)
     script = (
         "import resource, sys\nfrom pathlib import Path\n"
-        "from tracker.pipeline import _track_clip\nfrom tracker.settings import TrackerSettings\n"
+        "from tracker.edits import TrackEdits\nfrom tracker.pipeline import _track_clip\n"
+        "from tracker.settings import TrackerSettings\n"
         "from synthcam_shared.errors import InputError\n"
         "from tracker.camera.recordings import open_source\n"
         "import tracker.detection.detectors.maximum_likelihood\n"
@@ -279,7 +280,7 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
         "resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))\n"
         "for place in sys.argv[1:]:\n"
         "    try:\n"
-        "        _track_clip(open_source(place), 0, Path('out'), 'centroid', TrackerSettings())\n"
+        "        _track_clip(open_source(place), 0, Path('out'), 'centroid', TrackerSettings(), TrackEdits())\n"
         "    except InputError as error:\n"
         "        print(error)\n"
     )
