@@ -6,7 +6,7 @@ import functools
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -227,21 +227,27 @@ def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
 def digest_films(source: RecordingSource) -> str:
     """A digest of the films and camera files of a source, by which run.json knows them."""
     mark = hashlib.sha256()
+    for part in read_ends(source):
+        mark.update(part)
+    for file in source.camera_files():
+        mark.update(file.read_bytes())
+    return mark.hexdigest()
+
+
+def read_ends(source: RecordingSource) -> Iterator[bytes]:
+    """Numbers, sizes and both ends of the films of a source: what their digest is made of, before camera files."""
     for number, location in source.clips:
-        mark.update(f"{number}".encode())
+        yield f"{number}".encode()
         inside = location.rglob("*") if is_zarr(location) else location.iterdir() if location.is_dir() else (location,)
         files = sorted(path for path in inside if path.is_file())
         for file in files:
             size = file.stat().st_size
-            mark.update(f"|{size}".encode())
+            yield f"|{size}".encode()
             with file.open("rb") as stream:
                 # 64 KiB at either end of a file distinguish recordings
-                mark.update(stream.read(1 << 16))
+                yield stream.read(1 << 16)
                 stream.seek(max(0, size - (1 << 16)))
-                mark.update(stream.read(1 << 16))
-    for file in source.camera_files():
-        mark.update(file.read_bytes())
-    return mark.hexdigest()
+                yield stream.read(1 << 16)
 
 
 def _track_clip(

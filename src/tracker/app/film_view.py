@@ -31,8 +31,9 @@ STEPS_BACK = 12  # frames that are decoded at once when one goes back: a video i
 class Look:
     """The look of a picture.
 
-    low, high: shares of white that become black and white. reduce: film pixels per pixel of the picture, along one
-    side. box: left, top, width and height of the part that is shown, px; None is all.
+    - low, high: shares of white that become black and white.
+    - reduce: film pixels per pixel of the picture, along one side.
+    - box: left, top, width and height of the part that is shown, px; None is all.
     """
 
     channel: str = GREY
@@ -80,9 +81,12 @@ class FilmView:
         """The film once more, with the frames that the page has decoded."""
         frames, lock = self.source.open_film(self.index, self.frames.contents)[1], threading.RLock()
 
-        def read(k: int) -> Any:
+        def check_open() -> None:
             if self._closed:
                 raise InputError(f"{self.location}: closed")
+
+        def read(k: int) -> Any:
+            check_open()
             kept = self._kept.get((GREY, k)) if frames.aspect == 1 else None
             if kept is not None:
                 return kept
@@ -94,6 +98,7 @@ class FilmView:
         if colours is not None:
 
             def read_colours(k: int) -> Any:
+                check_open()
                 with lock:
                     return colours(k)
 

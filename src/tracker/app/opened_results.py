@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import islice, product
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +25,7 @@ from tracker.camera.frames import Frames
 from tracker.camera.recordings import RecordingSource, open_source
 from tracker.detection.link import Tracks
 from tracker.edits import TrackEdits
-from tracker.pipeline import digest_films
+from tracker.pipeline import read_ends
 from tracker.report.collision_figures import list_residuals, view_collision
 from tracker.report.estimates_text import (
     METHODS,
@@ -39,6 +42,8 @@ MAX_COLLISIONS = 20  # whose numbers the page lists; the report has all
 MAX_POSITIONS = 200_000  # of tracks that the page draws
 MAX_FRAMES_ALONE = 10_000_000  # of results without their film: each has a number in memory
 MAX_TRIED_FILMS = 100  # neighbours of results that may be their film
+MAX_SEARCH_S = 2.0  # among them
+MAX_CAMERA_BYTES = 1 << 20  # of a neighbour that may be their camera file
 QUANTITIES = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction", "momentum_fraction")
 
 
@@ -100,9 +105,9 @@ class OpenedResults:
     def list_tracks(
         self, number: int, edits: TrackEdits, film: NDArray[np.int64] | None = None
     ) -> list[dict[str, Any]]:
-        """The tracks of a clip after further edits, px, with the residuals of the tied fit, px and um.
+        """The tracks of a clip after further edits, px. Their residuals are those of the tied fit, px and um.
 
-        film: numbers of the frames of its film, where that is there.
+        film: numbers of its frames, where it is there.
         """
         tracks, camera = results.read_clip(self.folder, number)
         if len(tracks) > MAX_POSITIONS:
@@ -184,22 +189,58 @@ def find_film(opened: OpenedResults, film: Path | None = None, camera: Path | No
         if missing := sorted({*opened.numbers} - {number for number, _ in source.clips}):
             raise InputError(f"{film}: has no clip {missing[0]}, which {opened.folder} has")
         return source
-    for source in _try_films(opened.folder.resolve(), camera):
-        if digest_films(source) == opened.run.get("input"):
-            return source
+    return _search_film(opened.folder.resolve(), opened.run, camera)
+
+
+def _search_film(folder: Path, run: Mapping[str, Any], camera: Path | None) -> RecordingSource | None:
+    """The film of a run, with its camera file; None where the search finds none in MAX_SEARCH_S."""
+    named, near, read = _name_film(folder), _list_neighbours(folder), functools.cache(_read_camera)
+    others = [] if camera else [path for path in near if path.suffix == ".json"]
+    until = time.monotonic() + MAX_SEARCH_S
+    for path in (*named, *near):
+        with suppress(InputError, OSError):
+            source, mark = open_source(path, camera), hashlib.sha256()
+            if len(source) != run.get("clips"):
+                continue
+            for part in read_ends(source):
+                mark.update(part)
+                if path not in named and time.monotonic() > until:
+                    return None
+            if _add(mark, *(file.read_bytes() for file in source.camera_files())) == run.get("input"):
+                return source
+            for other in others:
+                if _add(mark, read(other)) == run.get("input"):
+                    return open_source(path, other)
     return None
 
 
-def _try_films(folder: Path, camera: Path | None) -> Iterable[RecordingSource]:
-    """Films that may be those of results, with the camera files that may be theirs."""
+def _add(mark: Any, *parts: bytes) -> str:
+    """The digest with more parts."""
+    whole = mark.copy()
+    whole.update(b"".join(parts))
+    return str(whole.hexdigest())
+
+
+def _read_camera(path: Path) -> bytes:
+    """The content of a file that may be a camera file; b"" of one that is none."""
+    with suppress(OSError):
+        if path.is_file() and path.stat().st_size <= MAX_CAMERA_BYTES:
+            return path.read_bytes()
+    return b""
+
+
+def _name_film(folder: Path) -> list[Path]:
+    """The film that the command beside a run of the page names."""
     command = folder.with_name(f"{folder.name.replace('results_', 'command_')}.txt")
-    films: list[Path] = []
-    with suppress(OSError, ValueError):  # ValueError: no text, or quotes that do not match
-        words = shlex.split(command.read_text())
-        films.append(Path(words[2]))
-    folders = (folder.parent, folder.parent.parent)  # runs of the page lie in a folder of their own beside the film
-    near = [path for one in folders for path in islice(sorted(one.iterdir()), MAX_TRIED_FILMS) if path != folder]
-    cameras: Sequence[Path | None] = [camera] if camera else [None, *(path for path in near if path.suffix == ".json")]
-    for film, own in product([*films, *near], cameras):
-        with suppress(InputError, OSError, IndexError):
-            yield open_source(film, own)
+    with suppress(OSError, ValueError, IndexError):  # ValueError: no text, or quotes that do not match
+        return [Path(shlex.split(command.read_text())[2])]
+    return []
+
+
+def _list_neighbours(folder: Path) -> list[Path]:
+    """Files and folders beside results, and beside the folder that they lie in."""
+    near = list[Path]()
+    for one in (folder.parent, folder.parent.parent):
+        with suppress(OSError):
+            near += [path for path in islice(sorted(one.iterdir()), MAX_TRIED_FILMS) if path != folder]
+    return near

@@ -48,7 +48,7 @@ class Presence:
     """Counts the pages that are open, to end the session when the last one is closed."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self.clock, self.open, self.left_at = clock, 0, 0.0
+        self.clock, self.open, self.left_at, self.asked = clock, 0, 0.0, False
 
     def enter(self) -> None:
         """A page is opened."""
@@ -95,6 +95,7 @@ class SessionAddresses:
 
     def show_page(self, request: Request) -> Response:
         """The page itself."""
+        self.presence.asked = True
         return _serve_file(STATIC, "index.html")
 
     def show_static(self, request: Request) -> Response:
@@ -263,12 +264,19 @@ def serve(bench: Workbench, browser: bool) -> None:
         with tempfile.TemporaryDirectory(prefix="workbench_") as own:  # its files are for this user alone
             if browser and _has_screen():
                 page = write_opening_page(Path(own), address)
+                threading.Thread(target=remind_of_address, args=(presence, over), daemon=True).start()
                 threading.Timer(0.3, webbrowser.open, (page.as_uri(),)).start()
             try:
                 server.run(sockets=[listener])
             finally:
                 over.set()
                 bench.close()
+
+
+def remind_of_address(presence: Presence, over: threading.Event, wait_s: float = 5.0) -> None:
+    """Say where the page is if no browser has asked for it: some may not read the file that they are to open."""
+    if not over.wait(wait_s) and not presence.asked:
+        print("tracker: no page has connected: open the address above", file=sys.stderr, flush=True)
 
 
 def write_opening_page(folder: Path, address: str) -> Path:

@@ -43,6 +43,7 @@ FILES_OF_RUNS = (
     *("command_{}.txt", "edits_{}.yaml", "camera_{}.json", "calibrated_{}.json", "points_{}.csv", "model_{}.yaml"),
     *("results_{}", "set_{}", "search_{}"),
 )
+MAX_WAIT_AT_END_S = 2.0  # for the preparation of a detector, which ends with the program
 OPENED = 0  # the number of the results that the session was opened with; its runs count from 1
 
 
@@ -105,7 +106,7 @@ class Workbench:
         self._wake.set()
         self.view.close()  # ends a pass of the detector over the film
         self.process.close()
-        self._worker.join()
+        self._worker.join(timeout=MAX_WAIT_AT_END_S)
 
     def _note_change(self) -> None:
         self.version += 1
@@ -371,7 +372,7 @@ class Workbench:
         with self._lock:
             folders = self._list_set()
             if not folders:
-                raise InputError("combine: there are no results yet")
+                raise InputError("combine: expected results, track a film first")
             number = self._claim_number()
             self.pages[number] = self.folder / f"set_{number}"
             words = ["tracker", "combine", *map(name_as_argument, folders), "-o", f"{self.pages[number]}"]

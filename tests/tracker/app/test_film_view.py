@@ -79,6 +79,17 @@ def test_frames_apart_are_those_of_the_film(tmp_path):
     assert apart[2] is view.read(2)
 
 
+def test_a_pass_over_a_closed_film_ends_in_all_channels(tmp_path):
+    view = view_of(tmp_path, np.zeros((3, 20, 30, 3), np.uint8), photometric="rgb")
+    grey = view.open_recording(None, FilmOptions(), apart=True).frames
+    for frames in (grey, grey.select_channel("red")):
+        assert frames[1].shape == (20, 30)
+        view.close()
+        with pytest.raises(InputError, match="closed"):
+            frames[2]
+        view._closed = False
+
+
 @pytest.mark.parametrize(
     ("k", "look", "message"),
     [

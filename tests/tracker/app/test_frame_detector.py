@@ -21,7 +21,7 @@ def farthest(found, places):
 
 @pytest.fixture(scope="module")
 def glints():
-    paths = tracker_film.collision(40, contact=18.4, speed=2.5)
+    paths = tracker_film.collision(24, contact=10.4, speed=2.5)
     return paths, tracker_film.film(np.random.default_rng(0), paths)
 
 
@@ -39,7 +39,7 @@ def test_glints_of_a_frame_whatever_came_before(glints):
     paths, pictures = glints
     detector = prepared(pictures, None)
     assert (detector.name, detector.point) == ("maximum_likelihood", "glint")
-    for k in (39, 0, 20, 21, 0):
+    for k in (23, 0, 12, 13, 0):
         assert farthest(detector.detect(k), paths[k]) < 0.1
     listed = list_balls(detector.detect(0))
     assert 0.003 < listed[0]["x_std"] < 0.05

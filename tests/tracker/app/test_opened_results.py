@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 import pytest
+import tifffile
 import yaml
-from tracker_film import collision, film, write_clip
+from tracker_film import CAMERA, collision, film, write_clip
 
 pytest.importorskip("starlette", reason="the extra app is not installed")
 
@@ -16,7 +17,7 @@ from tracker.app.opened_results import OpenedResults, TracksAlone, find_film, sh
 from tracker.app.workbench import OPENED, Workbench
 from tracker.camera.recordings import open_source
 from tracker.edits import TrackEdits
-from tracker.pipeline import measure_tables, run
+from tracker.pipeline import digest_films, measure_tables, read_ends, run
 from tracker.results import read_clip
 
 POINT = {"action": "remove_point", "ball": 1, "frame": 4}
@@ -56,6 +57,24 @@ def test_the_film_of_results_is_found_by_its_files(folder, tmp_path):
     write_clip(tmp_path / "clips/000005", film(np.random.default_rng(0), collision(8)))
     with pytest.raises(InputError, match="has no clip 0, which"):
         find_film(opened, tmp_path / "clips/000005")
+
+
+def test_each_neighbour_is_read_once_whatever_the_number_of_camera_files(tmp_path, monkeypatch):
+    pictures = film(np.random.default_rng(0), collision(4))
+    for name in ("a", "b"):
+        tifffile.imwrite(tmp_path / f"{name}.tif", pictures[: 3 if name == "a" else 4], imagej=True)
+    for k in range(5):
+        (tmp_path / f"{k}.json").write_text(json.dumps(CAMERA | {"fps": 100 + k}))
+    results = tmp_path / "results"
+    results.mkdir()
+    mark = digest_films(open_source(tmp_path / "b.tif", tmp_path / "3.json"))
+    (results / "run.json").write_text(json.dumps({"clips": 1, "input": mark}))
+    asked = []
+    monkeypatch.setattr(opened_results, "read_ends", lambda source: asked.append(source.path.name) or read_ends(source))
+    found = find_film(OpenedResults(results))
+    assert (found.path.name, found.camera.name, asked) == ("b.tif", "3.json", ["a.tif", "b.tif"])
+    monkeypatch.setattr(opened_results, "MAX_SEARCH_S", -1.0)
+    assert find_film(OpenedResults(results)) is None
 
 
 def test_numbers_and_tracks_with_their_residuals(bench, folder):

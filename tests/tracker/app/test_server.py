@@ -2,6 +2,7 @@
 
 import json
 import re
+import threading
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,8 @@ pytest.importorskip("starlette", reason="the extra app is not installed")
 from starlette.testclient import TestClient
 
 from synthcam_shared.errors import InputError
-from tracker.app.server import STATIC, Presence, make_application, write_opening_page
+from tracker.app import workbench
+from tracker.app.server import STATIC, Presence, make_application, remind_of_address, write_opening_page
 from tracker.app.track_process import RunStatus
 from tracker.app.workbench import Workbench
 from tracker.camera.recordings import open_source
@@ -37,6 +39,12 @@ def bench(tmp_path_factory, pictures):
     assert until(lambda: bench.detector_status.state == "ready")
     yield bench
     bench.close()
+
+
+@pytest.fixture
+def without_detector(monkeypatch):
+    """Workbenches that prepare no detector, which takes a second."""
+    monkeypatch.setattr(workbench, "prepare_detector", lambda *given: None)
 
 
 def enter(bench):
@@ -162,6 +170,7 @@ def test_a_run_writes_the_camera_file_and_serves_its_report_alone(client, bench,
     assert "results_2" in client.post("/api/settings", json={}).json()["command"]
 
 
+@pytest.mark.usefixtures("without_detector")
 def test_two_sessions_on_one_folder_take_different_numbers(tmp_path, pictures, monkeypatch):
     tifffile.imwrite(tmp_path / "film.tif", pictures[1][:4], imagej=True)
     both = [Workbench(open_source(tmp_path / "film.tif")) for _ in range(2)]
@@ -184,6 +193,32 @@ def test_the_file_that_a_browser_opens_is_for_this_user_alone(tmp_path):
     assert "url=http://127.0.0.1:8000/?token=secret" in page.read_text()
 
 
+def test_the_address_is_told_again_where_no_page_has_asked(bench, capsys):
+    presence, over = Presence(), threading.Event()
+    remind_of_address(presence, over, wait_s=0)
+    assert capsys.readouterr().err == "tracker: no page has connected: open the address above\n"
+    client = TestClient(make_application(bench, 8000, "secret", presence), HOME)
+    for path in ("/?token=secret", "/"):
+        client.get(path)
+    remind_of_address(presence, over, wait_s=0)
+    over.set()
+    remind_of_address(Presence(), over)
+    assert capsys.readouterr().err == ""
+
+
+def test_the_end_does_not_wait_for_a_detector_that_takes_long(tmp_path, pictures, monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+    monkeypatch.setattr(workbench, "MAX_WAIT_AT_END_S", 0.01)
+    monkeypatch.setattr(workbench, "prepare_detector", lambda *given: (begun.set(), go_on.wait(5)))
+    tifffile.imwrite(tmp_path / "film.tif", pictures[1][:4], imagej=True)
+    bench = Workbench(open_source(tmp_path / "film.tif"))
+    begun.wait()
+    bench.close()
+    assert bench._worker.is_alive()
+    go_on.set()
+
+
+@pytest.mark.usefixtures("without_detector")
 def test_a_calibration_gives_the_film_its_camera_file(tmp_path, pictures, monkeypatch):
     tifffile.imwrite(tmp_path / "film.tif", pictures[1], imagej=True)
     bench, started = Workbench(open_source(tmp_path / "film.tif")), []
@@ -220,6 +255,7 @@ def test_one_run_at_a_time(client, bench, monkeypatch):
         assert (answer.status_code, "under way" in answer.json()["error"]) == (422, True)
 
 
+@pytest.mark.usefixtures("without_detector")
 def test_clips_of_a_dataset_are_chosen_by_their_index(tmp_path, pictures):
     for number in (3, 7):
         write_clip(tmp_path / f"data/clips/{number:06d}", pictures[1][: number + 3])
