@@ -161,15 +161,25 @@ def test_the_formula_is_that_of_what_was_hidden(report_on, own):
     assert fit.chi2 / (fit.points - fit.parameters) < 1.1
 
 
-def test_the_file_is_python_that_says_what_it_is(report_on, own):
-    text = adopt(report_on("restitution_speed"), "late_drop", own).effect.read_text()
+@pytest.mark.parametrize(
+    ("law", "name", "class_name", "words", "argument"),
+    [
+        ("restitution_speed", "late_drop", "LateDrop", "r that depends on the normal speed", "normal_speed"),
+        pytest.param(
+            *("spin_transfer_speed", "late_grip", "LateGrip", "C that depends on the contact speed", "contact_speed"),
+            marks=pytest.mark.gate,
+        ),
+    ],
+)
+def test_the_file_is_python_that_says_what_it_is(law, name, class_name, words, argument, report_on, own):
+    text = adopt(report_on(law), name, own).effect.read_text()
     tree = ast.parse(text)
     (kind,) = (n for n in tree.body if isinstance(n, ast.ClassDef))
-    assert kind.name == "LateDrop"
+    assert kind.name == class_name
     said = ast.get_docstring(kind)
     assert "Found by `discrepancy find`" in said
-    assert re.search(r"r that depends on the normal speed, \d+ sigma in \d+ collisions", " ".join(said.split()))
-    assert all(word in said for word in ("size", "at", "width", "normal_speed in m/s"))
+    assert re.search(rf"{words}, \d+ sigma in \d+ collisions", " ".join(said.split()))
+    assert all(word in said for word in ("size", "at", "width", f"{argument} in m/s"))
     assert max(map(len, text.splitlines())) <= 120
     assert 'parameter("m/s", typical=' in text
 

@@ -40,6 +40,7 @@ def test_words():
     laws = {law.name: law for law in free_laws_over(Model(), np.array([c.launch for c in clips]), clips)}
     assert describe_law(laws["friction_place"]) == "mu that depends on the position"
     assert describe_law(laws["restitution_speed"]) == "r that depends on the normal speed"
+    assert describe_law(laws["spin_transfer_speed"]) == "C that depends on the contact speed"
 
 
 def test_a_number_for_each_clip_is_given_with_the_clips_own_number():
