@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from synthcam.dynamics.supports import Air
 from synthcam.scene.bodies import MAX_BODIES
@@ -160,9 +161,10 @@ def test_what_cannot_be_is_one_line(change, line):
 
 def test_an_animation(tmp_path):
     motion = check_scene(TRAY, "scene").draw().solve()
-    motion.animate(tmp_path / "table.gif", slower=1)
+    motion.animate(tmp_path / "table.gif", fps=10, slower=3)
     motion.animate(tmp_path / "table.mp4", slower=1)
-    assert (tmp_path / "table.gif").stat().st_size > 1000
+    with Image.open(tmp_path / "table.gif") as picture:
+        assert (picture.n_frames, picture.info["duration"]) == (4, 100)
     assert (tmp_path / "table.mp4").stat().st_size > 1000
     with pytest.raises(InputError, match=r"expected a name that ends in \.gif or \.mp4"):
         motion.animate(tmp_path / "table.avi")

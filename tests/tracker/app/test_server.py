@@ -99,6 +99,7 @@ def test_the_token_lets_in_and_leaves_a_strict_cookie(bench):
         ("GET", "/frame/0.jpg?low=x", {}, 422),
         ("GET", "/frame/0.png?box=1,2,3", {}, 422),
         ("GET", "/api/balls/30", {}, 422),
+        ("GET", "/api/tracks", {}, 200),
     ],
 )
 def test_who_is_let_in_and_what_is_served(client, method, path, change, code):

@@ -62,7 +62,7 @@ def test_page_is_one_file_without_network(folders, drawn, tmp_path, monkeypatch)
 
 def test_figures_have_labelled_axes_with_units(drawn):
     _, shown = drawn
-    assert set(shown) == FIGURE_NAMES
+    assert set(shown) == set(score_page.FIGURES) == FIGURE_NAMES
     units = {"frame": "px", "tracks": "mm", "separation": "ms", "energy": "ms"}
     for name, unit in units.items():
         labels = [a.get_xlabel() for a in shown[name].axes]

@@ -60,10 +60,10 @@ def test_contacts_are_those_of_the_simulation(scene, seed, recall):
             assert direction * (row["nx"] * event.nx + row["ny"] * event.ny) > 0.9 or event.impulse_n < 2e-6
 
 
-@pytest.mark.gate
-def test_each_contact_gives_r_and_all_give_the_mean():
+@pytest.mark.parametrize("scenes", [("tray",), pytest.param(("crowd", "tray"), marks=pytest.mark.gate)])
+def test_each_contact_gives_r_and_all_give_the_mean(scenes):
     z = []
-    for scene in ("crowd", "tray"):
+    for scene in scenes:
         clip, result = measured(scene, 1)
         table, truth = result.contacts, clip.model
         assert (result.estimates["status"] == "crowd").all()
@@ -75,7 +75,7 @@ def test_each_contact_gives_r_and_all_give_the_mean():
                 mean = means[name]
                 assert abs(mean.coefficients[0] - true) < 2.5 * mean.std[0] < 0.15
                 assert mean.shared_std[0] > 0.3 * mean.std[0]  # the way in which slides are modelled
-    assert len(z) > 10
+    assert len(z) > 5 * len(scenes)
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
