@@ -29,18 +29,13 @@ STEPS_BACK = 12  # frames that are decoded at once when one goes back: a video i
 
 @dataclass(frozen=True)
 class Look:
-    """The look of a picture.
-
-    - low, high: shares of white that become black and white.
-    - reduce: film pixels per pixel of the picture, along one side.
-    - box: left, top, width and height of the part that is shown, px; None is all.
-    """
+    """The look of a picture."""
 
     channel: str = GREY
-    low: float = 0.0
-    high: float = 1.0
-    reduce: int = 1
-    box: tuple[int, int, int, int] | None = None
+    low: float = 0.0  # share of white that becomes black
+    high: float = 1.0  # share of white that becomes white
+    reduce: int = 1  # film pixels per pixel of the picture, along one side
+    box: tuple[int, int, int, int] | None = None  # left, top, width and height of the part shown, px; None is all
 
     def __post_init__(self) -> None:
         if not 0 <= self.low < self.high <= 1:
