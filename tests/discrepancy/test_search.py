@@ -396,7 +396,6 @@ def test_what_is_measured_anew_of_each_clip_makes_no_other_camera(monkeypatch):
     assert search(clips, Model()).verdict == "none"
 
 
-@pytest.mark.gate
 def test_what_is_kept_out_has_no_part_in_the_noise(monkeypatch):
     only(monkeypatch)
     clips = collisions(Model(), 8, 3)
