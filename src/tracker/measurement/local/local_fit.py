@@ -638,13 +638,18 @@ class SlideDuration:
 def _solve_with_durations(
     parts: Sequence[tuple[float, LocalSolution]], k: int, cells: Sequence[SlideDuration]
 ) -> list[tuple[float, LocalSolution]]:
-    """Solve each solution with each duration of one slide."""
+    """Solve each solution with each duration of one slide.
+
+    A descent starts from the duration of the solution, or from the end of the cell that is nearest to it. From the
+    middle of a wide cell it may start so far off that it ends in vain.
+    """
     problems, starts, logs = list[LocalProblem](), list[Floats](), list[float]()
     for log, one in parts:
         for cell in cells:
             problems.append(replace(one.problem, slides={**one.problem.slides, k: (cell.lasts, cell.error)}))
             starts.append(one.x.copy())
-            starts[-1][one.problem.start[k] + 6] = np.log(cell.lasts)
+            at, reach = one.problem.start[k] + 6, np.sqrt(3) * cell.error
+            starts[-1][at] = np.clip(one.x[at], np.log(cell.lasts) - reach, np.log(cell.lasts) + reach)
             logs.append(log + cell.log_prior)
     found = solve_all(problems, np.array(starts), parts[0][1].sizes, 8, hopeless=1.5 * MAX_COST, least_gain=3e-3)
     return list(zip(logs, found, strict=True))
