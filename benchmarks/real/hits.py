@@ -92,16 +92,18 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return out | {name: round(float(np.mean([row[f"local_{name}"] for row in known])), 4) for name in names}
 
 
-def keep_halves_out(rows: Sequence[dict[str, Any]], splits: int = 8, seed: int = 0) -> list[dict[str, Any]]:
-    """Give the hits of each half the errors that the other half shows, for several random splits."""
-    rng, out = np.random.default_rng(seed), []
+def keep_halves_out(rows: Sequence[dict[str, Any]], splits: int = 8, seed: int = 0) -> dict[str, Any]:
+    """Give the hits of each half the errors that the other half shows; the summary is the mean over random splits."""
+    rng, summaries = np.random.default_rng(seed), []
     for _ in range(splits):
-        order = rng.permutation(len(rows))
+        order, out = rng.permutation(len(rows)), list[dict[str, Any]]()
         for half in (0, 1):
             errors = calibrate_rows([rows[k] for k in order[1 - half :: 2]])
             kept = (rows[k] for k in order[half::2])
             out += [row | (apply_errors(row, errors) if errors is not None else {}) for row in kept]
-    return out
+        summaries.append(summarise(out))
+    means = {key: np.mean([one[key] for one in summaries if key in one], axis=0) for key in summaries[0]}
+    return {key: np.round(mean, 4).tolist() for key, mean in means.items()} | {"splits": splits}
 
 
 def run(clones: Sequence[Path], tied: bool) -> dict[str, Any]:
@@ -114,7 +116,7 @@ def run(clones: Sequence[Path], tied: bool) -> dict[str, Any]:
         support, read = READERS[name]
         rows = [measure_hit(hit, support, tied) for hit in read(clone)]
         fitted = calibrate_set(rows)
-        out[name] = {"prior": summarise(rows), "set": summarise(fitted), "held out": summarise(keep_halves_out(rows))}
+        out[name] = {"prior": summarise(rows), "set": summarise(fitted), "held out": keep_halves_out(rows)}
         if tied:
             out[name]["recommended"] = dict(Counter(row["recommended"] for row in fitted))
         else:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
 from typing import TypeVar
 
 from synthcam_shared.errors import InputError
@@ -102,7 +103,7 @@ def run_jobs(
 
 
 def run_all_jobs(
-    work: Callable[[int], T], numbers: Sequence[int], workers: int, where: object, scheduler: str = ""
+    work: Callable[[int], T], numbers: Sequence[int], workers: int, where: Path | str, scheduler: str = ""
 ) -> Iterator[T]:
     """Do the work for each number as `run_jobs` does, and yield the values in the order in which the jobs end.
 

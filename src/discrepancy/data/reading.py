@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -57,7 +57,7 @@ def read_collisions(
     cut = [
         stretches and len(np.unique(source.tracks.particle)) > 2 and source.camera.knows_diameter for source in clips
     ]
-    built = _build_all([source for source, is_cut in zip(clips, cut, strict=True) if not is_cut], workers, measured)
+    built = _build_all([source for source, is_cut in zip(clips, cut, strict=True) if not is_cut], workers, name)
     for source, is_cut in zip(clips, cut, strict=True):
         notes += [
             SearchNote(SearchNoteKind.REPAIRED, source.number, note.frames, {"text": note.text})
@@ -126,20 +126,20 @@ class _Source:
 
 
 def _build_all(
-    sources: Sequence[_Source], workers: int, where: object
+    sources: Sequence[_Source], workers: int, where: Path
 ) -> Iterator[tuple[MeasuredCollision | SearchNote, bool, float]]:
     """What `_build` gives for each source, from so many processes."""
-    work = partial(_build_one, sources, current_policy())
-    numbers = range(len(sources))
+    by_number = {source.number: source for source in sources}
+    work, numbers = partial(_build_one, by_number, current_policy()), list(by_number)
     return in_order(run_all_jobs(work, numbers, workers, where), numbers)
 
 
 def _build_one(
-    sources: Sequence[_Source], policy: SearchPolicy, index: int
+    sources: Mapping[int, _Source], policy: SearchPolicy, number: int
 ) -> tuple[int, tuple[MeasuredCollision | SearchNote, bool, float]]:
-    """One of them with its index, by a policy that another process does not know."""
+    """One of them with its number, by a policy that another process does not know."""
     with applied_policy(policy):
-        return index, _build(sources[index])
+        return number, _build(sources[number])
 
 
 def _build(source: _Source) -> tuple[MeasuredCollision | SearchNote, bool, float]:

@@ -204,19 +204,22 @@ def _predict_rates(
 ) -> dict[str, float]:
     """Area fraction, and contacts and free path of Enskog's hard discs at the measured temperature and density.
 
-    Their errors are those of the camera file, by one standard error of each of its three values.
+    Their errors are those of the camera file and of the temperature, by one standard error of each. The errors of the
+    temperature are taken as alike in all frames, because those of slides are.
     """
-    seen, temperature = (time["balls"] + time["unknown"]).to_numpy(), np.maximum(time["temperature"].to_numpy(), 0)
+    seen = (time["balls"] + time["unknown"]).to_numpy()
 
-    def predict(length: float, rate: float, body: float) -> Floats:
+    def predict(length: float, rate: float, body: float, hotter: float) -> Floats:
         d = diameter * body
+        temperature = np.maximum(time["temperature"], 0.0) + hotter * time["temperature_std"].fillna(0.0)
         density = seen / ((sides[0] * length + d) * (sides[1] * length + d))
-        each = contact_rate(temperature * (length * rate) ** 2, density, d) / (fps * rate)
+        each = contact_rate(temperature.to_numpy() * (length * rate) ** 2, density, d) / (fps * rate)
         return np.array([density.mean() * np.pi * d**2 / 4, (seen * each).sum() / 2, mean_free_path(density.mean(), d)])
 
-    expected = predict(1.0, 1.0, 1.0)
-    errors = np.diag([scale_error, fps_error, diameter_error])
-    std = np.sqrt(sum((predict(*(1 + error)) - expected) ** 2 for error in errors))
+    best = np.array([1.0, 1.0, 1.0, 0.0])
+    expected = predict(*best)
+    errors = np.diag([scale_error, fps_error, diameter_error, 1.0])
+    std = np.sqrt(sum((predict(*(best + error)) - expected) ** 2 for error in errors))
     names = ("area_fraction", "contacts_theory", "free_path_theory")
     errors_of = {f"{name}_std": float(value) for name, value in zip(names, std, strict=True)}
     return {name: float(value) for name, value in zip(names, expected, strict=True)} | errors_of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 
 import numpy as np
@@ -131,7 +132,8 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
             f" {np.median(ratio[unequal]):.3g} (median). Either the masses differ, and ball_masses in the camera file"
             " gives them, or a ball lifts off or hits something else. Energies are those of equal masses"
         )
-    fitted = used[used.get("local_shared", pd.Series("", used.index)).str.contains('"mass_ratio"')]
+    shared = used.get("local_shared", pd.Series("{}", used.index)).map(json.loads)
+    fitted = used[["mass_ratio" in effects for effects in shared]]  # effects of the camera may name it too
     if len(fitted):
         row = fitted.iloc[0]
         texts.append(

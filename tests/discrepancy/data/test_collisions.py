@@ -92,6 +92,16 @@ def test_a_table_gives_what_results_give(recorded, clips, monkeypatch):
         assert (one.clip, one.striker) == (other.clip, other.striker)
 
 
+def test_a_lost_worker_names_the_clip(recorded, monkeypatch):
+    def lose(work, numbers, workers, where):
+        raise InputError(f"{where}: clip {numbers[1]}")
+
+    monkeypatch.setattr(reading, "run_all_jobs", lose)
+    table = pd.read_csv(recorded / "tracks.csv").query("clip < 2").assign(clip=lambda t: t["clip"] + 40)
+    with pytest.raises(InputError, match=r"^tracks: clip 41$"):
+        read_collisions(table, recorded / "camera.json", workers=2)
+
+
 def test_rows_without_a_place_are_left_out(recorded, tmp_path, clips):
     read, _ = read_table(recorded, tmp_path, lambda t: t.assign(x=t["x"].where(t["frame"] != 40)))
     assert all(40 not in c.frame for c in read)

@@ -88,6 +88,8 @@ def test_temperature_and_shape(kind, a2):
     assert gas.values["sonine_a2_std"] < 0.15
     assert gas.time["drift_x"].iloc[0] == pytest.approx(0.3 + velocities[:, 0].mean(), abs=0.03)
     assert gas.values["noise_ratio"] == pytest.approx(1, abs=0.1)
+    share = (gas.time["temperature_std"] / gas.time["temperature"]).mean() / 2  # contacts go as the root
+    assert gas.values["contacts_theory_std"] == pytest.approx(share * gas.values["contacts_theory"], rel=0.1)
     if kind == "maxwellian":
         table = gas.velocities
         z = (table["density"] - np.exp(-(table["c"] ** 2) / 2) / np.sqrt(2 * np.pi)) / table["density_std"]

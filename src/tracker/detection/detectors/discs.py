@@ -69,7 +69,7 @@ class Discs:
         large = not knows_radius or given > 7.5
         self.box = (5, 5) if self.is_noisy and large else (3, 3)
         self.low = max(self.settings.disc_contrast_sigma * self.noise / self.box[0], self.settings.disc_contrast_counts)
-        self.tally = _Tally()
+        tally = _Tally()  # of the frames that the survey looks at
         samples, survey = self._choose_samples(), self._choose_survey()
         if isinstance(view.frames, Frames):
             view.frames.remember([*itertools.chain(*samples.values()), *survey])
@@ -85,12 +85,12 @@ class Discs:
         self.dark_balls = True
         self.relative_radius_std = 0.0
         self.true_to_fitted_radius = 1.0
-        areas = [self._survey(k, np.asarray(view.frames[k])) for k in survey]
+        areas = [self._survey(k, np.asarray(view.frames[k]), tally) for k in survey]
         self.radii, self.contrast = self._usual_radius(areas, given if knows_radius else None)
         self.low = max(self.low, 0.2 * self.contrast)  # fainter objects are not balls
         for scene, numbers in samples.items():
-            self.scenes[scene] = self._clean_background(scene, [np.asarray(view.frames[k]) for k in numbers])
-        self.fitted = tuple(self.tally.radii)  # radii of whole discs in these frames, px
+            self.scenes[scene] = self._clean_background(scene, [np.asarray(view.frames[k]) for k in numbers], tally)
+        self.fitted = tuple(tally.radii)  # radii of whole discs in these frames, px
         if self.is_shaded and len(self.fitted) > 3:
             fitted = np.array(self.fitted)
             near = np.abs(fitted[:, None] - self.radii).argmin(axis=1)
@@ -121,16 +121,16 @@ class Discs:
 
     def examine(self, number: int, frame: NDArray[Any]) -> tuple[Glints, _Tally]:
         """Discs of one frame, and counts; none in a frame between takes or a repeated one."""
-        self.tally = _Tally()
+        tally = _Tally()
         if number not in self.scene_of:
-            return Glints.none(), self.tally
+            return Glints.none(), tally
         ground = self.scenes[self.scene_of[number]]
-        found = self._in_frame(frame, ground)
+        found = self._in_frame(frame, ground, tally)
         moves = np.array([self._was_seen_empty(ground, at) for at in found.xy], dtype=bool)
         if (~moves).sum() > MAX_ALWAYS_THERE:
             found = found.take(moves)
-            self.tally.refused += int((~moves).sum())
-        return replace(found, frame=np.full(len(found), number, np.int64)), self.tally
+            tally.refused += int((~moves).sum())
+        return replace(found, frame=np.full(len(found), number, np.int64)), tally
 
     def gather(self, examined: Iterable[tuple[int, tuple[Glints, _Tally]]]) -> Detections:
         """The discs of all frames, and notes."""
@@ -151,7 +151,7 @@ class Discs:
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Discs of one frame of the first scene."""
-        return self._in_frame(frame, self.scenes[self.takes.scenes[0]])
+        return self._in_frame(frame, self.scenes[self.takes.scenes[0]], _Tally())
 
     def _measure_radius(self, radii: Array) -> OutlineRadius | None:
         """The radius of discs of the most common size; None of shaded balls, whose dark side does not show."""
@@ -214,21 +214,21 @@ class Discs:
         fresh = sorted(self.scene_of)
         return [fresh[i] for i in sorted({*spread_frames(fresh, 25)})]
 
-    def _clean_background(self, scene: int, sample: list[NDArray[Any]]) -> StillBackground:
+    def _clean_background(self, scene: int, sample: list[NDArray[Any]], tally: _Tally) -> StillBackground:
         """The background of a scene, without the balls, shadows and other objects in these of its frames."""
-        ground = self._average_uncovered(sample, self.scenes[scene])
-        return ground if ground.known.all() else self._average_uncovered(sample, ground)
+        ground = self._average_uncovered(sample, self.scenes[scene], tally)
+        return ground if ground.known.all() else self._average_uncovered(sample, ground, tally)
 
-    def _average_uncovered(self, sample: list[NDArray[Any]], ground: StillBackground) -> StillBackground:
+    def _average_uncovered(self, sample: list[NDArray[Any]], ground: StillBackground, tally: _Tally) -> StillBackground:
         """The same, from objects found over a background that may be wrong where balls rest."""
         rim_px = 4  # around an object, which it may still affect
         frames, covered = [], []
         for frame in sample:
             light = _match_brightness(frame, ground.level)
-            parts = self._split(self._find_areas(light, ground))
+            parts = self._split(self._find_areas(light, ground, tally))
             differs = self._smooth_difference(light, ground) > self.low
             mask = (differs & ground.known).view(np.uint8)  # elsewhere a difference may be the plate's
-            for x, y in self._fit_parts(light, ground, parts).xy:
+            for x, y in self._fit_parts(light, ground, parts, tally).xy:
                 cv2.circle(mask, (round(x), round(y)), round(self.radius), 1, -1)
             balls = [part for part in parts if part.sign > 0 and self._is_disc(part, self.radius)]
             for part in parts:
@@ -238,12 +238,14 @@ class Discs:
             covered.append(cv2.dilate(mask, np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)).view(np.bool_))
         return average_uncovered(frames, covered, self.noise)
 
-    def _in_frame(self, frame: NDArray[Any], ground: StillBackground) -> Glints:
-        """Discs of one frame."""
+    def _in_frame(self, frame: NDArray[Any], ground: StillBackground, tally: _Tally) -> Glints:
+        """Discs of one frame; the tally counts what it shows besides."""
         light = _match_brightness(frame, ground.level)
-        return self._fit_parts(light, ground, self._split(self._find_areas(light, ground)))
+        return self._fit_parts(light, ground, self._split(self._find_areas(light, ground, tally)), tally)
 
-    def _fit_parts(self, light: NDArray[Any], ground: StillBackground, parts: list[ContrastRegion]) -> Glints:
+    def _fit_parts(
+        self, light: NDArray[Any], ground: StillBackground, parts: list[ContrastRegion], tally: _Tally
+    ) -> Glints:
         """The same, of the parts of its regions."""
         fits, balls = list[tuple[DiscFit, int, float]](), list[ContrastRegion]()
         for part in sorted(parts, key=lambda p: -p.sign):
@@ -253,16 +255,17 @@ class Discs:
             elif any(casts_shadow(ball, part) for ball in balls) and not (
                 self.dark_balls and self._is_disc(part, radius)
             ):
-                self.tally.shadows += 1
+                tally.shadows += 1
                 continue
             dark = part.sign < 0 and not self.dark_balls
             fitted = [] if dark else self._in_part(light, ground, part, radius)
-            self.tally.refused += not fitted and part.area > 0.5 * np.pi * radius**2
-            self.tally.refused_area += 0.0 if fitted else part.area / (np.pi * radius**2)
+            tally.radii += [f.radius for f, flag in fitted if flag == 0]
+            tally.refused += not fitted and part.area > 0.5 * np.pi * radius**2
+            tally.refused_area += 0.0 if fitted else part.area / (np.pi * radius**2)
             fits += [(f, flag, radius) for f, flag in fitted]
         return self._glints(fits, light.shape) if fits else Glints.none()
 
-    def _find_areas(self, light: NDArray[Any], ground: StillBackground) -> list[ContrastArea]:
+    def _find_areas(self, light: NDArray[Any], ground: StillBackground, tally: _Tally) -> list[ContrastArea]:
         """The regions of a frame that differ from the background, largest first, with their differences."""
         least, reach = np.pi * self.settings.min_disc_radius_px**2, max(self.box) // 2
         rounding = 1.0  # counts, of both means
@@ -279,7 +282,7 @@ class Discs:
         if self.view.area is not None:
             rough &= self.view.area
         regions = find_regions(rough, least, examine)
-        self.tally.cut_frames += len(regions) > self.settings.max_objects_per_frame
+        tally.cut_frames += len(regions) > self.settings.max_objects_per_frame
         return [
             (region, np.subtract(light[region.at], ground.level[region.at], dtype=np.float32))
             for region in regions[: self.settings.max_objects_per_frame]
@@ -338,11 +341,11 @@ class Discs:
         self.signs = (0,)
         return either
 
-    def _survey(self, number: int, frame: NDArray[Any]) -> list[ContrastArea]:
+    def _survey(self, number: int, frame: NDArray[Any], tally: _Tally) -> list[ContrastArea]:
         """The regions of a frame that do not touch the picture's rim."""
         ground = self.scenes[self.scene_of[number]]
         light = _match_brightness(frame, ground.level)
-        return [area for area in self._find_areas(light, ground) if not area[0].touches_rim(light.shape)]
+        return [area for area in self._find_areas(light, ground, tally) if not area[0].touches_rim(light.shape)]
 
     def _is_disc(self, region: ContrastRegion, radius: float) -> bool:
         return region.is_disc(radius, self.settings.disc_radius_tolerance, self.elongated)
@@ -360,9 +363,7 @@ class Discs:
             found = self._in_coloured_part(light, ground, part, radius)
         elif 0.3 < part.area / (np.pi * radius**2) < 6:
             found = self._touching(light, ground, part, radius)
-        found = [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]
-        self.tally.radii += [f.radius for f, flag in found if flag == 0]
-        return found
+        return [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]
 
     def _in_coloured_part(
         self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from tracker.measurement.collision.adequacy import CROWD
 from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, VELOCITIES, LocalEstimate
 from tracker.measurement.local.recommendation import COMPARED, recommend
 from tracker.settings import FitSettings
@@ -26,7 +27,7 @@ Floats = NDArray[np.float64]
 MIN_HITS = 8  # of a set, from which on its errors are fitted
 LEAST_PRIOR = 1e-4  # error of a velocity over that of the hit, where a setting says that there is none
 PRIOR_WIDTH = 1.0  # of the logarithm of the errors of a set, about those of its recordings alone
-USUAL_EXCESS = 1.0  # of what a set adds to the errors of residuals, over them
+USUAL_EXCESS = 2.0  # of what a set adds to the errors of residuals, over them; real sets show 0.8 to 2.8
 # Largest standard errors with which quantities are reported; others have max_relative_error of their value.
 _LARGEST_ERRORS = {"b": 0.05, "s": 0.3, "r": 0.2, "C": 0.1, "final_angle": 0.1, "impact_energy": 0.1}
 _LARGEST_ERRORS |= {"energy_fraction": 0.1, "momentum_fraction": 0.1, "mass_ratio": np.inf}
@@ -114,10 +115,6 @@ def _name_effects(key: str, of: float, effect: Floats) -> tuple[str, dict[str, A
     return key, {"of": of, "effect": {n: v for n, v in zip(LOCAL_NAMES, _rounded(effect), strict=True) if v}}
 
 
-def _read_effect(block: Mapping[str, Any]) -> Floats:
-    return np.array([block["effect"].get(name, 0.0) for name in LOCAL_NAMES])
-
-
 def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness: float = 5.0) -> dict[str, Any]:
     """Compute the columns of a row with these errors beyond the residuals.
 
@@ -130,14 +127,13 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness
     raw = json.loads(row.get("local", "{}"))
     if "value" not in raw:
         return {}
-    keys = ("value", "std", "velocity_std" if "velocity_std" in raw else "std")
-    value, std, of_velocities = (np.array(raw[key], dtype=np.float64) for key in keys)
+    value = np.array(raw["value"], dtype=np.float64)
     response, by_mass = np.split(np.nan_to_num(np.array(raw["response"], dtype=np.float64)), [8], axis=1)
     size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
     common = _list_common_errors(row, errors, response, by_mass[:, 0])
-    of_camera = np.square([np.zeros(len(std)), *map(_read_effect, raw["shared"].values())]).sum(axis=0)
-    own = std**2 + (errors.factor**2 - 1) * np.clip(of_velocities**2 - of_camera, 0.0, std**2)
-    wide = np.sqrt(own + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, _, effect in common))
+    fixed, widened = _split_variances(raw)
+    by_residuals = fixed + errors.factor**2 * widened
+    wide = np.sqrt(by_residuals + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, _, effect in common))
     shared = raw["shared"] | dict(_name_effects(*one) for one in common)
     role = _role(row)
     value = value + by_mass[:, 0] * role * errors.log_ratio
@@ -146,9 +142,10 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness
         value[at] = np.exp(role * errors.log_ratio)
         wide[at] = value[at] * errors.log_ratio_std
         for key, block in shared.items():
-            own = {"mass_ratio": float(role * wide[at])} if key == "mass_ratio" else {}
-            others = {name: v for name, v in block["effect"].items() if name != "mass_ratio"}
-            shared[key] = block | {"effect": others | own}
+            effect = {name: v for name, v in block["effect"].items() if name != "mass_ratio"}
+            if key == "mass_ratio":
+                effect["mass_ratio"] = float(role * wide[at])
+            shared[key] = block | {"effect": effect}
     b, s = (LOCAL_NAMES.index(name) for name in "bs")
     if not abs(value[b]) > min_obliqueness * wide[b]:  # s is a ratio by b
         value[s] = np.nan
@@ -163,16 +160,35 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness
     return out | {"local_shared": json.dumps(shared, separators=(",", ":"))}
 
 
+def _split_variances(raw: Mapping[str, Any]) -> tuple[Floats, Floats]:
+    """Split variances (n,) by residuals and camera into what the factor does not widen, and what it does.
+
+    It widens the part that velocities make without the errors of the camera. Older results do not have that part.
+    """
+    keys = ("std", "velocity_std" if "velocity_std" in raw else "std")
+    std, of_velocities = (np.array(raw[key], dtype=np.float64) for key in keys)
+    effects = [[block["effect"].get(name, 0.0) for name in LOCAL_NAMES] for block in raw["shared"].values()]
+    of_camera = np.square([np.zeros(len(std)), *effects]).sum(axis=0)
+    widened = np.clip(of_velocities**2 - of_camera, 0.0, std**2)
+    return std**2 - widened, widened
+
+
 def find_covariance(row: Mapping[str, Any]) -> Floats:
-    """Find the covariance (4, 4) of v0, b, r and s of a row, with the errors beyond the residuals."""
+    """Find the covariance (4, 4) of v0, b, r and s of a row, with the errors beyond the residuals.
+
+    The factor widens the errors, as in the columns, and leaves their correlations.
+    """
     raw = json.loads(row["local"])
+    fixed, widened = (np.nan_to_num(part[_COMPARED]) for part in _split_variances(raw))
+    growth = np.sqrt((fixed + row["local_factor"] ** 2 * widened) / np.maximum(fixed + widened, 1e-300))
+    by_residuals = growth[:, None] * np.nan_to_num(np.array(raw["cov"], dtype=np.float64)) * growth
     response = np.nan_to_num(np.array(raw["response"], dtype=np.float64))[_COMPARED, :8]
     spread = [response * raw["v0"] * np.tile([row["local_error_n"], row["local_error_t"]], 4)]
     for key, block in json.loads(row["local_shared"]).items():
         if key not in raw["shared"]:  # the covariance has those of the camera
             spread.append(np.array([[block["effect"].get(name, 0.0)] for name in COMPARED], dtype=np.float64))
     every = np.hstack(spread)
-    return np.asarray(np.nan_to_num(np.array(raw["cov"], dtype=np.float64)) + every @ every.T)
+    return np.asarray(by_residuals + every @ every.T)
 
 
 def _list_common_errors(
@@ -201,8 +217,9 @@ def _role(row: Mapping[str, Any]) -> float:
 def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     """Fit the errors beyond the residuals to the balance of momentum of all hits of a set; None of too few hits.
 
-    The fit maximises the likelihood of the balances, each with the variance of its residuals and of these errors, and
-    a wide prior about the errors of one recording, which counts where the residuals hide them. A share of the hits may
+    Each balance has the variance of its residuals and of these errors, and a wide prior about the errors of one
+    recording counts where the residuals hide them. The biases and the ratio of masses are the likeliest; the errors are
+    means over all that fit, because the likeliest ones of few hits are too small. A share of the hits may
     be anything, such as two contacts at once: their balance is off by a third of the speed.
 
     If the masses are unknown, their ratio is fitted too where each of two bodies strikes the other a few times: recoil
@@ -214,7 +231,8 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
         return None
     found = [json.loads(row["local"]) for row in usable]
     at = [LOCAL_NAMES.index(name) for name in BALANCE]
-    off, std = (np.array([[raw[key][k] for k in at] for raw in found]) for key in ("value", "std"))
+    off = np.array([[raw["value"][k] for k in at] for raw in found])
+    fixed, widened = np.array([_split_variances(raw) for raw in found])[..., at].swapaxes(0, 1)
     v0, vn = (np.array([raw[key] for raw in found]) for key in ("v0", "vn"))
     response = np.nan_to_num(np.array([[raw["response"][k] for k in at] for raw in found], dtype=np.float64))
     sizes = (response[:, axis, axis:8:2] for axis in (0, 1))
@@ -222,16 +240,22 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     recoil = _recoil_by_mass(usable, found, response[:, 0, 8])
     usual = float(np.log(max(np.median([raw["prior"] for raw in found]), LEAST_PRIOR)))
 
-    def find_variance(p: Floats) -> Floats:
-        return np.asarray((1 + p[2] ** 2) * std**2 + (np.exp(p[:2]) * spread) ** 2)
+    def find_variance(logs: Floats, excess: Floats) -> Floats:
+        """Variances (..., hits, 2); logs: of both errors over v0; excess: of the errors of residuals, over them."""
+        return np.asarray(fixed + (1 + excess**2) * widened + (np.exp(logs) * spread) ** 2)
 
-    def price(p: Floats, levers: Floats) -> float:
-        """p: logarithms of both errors, what is added to the errors of residuals over them, and sizes of the levers."""
-        var, square = find_variance(p), (off - np.column_stack([levers @ p[3:], 0 * v0])) ** 2
+    def weigh(logs: Floats, excess: Floats, levers: Floats, lever_sizes: Floats) -> Floats:
+        """Logarithms (..., 2) of the probabilities of the balances along n and t, with those of what is known."""
+        var = find_variance(logs, excess)
+        square = (off - np.column_stack([levers @ lever_sizes, 0 * v0])) ** 2
         well, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * v0[:, None]) ** 2))
-        likelihood = np.logaddexp(np.log(1 - odd_share) + well, np.log(odd_share) + unusual).sum()
-        known = (((p[:2] - usual) / PRIOR_WIDTH) ** 2).sum() + (p[2] / USUAL_EXCESS) ** 2
-        return float(0.5 * known - likelihood)
+        likelihood = np.logaddexp(np.log(1 - odd_share) + well, np.log(odd_share) + unusual).sum(axis=-2)
+        known = ((logs - usual) / PRIOR_WIDTH) ** 2 + (excess / USUAL_EXCESS) ** 2 / 2
+        return np.asarray(likelihood - 0.5 * known[..., 0, :])
+
+    def price(x: Floats, levers: Floats) -> float:
+        """x: logarithms of both errors, excess, and sizes of the levers."""
+        return -float(weigh(x[None, :2], x[2:3], levers, x[3:]).sum())
 
     def fit(levers: Floats) -> Floats:
         zeros = np.zeros(levers.shape[1])
@@ -247,17 +271,38 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
         )
         return np.asarray(min(tries, key=lambda m: float(m.fun)).x, dtype=np.float64)
 
+    def average(levers: Floats, lever_sizes: Floats, zooms: int = 4) -> tuple[Floats, float]:
+        """The means of the logarithms of both errors, and the root mean square of the excess, over all that fit."""
+        low, high = (usual + np.array([-usual, k, k]) for k in (-6 * PRIOR_WIDTH, 6 * PRIOR_WIDTH))
+        high[0] = 4 * USUAL_EXCESS
+        for _ in range(zooms):
+            grid = np.linspace(low, high, 25)
+            logs, excess = grid[:, None, 1:], grid[:, None, None, None, 0]
+            part = weigh(logs, excess, levers, lever_sizes)  # (excess, logs, 2)
+            weights = 1 / find_variance(logs, excess)[..., 0]
+            part[..., 0] -= np.linalg.slogdet((levers.T * weights[..., None, :]) @ levers)[1] / 2  # these are fitted
+            either = np.logaddexp.reduce(part, axis=1)
+            along = np.logaddexp.reduce(part + either[:, None, ::-1], axis=0)  # the axes share the excess alone
+            chance = np.column_stack([either.sum(axis=1), along])
+            chance = np.exp(chance - chance.max(axis=0))
+            inside = [np.flatnonzero(column > 1e-4) for column in chance.T]
+            low = np.array([grid[max(k[0] - 1, 0), axis] for axis, k in enumerate(inside)])
+            high = np.array([grid[min(k[-1] + 1, len(grid) - 1), axis] for axis, k in enumerate(inside)])
+        chance /= chance.sum(axis=0)
+        return (chance * grid).sum(axis=0)[1:], float(np.sqrt(chance[:, 0] @ grid[:, 0] ** 2))
+
     levers = np.column_stack([vn, *recoil])
     best = fit(levers)
     if recoil and price(best, levers) > price(without := fit(levers[:, :1]), levers[:, :1]) - least_gain:
         best, levers, recoil = without, levers[:, :1], []
-    doubt = np.sqrt(np.diag(np.linalg.inv((levers / find_variance(best)[:, :1]).T @ levers)))
+    logs, excess = average(levers, best[3:])
+    doubt = np.sqrt(np.diag(np.linalg.inv((levers / find_variance(logs, excess)[:, :1]).T @ levers)))
     errors = LocalErrors(
         bias_n=float(best[3]),
         bias_std=float(doubt[0]),
-        error_n=float(np.exp(best[0])),
-        error_t=float(np.exp(best[1])),
-        factor=float(np.hypot(1.0, best[2])),
+        error_n=float(np.exp(logs[0])),
+        error_t=float(np.exp(logs[1])),
+        factor=float(np.hypot(1.0, excess)),
         hits=len(usable),
     )
     if recoil:
@@ -276,7 +321,8 @@ def _recoil_by_mass(
     pairs = [(row.get("particle1", -1), row.get("particle2", -1)) for row in rows]
     strikers = [pair[1] for pair in pairs]
     two = len({frozenset(pair) for pair in pairs}) == 1 and -1 not in pairs[0]
-    if any(raw["masses_known"] for raw in found) or not two:
+    crowd = any(row.get("status") == CROWD for row in rows)  # its tracks are other balls in the next clip
+    if any(raw["masses_known"] for raw in found) or not two or crowd:
         return []
     if min(strikers.count(k) for k in pairs[0]) < min_strikes:
         return []

@@ -294,7 +294,7 @@ def solve_all(
         pull = np.swapaxes(slopes, 1, 2) @ r[active][..., None]
         size = np.diagonal(square, axis1=1, axis2=2) + 1e-12
         square[:, np.arange(one.size), np.arange(one.size)] += damping[active][:, None] * size
-        step = -np.asarray(np.linalg.solve(square, pull)[..., 0], dtype=np.float64)
+        step = -solve_each(square, pull)[..., 0]
         tried = _within_reach(one, x[active], step)
         new_r, new_j = one.residuals(tried, sizes, [part[active] for part in known])
         new = (new_r**2).sum(axis=1)
@@ -323,6 +323,16 @@ def solve_all(
         )
         for i, p in enumerate(problems)
     ]
+
+
+def solve_each(square: Floats, pull: Floats) -> Floats:
+    """Solve systems (m, n, n); NaN of a singular one, whose step is then rejected."""
+    try:
+        return np.asarray(np.linalg.solve(square, pull))
+    except np.linalg.LinAlgError:
+        if len(square) == 1:
+            return np.full_like(pull, np.nan)
+        return np.concatenate([solve_each(square[k : k + 1], pull[k : k + 1]) for k in range(len(square))])
 
 
 def _within_reach(problem: LocalProblem, x: Floats, step: Floats) -> Floats:
@@ -620,6 +630,8 @@ def _vary_each_slide(
     The others get only durations that are likely in the first, by `least` and a margin of the logarithm.
     """
     cells = _list_durations(parts[0][1], k, durations)
+    if not cells:  # no cost of the stretch is finite
+        return list(parts)
     out = _solve_with_durations(parts[:1], k, cells)
     best = max(map(_log_weight, out))
     likely = [c for c, one in zip(cells, out, strict=True) if _log_weight(one) >= best + np.log(least) - margin]

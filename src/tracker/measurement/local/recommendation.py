@@ -79,12 +79,18 @@ def _is_usable(row: Mapping[str, Any], *, max_mass_ratio: float = 50.0, max_imba
     return True, ""
 
 
-def _find_unclaimed_error(row: Mapping[str, Any], *, min_set_error: float = 0.004) -> float:
+def _find_unclaimed_error(
+    row: Mapping[str, Any], *, min_set_error: float = 0.004, min_set_factor: float = 2.0
+) -> float:
     """The error of r by the errors of velocities that a set shows, if the tied fit claims less; else 0.
 
-    min_set_error: of a velocity over that of the hit; smaller errors of a set are those of simulated tracks.
+    min_set_error: of a velocity over that of the hit. min_set_factor: on the errors by the residuals, from which the
+    tied fit takes its own. Where both are smaller, the set may be one of simulated tracks.
     """
-    if not row.get("local_hits", 0) or not row["local_error_n"] > min_set_error:
+    shown = row.get("local_hits", 0) and (
+        row["local_error_n"] > min_set_error or row.get("local_factor", 1.0) > min_set_factor
+    )
+    if not shown:
         return 0.0
     raw = json.loads(row["local"])
     by_residuals = raw["r_std"] or 0.0

@@ -73,7 +73,11 @@ def test_ground_alone_is_no_disc():
 def test_the_diameter_is_found_from_the_film():
     pictures = film(np.random.default_rng(4), collision())
     clip = recorded(pictures, Camera.unknown((SIZE[1], SIZE[0]), 8))
-    assert Discs(make_view(clip, "discs")).radius == pytest.approx(R, rel=0.03)
+    discs = Discs(make_view(clip, "discs"))
+    assert discs.radius == pytest.approx(R, rel=0.03)
+    _, tally = discs.examine(0, pictures[0])
+    discs(pictures[0])  # as from another thread
+    assert discs.examine(0, pictures[0])[1] == tally
     tracks = tracker.track(pictures, detector="discs").tracks
     assert tracks.groupby("particle").size().tolist() == [60, 60]
     assert not tracks["flags"].str.contains("glint").any()

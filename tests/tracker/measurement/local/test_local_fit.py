@@ -14,6 +14,7 @@ from tracker.measurement.local.local_fit import (
     shows_end,
     solve,
     solve_all,
+    solve_each,
 )
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
 
@@ -82,7 +83,15 @@ def test_an_end_of_a_slide_that_is_not_seen_leaves_the_velocity_known(slide_s, s
         alone = solve(problem, x, found[0].sizes)
         assert together.cost == pytest.approx(alone.cost)
         assert together.log_evidence == pytest.approx(alone.log_evidence, abs=1e-3)
+    assert mix_solutions(found, durations=0)  # none fits
     mixture = mix_solutions(found)
     assert sum(weight for weight, _ in mixture) == pytest.approx(1)
     speeds = np.array([one.problem.values(one.x, 2)[2] for _, one in mixture])
     assert speeds == pytest.approx(0.9, abs=1e-3)
+
+
+def test_a_singular_system_stops_no_other():
+    systems = np.stack([2 * np.eye(2), np.ones((2, 2))])
+    one, singular = solve_each(systems, np.ones((2, 2, 1)))
+    assert one.ravel().tolist() == [0.5, 0.5]
+    assert np.isnan(singular).all()
