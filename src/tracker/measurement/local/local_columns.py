@@ -167,8 +167,8 @@ def _split_variances(raw: Mapping[str, Any]) -> tuple[Floats, Floats]:
     """
     keys = ("std", "velocity_std" if "velocity_std" in raw else "std")
     std, of_velocities = (np.array(raw[key], dtype=np.float64) for key in keys)
-    effects = [[block["effect"].get(name, 0.0) for name in LOCAL_NAMES] for block in raw["shared"].values()]
-    of_camera = np.square([np.zeros(len(std)), *effects]).sum(axis=0)
+    effects = np.array([[block["effect"].get(name, 0.0) for name in LOCAL_NAMES] for block in raw["shared"].values()])
+    of_camera = (np.reshape(effects, (-1, len(std))) ** 2).sum(axis=0)
     widened = np.clip(of_velocities**2 - of_camera, 0.0, std**2)
     return std**2 - widened, widened
 
@@ -240,7 +240,7 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     recoil = _recoil_by_mass(usable, found, response[:, 0, 8])
     usual = float(np.log(max(np.median([raw["prior"] for raw in found]), LEAST_PRIOR)))
 
-    def find_variance(logs: Floats, excess: Floats) -> Floats:
+    def find_variance(logs: Floats, excess: Floats | float) -> Floats:
         """Variances (..., hits, 2); logs: of both errors over v0; excess: of the errors of residuals, over them."""
         return np.asarray(fixed + (1 + excess**2) * widened + (np.exp(logs) * spread) ** 2)
 
