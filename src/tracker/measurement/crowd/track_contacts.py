@@ -413,12 +413,8 @@ def _fit_gap(
         apart = np.hypot(*(places[0] - places[1]).T)
         variance_of_distance = (settings.distance_share * diameter) ** 2 + spread[0] + spread[1]
         cost += (apart - diameter) ** 2 / variance_of_distance
+    at, bend = _find_least(times, cost)
     k = int(np.argmin(cost))
-    inner = min(max(k, 1), len(times) - 2)
-    step = times[1] - times[0]
-    bend = max((cost[inner + 1] - 2 * cost[inner] + cost[inner - 1]) / step**2, 1e-300)
-    slope = (cost[inner + 1] - cost[inner - 1]) / (2 * step)
-    at = float(np.clip(times[inner] - slope / bend, low, high)) if 0 < k < len(times) - 1 else float(times[k])
     excess = max(float(cost[k]) / dof, 1.0)
     exposed = min(at - low, high - at) < parts[0].exposure / 2  # a frame shows both paths
     blur = parts[0].exposure / 2 if exposed else 0.0
@@ -434,6 +430,18 @@ def _fit_gap(
         after=np.array([_NOTHING if second is None else second[0] for _, second in velocities]),
         velocity_std=np.sqrt([np.nan if None in way else sum(side[1] for side in way if side) for way in velocities]),
     )
+
+
+def _find_least(times: Floats, cost: Floats) -> tuple[float, float]:
+    """The instant of the least cost, by a parabola about the least of those tried, and the cost's second derivative."""
+    k = int(np.argmin(cost))
+    inner = min(max(k, 1), len(times) - 2)
+    step = times[1] - times[0]
+    bend = max(float(cost[inner + 1] - 2 * cost[inner] + cost[inner - 1]) / step**2, 1e-300)
+    slope = (cost[inner + 1] - cost[inner - 1]) / (2 * step)
+    if 0 < k < len(times) - 1:
+        return float(np.clip(times[inner] - slope / bend, times[0], times[-1])), bend
+    return float(times[k]), bend
 
 
 def _time_of(frame: float, part: BallTrack, frame_s: float) -> float:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,72 +214,127 @@ def _role(row: Mapping[str, Any]) -> float:
     return 1.0 if row.get("particle1", 0) < row.get("particle2", 1) else -1.0
 
 
-def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
+def calibrate_rows(rows: Sequence[Mapping[str, Any]], *, least_gain: float = 4.5) -> LocalErrors | None:
     """Fit the errors beyond the residuals to the balance of momentum of all hits of a set; None of too few hits.
 
-    Each balance has the variance of its residuals and of these errors, and a wide prior about the errors of one
-    recording counts where the residuals hide them. The biases and the ratio of masses are the likeliest; the errors are
-    means over all that fit, because the likeliest ones of few hits are too small. A share of the hits may
-    be anything, such as two contacts at once: their balance is off by a third of the speed.
+    The biases and the ratio of masses are the likeliest. The errors are means over all that fit, because the likeliest
+    ones of few hits are too small; see `_Balances`.
 
     If the masses are unknown, their ratio is fitted too where each of two bodies strikes the other a few times: recoil
     from either side distinguishes it from a bias. It counts if it makes the balances likelier by 3 standard errors.
+
+    least_gain: of the logarithm of the probability by the ratio, half the square of 3 errors.
     """
-    odd_share, odd_size, least_gain = 0.05, 0.3, 4.5
     usable = [row for row in rows if _is_known(row.get("r_local"))]
     if len(usable) < MIN_HITS:
         return None
     found = [json.loads(row["local"]) for row in usable]
-    at = [LOCAL_NAMES.index(name) for name in BALANCE]
-    off = np.array([[raw["value"][k] for k in at] for raw in found])
-    fixed, widened = np.array([_split_variances(raw) for raw in found])[..., at].swapaxes(0, 1)
-    v0, vn = (np.array([raw[key] for raw in found]) for key in ("v0", "vn"))
-    response = np.nan_to_num(np.array([[raw["response"][k] for k in at] for raw in found], dtype=np.float64))
-    sizes = (response[:, axis, axis:8:2] for axis in (0, 1))
-    spread = np.stack([np.sqrt((part**2).sum(-1)) for part in sizes], -1) * v0[:, None]
-    recoil = _recoil_by_mass(usable, found, response[:, 0, 8])
-    usual = float(np.log(max(np.median([raw["prior"] for raw in found]), LEAST_PRIOR)))
+    balances, by_mass = _Balances.of(found)
+    recoil = _recoil_by_mass(usable, found, by_mass)
+    levers = np.column_stack([[raw["vn"] for raw in found], *recoil])
+    best, price = balances.fit(levers)
+    if recoil:
+        without, price_without = balances.fit(levers[:, :1])
+        if price > price_without - least_gain:
+            best, levers, recoil = without, levers[:, :1], []
+    logs, excess = balances.average(levers, best)
+    doubt = np.sqrt(np.diag(np.linalg.inv((levers / balances.find_variance(logs, excess)[:, :1]).T @ levers)))
+    errors = LocalErrors(
+        bias_n=float(best[0]),
+        bias_std=float(doubt[0]),
+        error_n=float(np.exp(logs[0])),
+        error_t=float(np.exp(logs[1])),
+        factor=float(np.hypot(1.0, excess)),
+        hits=len(usable),
+    )
+    if recoil:
+        half = float(np.clip(-best[1] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
+        errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))
+    return errors
 
-    def find_variance(logs: Floats, excess: Floats | float) -> Floats:
+
+class _Balances(NamedTuple):
+    """The balances of momentum of the hits of a set, along n and t, and how likely errors beyond the residuals are.
+
+    Each balance has the variance of its residuals and of these errors. A wide prior about the errors of one recording
+    counts where the residuals hide them. A share of the hits may be anything, such as two contacts at once: their
+    balance is off by a third of the speed.
+    """
+
+    off: Floats  # (hits, 2)
+    fixed: Floats  # (hits, 2) variances that no factor widens
+    widened: Floats  # (hits, 2) variances by the residuals of velocities
+    spread: Floats  # (hits, 2) of a balance by errors of each velocity as large as v0
+    v0: Floats  # (hits,)
+    usual: float  # logarithm of the errors over v0 that one recording is assumed to have
+
+    @staticmethod
+    def of(found: Sequence[Mapping[str, Any]]) -> tuple[_Balances, Floats]:
+        """Read the balances, and the derivative of those along n by the logarithm of the mass ratio."""
+        at = [LOCAL_NAMES.index(name) for name in BALANCE]
+        off = np.array([[raw["value"][k] for k in at] for raw in found])
+        fixed, widened = np.array([_split_variances(raw) for raw in found])[..., at].swapaxes(0, 1)
+        v0 = np.array([raw["v0"] for raw in found])
+        response = np.nan_to_num(np.array([[raw["response"][k] for k in at] for raw in found], dtype=np.float64))
+        sizes = (response[:, axis, axis:8:2] for axis in (0, 1))
+        spread = np.stack([np.sqrt((part**2).sum(-1)) for part in sizes], -1) * v0[:, None]
+        usual = float(np.log(max(np.median([raw["prior"] for raw in found]), LEAST_PRIOR)))
+        return _Balances(off, fixed, widened, spread, v0, usual), response[:, 0, 8]
+
+    def find_variance(self, logs: Floats, excess: Floats | float) -> Floats:
         """Variances (..., hits, 2); logs: of both errors over v0; excess: of the errors of residuals, over them."""
-        return np.asarray(fixed + (1 + excess**2) * widened + (np.exp(logs) * spread) ** 2)
+        return np.asarray(self.fixed + (1 + excess**2) * self.widened + (np.exp(logs) * self.spread) ** 2)
 
-    def weigh(logs: Floats, excess: Floats, levers: Floats, lever_sizes: Floats) -> Floats:
+    def weigh(
+        self,
+        logs: Floats,
+        excess: Floats,
+        levers: Floats,
+        lever_sizes: Floats,
+        *,
+        odd_share: float = 0.05,
+        odd_size: float = 0.3,
+    ) -> Floats:
         """Logarithms (..., 2) of the probabilities of the balances along n and t, with those of what is known."""
-        var = find_variance(logs, excess)
-        square = (off - np.column_stack([levers @ lever_sizes, 0 * v0])) ** 2
-        well, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * v0[:, None]) ** 2))
+        var = self.find_variance(logs, excess)
+        square = (self.off - np.column_stack([levers @ lever_sizes, 0 * self.v0])) ** 2
+        well, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * self.v0[:, None]) ** 2))
         likelihood = np.logaddexp(np.log(1 - odd_share) + well, np.log(odd_share) + unusual).sum(axis=-2)
-        known = ((logs - usual) / PRIOR_WIDTH) ** 2 + (excess / USUAL_EXCESS) ** 2 / 2
+        known = ((logs - self.usual) / PRIOR_WIDTH) ** 2 + (excess / USUAL_EXCESS) ** 2 / 2
         return np.asarray(likelihood - 0.5 * known[..., 0, :])
 
-    def price(x: Floats, levers: Floats) -> float:
-        """x: logarithms of both errors, excess, and sizes of the levers."""
-        return -float(weigh(x[None, :2], x[2:3], levers, x[3:]).sum())
+    def fit(self, levers: Floats, *, most_evaluations: int = 4000) -> tuple[Floats, float]:
+        """The likeliest sizes of the levers, and the negative logarithm of their probability."""
 
-    def fit(levers: Floats) -> Floats:
+        def price(x: Floats) -> float:
+            """x: logarithms of both errors, excess, and sizes of the levers."""
+            return -float(self.weigh(x[None, :2], x[2:3], levers, x[3:]).sum())
+
         zeros = np.zeros(levers.shape[1])
         starts = [np.append([np.log(error), np.log(error), 0.5], zeros) for error in (0.003, 0.03)]
         sizes = np.append([0.5, 0.5, 0.5], zeros + 0.02)
         simplex = np.vstack([0 * sizes, np.diag(sizes)])
-        most = 4000  # evaluations
         tries = (
             minimize(
-                price, x, (levers,), method="Nelder-Mead", options={"initial_simplex": simplex + x, "maxfev": most}
+                price,
+                x,
+                method="Nelder-Mead",
+                options={"initial_simplex": simplex + x, "maxfev": most_evaluations},
             )
             for x in starts
         )
-        return np.asarray(min(tries, key=lambda m: float(m.fun)).x, dtype=np.float64)
+        best = min(tries, key=lambda m: float(m.fun))
+        return np.asarray(best.x[3:], dtype=np.float64), float(best.fun)
 
-    def average(levers: Floats, lever_sizes: Floats, zooms: int = 4) -> tuple[Floats, float]:
+    def average(self, levers: Floats, lever_sizes: Floats, *, zooms: int = 4) -> tuple[Floats, float]:
         """The means of the logarithms of both errors, and the root mean square of the excess, over all that fit."""
-        low, high = (usual + np.array([-usual, k, k]) for k in (-6 * PRIOR_WIDTH, 6 * PRIOR_WIDTH))
+        low, high = (self.usual + np.array([-self.usual, k, k]) for k in (-6 * PRIOR_WIDTH, 6 * PRIOR_WIDTH))
         high[0] = 4 * USUAL_EXCESS
         for _ in range(zooms):
             grid = np.linspace(low, high, 25)
             logs, excess = grid[:, None, 1:], grid[:, None, None, None, 0]
-            part = weigh(logs, excess, levers, lever_sizes)  # (excess, logs, 2)
-            weights = 1 / find_variance(logs, excess)[..., 0]
+            part = self.weigh(logs, excess, levers, lever_sizes)  # (excess, logs, 2)
+            weights = 1 / self.find_variance(logs, excess)[..., 0]
             part[..., 0] -= np.linalg.slogdet((levers.T * weights[..., None, :]) @ levers)[1] / 2  # these are fitted
             either = np.logaddexp.reduce(part, axis=1)
             along = np.logaddexp.reduce(part + either[:, None, ::-1], axis=0)  # the axes share the excess alone
@@ -290,25 +345,6 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
             high = np.array([grid[min(k[-1] + 1, len(grid) - 1), axis] for axis, k in enumerate(inside)])
         chance /= chance.sum(axis=0)
         return (chance * grid).sum(axis=0)[1:], float(np.sqrt(chance[:, 0] @ grid[:, 0] ** 2))
-
-    levers = np.column_stack([vn, *recoil])
-    best = fit(levers)
-    if recoil and price(best, levers) > price(without := fit(levers[:, :1]), levers[:, :1]) - least_gain:
-        best, levers, recoil = without, levers[:, :1], []
-    logs, excess = average(levers, best[3:])
-    doubt = np.sqrt(np.diag(np.linalg.inv((levers / find_variance(logs, excess)[:, :1]).T @ levers)))
-    errors = LocalErrors(
-        bias_n=float(best[3]),
-        bias_std=float(doubt[0]),
-        error_n=float(np.exp(logs[0])),
-        error_t=float(np.exp(logs[1])),
-        factor=float(np.hypot(1.0, excess)),
-        hits=len(usable),
-    )
-    if recoil:
-        half = float(np.clip(-best[4] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
-        errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))
-    return errors
 
 
 def _recoil_by_mass(

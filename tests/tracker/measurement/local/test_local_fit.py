@@ -1,12 +1,16 @@
 """Fits of one stretch: the end of its slide, and the window that is fitted."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from tracker.measurement.local import local_fit
 from tracker.measurement.local.local_fit import (
     LocalPriors,
+    LocalProblem,
+    SlideDuration,
     choose_window,
     fit_motions,
     fit_single_stretch,
@@ -95,3 +99,19 @@ def test_a_singular_system_stops_no_other():
     one, singular = solve_each(systems, np.ones((2, 2, 1)))
     assert one.ravel().tolist() == [0.5, 0.5]
     assert np.isnan(singular).all()
+
+
+def test_a_duration_of_a_slide_starts_next_to_that_of_the_free_fit(monkeypatch):
+    """From the middle of its cell a descent was cut as hopeless, and a contact lost its r."""
+    time = np.arange(1, 23) * 4e-3
+    problem = LocalProblem(
+        (make_stretch(np.outer(time, [0.4, 0.1]), time),), (SLIDE_AND_ROLL,), LocalPriors(0.06), False
+    )
+    at, seen = problem.start[0] + 6, []
+    free = SimpleNamespace(problem=problem, x=np.zeros(problem.size), sizes=(1.0,))
+    free.x[at] = np.log(0.010)
+    cells = [SlideDuration(lasts, 0.3, 0.0) for lasts in (0.002, 0.009, 0.1)]
+    monkeypatch.setattr(local_fit, "solve_all", lambda problems, starts, *_, **__: seen.extend(starts[:, at]) or starts)
+    local_fit._solve_with_durations([(0.0, free)], 0, cells)
+    edge = np.exp(np.sqrt(3) * 0.3)
+    assert np.exp(seen) == pytest.approx([0.002 * edge, 0.010, 0.1 / edge])
