@@ -128,7 +128,7 @@ class _Source:
 def _build_all(
     sources: Sequence[_Source], workers: int, where: Path
 ) -> Iterator[tuple[MeasuredCollision | SearchNote, bool, float]]:
-    """What `_build` gives for each source, from so many processes."""
+    """Run `_build` for each source, in so many processes."""
     by_number = {source.number: source for source in sources}
     work, numbers = partial(_build_one, by_number, current_policy()), list(by_number)
     return in_order(run_all_jobs(work, numbers, workers, where), numbers)

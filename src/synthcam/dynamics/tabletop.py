@@ -84,7 +84,7 @@ class Table:
 
 
 class ContactChanges:
-    """What changes the contacts of one run: chance, a contact duration, and the plate. gravity: m/s^2."""
+    """The influences on the contacts of one run: chance, a contact duration, and the plate. gravity: m/s^2."""
 
     def __init__(self, table: Table, gravity: float) -> None:
         self.table, self.last_hit = table, dict[int, float]()  # of each body, s

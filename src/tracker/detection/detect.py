@@ -184,7 +184,7 @@ def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detec
 
 
 def _is_own(detector: AnyDetector) -> bool:
-    """Whether the class is one of this program: others may not pickle, and a subclass may change any method."""
+    """Return True for a class of this program. Others may not pickle, and a subclass may change any method."""
     return type(detector).__module__.startswith("tracker.detection.detectors")
 
 

@@ -66,7 +66,7 @@ def measure_losses(
 
     frames: (n,) ascending. noise: of a coordinate, m.
     """
-    seen, smoothed = _Sums(len(frames)), _Sums(len(frames))  # by how much all may err alike
+    seen, smoothed = _Sums(len(frames)), _Sums(len(frames))  # by how much all may err in the same direction
     lost = {name: _Sums(len(frames)) for name in SINKS}
     taken, variances = measure_contact_losses(contacts, paths, noise)
     steps: dict[int, list[tuple[int, float, float]]] = {}  # by contact: row of frames, loss across it, its variance

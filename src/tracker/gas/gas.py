@@ -205,7 +205,7 @@ def _predict_rates(
     """Area fraction, and contacts and free path of Enskog's hard discs at the measured temperature and density.
 
     Their errors are those of the camera file and of the temperature, by one standard error of each. The errors of the
-    temperature are taken as alike in all frames, because those of slides are.
+    temperature count as the same in all frames, because those of slides are.
     """
     seen = (time["balls"] + time["unknown"]).to_numpy()
 

@@ -29,7 +29,7 @@ Kind = Literal["contact", "wall", "end", "launch", "renewal", "look"]
 
 
 # An event to come: its time, a rank, what it is, bodies i and j, and the versions of their legs that it holds for. A
-# plain tuple is made and compared fastest. Of events at one time, contacts come first, then walls, then ends of legs.
+# plain tuple is made and compared fastest. Contacts come first among events at one time, then walls, then ends of legs.
 Due = tuple[float, int, Kind, int, int, int, int]
 
 

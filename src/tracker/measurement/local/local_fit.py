@@ -420,8 +420,8 @@ def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind
     """Shorten a stretch to the longest window in which the residuals are at most MAX_RESIDUAL errors.
 
     Any force that the motions lack raises the residuals of a window that shows it. The rule does not look at the error
-    of the velocity, because the smallest of several uncertain errors is too small. Where no window is so good, the
-    errors are larger than claimed, as of films with loss: the best of the windows then shows how large they are.
+    of the velocity, because the smallest of several uncertain errors is too small. If no window is so good, the
+    errors are larger than claimed, as in encoded films. The best of the windows then shows how large they are.
     """
     ahead, tried = np.abs(stretch.time - contact), list[tuple[Stretch, float]]()
     for share in (1.0, 0.63, 0.4, 0.25, 0.16, 0.1):

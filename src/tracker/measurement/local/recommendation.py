@@ -85,7 +85,7 @@ def _find_unclaimed_error(
     """The error of r by the errors of velocities that a set shows, if the tied fit claims less; else 0.
 
     min_set_error: of a velocity over that of the hit. min_set_factor: on the errors by the residuals, from which the
-    tied fit takes its own. Where both are smaller, the set may be one of simulated tracks.
+    tied fit takes its own. If both are smaller, the set may be one of simulated tracks.
     """
     shown = row.get("local_hits", 0) and (
         row["local_error_n"] > min_set_error or row.get("local_factor", 1.0) > min_set_factor
