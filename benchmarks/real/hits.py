@@ -24,6 +24,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from tracker.tables.table_options import TableOptions
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
@@ -55,7 +57,7 @@ def measure_hit(hit: RecordedHit, support: str, tied: bool = False) -> dict[str,
     masses = keys.get("ball_masses", [1.0, 1.0])
     if tied:
         return {"name": hit.name} | dict(tracker.measure(hit.tracks, keys, unit="m").rows[0])
-    given = read_frame(hit.tracks, keys, "", "m")
+    given = read_frame(hit.tracks, keys, TableOptions(unit="m"))
     ((tracks, _),) = given.clips.values()
     camera = Camera.of(keys)
     balls = to_ball_tracks(tracks, camera)

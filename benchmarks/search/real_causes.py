@@ -41,6 +41,8 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
+from tracker.tables.table_options import TableOptions
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
@@ -104,7 +106,7 @@ def read_clips(hits: Sequence[RecordedHit], warp_file: str | None) -> list[Measu
 
 
 def _read_balls(hit: RecordedHit, camera: Camera) -> list[BallTrack]:
-    ((tracks, _),) = read_frame(hit.tracks, hit.camera, "", "m").clips.values()
+    ((tracks, _),) = read_frame(hit.tracks, hit.camera, TableOptions(unit="m")).clips.values()
     return list(to_ball_tracks(tracks, camera))
 
 

@@ -198,10 +198,10 @@ def measure(
     Example: tracker measure tracks.csv --camera camera.json -o out/measured
     """
     from tracker.pipeline import measure_tables
+    from tracker.tables.table_options import TableOptions
 
-    if point not in ("centre", "glint"):
-        raise InputError(f"--point: expected centre or glint, not {point!r}")
-    outcome = measure_tables(tracks, output, camera, point, columns, unit, settings, decimal, edits)
+    options = TableOptions(point, columns, unit, decimal)
+    outcome = measure_tables(tracks, output, camera, options, settings, edits)
     extra = dict[str, Any]()
     if _wants_pages(pages, outcome, output):
         extra["page"] = _pages(outcome, output, tracks, 0)
@@ -444,12 +444,13 @@ def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
     """RESULTS of a table of tracks, kept in the report, by the dataset's own camera."""
     from tracker.camera.recordings import open_source
     from tracker.pipeline import measure_tables
+    from tracker.tables.table_options import TableOptions
 
     cameras = open_source(truth).camera_files()
     if not cameras:
         raise InputError(f"{truth}: no camera.json in it, expected one for the tracks")
     folder = output / "results"
-    measure_tables(tracks, folder, cameras[0], point)
+    measure_tables(tracks, folder, cameras[0], TableOptions(point))
     return folder
 
 

@@ -32,6 +32,7 @@ from tracker.report.misfits import MISFITS, draw_misfit, is_misfit
 from tracker.report.refusals import REFUSALS, NotedPicture, draw_refusals, is_failure
 from tracker.settings import SettingsSource, TrackerSettings
 from tracker.tables.read import read_tracks
+from tracker.tables.table_options import DEFAULT_TABLE_OPTIONS, TableOptions
 
 
 @dataclass(frozen=True)
@@ -113,23 +114,19 @@ def measure_tables(
     path: Path,
     output: Path,
     camera: Path,
-    point: str = "centre",
-    columns: str = "",
-    unit: str = "",
+    options: TableOptions = DEFAULT_TABLE_OPTIONS,
     settings: SettingsSource | None = None,
-    decimal: str = "",
     edits: EditsSource | None = None,
 ) -> ClipOutcome:
     """Measure tracks that any program made, as `run` does its own. Raises InputError.
 
     path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program; output: RESULTS; camera: the
-    camera file of the tracks; point: what x and y are, "centre" or "glint"; columns, unit, decimal: as `read_tracks`
-    takes them; edits: corrections by hand of the tracks as they are written without edits.
+    camera file of the tracks; edits: corrections by hand of the tracks as they are written without edits.
     """
     check_utf8(output)
     chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)
-    given = read_tracks(path, camera, columns, unit, decimal)
-    asked = f"{point}{columns}{unit}{decimal}".encode()
+    given = read_tracks(path, camera, options)
+    asked = f"{options.point}{options.columns}{options.unit}{options.decimal}".encode()
     digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + asked).hexdigest()
     numbers, notes = sorted(given.clips), dict[Note, int]()
     edited.check_clips(numbers)
@@ -140,7 +137,7 @@ def measure_tables(
         for number in (numbers[i] for i in todo):
             tracks, striker = given.clips[number]
             own = replace(given.camera, striker=striker or given.camera.striker)
-            result = measure_tracks(tracks, own, number, point, chosen.fit, edited)
+            result = measure_tracks(tracks, own, number, options.point, chosen.fit, edited)
             of_clip = [note for note in result.notes if note.kind in (NoteKind.REPAIR, NoteKind.EDIT)]
             notes.update({replace(note, text=f"clip {number}: {note}"): 1 for note in of_clip})
             pictures = dict[str, bytes]()

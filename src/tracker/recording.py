@@ -50,6 +50,7 @@ from tracker.notes import Note, NoteKind, note_all
 from tracker.settings import FitSettings, SettingsSource, TrackerSettings
 from tracker.tables.read import ClipTracks, read_frame, read_tracks
 from tracker.tables.rows import tracks_table
+from tracker.tables.table_options import TableKeywords, TableOptions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -284,13 +285,10 @@ def measure(
     tracks: pd.DataFrame | str | Path,
     camera: CameraSource,
     *,
-    point: str = "centre",
-    columns: str = "",
-    unit: str = "",
-    decimal: str = "",
     number: int | None = None,
     settings: SettingsSource | None = None,
     edits: EditsSource | None = None,
+    **reading: Unpack[TableKeywords],
 ) -> Result:
     """Measure the collisions in tracks that any program made.
 
@@ -304,20 +302,19 @@ def measure(
         one of the formats of docs/format.md.
     camera : Camera, dict, str or Path
         What camera.json holds, or where it lies.
-    point : {"centre", "glint"}
-        What x and y are: ball centres, means over the exposure, or glints.
-    columns : str
-        The table's own names of columns, as in "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID", or their numbers.
-    unit : str
-        Of lengths: px, m, cm, mm, ...; default: what the table says, or px.
-    decimal : str
-        Of a file, the decimal mark of its numbers, "." or ","; default: what the numbers show.
     number : int, optional
         Of the clip, which is the column ``clip`` of its estimates; default: the table's, else 0.
     settings : TrackerSettings, dict, str or Path, optional
         As `track` takes them; only the section `fit` counts.
     edits : dict, str or Path, optional
         As `track` takes them.
+    **reading
+        How the table is read:
+
+        - point, "centre" or "glint": the point of a ball that x and y give; default: the centre, mean over the exposure
+        - columns, "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID": the table's own names of columns, or their numbers
+        - unit, such as px, m, cm or mm: of lengths; default: what the table says, or px
+        - decimal, "." or ",": the decimal mark of a file's numbers; default: what the numbers show
 
     Returns
     -------
@@ -333,10 +330,11 @@ def measure(
     >>> bool(abs(result.estimates["r"][0] - clip.truth["r"]) < 1e-4)
     True
     """
-    given = _read_given(tracks, camera, columns, unit, decimal)
+    options = TableOptions.of(reading)
+    given = _read_given(tracks, camera, options)
     if len(given.clips) > 1:
         raise InputError(f"tracks: {len(given.clips)} clips, expected 1; tracker.measure_all takes them all")
-    (result,) = _measure_given(given, point, settings, edits)
+    (result,) = _measure_given(given, options.point, settings, edits)
     return result if number is None else replace(result, number=number)
 
 
@@ -345,18 +343,15 @@ def measure_all(
     tracks: pd.DataFrame | str | Path,
     camera: CameraSource,
     *,
-    point: str = "centre",
-    columns: str = "",
-    unit: str = "",
-    decimal: str = "",
     settings: SettingsSource | None = None,
     edits: EditsSource | None = None,
+    **reading: Unpack[TableKeywords],
 ) -> list[Result]:
-    """Measure the collisions of all clips of a table, which a column ``clip`` tells apart.
+    """Measure the collisions of all clips of a table, which a column ``clip`` distinguishes.
 
     Parameters
     ----------
-    tracks, camera, point, columns, unit, decimal, settings, edits
+    tracks, camera, settings, edits, **reading
         As `measure` takes them.
 
     Returns
@@ -375,17 +370,16 @@ def measure_all(
     >>> pd.concat([result.estimates for result in found])["clip"].tolist()
     [3, 5]
     """
-    return _measure_given(_read_given(tracks, camera, columns, unit, decimal), point, settings, edits)
+    options = TableOptions.of(reading)
+    return _measure_given(_read_given(tracks, camera, options), options.point, settings, edits)
 
 
-def _read_given(
-    tracks: pd.DataFrame | str | Path, camera: CameraSource, columns: str, unit: str, decimal: str
-) -> ClipTracks:
+def _read_given(tracks: pd.DataFrame | str | Path, camera: CameraSource, options: TableOptions) -> ClipTracks:
     if camera is None:
         raise InputError("camera: expected a camera, its keys, or a path; tracks alone have no times and lengths")
     if isinstance(tracks, pd.DataFrame):
-        return read_frame(tracks, camera, columns, unit)
-    return read_tracks(Path(tracks), camera, columns, unit, decimal)
+        return read_frame(tracks, camera, options)
+    return read_tracks(Path(tracks), camera, options)
 
 
 def _measure_given(
@@ -393,8 +387,6 @@ def _measure_given(
 ) -> list[Result]:
     from tracker.measurement.local.local_columns import calibrate_set
 
-    if point not in ("centre", "glint"):
-        raise InputError(f"point: expected centre or glint, not {point!r}")
     fit, edited, found = TrackerSettings.of(settings).fit, TrackEdits.of(edits), []
     edited.check_clips(given.clips.keys())
     for number, (tracks, striker) in sorted(given.clips.items()):

@@ -18,6 +18,7 @@ from synthcam_shared.errors import InputError
 from tracker import cli, pipeline, recording
 from tracker.detection import detectors
 from tracker.tables.read import read_tracks
+from tracker.tables.table_options import TableOptions
 
 COLUMNS = [
     "frame",
@@ -162,7 +163,7 @@ def test_measure_takes_any_programs_table(tracked, tmp_path):
     assert outcome.estimates["clip"].tolist() == [0]
     glints = table.assign(x=table["glint_x"], y=table["glint_y"], clip=7, striker="a").drop(columns=["glint_x"])
     glints.to_parquet(tmp_path / "glints.parquet")
-    outcome = pipeline.measure_tables(tmp_path / "glints.parquet", tmp_path / "out2", camera, "glint")
+    outcome = pipeline.measure_tables(tmp_path / "glints.parquet", tmp_path / "out2", camera, TableOptions("glint"))
     assert outcome.estimates["clip"].tolist() == [7]
     assert outcome.estimates["striker"].tolist() == ["a"]
     back = pd.read_parquet(tmp_path / "out2/clips/000007/tracks.parquet")
@@ -193,7 +194,9 @@ def test_bad_tables(tmp_path, text, word):
 def test_an_empty_table_is_a_result_without_a_detection(tmp_path, text, unit):
     (tmp_path / "tracks.csv").write_text(text)
     (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
-    outcome = pipeline.measure_tables(tmp_path / "tracks.csv", tmp_path / "out", tmp_path / "camera.json", unit=unit)
+    outcome = pipeline.measure_tables(
+        tmp_path / "tracks.csv", tmp_path / "out", tmp_path / "camera.json", TableOptions(unit=unit)
+    )
     assert outcome.estimates["status"].tolist() == ["too few detections"]
     assert len(pd.read_parquet(tmp_path / "out/clips/000000/tracks.parquet")) == 0
     if not text.strip():

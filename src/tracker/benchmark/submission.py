@@ -25,6 +25,7 @@ from tracker.detection.link import Tracks
 from tracker.recording import Result, measure_tracks
 from tracker.results import load_json
 from tracker.tables.read import read_tracks
+from tracker.tables.table_options import POINTS
 
 TABLES = (".csv", ".parquet", ".txt", ".xml")
 
@@ -64,8 +65,8 @@ def read_form(folder: Path) -> dict[str, Any]:
         number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value > 0
         if key == "ms_per_frame" and not (value is None or number):
             raise InputError(f"{path}: ms_per_frame: expected a number over 0, not {value!r}")
-    if about.get("point", "centre") not in ("centre", "glint"):
-        raise InputError(f"{path}: point: expected centre or glint, not {about['point']!r}")
+    if about.get("point", "centre") not in POINTS:
+        raise InputError(f"{path}: point: expected {' or '.join(POINTS)}, not {about['point']!r}")
     return about
 
 

@@ -178,20 +178,7 @@ def combine(
     given = [results] if isinstance(results, str | Path) else list(results)
     if not given:
         raise InputError("results: none, expected at least one folder of results")
-    folders = [Path(one) for one in given if not isinstance(one, Result)]
-    names = iter(_name_folders(folders))
-    parts, seen, notes = [], dict[str, str](), list[str]()
-    for one in given:
-        if isinstance(one, Result):
-            part, marks = _read_memory(one)
-            name = "memory"
-        else:
-            name = next(names)
-            part, marks = _read_folder(Path(one))
-        part, twice = _leave_out_repeated(part, marks, seen, name)
-        parts.append(part.assign(result=name, camera=_describe_view(one)))
-        notes += twice
-    table = pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
+    table, notes = _read_all(given)
     if table["camera"].str.contains('"std": ').any():  # of a warp
         notes.append(
             "the error of `warp` in camera.json counts as independent from collision to collision; means of collisions "
@@ -202,21 +189,37 @@ def combine(
     table["fit"] = _choose_fits(table)
     wanted = _choose_quantities(table, quantities)
     rows = {name: _take_values(table, name) for name in wanted}
-    found = {}
-    for name, values in rows.items():
-        used = table.loc[values.index]
-        effects = shared_effects(used, (name,), "tied", "rolling", "free")
-        if name == "mass_ratio":
-            effects[_is_turned(used)] *= -(values["value"].to_numpy()[_is_turned(used), None, None] ** 2)
-        if len(values):
-            found[name] = combine_quantity(name, values, effects)
+    found = {name: _combine_values(table, name, values) for name, values in rows.items() if len(values)}
     if not found:
         states = ", ".join(f"{count} {status}" for status, count in table["status"].value_counts().items())
-        raise InputError(f"{', '.join(map(str, folders)) or 'results'}: no value of {', '.join(wanted)} ({states})")
+        folders = ", ".join(f"{one}" for one in given if not isinstance(one, Result))
+        raise InputError(f"{folders or 'results'}: no value of {', '.join(wanted)} ({states})")
     notes += [note for one in found.values() for note in list_warnings(one)]
     if "mass_ratio" in found:
         notes.append(f"mass_ratio is that of the particle with the lower number over the other. {SAME_BODIES}")
     return CombinedSet(table, found, fit_all(table), tuple(notes))
+
+
+def _combine_values(table: pd.DataFrame, name: str, values: pd.DataFrame) -> CombinedQuantity:
+    """Combine the values of one quantity, with the camera's errors that they share."""
+    used = table.loc[values.index]
+    effects = shared_effects(used, (name,), "tied", "rolling", "free")
+    if name == "mass_ratio":
+        effects[_is_turned(used)] *= -(values["value"].to_numpy()[_is_turned(used), None, None] ** 2)
+    return combine_quantity(name, values, effects)
+
+
+def _read_all(given: Sequence[str | Path | Result]) -> tuple[pd.DataFrame, list[str]]:
+    """The estimates of all results, without recordings given twice; columns `result` and `camera`; and notes."""
+    names = iter(_name_folders([Path(one) for one in given if not isinstance(one, Result)]))
+    parts, seen, notes = [], dict[str, str](), list[str]()
+    for one in given:
+        name = "memory" if isinstance(one, Result) else next(names)
+        part, marks = _read_memory(one) if isinstance(one, Result) else _read_folder(Path(one))
+        part, twice = _leave_out_repeated(part, marks, seen, name)
+        parts.append(part.assign(result=name, camera=_describe_view(one)))
+        notes += twice
+    return pd.concat([part for part in parts if len(part)] or parts, ignore_index=True), notes
 
 
 def _describe_view(one: str | Path | Result) -> str:

@@ -26,6 +26,7 @@ from tracker.tables.column_names import read_named_columns
 from tracker.tables.content import Content
 from tracker.tables.rows import REQUIRED_COLUMNS, check_columns, split_tracks, to_numbers
 from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
+from tracker.tables.table_options import DEFAULT_TABLE_OPTIONS, TableOptions
 
 NO_STRIKER = (
     "no column striker, so that ball {} counts as the striker of every clip; if the balls change roles, add a column"
@@ -48,25 +49,23 @@ def formats() -> dict[str, Any]:
     return {name: importlib.import_module(f"{format_files.__name__}.{name}") for name in names}
 
 
-def read_tracks(path: Path, camera: CameraSource, columns: str = "", unit: str = "", decimal: str = "") -> ClipTracks:
+def read_tracks(path: Path, camera: CameraSource, options: TableOptions = DEFAULT_TABLE_OPTIONS) -> ClipTracks:
     """Read a file of tracks. Raises InputError.
 
-    path: CSV or Parquet with frame, particle, x, y, or a file of one of the formats; camera: of the tracks; columns:
-    the table's own names of columns, x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID; unit: of lengths, "" for what the file
-    says, or px; decimal: mark of numbers, "," or ".", "" for what they show.
+    path: CSV or Parquet with frame, particle, x, y, or a file of one of the formats; camera: of the tracks.
     """
-    content = Content.of(path, decimal)
+    content = Content.of(path, options.decimal)
     if content.archive == "zip" and not content.is_excel:
         if path.suffix.lower() in (".xlsx", ".xlsm", ".ods"):
             raise content.wrong("not a workbook that can be read, expected a table of tracks; save it as CSV")
         raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
-    if columns:
+    if options.columns:
         named = content.is_binary or content.has_header
         rows = content.cells() if named else content.cells(names=_count_columns(content))
-        table = _pick_columns(rows, columns, content.where, content.notes)
+        table = _pick_columns(rows, options.columns, content.where, content.notes)
     else:
         table = recognise_format(content)
-    return to_pixels(table, path.name, camera, unit, str(path))
+    return to_pixels(table, path.name, camera, options.unit, str(path))
 
 
 def recognise_format(content: Content) -> TrackTable:
@@ -117,17 +116,17 @@ def _pick_columns(rows: pd.DataFrame, columns: str, where: str, notes: Iterable[
 
 
 def read_frame(
-    tracks: pd.DataFrame, camera: CameraSource, columns: str = "", unit: str = "", where: str = "tracks"
+    tracks: pd.DataFrame, camera: CameraSource, options: TableOptions = DEFAULT_TABLE_OPTIONS, where: str = "tracks"
 ) -> ClipTracks:
     """Read a table in memory as `read_tracks` does a file. Raises InputError."""
     levels = [name for name in tracks.index.names if name is not None and name not in tracks]
     rows = tracks.reset_index(levels) if levels else tracks.reset_index(drop=True)
     rows = rows.set_axis([str(name) for name in rows.columns], axis=1)
-    table = _pick_columns(rows, columns, where) if columns else read_named_columns(rows, where)
+    table = _pick_columns(rows, options.columns, where) if options.columns else read_named_columns(rows, where)
     if table is None:
         check_columns(rows, where, "; --columns x=NAME,y=NAME,... names others")
         raise AssertionError("a table with these columns is read by their names")
-    return to_pixels(table.number_names(where), where, camera, unit)
+    return to_pixels(table.number_names(where), where, camera, options.unit)
 
 
 def _count_columns(content: Content) -> list[str]:

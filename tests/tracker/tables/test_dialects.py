@@ -6,6 +6,7 @@ import pytest
 
 from synthcam_shared.errors import InputError
 from tracker.tables.read import read_tracks
+from tracker.tables.table_options import TableOptions
 
 CAMERA = {"fps": 250.0, "size": [640, 480], "scale": 1.6e-4, "ball_diameter": 2.4e-3}
 # two balls; the digits are such that each number is written in full by three decimals
@@ -123,7 +124,7 @@ DIALECTS = {
 def read(text, tmp_path, **wishes):
     path = tmp_path / "tracks.any"
     path.write_text(text)
-    given = read_tracks(path, CAMERA, **wishes)
+    given = read_tracks(path, CAMERA, TableOptions(**wishes))
     return given.clips[0][0], [str(note) for note in given.notes]
 
 

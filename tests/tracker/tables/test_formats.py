@@ -21,6 +21,7 @@ import synthcam
 import tracker
 from synthcam_shared.errors import InputError
 from tracker.tables.read import read_frame, read_tracks
+from tracker.tables.table_options import TableOptions
 
 SCENE = synthcam.Scene.read(
     "painter_behringer", camera={"size": list(SIZE), "scale": SCALE}, timing={"frames": 60, "contact_frame": 20}
@@ -89,7 +90,7 @@ def test_the_same_is_measured(name, rows, camera, measured, tmp_path):
     write, wishes = FORMATS[name]
     path = tmp_path / "tracks.any"
     path.write_text(write(rows), encoding="utf-8")
-    tracks, _ = read_tracks(path, camera, **wishes).clips[0]
+    tracks, _ = read_tracks(path, camera, TableOptions(**wishes)).clips[0]
     places = sorted((frame, *place) for frame, _, *place in rows)
     assert np.allclose(sorted(zip(tracks.frame, tracks.x, tracks.y, strict=True)), places, rtol=0, atol=1e-5)
     found = tracker.measure(path, camera, **wishes).estimates
@@ -248,7 +249,7 @@ def test_microns_of_which_one_is_missing(rows, camera, tmp_path):
     path.write_text(trackmate_csv(rows).replace("(micron),(micron),(micron),(sec)", ",(micron),(micron),(sec)"))
     with pytest.raises(InputError, match="positions look like um"):
         read_tracks(path, camera)
-    assert "lengths in px" in str(read_tracks(path, camera, unit="px").notes[0])
+    assert "lengths in px" in str(read_tracks(path, camera, TableOptions(unit="px")).notes[0])
 
 
 @pytest.mark.parametrize("cut", [0.1, 0.5, 0.9, 0.999])
@@ -282,7 +283,7 @@ def test_wrong_names_of_columns(columns, said, tmp_path, camera):
     path = tmp_path / "tracks.csv"
     path.write_text("a,b,c,d\n1,2,0,0\n")
     with pytest.raises(InputError) as error:
-        read_tracks(path, camera, columns)
+        read_tracks(path, camera, TableOptions(columns=columns))
     assert said in str(error.value)
 
 

@@ -9,6 +9,7 @@ import tracker
 from synthcam_shared.errors import InputError
 from tracker.notes import NoteKind
 from tracker.tables.read import find_first_mover, read_frame, read_tracks
+from tracker.tables.table_options import TableOptions
 
 CAMERA = {"fps": 250.0, "size": [640, 480], "scale": 1.6e-4, "ball_diameter": 2.4e-3}
 
@@ -103,7 +104,7 @@ def test_clips_may_have_names():
 def test_a_table_in_memory_is_read_as_its_file_would_be(change):
     rows = clip(0).drop(columns="clip")
     columns = "frame=f,track=n,x=x,y=y" if "f" in change(rows) else ""
-    tracks, _ = read_frame(change(rows), CAMERA, columns).clips[0]
+    tracks, _ = read_frame(change(rows), CAMERA, TableOptions(columns=columns)).clips[0]
     assert len(tracks) == 80
     assert np.sort(tracks.x) == pytest.approx(np.sort(rows["x"]))
 

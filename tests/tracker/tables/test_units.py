@@ -8,6 +8,7 @@ import tracker
 from synthcam_shared.errors import InputError
 from tracker.notes import NoteKind
 from tracker.tables.read import read_tracks
+from tracker.tables.table_options import TableOptions
 
 SCALE, DIAMETER = 1.6e-4, 2.4e-3  # m/px; m: 15 px
 CAMERA = {"fps": 250.0, "size": [640, 480], "scale": SCALE, "ball_diameter": DIAMETER}
@@ -35,8 +36,8 @@ def test_other_units_are_named_at_once(unit, metre, tmp_path):
         read_tracks(path, CAMERA)
     with pytest.raises(InputError, match=f"look like {unit}"):
         tracker.measure(table(SCALE / metre), CAMERA)
-    assert read_tracks(path, CAMERA, unit=unit).camera.metric
-    assert len(read_tracks(path, CAMERA, unit="px").clips[0][0]) == 80
+    assert read_tracks(path, CAMERA, TableOptions(unit=unit)).camera.metric
+    assert len(read_tracks(path, CAMERA, TableOptions(unit="px")).clips[0][0]) == 80
 
 
 @pytest.mark.parametrize("nearest", [15.2, 13.0, 60.0, 200.0])
@@ -52,7 +53,7 @@ def test_one_ball_found_twice_is_no_wrong_unit(tmp_path):
 def test_thousands_beside_whole_numbers_are_thousands(tmp_path):
     rows = table(3).assign(x=lambda t: t["x"].map("{:,.0f}".format), y=lambda t: t["y"].map("{:,.0f}".format))
     rows.to_csv(tmp_path / "t.csv", index=False, sep=";")
-    tracks = read_tracks(tmp_path / "t.csv", CAMERA, unit="px").clips[0][0]
+    tracks = read_tracks(tmp_path / "t.csv", CAMERA, TableOptions(unit="px")).clips[0][0]
     assert np.allclose(tracks.xy, table(3)[["x", "y"]], atol=0.5)
 
 
