@@ -166,7 +166,7 @@ def _library(rows: Sequence[Row]) -> str:
     counts = ", ".join(f"{name} {n}" for name, n in drawn(rows))
     hidden = f"Effects of the library, and in how many boxes each was hidden: {counts}.\n" if rows else ""
     if any(n == 0 for _, n in drawn(rows)) and rows:
-        hidden += "Where that is 0, no strength within the effect's limits shows in the box whose turn it was.\n"
+        hidden += "A count of 0 means that no strength within the effect's limits shows in the box whose turn it was.\n"
     return hidden + f"Never hidden, since no tracks show them: {never}.\n"
 
 
