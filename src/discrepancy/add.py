@@ -74,7 +74,7 @@ class AddedEffect:
 
 
 def check_effect(effect: str) -> None:
-    """Raise InputError if the library has no effect of that name."""
+    """Check the effect that is to be added: raise InputError if the library has none of that name."""
     if effect not in library():
         known = did_you_mean(effect, library()) or f"; there are {', '.join(library())}"
         raise InputError(f"{effect}: no such effect{known}")

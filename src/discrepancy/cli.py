@@ -294,7 +294,7 @@ def _print_left_out(left_out: Sequence[str], most: bool) -> None:
 
 
 def main() -> None:
-    """Entry point: 0 done, 2 bad input, 130 interrupted."""
+    """Run the command line `discrepancy`; exit status: 0 done, 2 bad input, 130 interrupted."""
     run(app, "discrepancy", (InputError,))
 
 

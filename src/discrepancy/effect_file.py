@@ -30,7 +30,7 @@ def render_formula_effect(
     shape: Sequence[ParameterValue],
     source: Sequence[str],
 ) -> str:
-    """Render an effect with a formula.
+    """Render the text of an effect file whose law is a formula.
 
     law: the name of the free law in `synthcam.tabulated_law.table_names`; strengths: the terms that are added, each
     times its strength, relative to a law that is one base parameter; shape: the numbers of the shape; source: the
@@ -54,7 +54,7 @@ def render_formula_effect(
 
 
 def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], source: Sequence[str]) -> str:
-    """Render an effect with a table: the law is the table for `share` 1, and the base model for `share` 0.
+    """Render the text of an effect file whose law is a table for `share` 1, and the base model for `share` 0.
 
     numbers: the base parameters that the table replaces, as the model beside the effect has them; source: the origin of
     the law, in sentences.

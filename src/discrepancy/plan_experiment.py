@@ -141,7 +141,7 @@ def plan(
     changes: bool = True,
     progress: Progress = lambda done, total: None,
 ) -> Plan:
-    """Predict which effects a search could detect and name in an experiment, before a recording is made.
+    """Plan an experiment: predict which effects its films could detect and name, before a recording is made.
 
     Parameters
     ----------

@@ -121,7 +121,7 @@ def search(
     stretches: bool = False,
     contacts: Contacts | None = None,
 ) -> SearchResult:
-    """Search collisions from `read_collisions`, with its notes.
+    """Run all stages of a search on collisions from `read_collisions`, with its notes.
 
     stretches: the evidence is each free stretch between contacts, with a start of its own. contacts: the evidence on
     the impact, from `read_contacts`. The policy is that of the context (`applied_policy`). See `find`.
@@ -150,7 +150,7 @@ def search(
 def select_until_stable(
     data: SearchData, model: Model, deadline: Deadline, rounds: int = 4, scatter_rounds: int = 2
 ) -> tuple[SearchData, LibraryFits, Selection]:
-    """Fit the base model and select, until clips and noise stay the same, at most in so many rounds.
+    """Run the stages of base fit and selection until clips and noise stay the same, at most in so many rounds.
 
     After each round the search leaves out clips that deviate from all others. If there are none, it estimates the noise
     again from the residuals of the best model; of stretches, their scatter in the first rounds. For smoothed tracks it
@@ -186,7 +186,7 @@ def select_until_stable(
 
 
 def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[LibraryFits, Selection]:
-    """Fit the base model, then select effects of the library, and a free law if one explains more."""
+    """Run the stage of selection: fit the base model, then select effects, and a free law if one explains more."""
     evidence = WhitenedClips.of(data.clips, data.noise)
     base = fit_base_model(data.clips, model, data.noise, deadline)
     library = LibraryFits(evidence, base, lambda: deadline("search"))
@@ -203,7 +203,7 @@ def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[LibraryF
 
 
 def measure_held_out_gap(data: SearchData, selection: Selection, progress: Progress) -> tuple[SearchData, GapFits]:
-    """Measure the gap on the held-out clips, without clips that deviate from all others."""
+    """Run the stage that measures the gap on held-out clips, without clips that deviate from all others."""
     gap = _measure_gap(data, selection, progress)
     outliers = find_outlier_clips(data.held_out, gap.before, gap.after)
     if not outliers:
@@ -232,7 +232,7 @@ def summarise(
     gap: GapFits,
     progress: Progress,
 ) -> SearchResult:
-    """Decide the verdict, and collect the data that the report needs.
+    """Run the last stage of a search: decide the verdict, and collect the data that the report needs.
 
     clips: all clips, before outliers are removed; gap: that of the selection before the validation.
     """

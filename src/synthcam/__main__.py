@@ -6,14 +6,14 @@ from synthcam_shared.start import start
 
 
 def load() -> Callable[[], None]:
-    """Import the command line."""
+    """Import the command line of `synthcam`."""
     from synthcam.cli import main
 
     return main
 
 
 def main() -> None:
-    """Entry point."""
+    """Start the command `synthcam`."""
     start("synthcam", load)
 
 

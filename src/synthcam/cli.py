@@ -399,7 +399,7 @@ def _print_result(summary: dict[str, Any], as_json: bool, text: str) -> None:
 
 
 def main() -> None:
-    """Entry point: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
+    """Run the command line `synthcam`; exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
     run_command(app, "synthcam", (InputError, NoGL), ("generate", "merge", "stream"))
 
 

@@ -74,7 +74,7 @@ class ModelFileSettings(ModelSettings):
 
 @cache_until_effects_change
 def effect_settings() -> type[Settings]:
-    """`effects:` a key for each effect of the library, its parameters below it."""
+    """Define the key `effects:` of a model: a key for each effect of the library, its parameters below it."""
     kinds: dict[str, Any] = {}
     for name, effect in library().items():
         numbers: dict[str, Any] = {}
@@ -102,7 +102,7 @@ class TableSettings(Settings):
 
 @cache
 def table_settings() -> type[Settings]:
-    """`free_laws:` a key for each law that a model may hold as a table."""
+    """Define the key `free_laws:` of a model: a key for each law that it may hold as a table."""
     kinds: dict[str, Any] = {}
     for name in table_names():
         kind, ball = kind_of(name)
@@ -372,7 +372,7 @@ def refuse_search_only_laws(free_laws: Any, where: str) -> None:
 
 
 def check_free(names: Iterable[str], where: str) -> tuple[str, ...]:
-    """The names as a tuple. Raises InputError unless each is LAUNCH_SPIN or a parameter of the model or an effect."""
+    """Check the names in a model's `free`. Raises InputError unless each is LAUNCH_SPIN or a parameter."""
     known = {*BASE_PARAMETERS, LAUNCH_SPIN, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
     names = tuple(names)
     for k, name in enumerate(names):
@@ -430,5 +430,5 @@ def write_model(model: Model, path: Path) -> None:
 
 
 def to_yaml(settings: Mapping[str, Any]) -> str:
-    """Settings as the text of a YAML file."""
+    """Write the settings of a model or a scene as the text of a YAML file."""
     return yaml.safe_dump(dict(settings), sort_keys=False, default_flow_style=None, width=120)

@@ -80,7 +80,7 @@ SEARCH_ONLY_LAWS = {  # free laws of a search that a model cannot hold, and why
 
 
 def kind_of(name: str) -> tuple[TableKind, str]:
-    """Return the kind of a table by its name, and its ball: "a", "b" or "" for both. Raises KeyError."""
+    """Return the kind of a tabulated law by its name, and its ball: "a", "b" or "" for both. Raises KeyError."""
     if name in TABLE_KINDS:
         return TABLE_KINDS[name], ""
     own, _, ball = name.rpartition("_")
@@ -90,7 +90,7 @@ def kind_of(name: str) -> tuple[TableKind, str]:
 
 
 def table_names() -> Iterator[str]:
-    """Iterate over every name that a table may have."""
+    """Iterate over every name that a tabulated law may have."""
     for name, kind in TABLE_KINDS.items():
         yield name
         if kind.one_ball:

@@ -43,7 +43,7 @@ def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Retu
 
 
 def name_arguments(text: str) -> str:
-    """The text with arguments for options, but in commands between backquotes; unchanged if a command runs."""
+    """Name arguments in an error's text where it names options, but not in commands between backquotes."""
     if CALLED_BY_COMMAND.get():
         return text
     parts = re.sub(r"^--([a-z]+):", r"\1:", text).split("`")

@@ -116,7 +116,7 @@ def run_all_jobs(
 
 
 def in_order(given: Iterable[tuple[int, T]], numbers: Iterable[int]) -> Iterator[T]:
-    """Yield the values of (number, value) pairs in the order of the numbers; early values wait for their turn."""
+    """Yield the values of finished jobs, pairs (number, value), in the order of the numbers; early ones wait."""
     early: dict[int, T] = {}
     values = iter(given)
     for number in numbers:

@@ -6,14 +6,14 @@ from synthcam_shared.start import start
 
 
 def load() -> Callable[[], None]:
-    """Import the command line."""
+    """Import the command line of `tracker`."""
     from tracker.cli import main
 
     return main
 
 
 def main() -> None:
-    """Entry point."""
+    """Start the command `tracker`."""
     start("tracker", load)
 
 

@@ -542,7 +542,7 @@ def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Entry point: 0 done, whatever the clips' status; 2 bad input; 130 interrupted."""
+    """Run the command line `tracker`; exit status: 0 done, whatever the clips' status; 2 bad input; 130 interrupted."""
     run(app, "tracker", (InputError,), ("track", "measure", "compare", "benchmark"), ("open",))
 
 

@@ -118,7 +118,7 @@ def measure_tables(
     settings: SettingsSource | None = None,
     edits: EditsSource | None = None,
 ) -> ClipOutcome:
-    """Measure tracks that any program made, as `run` does its own. Raises InputError.
+    """Measure tracks that any program made into RESULTS, as `run` does its own. Raises InputError.
 
     path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program; output: RESULTS; camera: the
     camera file of the tracks; edits: corrections by hand of the tracks as they are written without edits.

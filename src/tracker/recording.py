@@ -290,7 +290,7 @@ def measure(
     edits: EditsSource | None = None,
     **reading: Unpack[TableKeywords],
 ) -> Result:
-    """Measure the collisions in tracks that any program made.
+    """Measure the collisions in tracks that any program made, in memory.
 
     An InputError refuses what is no such table, and tables of several clips, which `measure_all` takes.
 

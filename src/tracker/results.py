@@ -140,7 +140,7 @@ def calibrate_local(results: Path, numbers: Sequence[int]) -> None:
 
 
 def read_rows(results: Path, number: int) -> list[dict[str, Any]]:
-    """The rows of estimates of one clip."""
+    """Read the rows of estimates of one clip of RESULTS."""
     path = clip_folder(results, number) / "estimates.json"
     found = load_json(path)
     if not isinstance(found, list) or not all(isinstance(row, dict) and "status" in row for row in found):
@@ -149,7 +149,7 @@ def read_rows(results: Path, number: int) -> list[dict[str, Any]]:
 
 
 def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
-    """All clips' estimates, one row a collision, ``clip`` first."""
+    """Gather all clips' estimates of RESULTS, one row a collision, ``clip`` first."""
     rows = []
     for number in numbers:
         rows += [{"clip": number, **row} for row in read_rows(results, number)]
@@ -167,7 +167,7 @@ def estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def load_json(path: Path) -> Any:
-    """A file of RESULTS. Raises InputError where it is missing or damaged."""
+    """Load a JSON file of RESULTS. Raises InputError where it is missing or damaged."""
     try:
         return read_json(path, 1 << 30)
     except OSError as error:
@@ -177,7 +177,7 @@ def load_json(path: Path) -> Any:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """JSON with null for what is not finite."""
+    """Write a file of RESULTS as JSON, with null for what is not finite."""
     write_atomically(path, json.dumps(finite(value), indent=1, sort_keys=False) + "\n")
 
 
@@ -188,7 +188,7 @@ def _write_parquet(path: Path, table: pa.Table) -> None:
 
 
 def finite(value: Any) -> Any:
-    """Plain values as JSON gives them back: None for what is not finite."""
+    """Convert values to those that JSON in RESULTS can hold: None for what is not finite."""
     if isinstance(value, Mapping):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

@@ -129,7 +129,7 @@ def _read_row(row: Mapping[Any, Any], stated: float) -> dict[str, float]:
 
 
 def read_contacts(measured: Path | Sequence[Result] | pd.DataFrame) -> Contacts:
-    """Read the contacts of a tracker's RESULTS, or of results in memory; none of a table of tracks."""
+    """Read contacts as evidence on the impact, from a tracker's RESULTS or results in memory; none from a table."""
     if isinstance(measured, pd.DataFrame) or (isinstance(measured, Path) and not measured.is_dir()):
         return Contacts.of([])
     rows, stated = list[dict[Any, Any]](), dict[int, float]()

@@ -35,7 +35,7 @@ class HitGuess:
 
 
 def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> MeasuredCollision | SearchNote:
-    """Build the collision that a row of the estimates describes.
+    """Build a measured collision, with a first guess of its launch, from a row of the tracker's estimates.
 
     A misfit of the tracker's model is used: the search asks what that model lacks. The outgoing balls give
     the first guess if the tracker measured no collision or saw too little of the approach. A note says why a clip
@@ -171,7 +171,7 @@ def _explains_by_errors(row: Mapping[Any, Any]) -> bool:
 
 
 def guess_hit_from_outgoing(tracks: Tracks, camera: Camera, since: float = -math.inf) -> HitGuess | None:
-    """The contact from which two balls part, one of which rested before.
+    """Guess the contact and the launch from the paths of two balls that leave a contact, one of which rested before.
 
     Both paths are traced back to the time at which the balls touch. By conservation of momentum the striker's velocity
     is the sum of both velocities there. The ball that leaves nearer to the line of centres is the target. Only frames
@@ -218,7 +218,7 @@ def guess_hit_from_outgoing(tracks: Tracks, camera: Camera, since: float = -math
 
 
 def fit_slide(times: Array, xy: Array) -> tuple[float, Array, float]:
-    """A slide: its first time, its parabola from there (3, 2), highest power first, and its end.
+    """Fit the slide of a ball that leaves a contact: first time, parabola (3, 2), highest power first, and end.
 
     Rolling follows on another parabola with the same velocity at the joint.
     """

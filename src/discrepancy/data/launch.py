@@ -40,19 +40,19 @@ def find_free_columns(launches: Array) -> NDArray[np.bool_]:
 
 
 def pad_spins(launches: Array) -> Array:
-    """The launches (clips, 6) or (clips, 9), as (clips, 9)."""
+    """Pad launches (clips, 6) with spins of zero to (clips, 9); those that have nine numbers stay."""
     return np.pad(launches, ((0, 0), (0, WITH_SPIN - launches.shape[1])))
 
 
 def allow_side_spin(launch: Array) -> Array:
-    """A launch (6,) or (9,) as (9,); a side spin of zero becomes a thousandth of the speed, for the fit to start."""
+    """Give a launch (6,) or (9,) nine numbers, with a side spin of a thousandth of the speed instead of zero."""
     out = pad_spins(launch[None])[0]
     out[SIDE] = out[SIDE] or 1e-3 * out[V0]
     return np.asarray(out)
 
 
 def limit_spins(launches: Array) -> Array:
-    """Launches (clips, p) within the possible: spins up to MAX_SPIN_TO_SPEED, and rolling instead of a tiny slip.
+    """Limit the spins of launches (clips, p) to MAX_SPIN_TO_SPEED, and let strikers with a tiny slip roll.
 
     Below 2 % of the speed a slip is set to zero: its direction would decide the striker's whole past, and no derivative
     leads a fit on from there.
@@ -68,7 +68,7 @@ def limit_spins(launches: Array) -> Array:
 
 
 def equalise_launches(launches: list[Array], rejected: list[bool] | None = None) -> list[Array]:
-    """Give all launches the same length: 6 numbers where no striker spins, else 9.
+    """Give all launches the same number of parameters: 6 where no striker spins, else 9.
 
     If most strikers have a side spin, the fit may give one to each. A striker whose side spin is zero then starts from
     a hundredth of the others' median.
@@ -89,7 +89,7 @@ def equalise_launches(launches: list[Array], rejected: list[bool] | None = None)
 
 
 def normal_speed(launches: Array) -> Array:
-    """The speed along the line of centres at the contact, (clips,), m/s."""
+    """Compute from launches the striker's speed along the line of centres at the contact, (clips,), m/s."""
     return np.asarray(launches[:, V0] * np.sqrt(np.maximum(1 - launches[:, B] ** 2, 0.0)))
 
 

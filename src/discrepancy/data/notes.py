@@ -98,7 +98,7 @@ class SortedNotes:
 
 
 def sort_notes(notes: Sequence[SearchNote]) -> SortedNotes:
-    """Sort the notes of `read_collisions`."""
+    """Sort the typed notes of `read_collisions`: on clips left out, on processed tracks, and on all clips."""
     kinds = SearchNoteKind.REPAIRED, SearchNoteKind.NO_STRIKER, SearchNoteKind.CONTACTS_MAY_LAST
     processed = tuple(note for note in notes if note.kind is kinds[0])
     common = tuple(note for note in notes if note.kind in kinds[1:])
@@ -106,5 +106,5 @@ def sort_notes(notes: Sequence[SearchNote]) -> SortedNotes:
 
 
 def count_lost_clips(notes: Sequence[SearchNote]) -> int:
-    """Count the clips that are left out; other notes are about clips that are used."""
+    """Count the clips that a search leaves out by its notes; other notes are about clips that are used."""
     return sum(note.kind is not SearchNoteKind.STRAYS for note in sort_notes(notes).left_out)

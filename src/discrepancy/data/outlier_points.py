@@ -24,7 +24,7 @@ MIN_PATH_POSITIONS = 4  # of such a path
 def remove_outliers(
     clips: Sequence[MeasuredCollision], expected: Sequence[Array] | None = None
 ) -> list[MeasuredCollision]:
-    """Remove outlier positions from clips.
+    """Remove outliers, single positions that no smooth motion explains, from clips.
 
     expected: positions (n, 2) that a model predicts for each clip, m; see `find_outliers`. An outlier that both balls,
     or several clips, have in the same frame is then kept: it is a fault of the clock.
@@ -54,7 +54,7 @@ def note_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[Measu
 
 
 def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set[int]:
-    """Rows that are outliers.
+    """Find the rows of single outlier positions, which lie far off a parabola through their neighbours.
 
     A position is compared with a parabola through its neighbours of the same ball and phase. It is an outlier if it is
     more than `SearchPolicy.outlier_position_sigma` typical distances off and the neighbours themselves are smooth. The

@@ -37,7 +37,7 @@ def remove_filtered_rows(clip: MeasuredCollision) -> MeasuredCollision:
 
 
 def covers_contact(clip: MeasuredCollision) -> bool:
-    """True if each ball is seen on either side of the contact in enough frames to determine its path there."""
+    """True if a clip without filtered positions still shows each ball's path on either side of the contact."""
     early = clip.frame < clip.launch[T_C] * clip.fps
     counts = [np.sum((clip.ball == ball) & (early == before)) for ball in (0, 1) for before in (True, False)]
     return bool(min(counts) >= current_policy().min_frames_before_contact)

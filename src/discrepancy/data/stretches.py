@@ -25,7 +25,7 @@ from tracker.measurement.stretch_cuts import CUTTER, measure_noise
 
 
 def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]:
-    """Cut each collision into its stretches: the striker before the contact, and both balls after it.
+    """Cut each collision into its free stretches: the striker before the contact, and both balls after it.
 
     `tracker.measurement.stretch_cuts` cuts: positions beside the contact, or beside a kink of the path, are left out. A
     ball that moves by less than a radius, or that is seen in fewer than `SearchPolicy.min_stretch_positions` frames,
@@ -51,7 +51,7 @@ def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]
 
 
 def cut_crowd(tracks: Tracks, camera: Camera, number: int) -> list[MeasuredCollision]:
-    """Cut the paths of more than two balls into stretches between contacts, with one another and with walls."""
+    """Cut the paths of more than two balls into free stretches between contacts, with one another and with walls."""
     balls, policy = to_ball_tracks(tracks, camera), current_policy()
     contacts = find_track_contacts(balls, camera.ball_diameter, glides=camera.glides)
     stretches = []

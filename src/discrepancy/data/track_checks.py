@@ -15,7 +15,7 @@ from tracker.detection.link import Tracks
 
 
 def detect_wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
-    """Why these positions cannot be in px, or None.
+    """Check the unit of a track: why these positions cannot be in px, or None.
 
     Two balls that touch are one diameter apart. So the least distance over the clips must be near a diameter, and no
     track may reach far beyond the picture; the limits are in `SearchPolicy`.
@@ -42,7 +42,7 @@ def detect_wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
 
 
 def find_exchange(tracks: Tracks, camera: Camera) -> int | None:
-    """The frame in which the two balls of a clip exchange their numbers, or None.
+    """Check if the two balls of a clip exchange their numbers: the frame in which they do, or None.
 
     There the balls would move less since the previous frame, by more than a radius, with their numbers exchanged back.
     """
@@ -65,7 +65,7 @@ def _pair(tracks: Tracks) -> tuple[NDArray[np.int64], Array, Array]:
 
 
 def remove_strays(tracks: Tracks, camera: Camera) -> tuple[Tracks, list[int]]:
-    """Remove short runs of positions to which a ball jumps and from which it jumps back onto its straight path.
+    """Remove short runs of positions that belong to another ball: a track jumps there and back onto its straight path.
 
     A tracker took another ball for this one there. Returns the other positions, and the frames of those removed.
     """

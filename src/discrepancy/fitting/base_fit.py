@@ -79,7 +79,7 @@ def fit_base_model(
 def remove_outliers_beside_model(
     clips: Sequence[MeasuredCollision], kept_out: Sequence[MeasuredCollision], model: Model, progress: Progress
 ) -> tuple[list[MeasuredCollision], list[MeasuredCollision]]:
-    """Remove positions that are outliers relative to the base model, so that they do not count as noise.
+    """Remove positions that are outliers relative to the fitted base model, so that they do not count as noise.
 
     The base model is fitted to `clips`; of the held-out clips only the launches are fitted. Returns both lists.
     """

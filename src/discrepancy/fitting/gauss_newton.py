@@ -54,7 +54,7 @@ def fit_model(
 def minimise_chi2(
     whitened: WhitenedClips, fit: ModelFit, progress: Callable[[], None] = lambda: None, rough: bool = False
 ) -> ModelFit:
-    """Minimise chi^2 by steps from a fit.
+    """Minimise chi^2 of all clips by Gauss-Newton steps from a fit.
 
     A whole step is tried first, then 30 and 10 % of it, since along a bent valley a shorter step still descends. If all
     fail, a few clips may be at fault: their launches are damped (`_find_failing_clips`), else all parameters. New
@@ -158,7 +158,7 @@ def take_one_step(whitened: WhitenedClips, fit: ModelFit, model: Model) -> Model
 def choose_most_likely(
     whitened: WhitenedClips, fit: ModelFit, tries: Sequence[Mapping[str, float]]
 ) -> Mapping[str, float] | None:
-    """Choose those values of the same parameters that fit best when everything else is fitted to first order.
+    """Choose the values of some parameters that fit best after a Gauss-Newton step of all others.
 
     Returns None where the model has no motion for any of them.
     """

@@ -70,7 +70,7 @@ def differentiate_all(
 def decouple(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], here: Sequence[Array] | None = None
 ) -> tuple[Model, Sequence[Array]]:
-    """The model without the push between balls, which is faster to compute, and its predicted tracks.
+    """Choose the model to differentiate: without the push between balls, which is faster; and its predicted tracks.
 
     It returns the model itself if it has no such push, or if a ball would not have rested without it. here: the model's
     own predicted tracks, if known.
@@ -83,7 +83,7 @@ def decouple(
 
 
 def coupling_effects(model: Model, plain: Model) -> set[str]:
-    """The names of the effects by which balls push each other; plain: the model without them."""
+    """Name the effects by which balls push each other, which derivatives need; plain: the model without them."""
     return {e.name() for e in model.effects} - {e.name() for e in plain.effects}
 
 

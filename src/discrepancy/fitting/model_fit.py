@@ -186,12 +186,12 @@ class ModelFit:
 
 
 def orthonormal_basis(columns: Array) -> Array:
-    """An orthonormal basis of the span of columns (n, k)."""
+    """Compute an orthonormal basis of the span of a fit's derivatives, columns (n, k)."""
     scale = np.linalg.norm(columns, axis=0)
     return np.asarray(np.linalg.qr(columns[:, scale > 0] / scale[scale > 0])[0])
 
 
 def project_out(absorbing: Array, columns: Array) -> Array:
-    """Columns (n, k) less their projection on the span of others (n, p)."""
+    """Subtract from derivatives, columns (n, k), what the other derivatives of a fit, (n, p), absorb."""
     q = orthonormal_basis(absorbing)
     return np.asarray(columns - q @ (q.T @ columns))

@@ -64,13 +64,13 @@ def _tries(p: Parameter, count: int) -> list[float]:
 
 
 def tried_range(p: Parameter) -> float:
-    """The range in which a shape parameter is tried; of its logarithm if it is always positive."""
+    """The range in which a shape parameter of a candidate is tried; of its logarithm if it is always positive."""
     tries = _tries(p, 5)
     return math.log(tries[-1] / tries[0]) if p.low > 0 else tries[-1] - tries[0]
 
 
 def refine_tried_values(p: Parameter, value: float, closer: int) -> list[float]:
-    """Values of a shape parameter on either side of a tried one, within the parameter's limits.
+    """Values of a candidate's shape parameter on either side of a tried one, within the parameter's limits.
 
     closer: 0 for thirds of the distance to the next tried value; each further step divides the distance by three again.
     """
@@ -155,6 +155,6 @@ def parameter_limits(model: Model, name: str) -> tuple[float, float]:
 
 
 def replace_within_limits(model: Model, values: Mapping[str, float]) -> Model:
-    """The model with these values by dotted name, each clipped to its limits."""
+    """Give parameters of a model these values by dotted name, each clipped to the parameter's limits."""
     ends = {name: parameter_limits(model, name) for name in values}
     return model.replace({name: min(max(v, ends[name][0]), ends[name][1]) for name, v in values.items()})

@@ -32,7 +32,7 @@ def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
 
 
 def closes_too_little(without: float, with_: float, share: float) -> bool:
-    """True if far more is missing than a claim explains.
+    """Compare chi^2 per point with and without a claim: true if far more is missing than the claim explains.
 
     without, with_: chi^2 per point without and with the claim. share: of the excess of chi^2 per point over one that
     the claim must remove.

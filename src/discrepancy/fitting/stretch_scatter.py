@@ -60,7 +60,7 @@ NO_SCATTER = StretchScatter()
 def fit_scatter(
     clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, max_clips: int = 40, max_to_noise: float = 10.0
 ) -> StretchScatter:
-    """Fit the sizes to the residuals of a fit of these clips that was made with `noise`.
+    """Fit the scatter from stretch to stretch to the residuals of a fit of these clips that was made with `noise`.
 
     max_clips: evenly spread, they determine the sizes well enough. max_to_noise: the largest displacement; what exceeds
     it is motion that the model lacks.

@@ -61,7 +61,7 @@ class NormalMixture:
 
 
 def gain_of_steps(fitted_law: FittedLaw) -> float:
-    """How much the mixture of smooth curve and steps gains over the smooth curve, in chi^2."""
+    """Compute how much chi^2 a mixture of a smooth curve and steps gains over the smooth curve alone."""
     if not _can_have_step(fitted_law):
         return 0.0
     odds, _, _ = _weigh_steps(fitted_law, fitted_law.law.axes[0].grid(1))

@@ -78,7 +78,7 @@ class LawSummary:
 
 
 def describe_law(law: FreeLaw) -> str:
-    """Describe a law in words, as "mu that depends on the slip speed"."""
+    """Summarise a free law in a few words, as "mu that depends on the slip speed"."""
     if len(law.axes) == 2:
         return f"{law.title} that depends on the {'velocity' if law.axes[0].unit == 'm/s' else 'position'}"
     if law.is_per_clip:

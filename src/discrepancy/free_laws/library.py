@@ -38,7 +38,7 @@ def library() -> tuple[FreeLaw, ...]:
 
 
 def law_count() -> int:
-    """Count the laws that a search chooses from, those of one ball included."""
+    """Count the free laws that a search chooses from, those of one ball included."""
     return sum(3 if law.one_ball else 1 for law in library())
 
 

@@ -32,7 +32,7 @@ class CoveredRanges:
 
 
 def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> dict[str, CoveredRanges]:
-    """Sample the motion of a fit, by ball: "" for both together, "a" and "b"."""
+    """Compute the ranges that the motion of a fit covers, by ball: "" for both together, "a" and "b"."""
     samples = 300  # instants, evenly spaced over the longest clip
     min_speed = 1e-5  # m/s; a ball that is slower rests, and one whose contact point is slower rolls
     first, last = min(c.frame.min() / c.fps for c in clips), max((c.frame.max() + 1) / c.fps for c in clips)
@@ -67,7 +67,7 @@ def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollis
 def over_range(
     name: str, letter: str, values: Array, low: float | None = None, unit: str = "m/s", count: int = 20
 ) -> tuple[Axis, ...]:
-    """The axis of a curve over values (n,), from the least of them or from `low`; empty without values.
+    """Make the axis of a curve over covered values (n,), from the least of them or from `low`; empty without values.
 
     The 20 cosines resolve a step of a tenth of the range; the prior decides how many of them count.
     """
@@ -78,24 +78,24 @@ def over_range(
 
 
 def over_heading(values: Array | None = None, count: int = 9) -> tuple[Axis, ...]:
-    """The axis of a curve over all directions, rad, up to the fourth harmonic; empty if `values` is."""
+    """Make the axis of a curve over all directions, rad, up to the fourth harmonic; empty if `values` is."""
     if values is not None and not len(values):
         return ()
     return (Axis("heading", "rad", -np.pi, np.pi, count, "circle", "th"),)
 
 
 def over_obliqueness(covered: CoveredRanges) -> tuple[Axis, ...]:
-    """The axis of a curve over |b|, the size of the impact parameter, from 0 to at least 0.1."""
+    """Make the axis of a curve over the covered |b|, the size of the impact parameter, from 0 to at least 0.1."""
     return over_range("obliqueness", "|b|", np.append(np.abs(covered.launches[:, B]), 0.1), 0.0, unit="1")
 
 
 def over_clips(count: int) -> tuple[Axis, ...]:
-    """The axis of a number for each clip; none for more than 120 clips, whose fit would take too long."""
+    """Make the axis of a number for each clip; none for more than 120 clips, whose fit would take too long."""
     return (Axis("clip", "1", 0.0, count - 1.0, count, "set"),) if count <= 120 else ()
 
 
 def over_plane(values: Array, unit: str = "m", count: int = 8) -> tuple[Axis, ...]:
-    """Two axes of a map over vectors (n, 2), with `count` coefficients a side; empty without vectors."""
+    """Make two axes of a map over covered vectors (n, 2), with `count` coefficients a side; empty without vectors."""
     if not len(values):
         return ()
     ends = zip("xy", values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True)

@@ -45,7 +45,7 @@ def _over(k: float) -> str:
 
 
 def iterate_shapes(law: FreeLaw, x: list[Array]) -> Iterator[LawShape]:
-    """Yield the shapes that are tried for a law, evaluated at x, an array for each axis."""
+    """Yield the shapes that are tried as a short formula for a law, evaluated at x, an array for each axis."""
     if law.has_speed_term:
         return _iterate_with_speed(_iterate_angular(x[0]) if law.axes[0].kind == "circle" else _iterate_maps(*x))
     if law.axes[0].kind == "circle":

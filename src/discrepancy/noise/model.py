@@ -178,13 +178,13 @@ class StretchBundle:
 
 
 def cubic_basis(since: Ints) -> Array:
-    """Powers 3 to 0 of increasing frames (n,), scaled to -1 ... 1: (n, CUBIC_COEFFICIENTS)."""
+    """Make the cubics of smooth motion beside which noise is seen: powers 3 to 0 of frames, (n, CUBIC_COEFFICIENTS)."""
     even = np.linspace(-1, 1, since[-1] - since[0] + 1)
     return np.vander(even[since - since[0]], CUBIC_COEFFICIENTS)
 
 
 def group_by_length(lengths: Sequence[int], ratio: float = 1.4) -> list[list[int]]:
-    """Which stretches to put into one bundle: the longest is at most `ratio` times the shortest."""
+    """Choose which stretches an estimate of the noise bundles: the longest is at most `ratio` times the shortest."""
     out: list[list[int]] = []
     least = shortest_usable(lengths)
     for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
@@ -196,13 +196,13 @@ def group_by_length(lengths: Sequence[int], ratio: float = 1.4) -> list[list[int
 
 
 def shortest_usable(lengths: Sequence[int]) -> int:
-    """Positions that a stretch must have; fewer where no stretch is long."""
+    """Positions that a stretch must have to show noise; fewer where no stretch is long."""
     enough = max(lengths, default=0) >= current_policy().min_stretch_positions
     return current_policy().min_stretch_positions if enough else current_policy().min_short_stretch_positions
 
 
 def bundle_stretches(stretches: Iterable[Stretch]) -> list[StretchBundle]:
-    """Bundle those stretches that are long enough by their lengths."""
+    """Bundle by length those stretches that are long enough to show noise."""
     every = list(stretches)
     groups = group_by_length([len(frames) for *_, frames in every])
     return [StretchBundle.of([every[k] for k in group]) for group in groups]
@@ -300,7 +300,7 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
 
 
 def component_from_numbers(shape: NoiseOrder, variance: float, x: Array) -> NoiseComponent:
-    """A component from unbounded numbers: arctanh of partial autocorrelations, then the logit of the white share."""
+    """Make a component of the noise from unbounded numbers: arctanh of partial autocorrelations, logit of a share."""
     order, white = shape
     part = MIN_WHITE_SHARE + (MAX_WHITE_SHARE - MIN_WHITE_SHARE) * float(expit(x[order])) if white else 0.0
     return NoiseComponent(variance, tuple((MAX_PARTIAL_AUTOCORRELATION * np.tanh(x[:order])).tolist()), part)
@@ -317,12 +317,12 @@ def numbers_from_component(component: NoiseComponent) -> Array:
 
 
 def order_of(component: NoiseComponent) -> NoiseOrder:
-    """The order that has this component."""
+    """Return the order of a noise model that has this component."""
     return len(component.partial_autocorrelations), component.white_share > 0
 
 
 def noise_from_numbers(shape: NoiseOrder, common: NoiseOrder | None, x: Array) -> Noise:
-    """The noise from unbounded numbers x: log variance and numbers of the own component, then of the shared ones.
+    """Make the noise from unbounded numbers x: log variance and numbers of the own component, then of the shared ones.
 
     shape, common: orders of the own and of the shared component; None without shared noise. The shared component has a
     log variance for each axis; its other numbers are the same for both.
@@ -341,7 +341,7 @@ def select_order(
     penalty: float,
     common: Array | None = None,
 ) -> T:
-    """Build the model of the order with the least cost + penalty per number (Schwarz's criterion).
+    """Build the noise model of the order with the least cost + penalty per number (Schwarz's criterion).
 
     The search ends when two orders in a row do not improve it.
 
@@ -377,7 +377,7 @@ def select_order(
 
 
 def finite_cost(cost: Callable[[Array], float], x: Array) -> float:
-    """The cost at x; a very large number where a covariance is singular or the cost is not finite."""
+    """Compute the cost of a noise model; a very large number where a covariance is singular or the cost not finite."""
     impossible = 1e12  # -2 log likelihood
     try:
         with np.errstate(all="ignore"):
@@ -396,7 +396,7 @@ def _initial_numbers(shape: NoiseOrder, last: NoiseOrder, x: Array) -> Array:
 
 
 def minimise(cost: Callable[[Array], float], start: Array) -> Array:
-    """Minimise a smooth cost from `start` (BFGS). A slope of 2 is flat enough: the curvature is some hundreds."""
+    """Minimise the smooth cost of a noise model (BFGS). A slope of 2 is flat enough: the curvature is some hundreds."""
     if not len(start):
         return start
     safe = partial(finite_cost, cost)

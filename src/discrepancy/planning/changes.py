@@ -34,7 +34,7 @@ class DesignChange:
 
 
 def apply_change(change: DesignChange, experiment: Experiment) -> ChangedExperiment | None:
-    """Apply a change and observe the result. Returns the change in words and the experiment; None if impossible.
+    """Apply a change to a planned experiment. Returns the change in words and the experiment; None if impossible.
 
     At least half of the collisions must stay in view. Raises ValueError if the model has no motion for it.
     """
@@ -46,7 +46,7 @@ def apply_change(change: DesignChange, experiment: Experiment) -> ChangedExperim
 
 
 def change_all_launches(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
-    """Apply all changes of launches at once."""
+    """Apply all changes of launches to a planned experiment at once."""
     for change in CHANGES:
         if change.launches and (made := change.make(experiment, rng)):
             experiment = made[1]

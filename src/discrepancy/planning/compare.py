@@ -47,7 +47,7 @@ class ChangeGain:
 def limits_with_changes(
     experiment: Experiment, progress: Callable[[], None] = lambda: None
 ) -> tuple[Limits, tuple[ChangeLimits, ...]]:
-    """Compute the limits of all effects for the given experiment, and with every possible change.
+    """Compute the limits of all effects for the planned experiment, and with every possible change of it.
 
     A large experiment is thinned out first, and the limits are those of the remaining collisions. progress: called
     after each change.
@@ -64,7 +64,7 @@ def limits_with_changes(
 
 
 def compute_gain(before: Limits, after: ChangeLimits, of: Sequence[str]) -> ChangeGain:
-    """Compute the gain of a change for the effects named in `of`."""
+    """Compute by how much a change of the experiment lowers limits, for the effects named in `of`."""
     one, other = ({x.strength: x for x in limits if x.effect in of} for limits in (before, after.limits))
     both = [(one[k], other[k]) for k in one if k in other and one[k].shows and other[k].shows]
     pairs, again = indistinguishable_pairs(before, of), indistinguishable_pairs(after.limits, of)
@@ -97,7 +97,7 @@ def largest_cosine(limits: Limits, pair: Pair) -> float:
 
 
 def indistinguishable_pairs(limits: Limits, of: Sequence[str]) -> tuple[Pair, ...]:
-    """Pairs of indistinguishable effects, at least one of them named in `of`; the most similar first."""
+    """List the pairs that a change could make distinguishable, with one effect in `of`; most similar first."""
     shown = sorted({x.effect for x in limits if x.shows})
     known = {frozenset((x.effect, a)) for x in limits if x.shows for a in x.indistinguishable}
     pairs = [p for p in combinations(shown, 2) if frozenset(p) in known and set(p) & set(of)]
@@ -130,7 +130,7 @@ class CollisionsNeeded:
 def count_collisions_needed(
     strength: str, wanted: float, here: Limit, count: int, limit_at: Callable[[int], float], most: int = 400
 ) -> CollisionsNeeded:
-    """Estimate how many collisions bring a strength's limit down to the wanted one.
+    """Estimate, for a comparison, how many collisions bring a strength's limit down to the wanted one.
 
     The limit is computed for `count` collisions and for twice as many. A power law through both gives a number, at
     which the limit is computed once more unless the number exceeds `most`. From there the limit falls as one over the

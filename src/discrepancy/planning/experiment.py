@@ -136,7 +136,7 @@ class Experiment:
 
 
 def make_unmeasured_clip(number: int, striker: str, camera: Camera, launch: Array, film: range) -> MeasuredCollision:
-    """A collision with both balls in all frames of its film, and no position measured yet."""
+    """Make a collision of a planned experiment: both balls in all frames of its film, no position measured yet."""
     frame, ball = np.tile(np.array(film, dtype=np.int64), 2), np.repeat(np.arange(2), len(film))
     xy, covariance = np.zeros((len(frame), 2)), np.zeros((len(frame), 2, 2))
     return MeasuredCollision(number, striker, camera, frame, ball, xy, covariance, launch, np.full(2, np.inf))

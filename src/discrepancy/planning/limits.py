@@ -196,7 +196,7 @@ def _distance_from_typical(model: Model, shapes: Mapping[str, float]) -> float:
 
 
 def count_draws(clips: int) -> int:
-    """How many draws of so many collisions give stable medians: 150 collisions in all, at most five draws.
+    """Count the draws of so many collisions that give stable medians of limits: 150 collisions, at most five draws.
 
     The limits of 30 collisions scatter by a fifth from one draw to the next.
     """

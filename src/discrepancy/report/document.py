@@ -65,7 +65,7 @@ def _claim_document(claim: EffectClaim) -> dict[str, Any]:
 
 
 def to_json_values(value: Any) -> Any:
-    """Convert to values that JSON knows: no numpy, and None for NaN and infinity."""
+    """Convert the values of `discrepancy.json` to those that JSON knows: no numpy, and None for NaN and infinity."""
     if isinstance(value, dict):
         return {k: to_json_values(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -29,13 +29,13 @@ STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": Fal
 
 
 def name_of_best(found: SearchOutcome) -> str:
-    """Name the best model after what it has beside the base model: "with plate_tilt"."""
+    """Name the best model for the figures, after what it has beside the base model: "with plate_tilt"."""
     effects = sorted({claim.effect for claim in found.claims})
     return f"with {' and '.join([*(['a free law'] if found.free_law else []), *effects])}"
 
 
 def list_models(found: SearchOutcome) -> list[str]:
-    """List the models that are shown: the base model and, where anything was found, the best one."""
+    """List the models that the figures show: the base model and, where anything was found, the best one."""
     return ["base model"] if found.is_empty else ["base model", name_of_best(found)]
 
 

@@ -20,17 +20,17 @@ def write_story(found: SearchOutcome) -> list[str]:
 
 
 def format_sigma(sigma: float) -> str:
-    """A significance with one decimal place, or with four digits from 100 on."""
+    """Format a significance for a narrative: one decimal place, or four digits from 100 on."""
     return f"{sigma:.1f}" if sigma < 100 else format_number(sigma, 4)
 
 
 def format_chi2(ratio: float) -> str:
-    """chi^2 per point or degree of freedom with at most four digits."""
+    """Format chi^2 per point or degree of freedom for a narrative: at most four digits."""
     return f"{ratio:.3f}" if ratio < 9.9995 else format_number(ratio, 4)
 
 
 def gain_of_next_step(fit: ModelFit) -> float:
-    """Decrease of chi^2 by one more step of all fitted parameters, to first order and within their limits."""
+    """Compute how far a narrative's fit is from its minimum: the decrease of chi^2 by one more step."""
     shared, own = solve_step(fit, 0.0, *fit.step_bounds())
     steps = [s @ shared + a @ o for s, a, o in zip(fit.slopes, fit.launch_slopes, own, strict=True)]
     return fit.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(fit.residuals, steps, strict=True))

@@ -31,7 +31,7 @@ FILES = ("discrepancy.json", "index.html", "model.yaml")
 
 
 def write(found: SearchOutcome, folder: Path) -> None:
-    """Write the three files of the report into a folder, which is made where it is missing."""
+    """Write the report of a search into a folder: its page, discrepancy.json and model.yaml."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "discrepancy.json").write_text(json.dumps(to_document(found), indent=1, allow_nan=False) + "\n")
     left_out, unit = list(map(str, found.left_out)), found.data.unit
@@ -68,7 +68,7 @@ def write(found: SearchOutcome, folder: Path) -> None:
 
 
 def write_report(found: SearchOutcome, folder: Path) -> Path:
-    """Write a report, as `SearchResult.report` does.
+    """Write the report of a search, as `SearchResult.report` does.
 
     Parameters
     ----------

@@ -150,7 +150,7 @@ LAWS: dict[str, tuple[ContactLaw, ...]] = {
 
 
 def examine_contacts(contacts: Contacts, least: int = 8) -> tuple[ContactClaim, ...]:
-    """Choose the law of each quantity; those with fewer values than `least` are left out: their scatter is unknown."""
+    """Choose the law of each quantity of the impact that at least `least` contacts show."""
     found = []
     for quantity, laws in LAWS.items():
         value, std = getattr(contacts, quantity), getattr(contacts, f"{quantity}_std")

@@ -73,20 +73,20 @@ class EffectClaim:
 
 
 def is_at_limit(name: str, value: float) -> bool:
-    """Tell if a parameter has the least or the greatest value that its effect allows."""
+    """Tell if a claimed parameter has the least or the greatest value that its effect allows."""
     typical = find_parameter(Model(), name).typical
     return any(abs(value - end) < 1e-6 * max(abs(end), typical) for end in parameter_limits(Model(), name))
 
 
 def shape_error(fit: ModelFit, shape: str, std: float) -> float:
-    """The standard deviation of a fitted shape parameter; infinite if it exceeds half of the parameter's size."""
+    """Compute the error of a claim's shape parameter; infinite if it exceeds half of the parameter's size."""
     p = find_parameter(fit.model, shape)
     size = max(abs(fit.model.value(shape)), p.typical) if p.low >= 0 else (p.high - p.low) / 2
     return std if 0 < std < size / 2 else np.inf
 
 
 def find_similar_pairs(own: Array, ranking: Sequence[CandidateScore]) -> tuple[tuple[tuple[str, ...], float], ...]:
-    """Find pairs of effects whose sum has nearly a given signature, though neither has it alone.
+    """Find pairs of effects that a claim may be confused with: their sum, but neither alone, has nearly its signature.
 
     own: the signature (points, k), from `ScoreTests.signature`. Only effects of one strength are paired. Returns names
     and cosine of the three most similar pairs, the most similar first.
@@ -105,7 +105,7 @@ def find_similar_pairs(own: Array, ranking: Sequence[CandidateScore]) -> tuple[t
 
 
 def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candidate: Candidate) -> dict[str, float]:
-    """Standard deviations of a candidate's strengths and shape parameters, by profile likelihood.
+    """Compute the errors of a claim's strengths and shape parameters, by profile likelihood.
 
     They are those of `fit`, or larger if likely values lie further away. If the grid of shape parameters has few
     values, each value may widen them: a parabola as wide as the first-order chi^2 there gives the standard deviation.

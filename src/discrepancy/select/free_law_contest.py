@@ -115,7 +115,7 @@ class FreeLawFits:
 def fit_each_alone(
     evidence: WhitenedClips, base: ModelFit, best: ModelFit, progress: Callable[[], None] = lambda: None
 ) -> list[ModelFit]:
-    """Fit each effect of the best model alone, if that model has several beside the base."""
+    """Prepare the contest with free laws: fit each effect of the best library model alone, if it has several."""
     added = best.added_names(base)
     if len(added) < 2:
         return []

@@ -66,7 +66,7 @@ class Selection:
 
 
 def make_selection(library: LibraryFits, state: State) -> Selection:
-    """Select these effects."""
+    """Make the result of the search of the library from the effects at which it ended."""
     return Selection(state, library.fit(()), library.fit_exactly(state))
 
 
@@ -109,7 +109,7 @@ def search_from(library: LibraryFits, found: Selection, effects: Iterable[str], 
 
 
 def start_from(library: LibraryFits, effects: Iterable[str], model: Model) -> State:
-    """Fit these effects from a model's values, as a start for the search. Raises ValueError without a motion."""
+    """Fit these effects from a model's values, to start the library search. Raises ValueError without a motion."""
     base = library.base
     known = candidates_by_name(model, base.model, base.names)
     state = tuple(known[effect] for effect in effects)
@@ -252,7 +252,7 @@ def _find_rivals(library: LibraryFits, tests: ScoreTests, candidate: Candidate) 
 
 
 def describe_claims(library: LibraryFits, state: State) -> tuple[EffectClaim, ...]:
-    """Each effect of a model with its values, errors, aliases and limits."""
+    """Make a claim of each effect at which the search of the library ended, with values, errors, aliases and limits."""
     tests = library.score_tests(state)
     return tuple(_describe_claim(library, state, candidate, tests) for candidate in state)
 

@@ -354,7 +354,7 @@ def derive_trial(
     shapes: dict[str, float],
     here: Sequence[Array],
 ) -> CandidateTrial:
-    """Take the derivatives by a candidate's strengths, with these values of its shape parameters.
+    """Prepare the score test of a candidate: the derivatives by its strengths, at these values of its shape parameters.
 
     model: without the candidate; here: its prediction (n, 2) for each clip, m.
     """
@@ -399,7 +399,7 @@ def _lengths(columns: Sequence[Array]) -> Array:
 
 
 def detectable_axes(gram: Array, length: Array, min_share: float = 1e-4) -> Array:
-    """(k, m) matrix that makes an orthonormal basis of the m detectable directions; gram: products of the signature."""
+    """Find the m directions of a signature that a score test can detect: (k, m); gram: products of the signature."""
     scale = np.where(length > 0, length, 1)
     values, axes = np.linalg.eigh(gram / np.outer(scale, scale))
     seen = values > min_share**2
@@ -407,6 +407,6 @@ def detectable_axes(gram: Array, length: Array, min_share: float = 1e-4) -> Arra
 
 
 def largest_cosine(one: Array, other: Array) -> float:
-    """The largest cosine between the spans of two signatures."""
+    """Compute the largest cosine between the spans of the signatures of two score tests."""
     a, b = orthonormal_basis(one), orthonormal_basis(other)
     return float(np.linalg.svd(a.T @ b, compute_uv=False).max()) if a.size and b.size else 0.0

@@ -131,7 +131,7 @@ def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Reje
 
 
 def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> list[Array]:
-    """Predict each clip by the shared parameters of all other clips, to first order; return the whitened residuals.
+    """Test a fit by predicting each clip from all other clips, to first order; return the whitened residuals.
 
     The clip's own launch is fitted to it. Parameters at a limit stay there. The update is that of leave-one-out
     regression (Cook & Weisberg, Residuals and Influence in Regression, 1982).
@@ -447,7 +447,7 @@ def _predict_with_law(
 def compare_models(
     own: float, without: ModelFit, with_: ModelFit, held_out: HeldOutClips, progress: Callable[[], None]
 ) -> Predictions:
-    """Compare the predictions of two models of the library; own: sigma of the claim."""
+    """Compare the predictions of held-out clips by two models of the library; own: sigma of the claim."""
     fits = held_out.fit(without, progress), held_out.fit(with_, progress)
     residuals = leave_one_out_residuals(without), leave_one_out_residuals(with_)
     return compare_predictions(own, fits, residuals, held_out, with_)
@@ -460,7 +460,7 @@ def compare_predictions(
     held_out: HeldOutClips,
     fit: ModelFit | None = None,
 ) -> Predictions:
-    """Make the tests on held-out clips and on all clips. A model without motion for held-out clips fails both.
+    """Test a claim on held-out clips and on all clips. A model without motion for held-out clips fails both.
 
     own: sigma of the claim; fits: those of the held-out clips, without and with the claim; residuals: leave-one-out
     residuals of the fitted clips, without and with the claim; fit: that of the fitted clips with the claim, for its

@@ -103,14 +103,14 @@ def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise:
 
 
 def is_unexplained(disagreements: Sequence[Disagreement], policy: SearchPolicy) -> bool:
-    """Tell if the largest disagreement exceeds what chance makes."""
+    """Tell if the largest disagreement of model and data exceeds what chance makes."""
     return bool(disagreements) and disagreements[0].sigma > policy.unexplained_sigma
 
 
 def examine_phases(
     clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise
 ) -> Iterator[tuple[Where, PhaseResult]]:
-    """Test each phase, ball and axis: see `find_disagreements`."""
+    """Locate disagreements by phase, ball and axis: see `find_disagreements`."""
     amplitudes: dict[Where, list[ClipAmplitudes]] = {}
     expected = predict_tracks(fit.model, fit.launches, clips)
     for k, clip in enumerate(clips):
@@ -299,7 +299,7 @@ def _turned_angle(clip: MeasuredCollision, rows: Ints, path: Array) -> Array:
 
 
 def stages(clip: MeasuredCollision, unit_s: float = 0.05) -> tuple[Ints, Array]:
-    """Stage (n,) and time (n,) of each row, in units since the start of the stage (before: until the contact).
+    """Find the phase (n,) in which each residual lies, and its time (n,) in it (before the contact: until it).
 
     Exposures that hold an event count as sliding.
     """
@@ -312,7 +312,7 @@ def stages(clip: MeasuredCollision, unit_s: float = 0.05) -> tuple[Ints, Array]:
 
 
 def directions(clip: MeasuredCollision, stage: Ints, path: Array, min_move_m: float = 1e-5) -> Array:
-    """Unit vectors along and across each ball's motion in each stage, (n, 2, 2); for a ball at rest, the heading."""
+    """Find unit vectors along and across each ball's motion in each phase, (n, 2, 2), for the residuals."""
     heading = clip.launch[HEADING]
     along = np.tile([np.cos(heading), np.sin(heading)], (len(path), 1))
     for s in Stage:
@@ -399,7 +399,7 @@ class ClipSolution:
 
 
 def combine_clips(parts: Sequence[ClipAmplitudes], min_shared: float = 1e-6) -> Iterator[PhaseResult]:
-    """Test the amplitudes of all clips together, with the shared parameters free.
+    """Test a disagreement in all clips together: amplitudes of the residuals, with the shared parameters free.
 
     The clips also constrain the shared parameters outside the test. A few additional rows hold that. Directions of the
     shared parameters with less than `min_shared` of the largest information do not count.

@@ -201,14 +201,14 @@ class PixelPatches:
 
 
 def outline_half_width(camera: PinholeCamera, positions: Array, radii: Array, slope: Array) -> Array:
-    """Half width (T, N) px of each ball's outline, an ellipse off the camera's axis."""
+    """Compute the half width (T, N) px of each ball in an exposure: an ellipse off the camera's axis."""
     away = camera.centre - positions
     slant = np.linalg.norm(away, axis=2) / -(away @ camera.R[2])
     return np.asarray(radii * np.linalg.norm(slope, axis=(2, 3)) * slant / np.sqrt(2) * 1.02 + 0.5)
 
 
 def merge_boxes(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
-    """Merge boxes (top, bottom, left, right) that touch; return the disjoint rows and columns."""
+    """Merge the patches of an exposure that touch: from boxes (top, bottom, left, right), disjoint rows and columns."""
     apart: list[tuple[int, int, int, int]] = []
     for new in boxes:
         a, b, c, d = new
@@ -231,7 +231,7 @@ def add_to_plate(
     max_balls_in_boxes: int = 4,
     least_change: float = 1e-5,
 ) -> Picture:
-    """Add the changes that balls make, one or two in each box, to a plate. corners: of the boxes.
+    """Add the patches that balls change, one or two in each box, to the picture of a plate. corners: of the boxes.
 
     Boxes that touch are merged, and few boxes stay. The merged boxes of many balls would hold much of the plate: the
     picture is then one box, with a list of its changed pixels.

@@ -133,7 +133,7 @@ class PinholeCamera:
 
 
 def locate_glint(camera: PinholeCamera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:
-    """Locate the points (..., 3), m, at which balls of `radius` m at centre (..., 3) mirror the lamp's centre.
+    """Locate primary glints in space: points (..., 3), m, at which balls at centre (..., 3) mirror the lamp's centre.
 
     The path lamp -> ball -> camera has stationary length (Fermat's principle). Other balls are ignored.
     """

@@ -194,7 +194,7 @@ class NearBalls:
 
 
 def find_neighbours(centres: Array, reach: Array) -> NearBalls:
-    """Find the balls whose centres are within reach (N,), m, of that of a ball. centres: (T, N, 3), m."""
+    """Find the balls that may block or reflect light between others: centres (T, N, 3), m, within reach (N,), m."""
     count, balls = centres.shape[:2]
     flat, furthest = centres.reshape(-1, 3), float(reach.max()) * (1 + 1e-9)
     # Moments lie apart along a fourth axis, so that one tree serves all of them.
@@ -242,7 +242,7 @@ def find_widest(mirror: float, faintest: float = FAINTEST, most_bounces: int = 2
 def iterate_chains(
     moments: int, radii: Array, near: NearBalls, mirror: float, faintest: float = FAINTEST, most_bounces: int = 24
 ) -> Iterator[tuple[Index, Index]]:
-    """Iterate over the lengths k of the chains of balls to follow: balls (M, k) and moments (M,), in their order.
+    """Iterate over the lengths k of chains of mirror spheres to follow: balls (M, k) and moments (M,), in order.
 
     radii: (N,). near: at so many moments, within the reach of `find_widest`. mirror: reflectance of the balls. A chain
     is left out if it is fainter than `faintest` of the primary, by an upper limit: from its longest leg to its

@@ -29,7 +29,7 @@ MAX_CLIPS = 1_000_000  # of one folder: six digits number them
 
 
 def hash_effect_files(*scenes: Scene) -> dict[str, str]:
-    """The SHA-256 of the files of those effects of the scenes that users added, by name."""
+    """Hash the effects of the scenes that users added, for the plan of a dataset: SHA-256 of each file, by name."""
     used = sorted({name for scene in scenes for name in scene.settings.get("effects") or {}})
     return {name: found for name in used if (found := digest(name))}
 
@@ -222,7 +222,7 @@ def make_clip(plan: GenerationPlan, number: int, folder: Path, secret: Path | No
 
 
 def describe_machine(video: bool) -> dict[str, Any]:
-    """Describe OpenGL's renderer and this machine, which decide the pixels together with the plan."""
+    """Describe OpenGL's renderer and this machine, which decide the pixels of a dataset together with its plan."""
     gl: dict[str, str] = {}
     if video:
         from synthcam.camera.render import gl_info

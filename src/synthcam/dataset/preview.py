@@ -27,7 +27,7 @@ ANIMATION_FPS = 20  # GIF counts in hundredths of a second
 
 
 def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> None:
-    """Write one frame of a clip as a PNG.
+    """Preview one frame of a clip as a PNG.
 
     frame: its number; None: the last frame before the contact. magnify: above 0, the balls so many times larger are
     shown below the frame, with dark parts brightened.
@@ -54,7 +54,7 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
 
 
 def write_animation(clip: Clip, path: Path) -> float:
-    """Write a clip as .gif or .mp4, cropped to the paths of the balls and magnified.
+    """Preview a clip as an animation, .gif or .mp4, cropped to the paths of the balls and magnified.
 
     Dark parts are brightened as in `write_preview`, and noise is removed. A strip below the picture shows the speed and
     the time. Returns how many times slower than the motion the animation plays.
@@ -92,7 +92,7 @@ def write_animation(clip: Clip, path: Path) -> float:
 
 
 def write_map(clip: Clip, path: Path) -> None:
-    """Draw the motion of a clip from above: paths, walls and events as .png, or the moving bodies as .gif or .mp4."""
+    """Preview the motion of a clip from above: paths, walls and events as .png, or moving bodies as .gif or .mp4."""
 
     motion, kind = clip.solve(), path.suffix.lower()
     check_picture_output(path, "synthcam preview")

@@ -114,7 +114,7 @@ def parse_encoding(text: str, where: str) -> dict[str, str]:
 
 
 def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None:
-    """clips/NNNNNN with the film and camera.json, which then has `video`. text: as of `read_how`."""
+    """Write clips/NNNNNN as an ordinary camera's video, with camera.json that has `video`. text: as of `read_how`."""
     given = {key: parse_yaml(value) for key, value in parse_encoding(text, "--format").items()}
     try:
         how = VideoSettings.model_validate(given).model_dump(exclude_none=True)

@@ -101,7 +101,7 @@ class Matrices:
 
 @cache
 def matrices(size: int) -> Matrices:
-    """Return the matrices on `size` nodes."""
+    """Return the matrices of a collocation on `size` nodes."""
     nodes = -np.cos(np.pi * np.arange(size) / (size - 1))
     values = chebyshev.chebvander(nodes, size - 1)
     coefficients = np.linalg.inv(values)
@@ -115,7 +115,7 @@ def matrices(size: int) -> Matrices:
 
 @cache
 def refine_matrix(old: int, new: int, side: int) -> Array:
-    """Return the matrix from `old` to `new` nodes: of all of [-1, 1] (side 0), or of its left or right half (-1, 1)."""
+    """Return the collocation matrix from `old` to `new` nodes, of all of [-1, 1] (side 0), or of a half (-1, 1)."""
     nodes = (matrices(new).nodes + side) / (2 if side else 1)
     return np.ascontiguousarray(matrices(old).coefficients @ chebyshev.chebvander(nodes, old - 1).T)
 
@@ -129,7 +129,7 @@ def integrate(
     few: int = NODE_COUNTS[0],
     feed: int | None = None,
 ) -> Pieces:
-    """Solve y' = right(x, y) from the first knot to the last, piece by piece.
+    """Solve y' = right(x, y) by collocation from the first knot to the last, piece by piece.
 
     right: see `Right` above.
     knots: where pieces meet; they may fall.
@@ -226,7 +226,7 @@ def _solve_piece(
 
 
 def multiply(values: Array, matrix: Array) -> Array:
-    """Multiply values (c, k, n) by a matrix (n, m), in blocks that BLAS leaves to one core.
+    """Multiply values (c, k, n) on collocation nodes by a matrix (n, m), in blocks that BLAS leaves to one core.
 
     OpenBLAS distributes products of more than 2^18 multiplications over cores, which costs far more than it saves.
     """

@@ -192,5 +192,5 @@ def flight_time(model: Model, states: Array, bodies: Bodies) -> Array:
 
 
 def last_axis(vectors: Array) -> Array:
-    """Turn (2, m, n) into (m, n, 2), as effects take vectors."""
+    """Turn the vectors of forces (2, m, n) into (m, n, 2), as effects take them."""
     return vectors.transpose(1, 2, 0)

@@ -42,7 +42,7 @@ HELD = "a ball cannot rest before its launch: 5/7 of the push on it exceeds roll
 
 
 def make_leg(motion: IntegratedMotion, ball: int, mode: int, now: float) -> Leg:
-    """Make a leg of one ball's integrated motion, forwards or backwards from the time `now`."""
+    """Make a leg of one ball of an interacting pair, forwards or backwards from the time `now`."""
     own = motion[np.array([ball])].shift(np.array([now]))
     ends = sorted((now + float(motion.begins[ball]), now + float(motion.begins[ball] + motion.durations[ball])))
     if mode == REST:
@@ -174,13 +174,13 @@ def _separation_rate(states: Array) -> float:
 
 
 def make_start_event(model: Model, body: Bodies, k: int, state: State, t: float, other: Array) -> Event:
-    """Make the event at which ball k starts from rest, with the other ball at `other` (2 or more,)."""
+    """Make the event at which ball k of an interacting pair starts from rest; the other is at `other` (2 or more,)."""
     still = to_rest(state, float(body.radius[0]))
     return Event(t, "start", k, before=np.array([still]), after=np.array([nudge(model, body, still, other)]))
 
 
 def nudge(model: Model, body: Bodies, still: State | Array, other: Array) -> State:
-    """Give a ball at rest a small speed along the push on it."""
+    """Give a ball of an interacting pair that rests a small speed along the push on it."""
     push = push_at_rest(model, body, np.array([still]), other[:2, None, None])[:, 0, 0]
     velocity = 2 * STOP_SPEED_M_S * push / np.hypot(*push)
     return to_rolling((*still[:3], *velocity.tolist(), *still[5:]), still[2])

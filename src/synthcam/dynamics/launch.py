@@ -86,7 +86,7 @@ class Launch:
 def touching(
     one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, contact: Array, spin: Array | None = None
 ) -> tuple[Array, Array]:
-    """Set balls at their contacts: the states (k, 9) of targets at rest, and of strikers that touch them.
+    """Launch balls at their contacts: the states (k, 9) of targets at rest, and of strikers that touch them.
 
     one, two: of targets and strikers. v0, b, heading: (k,), the strikers' speed, m/s, impact parameter over the sum of
     radii, and heading, rad. contact: (k, 2), the position between the balls, m. spin: (k, 3) of the strikers, as in

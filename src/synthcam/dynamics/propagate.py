@@ -290,7 +290,7 @@ Steps = Iterator[tuple[Ints, IntegrationStep]]
 
 
 def propagate(balls: BallStates, goal: Array) -> Steps:
-    """Integrate the next step of k units towards `goal`, s from now (k,), which may be negative.
+    """Integrate the next step of k units, balls or pairs, towards `goal`, s from now (k,), which may be negative.
 
     A step ends at the latest with the first slide, roll or flight of a unit that ends. Yields the numbers of the units
     that make a step, and the step of their balls.

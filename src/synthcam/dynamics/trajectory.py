@@ -325,7 +325,7 @@ class Trajectory:
 def average_over_spans(
     at: Callable[[Array], Array], breaks: Array, spans: Array, of: Callable[[Array], Array]
 ) -> Array:
-    """Average a function of the states over time spans by Gauss quadrature, split where the motion has a kink.
+    """Average a function of a trajectory's states over time spans by Gauss quadrature, split at each kink.
 
     at: maps times (m,) to states (balls, m, 9). breaks: (e,), times of the kinks, rising. spans: (n, 2), begins and
     ends, s. of: maps states (balls, m, 9) to (balls, m, k). Returns (balls, n, k).

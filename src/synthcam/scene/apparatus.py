@@ -163,7 +163,7 @@ class VideoSettings(Settings):
 
 
 def find_video_problem(how: dict[str, Any], size: Sequence[int], fps: float) -> str:
-    """Say why a video's codec cannot take pictures of this size and rate; '' if it can."""
+    """Say why the video of an apparatus cannot be: its codec takes no pictures of this size and rate; '' if it can."""
     if how["codec"] == "ffv1" and fps > MAX_AVI_FPS:
         return f"expected at most {MAX_AVI_FPS} frames a second for ffv1, found {fps:g}"
     if how["codec"] == "h264" and how["chroma"] != 444 and any(side % 2 for side in size):

@@ -74,7 +74,7 @@ def find_choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
 
 
 def pick_representatives(options: list[Any], key: str, where: str, most: int = 1000) -> list[Any]:
-    """Pick the options to check: the extremes of the numbers, and each other value once.
+    """Pick the options of a choice to check: the extremes of the numbers, and each other value once.
 
     Raises InputError for more than `most` different other values, as each is checked.
     """
@@ -90,7 +90,7 @@ def pick_representatives(options: list[Any], key: str, where: str, most: int = 1
 
 
 def replace_at(plain: Any, key: tuple[str, ...], value: Any) -> Any:
-    """A copy of nested settings with the value at `key` changed."""
+    """Replace a distribution: copy nested settings with the value at `key` changed."""
     if not key:
         return value
     if isinstance(plain, list):

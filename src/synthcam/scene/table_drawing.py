@@ -20,7 +20,7 @@ TWO_BALLS = ("#2166ac", "#b2182b")
 
 
 def choose_colours(count: int) -> list[Any]:
-    """Return a colour for each body."""
+    """Choose a colour for each body in the drawing of a table."""
     if count <= len(TWO_BALLS):
         return list(TWO_BALLS[:count])
     from matplotlib import colormaps
@@ -78,7 +78,7 @@ def draw_paths(
 def write_animation(
     path: Path, motion: Trajectory, radius: NDArray[np.float64], walls: Sequence[Wall], fps: float, slower: float
 ) -> None:
-    """Write an animation as .gif or .mp4. Raises InputError for another ending, or one frame or none."""
+    """Write a drawn table as an animation, .gif or .mp4. Raises InputError for another ending, or one frame or none."""
     import imageio.v3 as iio
 
     if path.suffix.lower() not in (".gif", ".mp4"):

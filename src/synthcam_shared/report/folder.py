@@ -13,7 +13,7 @@ from synthcam_shared.overwriting import open_scratch_folder, publish
 
 @contextmanager
 def replace_folder(output: Path, files: Sequence[str], what: str) -> Iterator[Path]:
-    """Give a folder to write into, which becomes `output` when everything succeeded.
+    """Give a report folder to write into, which becomes `output` when everything succeeded.
 
     An earlier report, which is called `what` in a message, is replaced. It has the first of `files`, which no other
     program makes, and nothing but these files. Raises InputError where `output` holds other files, or cannot be

@@ -112,7 +112,7 @@ def render(template: Path, **values: Any) -> str:
 
 
 def make_axes(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **shared: Any) -> tuple[Figure, Any]:
-    """Make a figure and its axes without pyplot, which would also show them in a notebook; figsize: in inches."""
+    """Make a figure of a page and its axes, without pyplot, which would show them in a notebook; figsize: inches."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=figsize, layout="constrained")
@@ -120,7 +120,7 @@ def make_axes(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], 
 
 
 def make_data_uri(data: bytes, kind: str) -> str:
-    """Make an address that holds the data itself; kind: the media type."""
+    """Make an address that holds a page's picture or data itself; kind: the media type."""
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"
 
 

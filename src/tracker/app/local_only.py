@@ -22,7 +22,7 @@ MAX_BODY_BYTES = 1 << 16
 
 
 def make_redirect(address: str) -> str:
-    """A page that leads to an address without characters that HTML escapes."""
+    """Make a page that leads this machine's browser to an address without characters that HTML escapes."""
     return f'<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={address}">'
 
 

@@ -102,14 +102,14 @@ def read_run_settings(run: Mapping[str, Any]) -> RunSettings:
 
 
 def name_as_argument(film: Path) -> str:
-    """The path as a word of a command, which is no option even if the name begins with a dash."""
+    """Write a path as a word of the command line, which is no option even if the name begins with a dash."""
     return f"./{film}" if f"{film}".startswith("-") else f"{film}"
 
 
 def make_plan(
     settings: RunSettings, film: FilmView, given: Mapping[str, Any] | None, *, where: str = "camera.json"
 ) -> RunPlan:
-    """Check settings with the code that checks files and options. Raises InputError.
+    """Check the settings of the page with the code that checks files and options. Raises InputError.
 
     given: the keys of the film's own camera file.
     """
@@ -122,7 +122,7 @@ def make_plan(
 
 
 def join_words(words: list[str]) -> str:
-    """A command line for a shell. Raises InputError for a word that no terminal shows."""
+    """Join the words of the command line for a shell. Raises InputError for a word that no terminal shows."""
     if any(not word.isprintable() for word in words):
         raise InputError("command: a name in it has characters that cannot be printed; rename the file")
     return shlex.join(words)

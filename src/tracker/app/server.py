@@ -203,7 +203,7 @@ class SessionAddresses:
 
 
 def make_application(bench: Workbench, port: int, token: str, presence: Presence | None = None) -> ASGIApp:
-    """The application of a session: all addresses of the page, behind `LocalOnly`."""
+    """Build the web application of a session: all addresses of the page, behind `LocalOnly`."""
     routes = SessionAddresses(bench, presence or Presence()).list_routes()
     application = Starlette(routes=routes, exception_handlers={InputError: _explain_error})
     return LocalOnly(application, port, token, bench.report_key)

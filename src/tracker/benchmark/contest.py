@@ -57,7 +57,7 @@ def run_contest(
 
 
 def publish(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
-    """Write leaderboard and page of all entries in a report."""
+    """Write the leaderboard and the page after a contest, with all entries of a report."""
     whole = entries(report, suite.about)
     write_leaderboard(report, whole)
     write_report(report, whole, suite.definition, suite.about, how)
@@ -65,7 +65,7 @@ def publish(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
 
 
 def open_report(report: Path) -> AbstractContextManager[None]:
-    """Lock the folder of a report. Raises InputError where it holds other files."""
+    """Lock the folder of a contest's report. Raises InputError where it holds other files."""
     maker = "tracker benchmark"  # both `run` and `submit` add to it
     return open_resumable(report, maker, "a new folder for the report")
 

@@ -24,7 +24,7 @@ HALF_WINDOW_PX = 36  # px, of the mean picture
 
 
 def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, sigma: float) -> OutlineRadius | None:
-    """The radius that the mean picture shows; None where the ball is too dark to be seen, or not round."""
+    """Measure the outline's radius in a ball's mean picture; None if it is too dark to be seen, or not round."""
     stack = _mean(frames, plate, glints, sigma)
     if stack is None:
         return None

@@ -58,7 +58,7 @@ class Calibration:
 
 
 def write_camera_file(path: Path, keys: dict[str, Any]) -> None:
-    """The camera file, written aside and moved into place."""
+    """Write the camera file of a calibration aside and move it into place."""
     check_output(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with as_input_error(path):
@@ -66,7 +66,7 @@ def write_camera_file(path: Path, keys: dict[str, Any]) -> None:
 
 
 def check_output(path: Path) -> None:
-    """Raises InputError where a camera file cannot be written, or would take another file's place."""
+    """Check that a calibration may write its camera file there. Raises InputError, as for another file's place."""
     try:
         keys = {"calibration": {}} if not (path.exists() or path.is_symlink()) else read_json(path)
         ours = isinstance(keys, dict) and isinstance(keys.get("calibration"), dict)
@@ -78,7 +78,7 @@ def check_output(path: Path) -> None:
 
 
 def keys_from_options(diameter: float, fps: float, exposure: float | None, gamma: float) -> dict[str, Any]:
-    """The keys of camera.json that the user says. Raises InputError."""
+    """Make the keys of camera.json that the user of a calibration gives as options. Raises InputError."""
     for name, value in (("--diameter", diameter), ("--fps", fps)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{name}: expected a number over 0, not {value!r}")
@@ -181,7 +181,7 @@ def _ways(seen: Sequence[BallSighting], diameter: float) -> dict[str, tuple[floa
 
 
 def inverse_variance_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean and its error, no smaller than their own scatter says; without strays."""
+    """Average what several contacts or clips give for one value of a calibration, with its error, without strays."""
     value, std = np.array(values).T
     off = np.abs(value - np.median(value))
     # contacts more than four deviations from the median are strays; 1.4826 turns a median deviation into a standard one
@@ -234,7 +234,7 @@ def _of_scale(
 
 
 def summary(result: Calibration) -> list[str]:
-    """Lines for people."""
+    """Summarise a calibration in lines for people."""
     sensor = result.camera.sensor
     lines = [
         f"{name}: scale {value:.6g} m/px +- {100 * std / value:.2g} %" for name, (value, std) in result.ways.items()

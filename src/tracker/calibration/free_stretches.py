@@ -151,7 +151,7 @@ def _fit_parts(ball: BallTrack, rows: NDArray[np.int64], changes: Floats, noise:
 
 
 def fit_stretch(time: Floats, position: Floats, std: Floats, prior: FrictionPrior | None = None) -> FreeStretch:
-    """Fit a motion that rolls all along, and one that slides first; take the latter if it is much better."""
+    """Fit a free stretch by a motion that rolls all along, or slides first if that is much better."""
     duration = float(time[-1] - time[0])
     rolling = _fit(time, position, std, 0.0, prior)
     tried = [duration * (k + 1) / RULES.slide_ends for k in range(RULES.slide_ends)]

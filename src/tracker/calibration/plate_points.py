@@ -51,7 +51,7 @@ def read_points(path: Path) -> PlatePoints:
 
 
 def size_of(source: Path) -> tuple[int, int]:
-    """Width and height of a picture or of a film's frames."""
+    """Read the size of the picture, or film, in which points of the plate are seen: width and height, px."""
     height, width = _pictures(source)[0].shape[:2]
     return int(width), int(height)
 

@@ -30,7 +30,7 @@ class BallSighting:
 
 
 def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: bool, index: int) -> BallSighting:
-    """Clip ``index`` of a source, searched by the detector ``name``.
+    """Survey the size of the balls in clip ``index`` of a source, found by the detector ``name``.
 
     known: keys of camera.json; sized: whether the scale among them is more than a guess.
     """
@@ -42,7 +42,7 @@ def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: boo
 
 
 def without_scale(clip: Recording) -> Recording:
-    """The same recording, in which nothing ties pixels to metres."""
+    """Return the recording for a survey of sizes, in which nothing ties pixels to metres."""
     bare = Camera.unknown(clip.camera.size, clip.camera.sensor.bits)
     return replace(clip, camera=replace(bare, sensor=clip.camera.sensor))
 

@@ -17,7 +17,7 @@ FILM = "film"  # what messages call it
 
 
 def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
-    """Frames of an array (n, height, width), in colour (n, height, width, 3), or of single pictures.
+    """Wrap an array (n, height, width), in colour (n, height, width, 3), or single pictures as the frames of a film.
 
     An object with a length and an index is read frame by frame, when needed. The pictures of an iterator are kept.
     Raises InputError, naming the frame, for what is no film.

@@ -30,7 +30,7 @@ class BallExample:
 
 
 def parse_frames(text: str) -> tuple[int, int | None]:
-    """The first frame and the one after the last, None for the end, of "A:B". Raises InputError."""
+    """Parse the option --frames A:B of a film: the first frame, and the one after the last. Raises InputError."""
     span = re.compile(r"(\d*):(\d*)")
     match = span.fullmatch(text.replace(" ", ""))
     if match is None or (match[1] and match[2] and int(match[1]) >= int(match[2])):
@@ -39,7 +39,7 @@ def parse_frames(text: str) -> tuple[int, int | None]:
 
 
 def parse_region(text: str) -> tuple[float, float, float, float]:
-    """Left, top, right and bottom, px, of "X0,Y0,X1,Y1". Raises InputError."""
+    """Parse the option --region of a film, the box of the search: left, top, right, bottom, px. Raises InputError."""
     try:
         left, top, right, bottom = map(float, text.split(","))
     except ValueError:
@@ -50,7 +50,7 @@ def parse_region(text: str) -> tuple[float, float, float, float]:
 
 
 def parse_ball(text: str) -> BallExample:
-    """A ball of "X,Y@FRAME" or "X,Y,R@FRAME". Raises InputError."""
+    """Parse the hint --ball of a film: "X,Y@FRAME" or "X,Y,R@FRAME". Raises InputError."""
     match = BALL.fullmatch(text.replace(" ", ""))
     if match is None:
         raise InputError(f"--ball {text!r}: expected X,Y@FRAME or X,Y,R@FRAME in px, such as 120,58,13@5")
@@ -58,7 +58,7 @@ def parse_ball(text: str) -> BallExample:
 
 
 def parse_colour(text: str) -> str:
-    """The name "#rrggbb" of a colour, given so or by its name in CSS. Raises InputError."""
+    """Parse the hint --colour of a film: "#rrggbb", or a name of CSS. Raises InputError."""
     from matplotlib.colors import to_hex
 
     try:

@@ -236,7 +236,7 @@ def _set_times(frames: Frames, camera: Camera, options: FilmOptions) -> tuple[Fr
 def open_source(
     path: Path | str, camera: Path | str | None = None, options: FilmOptions = DEFAULT_OPTIONS
 ) -> RecordingSource:
-    """Source behind ``path``; ``camera`` replaces the source's own camera.json. Raises InputError."""
+    """Open the recordings behind ``path``; ``camera`` replaces the source's own camera.json. Raises InputError."""
     return replace(_find_clips(path, camera), options=options)
 
 
@@ -309,6 +309,6 @@ def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS, contents
 
 
 def check_two_frames(location: Path | str, frames: Frames) -> None:
-    """Raises InputError for less than two frames."""
+    """Check that a recording has two frames or more. Raises InputError."""
     if len(frames) < 2:
         raise InputError(f"{location}: one frame only, expected at least two to follow a ball")

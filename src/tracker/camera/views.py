@@ -23,7 +23,7 @@ def perturb_view(camera: Camera, change: Array) -> Camera:
 
 
 def scale_at(camera: Camera) -> float:
-    """m/px in the picture's middle, at the height of the balls' centres."""
+    """Compute the scale of a camera's view: m/px in the picture's middle, at the height of the balls' centres."""
     middle = (np.array(camera.size) - 1) / 2
     return float(np.sqrt(np.abs(np.linalg.det(camera.unproject(middle)[1]))))
 

@@ -39,7 +39,7 @@ class EmptyPlate:
 
 
 def spread_frames(frames: Sequence[Any], count: int = 9) -> list[int]:
-    """Numbers of `count` frames that are spread over a film; some come twice in a short one."""
+    """Choose `count` frames spread over a film to find its empty plate; some come twice in a short one."""
     return [round(k * (len(frames) - 1) / (count - 1)) for k in range(count)]
 
 
@@ -78,7 +78,7 @@ def _find_hot_pixels(over: NDArray[np.float32], risen: Ints, noise: float) -> In
 
 
 def median_of_nine(sheets: list[NDArray[Any]]) -> NDArray[Any]:
-    """The median of nine pictures. They are overwritten: fresh memory would cost more time than the sorting."""
+    """Compute the empty plate as the median of nine pictures. They are overwritten, as fresh memory costs more time."""
     spare = np.empty_like(sheets[0])
     for low, high in MEDIAN_OF_NINE:
         one, two = sheets[low], sheets[high]
@@ -97,7 +97,7 @@ def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def estimate_noise(sample: list[NDArray[Any]]) -> float:
-    """Noise of one pixel in one frame, counts, from differences of frames; balls cover too few pixels to matter."""
+    """Estimate the noise of the empty plate: of a pixel in one frame, counts. Balls cover too few pixels to matter."""
     h, w = sample[0].shape
     step = max(1, math.isqrt(h * w // 4000))
     thin = np.stack([s[::step, ::step] for s in sample]).astype(np.float32)
@@ -109,7 +109,7 @@ def estimate_noise(sample: list[NDArray[Any]]) -> float:
 
 
 def spread_at_rest(change: NDArray[np.float32]) -> float:
-    """Standard deviation of the change of pixels between frames, without those over which a ball moved."""
+    """Estimate the noise of a plate whose pixels rest: their change between frames in which no ball moves there."""
     spread = float(np.std(change))
     for _ in range(4):
         kept = change[np.abs(change) <= 4.0 * spread + 1.0]

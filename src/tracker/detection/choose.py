@@ -225,14 +225,14 @@ def select_channel(clip: Recording, name: str | None) -> tuple[Recording, str]:
 
 
 def find_radius(clip: Recording) -> float | None:
-    """Radius, px, of the balls that the user points at, the median of those given or seen; None without one."""
+    """Choose the radius, px, of balls that the user points at: the median of those given or seen; None without one."""
     radii = [ball.radius or measure_radius(clip.frames[_row(clip, ball)], ball) for ball in clip.balls]
     known = [radius for radius in radii if radius is not None]
     return float(np.median(known)) if known else None
 
 
 def measure_radius(picture: NDArray[Any], ball: BallExample) -> float | None:
-    """Return the radius, px, at which the light around a ball's middle has changed by half; None if it never does."""
+    """Measure the radius, px, of a ball that the user points at, where its light has changed by half, or None."""
     profile = _profile(picture, ball)
     change = np.abs(profile - profile[0])
     if change.max() <= 0:
@@ -334,7 +334,7 @@ def find_round_bodies(
     min_radius_px: float = 4.0,
     size_limits: tuple[float, float] = (0.8, 1.25),
 ) -> Array:
-    """Radius, x and y (n, 3), px, of the round bodies that differ from the background by `least` counts in one frame.
+    """Find round bodies in one frame, to choose a detector: radius, x and y (n, 3), px; they differ by `least` counts.
 
     `expected` is the radius of the balls, px, where the camera file gives it.
 

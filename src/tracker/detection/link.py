@@ -149,7 +149,7 @@ def assign(glints: Glints, camera: Camera, diameter: float | None = None, settin
 
 
 def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
-    """Velocities (n, 2), px per frame, of detections from differences within their tracks; 0 in a track of one.
+    """Estimate velocities (n, 2), px per frame, of linked detections from differences in their tracks.
 
     Takes frame and particle of each detection (n,), and their positions (n, 2), px. Next to a collision the differences
     before and after disagree. The result is then that of the side which agrees with the step beyond it.

@@ -28,13 +28,13 @@ def is_outside(name: str) -> bool:
 
 
 def short_name(name: str) -> str:
-    """Name such a detector for files and pages: by its class or function, else by its file."""
+    """Name a user's own detector for files and pages: by its class or function, else by its file."""
     where, _, attribute = name.rpartition(":") if not name.endswith(".py") else (name, "", "")
     return attribute or Path(where).stem
 
 
 def digest(name: str) -> str:
-    """SHA-256 of the file of such a detector; nothing for a module."""
+    """Digest the file of a user's own detector (SHA-256); nothing for a module."""
     file = Path(_split(name)[0])
     return hashlib.sha256(file.read_bytes()).hexdigest() if file.suffix == ".py" else ""
 

@@ -148,7 +148,7 @@ def _read(results: Path, number: int | None) -> tuple[str, Tracks, Camera, pd.Da
 
 
 def parse_area(text: str) -> list[float] | None:
-    """The numbers of "LEFT,BOTTOM,RIGHT,TOP"; None of an empty text. Raises InputError."""
+    """Parse the option --area of `tracker gas`: "LEFT,BOTTOM,RIGHT,TOP"; None of an empty text. Raises InputError."""
     if not text:
         return None
     try:

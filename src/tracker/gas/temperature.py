@@ -20,7 +20,7 @@ MIN_SIGNIFICANCE = 5.0  # of a temperature in its errors, for the shape of the d
 
 
 def tabulate_velocities(paths: Sequence[FreePath]) -> pd.DataFrame:
-    """Make one row for each known velocity: frame, ball, both halves, what they are unsure by (m/s), and gains (1/s^2).
+    """Tabulate the velocities for the temperature: frame, ball, both halves, errors (m/s), and gains (1/s^2).
 
     unknown: balls that are in view in this frame and whose velocity is not known.
     """
@@ -45,7 +45,7 @@ def tabulate_velocities(paths: Sequence[FreePath]) -> pd.DataFrame:
 
 
 def measure_noise(table: pd.DataFrame) -> float:
-    """Standard deviation of a coordinate, m, from the differences of both halves; the median resists kinks."""
+    """Measure the noise that adds to the temperature: of a coordinate, m, from the differences of both halves."""
     table = table[table["gain_common"] == 0]
     size = np.sqrt(table["gain_even"] + table["gain_odd"])
     every = np.concatenate([(table[f"even_{k}"] - table[f"odd_{k}"]) / size for k in "xy"])

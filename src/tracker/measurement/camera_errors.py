@@ -226,7 +226,7 @@ def add_contact_errors(
 
 
 def measure_contact_distance(free: CollisionFit, camera: Camera, tied: bool = False) -> tuple[float, float]:
-    """Measure the distance of the balls' centres at the contact from their tracks alone, by a free fit or a tied one.
+    """Measure the distance of the centres at the contact by a fit, to judge the camera file's scale and diameter.
 
     The fit assumes that they touch at one diameter. Returns the distance in diameters, and its standard error with
     those of scale and diameter.
@@ -264,7 +264,7 @@ def differentiate(errors: Sequence[CameraError], function: Callable[[CameraError
 
 
 def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[Floats, float]:
-    """Compute the linear response of a least-squares fit to disturbances of standard deviation 1.
+    """Compute how errors of the camera file, as disturbances of size 1, shift a least-squares fit to first order.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.D
 
 
 def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
-    """particle -> unit vector (2,) of its contact velocity just after the impact; empty without a collision."""
+    """Find the direction of slip (2,) by particle just after the impact, to which momentum refers."""
     launch = [row.get(name, np.nan) for name in ("heading", "b", "v0", "r", "C")]
     if row.get("status") not in MEASURED or not np.all(np.isfinite(launch)):
         return {}

@@ -545,7 +545,7 @@ def _lone_ball(balls: list[BallTrack], camera: Camera, settings: FitSettings) ->
 
 
 def empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
-    """Make a row in which nothing is measured."""
+    """Make a row of estimates in which nothing is measured."""
     row: dict[str, Any] = {"collision": index, "striker": camera.striker, "status": status}
     for name in QUANTITY_NAMES:
         for kind in ("", "_free", "_paper"):

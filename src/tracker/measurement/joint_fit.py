@@ -48,7 +48,7 @@ def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
 
 
 def predict(v0: Floats, b: Floats, shared: Floats) -> Floats:
-    """(n, 4): v1f, v2f, tau1, tau2 for speeds v0 and impact parameters b/2R (n,), shared = (r, mu_k, C).
+    """Predict v1f, v2f, tau1, tau2, (n, 4), for the joint fit, from v0 and b/2R (n,); shared = (r, mu_k, C).
 
     The paper's F, G, H, I (eqs 1-4) for any b: the normal part scaled by sqrt(1 - b^2), the tangential part
     handing on 0.4 C of itself.

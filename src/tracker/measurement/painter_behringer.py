@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 
 def paper_columns(contact: Contact, camera: Camera, lasting: LastingContact | None = None) -> dict[str, float]:
-    """NAME_paper and NAME_paper_std, with the errors of the camera file.
+    """Make the columns NAME_paper and NAME_paper_std of the paper's measurement, with the errors of the camera file.
 
     A contact that lasts leaves only the speed before it: the differences after it are as far from its beginning as its
     duration is long.
@@ -53,7 +53,7 @@ def paper_columns(contact: Contact, camera: Camera, lasting: LastingContact | No
 
 
 def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, float]]:
-    """NAME -> (value, standard error) for all of QUANTITY_NAMES; NaN where the frames it needs are missing.
+    """Measure QUANTITY_NAMES by the paper's finite differences: (value, standard error); NaN where frames are missing.
 
     Errors propagate those of the positions through the differences; a time is known to a frame.
     """
@@ -85,7 +85,7 @@ def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, flo
 
 
 def slide_end(track: BallTrack, contact: int, fps: float) -> int | None:
-    """First frame after the contact at which acceleration has fallen below 0.3 of its peak; None if none.
+    """Find the end of a slide as the paper does: the first frame with under 0.3 of the peak acceleration; None if none.
 
     Only positions after the contact are differenced, or the kick itself would be the peak.
     """
@@ -106,7 +106,7 @@ def slide_end(track: BallTrack, contact: int, fps: float) -> int | None:
 def rolling_loss(
     balls: tuple[BallTrack, BallTrack], contact: int, ends: list[int | None], fps: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """drag and decel, each with its error: a straight line through acceleration against speed while rolling."""
+    """Measure drag and decel as the paper does: a straight line through acceleration against speed while rolling."""
     stretches = [(track, track.frame > end) for track, end in zip(balls, ends, strict=True) if end is not None]
     stretches.append((balls[1], balls[1].frame < contact))
     speed, loss = [], []

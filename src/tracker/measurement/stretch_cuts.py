@@ -104,7 +104,7 @@ CUTTER = StretchCutter()
 
 
 def measure_noise(paths: Iterable[tuple[Rows, Floats]]) -> float:
-    """Standard deviation of positions, m, from third differences, which smooth motion hardly has; NaN without any.
+    """Measure the noise of paths, beside which a cut must stand out: from third differences, m; NaN without any.
 
     paths: frames (n,) and positions (n, 2) of each ball.
     """

@@ -62,7 +62,7 @@ class CollisionView:
 
 
 def view_collision(row: Mapping[str, Any], tracks: Tracks, camera: Camera) -> CollisionView | None:
-    """Give a collision with the tracks of its balls; None where the tied fit lacks a parameter."""
+    """Prepare the figures of a collision with the tracks of its balls; None where the tied fit lacks a parameter."""
     if row["status"] not in MEASURED:
         return None
     view = CollisionView.of(pd.Series(row), tracks, camera)
@@ -70,7 +70,7 @@ def view_collision(row: Mapping[str, Any], tracks: Tracks, camera: Camera) -> Co
 
 
 def list_residuals(views: Iterable[CollisionView | None]) -> dict[tuple[int, int], tuple[float, float]]:
-    """List by particle and frame the measured position minus the tied fit, m; of two collisions the first counts."""
+    """List the residuals that the figures show, by particle and frame: measured position minus tied fit, m."""
     residuals: dict[tuple[int, int], tuple[float, float]] = {}
     for view in views:
         for ball, track in view.balls.items() if view is not None and view.is_instantaneous else ():

@@ -127,7 +127,7 @@ def encode_mp4(pictures: Iterable[Picture]) -> bytes:
 
 
 def choose_frames(frames: int, contacts: Sequence[float], max_frames: int = 750) -> tuple[int, int]:
-    """Choose the first and last frame of the film.
+    """Choose the first and last frame of the film with tracks drawn on it.
 
     All frames are shown where they are at most `max_frames`; else so many, which begin shortly before the first of
     `contacts` (frames).

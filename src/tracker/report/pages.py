@@ -272,7 +272,7 @@ class RecordingPage:
 
 
 def list_events(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[float, str], ...]:
-    """List the events of measured collisions by time (s): contacts, and the ends of the slides."""
+    """List the events on the page of a recording by time (s): contacts, and the ends of the slides."""
     events = []
     for row in rows:
         events.append((row["t_c"], "after the contact"))

@@ -34,7 +34,7 @@ class NotedPicture:
 
 
 def is_failure(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
-    """True if a clip has no track, or no collision that could be measured for a reason other than a missing scale."""
+    """True if a clip gets a picture of refusals: no track, or no collision, unless only the scale is missing."""
     states = [str(row["status"]) for row in rows]
     return len(tracks) == 0 or not any(state in (*MEASURED, CROWD, NO_SCALE, ONE_BALL) for state in states)
 
@@ -91,7 +91,7 @@ def _explain(region: Region, clip: Recording, tracks: Tracks, k: int, frame: NDA
 
 
 def paint_frame(frames: Frames, k: int) -> NDArray[np.uint8]:
-    """A frame in red, green and blue (h, w, 3), stretched from its darkest to its brightest pixels."""
+    """Paint the frame behind the refusals in red, green and blue (h, w, 3), from its darkest to brightest pixels."""
     colours = frames.colours
     shot = np.asarray(frames[k] if colours is None else colours(k)).astype(np.float32)
     low, high = float(np.percentile(shot, 1)), float(np.percentile(shot, 99.9))

@@ -104,7 +104,7 @@ def score(
 
 
 def check_same_dataset(verdict: DetectorScore, results: Path, dataset: Path) -> None:
-    """Raises InputError where hardly any position is near a true one, as with the truth of another dataset."""
+    """Check that results and truth are of one dataset: raise InputError if hardly any position is near a true one."""
     paired, false = (int(verdict.localisation[name]) for name in ("n", "false"))
     # by chance one position in a hundred is near a ball
     if paired < 0.02 * false:

@@ -31,7 +31,7 @@ def summarise(score: DetectorScore) -> Iterator[str]:
 
 
 def judge(score: DetectorScore, min_clips: int = 20) -> str:
-    """Say in a sentence what these results are good enough for, with a warning where there are few clips."""
+    """Say in a sentence of the summary what the results are good enough for, and warn if there are few clips."""
     few = f" Fewer than {min_clips} clips: the spread of z is uncertain." if score.statuses["n"] < min_clips else ""
     return _judge(score) + few
 

@@ -150,7 +150,7 @@ def describe_scatter(one: CombinedQuantity, factor: float = 1.0) -> str:
 def list_warnings(
     one: CombinedQuantity, *, outlier_z: float = 4.0, min_influence: float = 1.0, max_p: float = 0.01
 ) -> Iterable[str]:
-    """Sentences on what is unusual in the values of a quantity.
+    """List in sentences what is unusual in the combined values of a quantity.
 
     outlier_z: standard errors, with the scatter, from the mean of the others.
     min_influence: change of a mean, in its errors, by one collision that a note names.

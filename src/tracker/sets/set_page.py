@@ -78,7 +78,7 @@ def write_set(
 
 
 def summarise(document: Mapping[str, Any], quantities: Mapping[str, CombinedQuantity]) -> list[str]:
-    """Lines for a terminal: how many collisions enter, then each quantity."""
+    """Summarise a set in lines for a terminal: how many collisions enter, then each quantity."""
     several = len(document["results"])
     out = ", ".join(f"{count} {status}" for status, count in document["left_out"].items())
     first = f"{document['used']} of {document['collisions']} collisions of {several} result{'s' * (several != 1)} enter"
@@ -96,7 +96,7 @@ def summarise(document: Mapping[str, Any], quantities: Mapping[str, CombinedQuan
 
 
 def find_quantity(name: str) -> Quantity:
-    """The symbol, unit and meaning of a quantity; its column where nothing is known of it."""
+    """Find symbol, unit and meaning of a quantity for the page of a set; its column where nothing is known."""
     return QUANTITIES.get(name) or Quantity(name, "", 1.0, "of estimates.parquet")
 
 

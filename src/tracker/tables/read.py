@@ -203,7 +203,7 @@ def _infer_strikers(
 
 
 def find_first_mover(tracks: Tracks) -> int | None:
-    """The particle of the two seen most often that moves before they come nearest; None where it is not certain."""
+    """Find the striker in tracks that were read: the particle that moves before both come nearest, or None."""
     pair = _common_frames(tracks)
     if pair is None:
         return None

@@ -45,7 +45,7 @@ def tracks_table(tracks: Tracks) -> pa.Table:
 
 
 def to_csv(table: pa.Table) -> bytes:
-    """A table as CSV, with quotes only where they are needed."""
+    """Write a table of tracks as CSV, with quotes only where they are needed."""
     with BytesIO() as text:
         pyarrow.csv.write_csv(table, text, pyarrow.csv.WriteOptions(quoting_style="needed"))
         return text.getvalue()
@@ -84,7 +84,7 @@ def split_tracks(table: pd.DataFrame, where: str, metres: bool = False) -> dict[
 
 
 def check_columns(table: pd.DataFrame, where: str, more: str = "") -> None:
-    """Raises InputError where a table lacks what every one needs."""
+    """Check that a table of tracks has the columns frame, particle, x and y. Raises InputError."""
     missing = [name for name in REQUIRED_COLUMNS if name not in table]
     if missing:
         there = format_value(", ".join(map(str, table.columns)), quoted=False)
@@ -94,7 +94,7 @@ def check_columns(table: pd.DataFrame, where: str, more: str = "") -> None:
 
 
 def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
-    """Rows of one clip as tracks."""
+    """Convert the rows of one clip to tracks."""
     frame, particle = (to_whole_numbers(table[name], name, where) for name in ("frame", "particle"))
     x, y = to_numbers(table["x"], "x", where), to_numbers(table["y"], "y", where)
     max_px = 1e6  # of a position, or of its standard deviation
@@ -158,7 +158,7 @@ def _times(time: Any, frame: Any, particle: Any, where: str) -> Any:
 
 
 def to_numbers(values: Any, name: str, where: str) -> Any:
-    """A column as numbers; InputError where some are none."""
+    """Convert a column of a table of tracks to numbers; InputError where some are none."""
     try:
         return pd.to_numeric(values).to_numpy(dtype=np.float64)
     except (ValueError, TypeError):
@@ -180,7 +180,7 @@ def _row_of(values: Any, at: int) -> str:
 
 
 def to_whole_numbers(values: Any, name: str, where: str, *, max_number: int = (1 << 31) - 1) -> Any:
-    """A column as whole numbers from 0 on."""
+    """Convert a column of a table of tracks to whole numbers from 0 on."""
     numbers = to_numbers(values, name, where)
     wrong = ~((numbers >= 0) & (numbers <= max_number) & (numbers == np.round(numbers)))  # NaN too
     if wrong.any():

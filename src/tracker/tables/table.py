@@ -107,7 +107,7 @@ def _natural_order(text: str) -> list[tuple[bool, int, str]]:
 
 
 def unit_of(name: str, where: str) -> str:
-    """The unit that a name means. Raises InputError."""
+    """Find the unit of a table's lengths by its name. Raises InputError."""
     found = [unit for unit, (_, names) in LENGTH_UNITS.items() if name.strip().strip("()").lower() in names.split()]
     if not found:
         option = "" if where == "--unit" else "; --unit says which it is"

@@ -145,7 +145,7 @@ class BallExchange:
 
 
 def sample_facing_side(offset: Array) -> tuple[Array, Array]:
-    """Axes (3, 3) whose third is along an offset, and unit vectors (cells, 3) around it, closest first."""
+    """Sample the side of a ball that exchanges light with another: axes (3, 3), and unit vectors (cells, 3)."""
     third = offset / np.linalg.norm(offset)
     first = np.cross([0.0, 0.0, 1.0] if abs(third[2]) < 0.9 else [1.0, 0.0, 0.0], third)
     first /= np.linalg.norm(first)
@@ -161,7 +161,7 @@ def sample_facing_side(offset: Array) -> tuple[Array, Array]:
 def sample_directions(
     points: Array, normals: Array, centre: Array, radius: float, rays: int = 14
 ) -> tuple[Array, Array]:
-    """Directions (n, rays, 3) from points to a ball, uniform in solid angle, and weights by cosine, of sum 1."""
+    """Sample directions (n, rays, 3) of light from points to a ball, with weights by cosine, of sum 1."""
     offset = centre - points
     far = np.maximum(np.sqrt(dot(offset, offset)), radius * (1 + 1e-9))
     lowest = np.sqrt(1 - (radius / far) ** 2)

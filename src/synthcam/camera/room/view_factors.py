@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Scalar product over the last axis."""
+    """Compute the scalar product of directions, as view factors need it, over the last axis."""
     return np.asarray(np.einsum("...k,...k->...", a, b))
 
 
@@ -64,6 +64,6 @@ def form_factor(normal: Array, offset: Array, radius: Array | float) -> Array:
 
 
 def mirror_direction(normal: Array, direction: Array) -> tuple[Array, Array]:
-    """Direction (..., 3) after reflection at a mirror of that normal, and the cosine of incidence."""
+    """Compute the direction (..., 3) in which a surface reflects light, and the cosine of its incidence."""
     cosine = -dot(normal, direction)
     return direction + 2 * cosine[..., None] * normal, cosine

@@ -217,7 +217,7 @@ def follow_contacts(
     supports: Sequence[Support | None],
     t: float,
 ) -> TouchingGroup:
-    """Integrate bodies in contact from their states at the time t, s, until a contact ends."""
+    """Integrate bodies in contacts that last from their states at the time t, s, until a contact ends."""
     members = tuple(sorted(states))
     rows, own, count = {k: row for row, k in enumerate(members)}, bodies[list(members)], len(members)
     plate = np.array([supports[k] is None for k in members])

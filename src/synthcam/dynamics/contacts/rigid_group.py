@@ -156,7 +156,7 @@ def hit(
 
 
 def split(bonds: Iterable[tuple[int, int]], members: set[int]) -> list[set[int]]:
-    """Split bodies into those that bonds connect."""
+    """Split bodies into rigid groups: those that bonds connect."""
     bonds, parts = list(bonds), list[set[int]]()
     while members:
         part = {min(members)}

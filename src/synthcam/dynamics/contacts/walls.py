@@ -134,7 +134,7 @@ def _from_point(x: float, y: float) -> tuple[float, float, float]:
 
 
 def time_to_close(gap: float, rate: float, steepest: float) -> float:
-    """Return the positive root s of gap + rate s - steepest s^2/2 = 0."""
+    """Find the least time to reach a wall: the positive root s of gap + rate s - steepest s^2/2 = 0."""
     if steepest == 0:
         return gap / -rate if rate < 0 else math.inf
     root = math.sqrt(rate * rate + 2 * steepest * gap)

@@ -33,7 +33,7 @@ DEFECTS = ("locking", "glint", "lost")
 
 
 def glint_share(pairs: pd.DataFrame, min_lever_px: float = 0.05) -> float:
-    """Share of the vector from centre to glint by which a tracker's own positions are off.
+    """Measure the defect of a tracker that does not correct glints: the share of the vector from centre to glint.
 
     NaN where the rms length of that vector is under `min_lever_px`, so that no share can be determined.
     """
@@ -70,7 +70,7 @@ def measure_shifts_by_defects(held: PositionMatches, base: Mapping[int, TrueTrac
 
 
 def simulate_at_bound(suite: Suite, part: SuitePart, clip: int, seed: int = 21) -> TrueTracks:
-    """True tracks of a clip with the noise of the bound, its camera, and the measurement of these tracks."""
+    """Simulate a clip without a defect: true tracks with the noise of the bound, camera, and measurement."""
     camera = suite.camera(part, clip)
     truth = suite.tracks(part.truth, clip)
     truth = truth[truth["visible"].to_numpy(bool) & np.isfinite(truth["xx"].to_numpy(float))].reset_index(drop=True)
@@ -88,7 +88,7 @@ def simulate_at_bound(suite: Suite, part: SuitePart, clip: int, seed: int = 21) 
 
 
 def measure_collision(table: pd.DataFrame, camera: Camera) -> Mapping[str, Any]:
-    """Measure the first collision in tracks; an empty row where there is none."""
+    """Measure the first collision in tracks with or without a defect; an empty row where there is none."""
     columns = ["frame", "particle", "x", "y", "x_std", "y_std", "cov_xy"]
     rows, _ = measure_clip(to_tracks(table[columns], "true tracks"), camera, FitSettings(local_window_s=0))
     return next((row for row in rows if row["status"] in MEASURED), {})

@@ -26,7 +26,7 @@ DEFECTS = {"locking": "locked to pixels", "glint": "glint taken for centre", "lo
 
 
 def name_of(entry: Entry) -> str:
-    """Name of the tracker of an entry."""
+    """Name the tracker of an entry in the figures."""
     return str(entry["tracker"]["name"])
 
 

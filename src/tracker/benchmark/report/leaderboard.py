@@ -18,7 +18,7 @@ Entries = Sequence[Mapping[str, Any]]
 
 
 def file_name(name: str) -> str:
-    """Make a file name from the name of any tracker."""
+    """Make the name of an entry's file in REPORT from the name of any tracker."""
     kept = "".join(c if c.isalnum() or c in "-_+." else "_" for c in name).strip(".")
     return f"{kept or 'tracker'}.json"
 

@@ -170,7 +170,7 @@ def _card(definition: SuiteDefinition, about: Mapping[str, Any]) -> PageTable:
 def judge(
     entry: Mapping[str, Any], definition: SuiteDefinition, at_bound: float = 1.2, failure: float = 2.0
 ) -> tuple[str, str]:
-    """Count the settings where a tracker is at the bound, and name the three where it fails most.
+    """Say on the page in how many settings a tracker is at the bound, and the three in which it fails most.
 
     at_bound, failure: rmse over bound up to which a tracker is at the bound, and from which on it fails.
     """
@@ -193,7 +193,7 @@ def judge(
 
 
 def make_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable]:
-    """Make the tables of positions and tracks of each part, of quantities, and of defects."""
+    """Make the tables of the benchmark's page: positions and tracks of each part, quantities, and defects."""
     tables = []
     for title, key, digits in (
         ("rmse / bound", "ratio", 3),

@@ -12,7 +12,7 @@ CITATION = "The synthcam developers, synthcam: films of rolling balls with the t
 
 
 def card(about: Mapping[str, Any], definition: SuiteDefinition) -> str:
-    """Write the text of README.md."""
+    """Write the card of a suite: the text of its README.md."""
     clips = sum(len(part["clips"]) for part in about["parts"].values())
     open_split = about["split"] == "open"
     seed = about["seed"] if open_split else "withheld"

@@ -138,7 +138,7 @@ def _check(data: Any, keys: list[str], where: str, what: str, extra: list[str] |
 
 
 def merge_settings(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge settings, one section at a time; those of `other` win, and replace a distribution as a whole."""
+    """Merge the definition of a suite with settings, one section at a time; those of `other` win."""
     out = dict(one)
     for key, value in other.items():
         section = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)

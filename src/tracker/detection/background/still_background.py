@@ -176,7 +176,7 @@ def _average_surroundings(middle: NDArray[np.float32], rested: NDArray[np.uint8]
 def sort_strips(
     pictures: Sequence[NDArray[Any]], ranks: Sequence[int], *, strip_pixels: int = 1 << 15
 ) -> Iterator[tuple[slice, list[NDArray[np.float32]]]]:
-    """Sort pictures (h, w) of one type pixel by pixel, and yield strips of rows: which, and the values of these ranks.
+    """Sort the pictures (h, w) of a film pixel by pixel for its background; yield strips of rows with these ranks.
 
     Rank 0 is the least value. Pixels are uint8, uint16 or float32.
 

@@ -23,7 +23,7 @@ def apply_flux_prior(
     cross: Array,
     own: Array,
 ) -> tuple[Array, Array]:
-    """Condition the positions of glints on the flux that the other glints of the film predict for them.
+    """Apply the prior on brightness from the flux that the other glints of the film predict.
 
     Takes positions (n, 2), px, their covariances (n, 2, 2), px^2, and log fluxes (n,). `cross` (n, 2) is the covariance
     of position and log flux, px, and `own` (n,) the variance of the log flux. Returns positions and covariances.
@@ -51,7 +51,7 @@ def apply_flux_prior(
 def apply_common_reflectance(
     xy: Array, cov: Array, reflectance: Array, cross: Array, own: Array
 ) -> tuple[Array, Array]:
-    """Condition the positions of glints on the reflectance that the other pairs of balls show.
+    """Apply the prior on brightness from the reflectance that the other pairs of balls show.
 
     Arguments and results are those of `apply_flux_prior`, with the reflectance (n,) of each window on its own in place
     of the log flux.

@@ -199,7 +199,7 @@ def _score(counts: Array, mean: Array, sensor: SensorSpec, noise: tuple[Array, A
 
 
 def learn_profile(windows: GlintWindows, sigma: float, sensor: SensorSpec, end: float) -> tuple[BallProfile, Array]:
-    """Learn the ball profile that maximises the joint likelihood of all windows.
+    """Fit the ball profile together with the glints of all windows, by maximum likelihood.
 
     Each window has a position, flux and level of its own. These are eliminated (Schur complement); the remaining
     problem is nearly linear, so that two steps are enough. Beyond the radius `end`, px, the ball mirrors no room. The
@@ -229,7 +229,7 @@ def learn_profile(windows: GlintWindows, sigma: float, sensor: SensorSpec, end: 
 def score_blur_length(
     windows: GlintWindows, known: Array, still: NDArray[np.bool_], sigma: float, sensor: SensorSpec
 ) -> tuple[Array, Array]:
-    """Score and information of each window on the logarithm of the length of the motion blur.
+    """Fit how the glint of each window depends on the length of its blur: score and information on its logarithm.
 
     Nuisance parameters are eliminated (Schur complement): of each window its position, flux, level, bowl and width of
     the glint; of all windows together an elliptical shape of resting glints. `known` (n, 4) are positions from the

@@ -21,7 +21,7 @@ def fit_outline_circle(
     others: list[tuple[float, float]],
     low: float,
 ) -> Array | None:
-    """Fit a circle to the outline, which is where rays from the middle cross half the contrast.
+    """Fit a circle to the outline of a hidden disc, which is where rays from the middle cross half the contrast.
 
     Parameters
     ----------

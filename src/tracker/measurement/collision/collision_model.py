@@ -90,7 +90,7 @@ class RollingMotion:
 
 
 def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> RollingMotion:
-    """Roll under a = -(drag v + decel) until the ball stops, with phi functions: drag = 0 is no special case.
+    """Roll in the tracker's model under a = -(drag v + decel) until the ball stops; drag = 0 is no special case.
 
     speed at t = 0 in m/s, one or (n,); drag in 1/s; decel in m/s^2; times t (n,) in s, which may be negative.
     """
@@ -114,7 +114,7 @@ def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> 
 
 
 def stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
-    """Seconds until a = -(drag v + decel) brings `speed`, one or many, to rest; inf if it never does."""
+    """Compute the time in which a = -(drag v + decel) stops a ball of the tracker's model; inf if it never does."""
     fast = np.asarray(speed, dtype=np.float64)
     if decel <= 0:
         return np.full(fast.shape, np.inf)
@@ -131,7 +131,7 @@ def stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
 def directions(
     heading: NDArray[np.inexact] | float, beta: NDArray[np.inexact] | float
 ) -> tuple[NDArray[np.inexact], NDArray[np.inexact], NDArray[np.inexact]]:
-    """Unit vectors (..., 2): d (ball 2's motion relative to ball 1), n (from ball 2 to ball 1 at contact), z x n."""
+    """Compute unit vectors (..., 2) of a collision: d (motion of ball 2 against ball 1), n (from 2 to 1), z x n."""
     d = np.stack([np.cos(heading), np.sin(heading)], -1)
     n = np.stack([np.cos(heading - beta), np.sin(heading - beta)], -1)
     return d, n, np.stack([-n[..., 1], n[..., 0]], -1)
@@ -140,7 +140,7 @@ def directions(
 def mean_positions(
     free: Floats, ball: int | NDArray[np.int64], start: Floats, exposure: float, diameter: float
 ) -> tuple[Floats, Floats]:
-    """Mean positions of balls over exposures, and their derivatives, by closed-form integrals over each leg.
+    """Compute the positions that the collision model predicts, averaged over exposures, and their derivatives.
 
     An exposure that holds the impact or the end of a slide needs no care.
 

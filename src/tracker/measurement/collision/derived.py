@@ -173,12 +173,12 @@ def derive_from_each_ball(
 
 
 def dot(a: Floats, b: Floats) -> Floats:
-    """Scalar product of vectors along the last axis."""
+    """Compute the scalar product of vectors along the last axis, for derived quantities."""
     return np.asarray((a * b).sum(-1))
 
 
 def cross(a: Floats, b: Floats) -> Floats:
-    """z . (a x b) of vectors (..., 2)."""
+    """Compute z . (a x b) of vectors (..., 2), for derived quantities."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 

@@ -228,7 +228,7 @@ def fit_motion(
 
 
 def covariance(rows: Floats) -> Floats:
-    """(J^T J)^-1, columns scaled first: the parameters' units differ by many powers of ten."""
+    """Compute the covariance (J^T J)^-1 of a least-squares fit, columns scaled first: units differ by powers of ten."""
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1e-30
     inverse = np.linalg.pinv((rows / size).T @ (rows / size), rcond=1e-15, hermitian=True)

@@ -114,7 +114,7 @@ def _number(value: Any) -> float:
 
 
 def derive_with_errors(value: Floats, cov: Floats) -> tuple[list[float], list[float]]:
-    """Compute DERIVED and their errors, by values one standard error away along each axis of the covariance.
+    """Compute the DERIVED columns of the table of contacts and their errors, by values one standard error away.
 
     The mean of a quantity that bends, such as 1 - r^2, is corrected for the spread of r.
     """

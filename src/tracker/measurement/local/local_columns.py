@@ -64,7 +64,7 @@ def empty_columns() -> dict[str, Any]:
 def local_columns(
     estimate: LocalEstimate | str, masses_known: bool = False, foreign: str = "", settings: FitSettings | None = None
 ) -> dict[str, Any]:
-    """Write an estimate as columns; its errors beyond the residuals are the prior of one recording.
+    """Write a local estimate as columns; its errors beyond the residuals are the prior of one recording.
 
     A text is the reason why there is none. foreign: why the tied fit is not one of these bodies, "" if it is.
     """
@@ -116,7 +116,7 @@ def _name_effects(key: str, of: float, effect: Floats) -> tuple[str, dict[str, A
 
 
 def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness: float = 5.0) -> dict[str, Any]:
-    """Compute the columns of a row with these errors beyond the residuals.
+    """Compute the local columns of a row with these errors beyond the residuals.
 
     A bias of the balance may be an error of a velocity along n, a loss of momentum, or unknown masses. So it counts as
     an error: that of each velocity in turn, in proportion to its weight in the balance. So does the error of the bias:
@@ -174,7 +174,7 @@ def _split_variances(raw: Mapping[str, Any]) -> tuple[Floats, Floats]:
 
 
 def find_covariance(row: Mapping[str, Any]) -> Floats:
-    """Find the covariance (4, 4) of v0, b, r and s of a row, with the errors beyond the residuals.
+    """Find the covariance (4, 4) of v0, b, r and s of a local estimate, with the errors beyond the residuals.
 
     The factor widens the errors, as in the columns, and leaves their correlations.
     """

@@ -265,7 +265,7 @@ class LocalSolution:
 def solve(
     problem: LocalProblem, x: Floats, sizes: Sequence[float], steps: int = 40, least_gain: float = 1e-4
 ) -> LocalSolution:
-    """Descend to the minimum of one problem."""
+    """Solve one local fit: descend to its minimum."""
     return solve_all([problem], x[None], sizes, steps, least_gain=least_gain)[0]
 
 
@@ -278,7 +278,7 @@ def solve_all(
     hopeless: float = np.inf,
     least_gain: float = 1e-4,
 ) -> list[LocalSolution]:
-    """Descend to the minima of problems, from x (m, n), by damped Gauss-Newton steps (Levenberg and Marquardt).
+    """Solve local fits from x (m, n) by damped Gauss-Newton steps (Levenberg and Marquardt).
 
     The problems differ only in what is known. hopeless: by which a cost exceeds the least one where the descent ends
     after two steps, because nothing needs so poor a solution.
@@ -326,7 +326,7 @@ def solve_all(
 
 
 def solve_each(square: Floats, pull: Floats) -> Floats:
-    """Solve systems (m, n, n); NaN of a singular one, whose step is then rejected."""
+    """Solve the linear systems (m, n, n) of local fits; NaN of a singular one, whose step is then rejected."""
     try:
         return np.asarray(np.linalg.solve(square, pull))
     except np.linalg.LinAlgError:
@@ -408,7 +408,7 @@ def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats
 
 
 def correlation_factor(left: Floats) -> float:
-    """Factor on the variances of a fit whose residuals (n, 2) are correlated from one position to the next."""
+    """Compute by how much correlated residuals (n, 2) raise the variances of a local fit."""
     if len(left) < 6:
         return 1.0
     rho = float((left[1:] * left[:-1]).sum() / max(float((left**2).sum()), 1e-300))
@@ -417,7 +417,7 @@ def correlation_factor(left: Floats) -> float:
 
 
 def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind], least: int = 5) -> Stretch:
-    """Shorten a stretch to the longest window in which the residuals are at most MAX_RESIDUAL errors.
+    """Shorten a stretch to the longest window that the local fit describes within MAX_RESIDUAL standard errors.
 
     Any force that the motions lack raises the residuals of a window that shows it. The rule does not look at the error
     of the velocity, because the smallest of several uncertain errors is too small. If no window is so good, the
@@ -438,7 +438,7 @@ def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind
 
 
 def guess_contact(stretches: Sequence[Stretch], contact: float) -> float:
-    """Guess the instant at which straight lines before and after the contact meet best."""
+    """Guess the contact for the local fit: where straight lines before and after it meet best in time."""
     shift, turn = np.zeros(2), np.zeros(2)
     top = bottom = 0.0
     for ball in (1, 2):
