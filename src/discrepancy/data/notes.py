@@ -49,7 +49,7 @@ class SearchNoteKind(Enum):
     # what the errors of the positions depend on
     FRAME_SHIFT = (
         "positions in odd frames are off those in even frames by {x_um:.2g} um in x and {y_um:.2g} um in y, and "
-        "{late_ms:.2g} ms late ({sigma:.0f} sigma), as half-frames of an interlaced film are: the search removes it"
+        "{late_ms:.2g} ms late ({sigma:.0f} sigma), as in interlaced film: the search removes this shift"
     )
     NOISE_BY_SPEED = "the noise changes by a factor of {ratio:.2g} with the speed ({sigma:.0f} sigma): errors rescaled"
     NOISE_BY_PLACE = (

@@ -23,8 +23,8 @@ def differentiate(
 ) -> list[Array]:
     """Differentiate the predicted tracks by a shared parameter: (n, 2) of each clip, m over the parameter's unit.
 
-    The difference is central, or one-sided if the parameter is at a limit or the model has no motion on the other side,
-    as when a tilt would set the resting ball rolling. It is zero if no motion exists on either side.
+    The difference is central. It is one-sided if the parameter is at a limit, or if the model has no motion on the
+    other side, as when a tilt would set the resting ball rolling. It is zero if no motion exists on either side.
 
     here: the predicted tracks, if known; a short forward difference from them is then taken where possible.
     """

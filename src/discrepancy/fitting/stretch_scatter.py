@@ -115,11 +115,11 @@ def _compare_with_map(
     scatter: StretchScatter,
     noise: Noise,
 ) -> float:
-    """The log likelihood ratio of displacements that all stretches share in a place to new ones in each stretch.
+    """The log likelihood ratio of displacements that all stretches share at a position to new ones in each stretch.
 
     columns (n, 2, p) of each clip: what its fit absorbs, and its residuals last. Both kinds of displacement have the
-    same size and reach. Neither model holds the other, so the ratio is no sigma: if the displacements are new in each
-    stretch, chance gives a ratio above x with a probability of at most 1 / x.
+    same size and reach. Neither model contains the other, so the ratio is not a sigma. If the displacements are new in
+    each stretch, chance gives a ratio above x with a probability of at most 1 / x.
     """
     whites, left = list[Array](), list[Array]()
     for clip, own in zip(_add_scatter(clips, moves, replace(scatter, displacement_m=0.0)), columns, strict=True):

@@ -57,8 +57,8 @@ def measure_gap(
 ) -> GapFits:
     """Measure the gap on clips that were held out of both fits; only their launches are fitted.
 
-    chi^2 per point is the mean squared whitened residual, as in posterior predictive checks (Gelman, Meng & Stern,
-    Statistica Sinica 6 (1996) 733). Noise alone makes it less than one, because each launch absorbs some noise.
+    The gap, chi^2 per point, is the mean squared whitened residual, as in posterior predictive checks (Gelman, Meng &
+    Stern, Statistica Sinica 6 (1996) 733). Noise alone makes it less than one, because each launch absorbs some noise.
 
     base, best: the fits of the other clips, without and with all claims. Their shared parameters are fixed. fit_law
     makes the second fit of these clips from the first, if no model can hold the free law. If the best model has no

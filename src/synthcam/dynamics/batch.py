@@ -1,6 +1,6 @@
 """Thousands of two-ball collisions at once: the motion of `dynamics.solve`, vectorised over collisions.
 
-A collision is one impact of a striker on a ball at rest, followed by flights, slides and rolls. Where two balls would
+A collision is one impact of a striker on a ball at rest, followed by flights, slides and rolls. If two balls would
 touch again, or a ball that stopped starts again, `solve` takes over that collision. With |b| > 1 the striker meets
 nothing: its motion is free from the time of its launch on, and straight on before it.
 """
@@ -141,7 +141,7 @@ def solve_collisions(
     """Solve many collisions at once. Raises ValueError as `solve` does.
 
     launches: (n, 6) or (n, 9), columns LAUNCH_COLUMNS and, of strikers that do not roll, `SPIN_COLUMNS` of `launch`.
-    Of a free striker, |b| > 1, x and y are its own position; ball 1 is then another striker, in the same place.
+    The x and y of a free striker, |b| > 1, are its own position; ball 1 is then another striker at the same position.
     start, end: s. striker_is_a: whether the striker is ball a of the experimenter, (n,) or one for all.
     """
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))

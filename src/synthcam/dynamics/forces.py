@@ -1,6 +1,6 @@
 """The forces on balls that slide, roll or fly, many at once, and the slip at which a slide with a drilling spin ends.
 
-Beside a drilling spin w, friction fades with the slip u as F u/(u + c), with c proportional to |w|. A push p then keeps
+With a drilling spin w, friction fades with the slip u as F u/(u + c), with c proportional to |w|. A push p then keeps
 up a slip of u = c p/(F - p), micrometres per second, until the spin is gone, perhaps a second later. In every
 observable such a ball rolls, and the rolling loss slows it. A slide is therefore over once its slip is small compared
 with the drilling (`find_ending_slip`); the remaining slip ends as without drilling. That slip is fixed when the slide

@@ -1,7 +1,7 @@
 """The result of an integration: states at any time, and mean positions over exposures.
 
-The solution is a set of Chebyshev series in w, a root of the share of time left. Where a slip turns it is the cube
-root: towards the end the slip turns as ln w, of which the position keeps only terms as small as w^6 ln w. A mean is
+The solution is a set of Chebyshev series in w, a root of the share of time left. For a slip that turns it is the cube
+root. Towards the end such a slip turns as ln w, and the position has only terms as small as w^6 ln w. A mean is
 the difference of two integrals over time, which are series in w again, since dt ~ w^2 dw.
 """
 

@@ -36,8 +36,8 @@ class Launch:
 
     later: launches of single bodies after that time.
 
-    Where balls push each other, a target that another ball touches was at rest long before, until the push pulled it
-    off. Its position here is that of the contact; its velocity at the contact follows from the solution.
+    If balls push each other, a target that another ball touches was at rest long before, until the push pulled it off.
+    Its position here is that of the contact; its velocity at the contact follows from the solution.
     """
 
     time: float
@@ -70,7 +70,7 @@ class Launch:
         heading: direction of ball 2 at the contact, rad from x towards y.
         contact: position (2,) between the balls at the contact, m.
         spin: (3,) of ball 2, m/s: the velocity of its lowest point along the heading and to the left of it, both zero
-        where it rolls; and R times its spin about the vertical.
+        if it rolls. The third is R times its spin about the vertical.
         """
         numbers = np.array([v0]), np.array([b]), np.array([heading])
         states = touching(bodies[:1], bodies[1:], *numbers, np.array([contact]), np.array([spin], dtype=float))

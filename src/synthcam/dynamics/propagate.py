@@ -4,12 +4,12 @@ A sliding ball is integrated in q = (5 v + 2 R w x z)/7 and the contact velocity
 
     v = q + (2/7) u,   x' = v,   q' = (5/7) p,   s' = -(7/2) mu N + p . u_hat = -A,   th' = (u_hat x p)/s
 
-with the push p and the load N over the mass; the numbers are those of a solid ball. cos th and sin th take the place of
-th. Towards the end of the slide th' grows as 1/s. The slip of a ball whose slide will end therefore paces the
-integration, of both balls of a pair: with ln s in place of the time every right-hand side is smooth, and the end of the
-slide is a known point instead of an event to search for. Where nothing turns the slip, s itself serves. All other
-motion is integrated over time. A rolling ball, v' = (5/7) p - loss v_hat, is integrated for at most half the time that
-would stop it.
+with the push p and the load N over the mass; the numbers are those of a solid ball. cos th and sin th replace th.
+Towards the end of the slide th' grows as 1/s. The slip of a ball whose slide will end therefore paces the integration
+of both balls of a pair. With ln s instead of the time every right-hand side is smooth. The end of the slide is then a
+known point instead of an event to search for. If nothing turns the slip, s itself serves. All other motion is
+integrated over time. A rolling ball, v' = (5/7) p - loss v_hat, is integrated for at most half the time that would stop
+it.
 """
 
 from __future__ import annotations

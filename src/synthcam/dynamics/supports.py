@@ -16,7 +16,7 @@ FADING_M_S = 1e-6  # friction in a contact that lasts fades at speeds below it
 
 
 class Support(ABC):
-    """Carries a body in place of the plate that the model's own laws describe."""
+    """Carries a body instead of the plate that the model's own laws describe."""
 
     @abstractmethod
     def leg(self, state: State, radius: float, t: float) -> Leg:

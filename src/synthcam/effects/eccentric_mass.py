@@ -13,7 +13,7 @@ class EccentricMass(Effect):
     """Rolling of ball a ripples: a = (5/7)(g + v^2/R)[c cos(s/R) + d sin(s/R)]/R, with the path s along its heading.
 
     c and d are the offsets of the centre of mass, ahead of the middle and above it where s = 0. The law follows from
-    the Lagrangian of a sphere whose inertia about the contact is m R^2 (7/5 + 2 up/R), with the height `up` of its mass
+    the Lagrangian of a sphere. Its inertia about the contact is m R^2 (7/5 + 2 up/R), with the height `up` of its mass
     over the middle. The term v^2/R, from the change of the inertia, exceeds gravity above 0.11 m/s. First order in
     offset/R, without the rolling loss, which is a hundredth of gravity. An offset of 1 um at 0.1 m/s makes the speed
     ripple by 0.13 mm/s with the period 2 pi R.

@@ -14,9 +14,9 @@ class MagneticAttraction(Effect):
     """Each ball is pulled towards the other by the force pull (2R/r)^4 times the mass of a ball of the model.
 
     r is the distance of the centres, 2R the diameter of the model's ball; pull < 0 repels. The force is the same for
-    both balls, whatever their masses and sizes. For dipoles of moment m (Jackson, Classical Electrodynamics (1999),
-    ch. 5): upright ones side by side repel by 3 mu0 m^2/(4 pi r^4), opposite ones attract by as much, and ones along
-    the line of centres attract by twice that.
+    both balls, whatever their masses and sizes. Jackson, Classical Electrodynamics (1999), ch. 5, gives the forces of
+    dipoles of moment m. Upright ones side by side repel by 3 mu0 m^2/(4 pi r^4), and opposite ones attract by as much.
+    Dipoles along the line of centres attract by twice that.
 
     The moments must stay constant while the balls roll, as those of soft steel in a field do: m = 4 pi R^3 B/mu0. An
     upright field of 1 mT gives pull = -0.05 m/s^2 at any position; one along the line of centres, as in nearly

@@ -28,7 +28,7 @@ class GroupSettings(Settings):
     - centre, m; size: width and height of the area in which random and lattice place the centres, m
     - gap: least distance between two surfaces, m
     - velocity: of the group, m/s; rms_speed: of its bodies about that, m/s, normal in each direction
-    - body: what they are, in place of `bodies`
+    - body: what they are, instead of `bodies`
     """
 
     count: Annotated[int, Field(ge=1, le=MAX_BODIES)]
@@ -186,7 +186,7 @@ def _random(
                 break
         else:
             raise InputError(
-                f"{key}: {len(places)} of {count} bodies find a place at random in {size[0]:g} x {size[1]:g} m; "
+                f"{key}: {len(places)} of {count} bodies find a position at random in {size[0]:g} x {size[1]:g} m; "
                 "expected a larger size, fewer bodies, a smaller gap, or arrangement: lattice"
             )
     return np.array(places)

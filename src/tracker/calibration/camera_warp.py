@@ -2,7 +2,7 @@
 
 The displacement of each position is a sum of cubic B-splines with a prior of smoothness (Eilers and Marx 1996, Stat.
 Sci. 11, 89), whose strength maximises the marginal likelihood. The free motion of each stretch is fitted beside it.
-Shifts, turns and uniform strains leave free motion as it is: the correction has no such part. A map is accepted only
+Shifts, turns and uniform strains do not change free motion: the correction has no such part. A map is accepted only
 if it predicts the stretches of recordings that were left out.
 """
 

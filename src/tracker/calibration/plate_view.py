@@ -60,8 +60,8 @@ def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: f
 class _Problem:
     """The least-squares problem of a view.
 
-    x holds the logarithm of the focal length, the offset of the principal point from the picture's middle (px, two
-    numbers), k1 and k2 if they are free, a rotation vector, and t.
+    The unknowns x are the logarithm of the focal length and the offset of the principal point from the picture's
+    middle (px, two numbers). Then follow k1 and k2 if they are free, a rotation vector, and t.
     """
 
     points: PlatePoints

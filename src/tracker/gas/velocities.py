@@ -280,7 +280,7 @@ def _fit_path(
 
 
 def extrapolate_to_contact(ball: BallTrack, breaks: Floats, at: float, later: bool) -> tuple[Floats, bool]:
-    """Find the place of a ball at one of its contacts, by its path beyond it, and whether two positions show that path.
+    """Find a ball's position at one of its contacts, by its path beyond it, and whether two positions show that path.
 
     breaks: times of all its contacts, s. later: whether that path comes after the contact.
     """

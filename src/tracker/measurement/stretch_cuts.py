@@ -3,7 +3,7 @@
 The local estimate, `tracker warp` and `discrepancy find --stretches` cut by it.
 
 - A contact is one that the tracker measured, a position at which another ball may be touched, or a kink.
-- A kink is a change of the velocity that neither friction nor noise makes. The noise is the scatter of third
+- A kink is a change of the velocity that friction and noise cannot make. The noise is the scatter of third
   differences.
 - A position within the margin of a contact, before or after it, is beside it. Trackers and bodies are less regular
   there, so stretches leave it out. The local estimate has few positions, and gives those larger errors instead.

@@ -165,8 +165,9 @@ class RecordingPage:
         models = " ".join(filter(None, [models, lines]))
         return (
             f"0.9027(12) means 0.9027 ± 0.0012, one standard error. A value without brackets claims no error. {models} "
-            "Finite differences take velocities from neighbouring frames. χ²/dof near 1 means that the residuals of "
-            "the tied fit are as large as the errors of the positions; p is the probability of a χ² at least as large."
+            "Finite differences take velocities from neighbouring frames. If χ²/dof is near 1, the residuals of "
+            "the tied fit are as large as the errors of the positions. The value p is the "
+            "probability of a χ² at least as large."
         )
 
     def _describe(self, row: Mapping[str, Any]) -> str:

@@ -179,8 +179,8 @@ def make_quantity_tables(score: DetectorScore) -> list[PageTable]:
     heads = ["quantity", "unit", "clips", "bias", "rmse", "bound", "rmse / bound", "z mean", "z sd", "68 %", "95 %"]
     note = (
         "z: error over claimed standard error; its sd is 1 where error bars are correct. Bound: Cramér-Rao bound of "
-        "the fit at the true motion, root mean square over the clips. In brackets stands the sampling error of the "
-        "ratio from the number of clips: a ratio below 1 by a few of these errors agrees with the bound. 68 %, 95 %: "
+        "the fit at the true motion, root mean square over the clips. In brackets is the sampling error of the "
+        "ratio from the number of clips. A ratio below 1 by a few of these errors agrees with the bound. 68 %, 95 %: "
         "share of clips within 1 and 1.96 standard errors."
     )
     tables: list[PageTable] = []

@@ -182,7 +182,7 @@ def combine(
     if table["camera"].str.contains('"std": ').any():  # of a warp
         notes.append(
             "the error of `warp` in camera.json counts as independent from collision to collision; means of collisions "
-            "at the same place are less certain than their errors say"
+            "at the same position are less certain than their errors say"
         )
     table, calibrated = _calibrate_together(table)
     notes += calibrated

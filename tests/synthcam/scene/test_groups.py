@@ -92,7 +92,10 @@ def test_the_truth_lists_each_body():
     ("sections", "message"),
     [
         ({"groups": [{"count": 5}]}, "groups.0.size: expected the width and the height of the area"),
-        ({"groups": [{"count": 99, "size": [0.01, 0.01]}]}, "groups.0: .. of 99 bodies find a place at random in 0.01"),
+        (
+            {"groups": [{"count": 99, "size": [0.01, 0.01]}]},
+            "groups.0: .. of 99 bodies find a position at random in 0.01",
+        ),
         (
             {"groups": [{"count": 99, "size": [0.01, 0.01], "arrangement": "lattice"}]},
             "groups.0: 2. of 99 bodies have room",

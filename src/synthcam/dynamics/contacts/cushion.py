@@ -1,9 +1,9 @@
 """The impact of a ball on a cushion, by the equations of Mathavan, Jackson & Parkin.
 
 They are in Proc. IMechE C 224 (2010) 1863. The cushion touches the ball above its centre, at an angle theta, and
-presses it on the plate. Both rub the ball, and the directions of both slips change during the impact. So the velocities
-are integrated over the impulse P of the cushion: first until the ball no longer approaches, then until the cushion has
-returned the share e^2 of the work done on it.
+presses it on the plate. Both rub the ball, and the directions of both slips change during the impact. So the
+velocities are integrated over the impulse P of the cushion. The first part ends when the ball no longer approaches.
+The second ends when the cushion has returned the share e^2 of the work done on it.
 """
 
 from __future__ import annotations

@@ -112,9 +112,9 @@ def _about_the_other(truth: pd.DataFrame, true: pd.DataFrame, off: Floats) -> tu
 def fit_pixel_locking(pairs: pd.DataFrame, min_errors: int = 20) -> tuple[Floats, float]:
     """Fit the error of moving balls as a function of the phase of the glint within its pixel.
 
-    Returns by axis (2, 4), px, cosine and sine with one and with two periods per pixel, and the peak-to-peak amplitude
-    of the first period, px, corrected for noise, of the worse axis. Axes with fewer than `min_errors` errors are left
-    out: zero, and NaN where there is no other.
+    Returns by axis (2, 4), px, cosine and sine with one and with two periods per pixel. The second result is the
+    peak-to-peak amplitude of the first period, px, corrected for noise, of the worse axis. Axes with fewer than
+    `min_errors` errors are left out: zero, and NaN where there is no other.
     """
     waves, worst = np.zeros((2, 4)), np.nan
     for k, axis in enumerate("xy"):

@@ -30,7 +30,7 @@ PUBLISHED = ("r", "mu_k", "C", "tau1", "energy_fraction")  # quantities whose pu
 SHIFTED = ("r", "tau1", "energy_fraction")  # quantities whose shifts by defects are shown
 MEANINGS = {
     "score": "100 × the mean of (n / (n + missed + false)) × min(bound / rmse, 1) over those columns of the first "
-    "figure that have a bound. 100: every ball is found, nothing else is, and the errors are at the bound.",
+    "figure that have a bound. At 100 every ball is found, nothing else is, and the errors are at the bound.",
     "rmse / bound": "root mean square error of the centre in x and y over the Cramér-Rao bound, the smallest standard "
     "deviation of an unbiased estimate. For encoded films the bound is that of the film before it was encoded.",
     "found": "share of the balls wholly in view that have a detection within 5 px.",
@@ -145,8 +145,8 @@ def _leaderboard(entries: Entries) -> PageTable:
 def _meanings() -> Markup:
     lines = [Markup("<dt><b>{}</b></dt><dd>{}</dd>").format(name, meaning) for name, meaning in MEANINGS.items()]
     more = (
-        "The camera file converts the bright spots that a detector finds to centres of balls, the same for all "
-        "detectors, and all are linked by the same linker unless an entry names its own. A slow tracker may run on "
+        "For all detectors, the camera file converts the bright spots to centres of balls. The same linker joins "
+        "them, unless an entry names its own. A slow tracker may run on "
         "fewer clips of each part; its entry says so."
     )
     return Markup("<dl>{}</dl><p>{}</p>").format(Markup("").join(lines), more)

@@ -73,7 +73,7 @@ def pixel_noise(mean: Array, sensor: SensorSpec) -> tuple[Array, Array]:
 def information(mean: Array, sensor: SensorSpec, noise: tuple[Array, Array] | None = None) -> Array:
     """Fisher information of one pixel on its own mean, 1/counts^2, any shape; clipping included.
 
-    For an open pixel it is 1/v + (v'/v)^2 / 2. A pixel at the ceiling c is known to exceed c - 1/2: its information is
+    For an open pixel it is 1/v + (v'/v)^2 / 2. A pixel at the ceiling c is known to exceed c - 1/2. Its information is
     the integral of the squared score up to there, and the term of the tail beyond. `noise` is `pixel_noise` there.
     """
     clear = 6.0  # standard deviations below the ceiling, from which on it does not matter

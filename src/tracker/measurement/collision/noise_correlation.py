@@ -26,8 +26,9 @@ MIN_CORRELATION_SIGMA = 3.0  # standard errors of the correlation of neighbourin
 def with_correlated_noise(pair: BallPair, free: CollisionFit) -> BallPair | None:
     """The pair with errors of the size and the correlation from frame to frame that its tracks show.
 
-    Its free fit says when the balls roll. None if the errors are not clearly correlated, if no ball rolls for long
-    enough, or if the residuals of the cubics cannot be errors, because those would scatter more from frame to frame.
+    Its free fit says when the balls roll. The result is None if the errors are not clearly correlated, or if no ball
+    rolls for long enough. It is also None if the residuals of the cubics cannot be errors, because those would scatter
+    more from frame to frame.
     """
     if pair.striker.encoded:
         return _with_codec_errors(pair, free)

@@ -40,7 +40,7 @@ class FinderSettings:
     friction: float = 0.2  # of the plate, on which a ball slides after a contact; 0 of bodies that glide
     distance_share: float = 0.016  # error of the distance at which balls touch, diameters
     near_share: float = 0.05  # farther than a diameter by this, balls do not touch
-    prior_log_odds: float = -10.0  # of a contact at a place and time where one is looked for
+    prior_log_odds: float = -10.0  # of a contact at a position and time at which one is searched
     least_confidence: float = 0.5
     same_frames: float = 1.5  # within which two contacts of a ball are one kink
     vague_frames: float = 3.5  # the same, where the instants are not yet known

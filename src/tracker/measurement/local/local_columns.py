@@ -1,10 +1,11 @@
 """The columns of the local estimate in estimates.parquet, and its calibration by the balance of momentum.
 
-Residuals cannot show an error that is smooth over a stretch, such as a bent map of the camera, a marker beside the
-centre of mass, or a body that lifts off. The balance of momentum shows it. Its errors are those of the residuals times
-a factor and, for each component of each velocity, an error that is proportional to the speed of the hit. Along the line
-of centres there is a bias that is proportional to the normal speed. In one recording the factor is 1 and that error is
-a prior. In a set they are fitted: the factor where errors are larger in hits that are measured less well.
+Residuals cannot show an error that is smooth over a stretch. Examples are a bent map of the camera, a marker beside
+the centre of mass, and a body that lifts off. The balance of momentum shows such errors. The errors are those of the
+residuals times a factor and, for each component of each velocity, an error that is proportional to the speed of the
+hit. Along the line of centres there is a bias that is proportional to the normal speed. In one recording the factor is
+1 and that error is a prior. In a set they are fitted: the factor where errors are larger in hits that are measured less
+well.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[MotionK
 def _allow_for_duration(
     priors: LocalPriors, stretches: Sequence[Stretch], contact: Contact, camera: Camera
 ) -> LocalPriors:
-    """Widen what is known of the places at the contact by the way that bodies move while it lasts."""
+    """Widen the errors of the positions at the contact by the way that bodies move while it lasts."""
     lasts_s = (contact.end - contact.start) / camera.fps
     if not lasts_s > 0:
         return priors

@@ -670,8 +670,8 @@ def _solve_with_durations(
 def _list_durations(solution: LocalSolution, k: int, durations: int) -> list[SlideDuration]:
     """List durations of one slide: two below the first position, cells, and one above the stretch.
 
-    The cells divide the durations with which the stretch alone fits hardly worse than with the best: the velocity may
-    change by many errors from one cell to the next if they divide the whole stretch.
+    The cells divide the durations with which the stretch alone fits hardly worse than with the best. If they divided
+    the whole stretch, the velocity could change by many errors from one cell to the next.
     """
     priors, stretch = solution.problem.priors, solution.problem.stretches[k]
     since = np.abs(stretch.time - solution.x[0])
