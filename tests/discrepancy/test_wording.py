@@ -4,7 +4,8 @@ import dataclasses
 
 from discrepancy.fitting.stretch_scatter import StretchScatter
 from discrepancy.select.contact_effects import ContactClaim, ContactNumber
-from discrepancy.wording import describe_contacts, describe_scatter
+from discrepancy.validate.claim_tests import ClaimTest, HeldOutTest, Rejection, StrengthVariation
+from discrepancy.wording import describe_contacts, describe_rejection, describe_scatter
 from synthcam.model import Model
 
 RECOIL = ContactClaim(
@@ -43,3 +44,12 @@ def test_a_cause_that_the_model_has_is_not_called_missing():
     text = " ".join(describe_contacts([shares], without.replace({"spin_transfer": 0.12})))
     assert "not compared with the impact of the model" in text
     assert "The model has spin_transfer already" in text
+
+
+def test_each_reason_to_reject_has_words_of_its_own():
+    passing = HeldOutTest((1.0, 0.9), 9.0, 9.0)
+    tests = [
+        ClaimTest("hop", 5.0, passing, passing, why, False, ("hop.bounce", 1.0), StrengthVariation("speed", 6.0))
+        for why in Rejection
+    ]
+    assert len({describe_rejection(test) for test in tests} - {""}) == len(Rejection)
