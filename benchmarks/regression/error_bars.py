@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 import synthcam
 from synthcam.scene.clip import Clip
 from tracker.camera.camera import Camera
-from tracker.detection.link import Tracks
+from tracker.detection.link import Tracks, to_centres
 from tracker.measurement.estimate import fit_all, measure
-from tracker.results import to_centres
 
 Floats = NDArray[np.float64]
 

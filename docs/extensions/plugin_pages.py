@@ -12,7 +12,8 @@ from typing import Any
 from myst_text import paragraphs, plain, table
 
 from discrepancy.free_laws.library import library as free_laws
-from synthcam.dataset.effect_drawing import draw_effect, with_typical_values
+from synthcam.dataset.effect_drawing import draw_effect
+from synthcam.effect import with_typical_values
 from synthcam.library import library as effects
 from tracker.detection.detect import list_detectors
 

@@ -24,7 +24,7 @@ from discrepancy.validate.residual_map import Disagreement, is_unexplained
 from discrepancy.verdict import Verdict
 from synthcam.library import library
 from synthcam.model import Model
-from synthcam_shared.report.numbers import format_number
+from synthcam_shared.report.numbers import format_number, round_to_error
 
 
 def describe_search(found: SearchOutcome) -> str:
@@ -102,17 +102,6 @@ def describe_interruption(interrupted: InterruptedSearch, base: ModelFit, unit: 
     return f"{start}, with {effects} {interrupted.chi2:.3g}; that was not tested on held-out {unit}."
 
 
-def format_with_error(value: float, std: float, digits: int) -> str:
-    """Format a value to the precision of `digits` digits of its error, or to three digits without an error."""
-    if not (math.isfinite(std) and std > 0 and value):
-        return f"{value:.3g}"
-    places = digits - 1 - math.floor(math.log10(float(f"{std:.{digits - 1}e}")))
-    figures = max(places + math.floor(math.log10(abs(value))) + 1, 1)
-    if abs(value) < 1e-4:
-        return f"{value:.{figures - 1}e}"
-    return f"{value:.{places}f}" if places > 0 else f"{value:.{figures}g}"
-
-
 def describe_effect(name: str) -> str:
     """Describe an effect by the first sentence of its file: "plate_tilt (a plate that is not level)"."""
     kind = library().get(name)  # None: a base parameter
@@ -133,7 +122,7 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
     parts = []
     for name, value in claim.values.items():
         at_limit = claim.at_limit(name)
-        number = format_with_error(value, 0.0 if at_limit else claim.std[name], 1)
+        number = round_to_error(value, 0.0 if at_limit else claim.std[name], 1)
         number = number if number.startswith("-") or is_correction else f"+{number}"
         known = math.isfinite(claim.std[name]) and not at_limit
         error = f"+- {claim.std[name]:.1g}" if known else "at its limit" if at_limit else "without an error"
@@ -143,7 +132,7 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
     for name, value in claim.shapes.items():
         std = claim.shape_std[name]
         if math.isfinite(std):
-            parts.append(f"{_last(name)} {format_with_error(value, std, 1)} +- {std:.1g}{_unit(name)}")
+            parts.append(f"{_last(name)} {round_to_error(value, std, 1)} +- {std:.1g}{_unit(name)}")
         else:
             parts.append(f"{_last(name)} undetermined")
     joint = f"; jointly {joint}" if several else f" ({joint})"
@@ -278,7 +267,7 @@ def _describe_contact_claim(claim: ContactClaim) -> str:
 
 
 def _with_error(number: ContactNumber) -> str:
-    return f"{format_with_error(number.value, number.std, 2)} +- {number.std:.2g}"
+    return f"{round_to_error(number.value, number.std, 2)} +- {number.std:.2g}"
 
 
 def _advise_measurement(causes: Sequence[str]) -> str:

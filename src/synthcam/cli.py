@@ -345,8 +345,9 @@ def effects(
                 kind = ("shape parameter, given" if p.given else "shape parameter") if p.fixed else "strength"
                 print(f"    {p.name}: {kind}, {p.unit}, typically {p.typical:g}, from {p.low:g} to {p.high:g}")
     if output is not None and name is not None:
-        from synthcam.dataset.effect_drawing import draw_effect, with_typical_values
+        from synthcam.dataset.effect_drawing import draw_effect
         from synthcam.dataset.picture_mark import check_picture_output
+        from synthcam.effect import with_typical_values
 
         check_picture_output(output, "synthcam effects")
         apart = draw_effect(with_typical_values(known[name]), output)

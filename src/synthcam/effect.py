@@ -201,3 +201,8 @@ class Laws:
         for bend, asks in self._bends[law]:
             value = bend(value, *[instant[a] for a in asks])
         return value
+
+
+def with_typical_values(kind: type[Effect]) -> Effect:
+    """Make the effect with every parameter at its typical value."""
+    return kind(**{p.name: p.typical for p in kind.parameters()})

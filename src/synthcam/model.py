@@ -432,3 +432,8 @@ def write_model(model: Model, path: Path) -> None:
 def to_yaml(settings: Mapping[str, Any]) -> str:
     """Write the settings of a model or a scene as the text of a YAML file."""
     return yaml.safe_dump(dict(settings), sort_keys=False, default_flow_style=None, width=120)
+
+
+def without_mutual_push(model: Model) -> Model:
+    """Return the model without the effects by which balls push each other."""
+    return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))

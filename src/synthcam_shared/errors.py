@@ -16,3 +16,8 @@ class PluginError(InputError, TypeError):
 
 class NoGL(RuntimeError):
     """OpenGL cannot draw off-screen here. The message says in one line why, and what would help."""
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of the message of an error, cut to 120 characters; its type where it has no message."""
+    return " ".join(str(error).strip().partition("\n")[0].split())[:120] or type(error).__name__

@@ -160,3 +160,35 @@ def resume_folder(partial: Path, plan_file: str, plan: str) -> Iterator[None]:
             if not any((partial / "clips").glob("*[0-9]")):
                 shutil.rmtree(partial, ignore_errors=True)
             raise
+
+
+UNFINISHED = ".unfinished"  # in a folder that a command has made and not completed
+
+
+@contextmanager
+def open_scratch_folder(final: Path) -> Iterator[Path]:
+    """Make the empty folder `final`.tmp for one process; it is removed at the end unless `publish` has moved it.
+
+    Raises InputError if it exists and is not what a killed process left.
+    """
+    beside = final.with_name(f"{final.name}.tmp")
+    with lock_folder(beside):
+        if any(beside.iterdir()) and not (beside / UNFINISHED).exists():
+            raise InputError(
+                f"{beside}: holds something else; {final.name} is made there: remove it or choose another -o"
+            )
+        try:
+            (beside / UNFINISHED).touch()
+            for leftover in beside.iterdir():
+                if leftover.name != UNFINISHED:
+                    shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
+            yield beside
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+
+
+def publish(folder: Path, final: Path) -> None:
+    """Move a complete scratch folder to its place. The caller has checked that what is there may go."""
+    (folder / UNFINISHED).unlink(missing_ok=True)  # Zarr empties its folder
+    shutil.rmtree(final, ignore_errors=True)
+    folder.rename(final)

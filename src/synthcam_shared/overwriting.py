@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import os
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, lock_folder
-
-UNFINISHED = ".unfinished"  # in a folder that a command has made and not completed
+from synthcam_shared.outputs import as_input_error
 
 
 def check_not_read(output: Path, *inputs: Path | None) -> None:
@@ -45,32 +41,3 @@ def check_replaceable(output: Path, mark: bytes, maker: str) -> None:
                 ends += b"\n" + file.read()
     if mark not in ends:
         raise InputError(f"{output}: exists and was not made by `{maker}`; expected a new file: choose another -o")
-
-
-@contextmanager
-def open_scratch_folder(final: Path) -> Iterator[Path]:
-    """Make the empty folder `final`.tmp for one process; it is removed at the end unless `publish` has moved it.
-
-    Raises InputError if it exists and is not what a killed process left.
-    """
-    beside = final.with_name(f"{final.name}.tmp")
-    with lock_folder(beside):
-        if any(beside.iterdir()) and not (beside / UNFINISHED).exists():
-            raise InputError(
-                f"{beside}: holds something else; {final.name} is made there: remove it or choose another -o"
-            )
-        try:
-            (beside / UNFINISHED).touch()
-            for leftover in beside.iterdir():
-                if leftover.name != UNFINISHED:
-                    shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
-            yield beside
-        finally:
-            shutil.rmtree(beside, ignore_errors=True)
-
-
-def publish(folder: Path, final: Path) -> None:
-    """Move a complete scratch folder to its place. The caller has checked that what is there may go."""
-    (folder / UNFINISHED).unlink(missing_ok=True)  # Zarr empties its folder
-    shutil.rmtree(final, ignore_errors=True)
-    folder.rename(final)

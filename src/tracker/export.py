@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
-from synthcam_shared.overwriting import open_scratch_folder, publish
+from synthcam_shared.outputs import as_input_error, check_writable, open_scratch_folder, publish, write_atomically
 from synthcam_shared.settings import did_you_mean
 from tracker.results import read_clip
 from tracker.tables.read import formats

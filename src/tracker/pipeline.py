@@ -6,7 +6,7 @@ import functools
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY, Frames
 from tracker.camera.readers.labelled_array import is_zarr
-from tracker.camera.recordings import HelperProcesses, Recording, RecordingSource, open_source
+from tracker.camera.recordings import HelperProcesses, Recording, RecordingSource, digest_films, open_source
 from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import detector_name, load_detector, load_linker
 from tracker.detection.own_detector import digest, is_outside
@@ -219,32 +219,6 @@ def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
     own = {"detector_file": digest(detector)} if is_outside(detector) else {}
     run = {"made_by": "tracker track", "detector": detector_name(detector), "clips": len(source)}
     return run | {"input": digest_films(source)} | colour | film | own
-
-
-def digest_films(source: RecordingSource) -> str:
-    """A digest of the films and camera files of a source, by which run.json knows them."""
-    mark = hashlib.sha256()
-    for part in read_ends(source):
-        mark.update(part)
-    for file in source.camera_files():
-        mark.update(file.read_bytes())
-    return mark.hexdigest()
-
-
-def read_ends(source: RecordingSource) -> Iterator[bytes]:
-    """Numbers, sizes and both ends of the films of a source: what their digest is made of, before camera files."""
-    for number, location in source.clips:
-        yield f"{number}".encode()
-        inside = location.rglob("*") if is_zarr(location) else location.iterdir() if location.is_dir() else (location,)
-        files = sorted(path for path in inside if path.is_file())
-        for file in files:
-            size = file.stat().st_size
-            yield f"|{size}".encode()
-            with file.open("rb") as stream:
-                # 64 KiB at either end of a file distinguish recordings
-                yield stream.read(1 << 16)
-                stream.seek(max(0, size - (1 << 16)))
-                yield stream.read(1 << 16)
 
 
 def _track_clip(

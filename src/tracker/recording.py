@@ -39,7 +39,7 @@ from tracker.detection.diagnose import (
     warn_of_loose_ends,
     warn_of_missed_examples,
 )
-from tracker.detection.link import Tracks, link
+from tracker.detection.link import Tracks, link, to_centres
 from tracker.edits import EditsSource, TrackEdits
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.contacts import MarkedContact
@@ -451,7 +451,7 @@ def measure_tracks(
         tracks, number, settings, "For all write `fit: {{max_particles: {}}}` into a file of settings (--settings FILE)"
     )
     if point == "glint":
-        tracks = results.to_centres(tracks, camera)
+        tracks = to_centres(tracks, camera)
     repaired = repair_tracks(tracks, camera, number)
     edited = (edits or TrackEdits()).apply(repaired.tracks, number)
     rows, motion = measure_clip(edited.tracks, camera, settings, edited.contacts)

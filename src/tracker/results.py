@@ -11,7 +11,6 @@ import math
 import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from types import MappingProxyType
@@ -213,20 +212,6 @@ def read_clip(results: Path, number: int) -> tuple[Tracks, Camera]:
     return to_tracks(table, content.where), camera
 
 
-def to_centres(tracks: Tracks, camera: Camera) -> Tracks:
-    """Tracks of glints as tracks of ball centres, where the camera allows; else flagged 'glint'."""
-    seen = tracks.xy
-    centre, jacobian = camera.centre_of_glint(seen)
-    flags = tracks.flags
-    if not camera.corrects_glint:
-        flags = np.array(["|".join(filter(None, ["glint", *f.split("|")])) for f in flags.tolist()], dtype=np.str_)
-    return replace(
-        tracks,
-        x=centre[:, 0].copy(),
-        y=centre[:, 1].copy(),
-        cov=jacobian @ tracks.cov @ jacobian.transpose(0, 2, 1),
-        fixed=jacobian @ tracks.fixed @ jacobian.transpose(0, 2, 1),
-        flags=flags,
-        glint_x=seen[:, 0].copy(),
-        glint_y=seen[:, 1].copy(),
-    )
+def rows_as_dicts(estimates: pd.DataFrame) -> list[dict[str, Any]]:
+    """Convert the table of estimates to dictionaries by column, one for each collision."""
+    return [{str(name): value for name, value in row.items()} for row in estimates.to_dict("records")]

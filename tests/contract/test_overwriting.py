@@ -17,8 +17,8 @@ import synthcam.cli
 import tracker.cli
 from synthcam.model import read_model
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import write_atomically
-from synthcam_shared.overwriting import UNFINISHED, check_not_read, check_replaceable, open_scratch_folder
+from synthcam_shared.outputs import UNFINISHED, open_scratch_folder, write_atomically
+from synthcam_shared.overwriting import check_not_read, check_replaceable
 from synthcam_shared.report.folder import replace_folder
 from tracker.pipeline import run as track
 

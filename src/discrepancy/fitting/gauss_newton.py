@@ -23,8 +23,7 @@ from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import replace_within_limits
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
-from synthcam.dynamics.solve import without_mutual_push
-from synthcam.model import Model
+from synthcam.model import Model, without_mutual_push
 
 STEP_ERRORS = (ValueError, ArithmeticError)  # a step fails: no motion, a singular matrix, an overflow
 MAX_DAMPING = 1e6

@@ -12,8 +12,7 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import find_free_columns
 from discrepancy.fitting.parameters import difference_step, parameter_limits
 from discrepancy.fitting.predict import predict_tracks
-from synthcam.dynamics.solve import without_mutual_push
-from synthcam.model import Model
+from synthcam.model import Model, without_mutual_push
 
 LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
 

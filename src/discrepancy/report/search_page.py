@@ -16,15 +16,10 @@ from discrepancy.report.narrative import format_chi2, format_sigma, write_story
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
-from discrepancy.wording import (
-    describe_disagreement,
-    describe_rejection,
-    describe_search,
-    format_with_error,
-)
+from discrepancy.wording import describe_disagreement, describe_rejection, describe_search
 from synthcam.model import Model, write_model
 from synthcam_shared.report.folder import replace_folder
-from synthcam_shared.report.numbers import format_number
+from synthcam_shared.report.numbers import format_number, round_to_error
 from synthcam_shared.report.page import Block, PageList, PageTable, Section, write_page
 
 FILES = ("discrepancy.json", "index.html", "model.yaml")
@@ -120,7 +115,7 @@ def _format_parameter(found: SearchOutcome, claim: EffectClaim, name: str, value
     std = (claim.std | claim.shape_std)[name]
     if name in claim.shapes and not np.isfinite(std):
         return "undetermined", ""
-    number = format_with_error(value, std, 2)
+    number = round_to_error(value, std, 2)
     if claim.at_limit(name):
         return f"{number}, at the limit of its range", ""
     if not (np.isfinite(std) and std > 0) or not found.is_complete:

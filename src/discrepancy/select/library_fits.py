@@ -19,7 +19,7 @@ from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
 from discrepancy.select.model_cost import cost_of
 from discrepancy.select.score_test import CandidateScore, ScoreTests
-from synthcam.dynamics.solve import without_mutual_push
+from synthcam.model import without_mutual_push
 
 State = tuple[Candidate, ...]
 Key = frozenset[Candidate]

@@ -21,11 +21,6 @@ EXAMPLE_LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact":
 FRAMES, FPS = 80, 250.0
 
 
-def with_typical_values(kind: type[Effect]) -> Effect:
-    """Make the effect with every parameter at its typical value."""
-    return kind(**{p.name: p.typical for p in kind.parameters()})
-
-
 def simulate_tracks(model: Model) -> Array:
     """Simulate the tracks that an experimenter with the nominal camera measures: mm, (2, FRAMES, 2)."""
     radius = model.ball.radius

@@ -15,8 +15,7 @@ from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.dataset.recorded_dataset import Dataset, open_dataset
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
-from synthcam_shared.outputs import as_input_error, check_writable
-from synthcam_shared.overwriting import open_scratch_folder, publish
+from synthcam_shared.outputs import as_input_error, check_writable, open_scratch_folder, publish
 
 
 def formats() -> dict[str, str]:

@@ -14,7 +14,7 @@ import pandas as pd
 import tifffile
 from numpy.typing import NDArray
 
-from synthcam_shared.errors import InputError
+from synthcam_shared.errors import InputError, first_line
 from synthcam_shared.track_formats import split_by_particle
 
 
@@ -237,8 +237,3 @@ class RecordedFilm(Sequence[NDArray[Any]]):
 
 def _read_json(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
-
-
-def first_line(error: Exception) -> str:
-    """The message of an error in one line."""
-    return " ".join(str(error).split())[:100] or type(error).__name__

@@ -12,9 +12,9 @@ from typing import Any, overload
 import pandas as pd
 
 from synthcam.dataset.files import clip_folders
-from synthcam.dataset.recorded_clip import RecordedClip, first_line
+from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam_shared.arguments import check_arguments
-from synthcam_shared.errors import InputError
+from synthcam_shared.errors import InputError, first_line
 
 
 @dataclass(frozen=True, eq=False, repr=False)

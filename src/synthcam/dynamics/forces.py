@@ -185,12 +185,6 @@ def find_ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NO
     return np.where(late < first, late, np.inf)
 
 
-def flight_time(model: Model, states: Array, bodies: Bodies) -> Array:
-    """Return how long balls stay in the air, (m,) s."""
-    up, height = states[:, 5], np.maximum(states[:, 2] - bodies.radius, 0.0)
-    return np.asarray((up + np.sqrt(up * up + 2 * model.gravity * height)) / model.gravity)
-
-
 def last_axis(vectors: Array) -> Array:
     """Turn the vectors of forces (2, m, n) into (m, n, 2), as effects take them."""
     return vectors.transpose(1, 2, 0)

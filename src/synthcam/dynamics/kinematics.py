@@ -269,3 +269,9 @@ def interpolate_hermite(ends: Array, wide: Array, shares: Array) -> Array:
     a, b = ends[:, :-1, None], ends[:, 1:, None]
     left = (1 - s) ** 2 * ((1 + 2 * s) * a[..., :2] + s * h * a[..., 2:])
     return np.asarray(left + s**2 * ((3 - 2 * s) * b[..., :2] + (s - 1) * h * b[..., 2:]))
+
+
+def flight_time(states: Array, radius: Array, gravity: float) -> Array:
+    """Return how long balls that fly stay in the air, (m,) s."""
+    up, height = states[:, 5], np.maximum(states[:, 2] - radius, 0.0)
+    return np.asarray((up + np.sqrt(up * up + 2 * gravity * height)) / gravity)

@@ -37,11 +37,10 @@ from synthcam.dynamics.forces import (
     Ints,
     classify_modes,
     find_ending_slip,
-    flight_time,
     last_axis,
 )
 from synthcam.dynamics.integrated_motion import IntegratedMotion, Pieces, snap_to_goal
-from synthcam.dynamics.kinematics import Array, contact_velocity, push_share, rolling_velocity, slip_rate
+from synthcam.dynamics.kinematics import Array, contact_velocity, flight_time, push_share, rolling_velocity, slip_rate
 
 MAX_SPEED_M_S = 1e3  # a ball that would have had to come faster has no past
 LOG_SLIP_BREAK = 0.33  # share of the fall of ln(slip) at which two pieces of a slide meet
@@ -232,7 +231,8 @@ class PhaseIntegrator:
         falls = np.full(len(self.modes), np.inf)
         if FLY in self.rows:
             balls = self.balls
-            falls = np.where(self.modes == FLY, flight_time(balls.model, balls.states, balls.bodies), np.inf)
+            times = flight_time(balls.states, balls.bodies.radius, balls.model.gravity)
+            falls = np.where(self.modes == FLY, times, np.inf)
         over = (lasts == falls) | (self.ends[:, 0] if self.closes or self.straight else False)
         return self._make_step(pieces, lasts, over, sound & (lasts <= falls))
 
@@ -313,7 +313,7 @@ def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Ints, Flags]:
     dq = dq + np.zeros((2, *phase.first.shape))
     v, modes, first = balls.states[:, 3:5].T, balls.modes, phase.first[:, 0]
     half = np.hypot(v[0], v[1]) / np.maximum(2 * np.hypot(dq[0], dq[1])[:, 0], TINY)
-    falls = flight_time(balls.model, balls.states, balls.bodies)
+    falls = flight_time(balls.states, balls.bodies.radius, balls.model.gravity)
     half = balls.min_of_unit(np.where(modes == ROLL, half, np.where(modes == FLY, falls, np.inf)))
     drills = first > balls.floor * (1 + FLOOR_TOLERANCE)
     left = first - np.where(drills, balls.floor, 0.0)

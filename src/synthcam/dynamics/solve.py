@@ -83,11 +83,6 @@ def solve(
     return _EventLoop(model, launch, start, end, finish_slides, table).motion(max_events)
 
 
-def without_mutual_push(model: Model) -> Model:
-    """Return the model without the effects by which balls push each other."""
-    return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
-
-
 class _EventLoop:
     """One run of the event loop; states are nine floats. Balls that push each other are solved together."""
 

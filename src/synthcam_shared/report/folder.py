@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable
-from synthcam_shared.overwriting import open_scratch_folder, publish
+from synthcam_shared.outputs import as_input_error, check_writable, open_scratch_folder, publish
 
 
 @contextmanager

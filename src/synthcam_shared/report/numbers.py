@@ -45,3 +45,14 @@ def format_with_error(value: float | None, std: float | None) -> str:
     if digits < 0:
         return f"{value:.0f}({std:.0f})"
     return f"{value:.{digits}f}({std * 10**digits:.0f})"
+
+
+def round_to_error(value: float, std: float, digits: int) -> str:
+    """Format a value to the precision of `digits` digits of its error, or to three digits without an error."""
+    if not (math.isfinite(std) and std > 0 and value):
+        return f"{value:.3g}"
+    places = digits - 1 - math.floor(math.log10(float(f"{std:.{digits - 1}e}")))
+    figures = max(places + math.floor(math.log10(abs(value))) + 1, 1)
+    if abs(value) < 1e-4:
+        return f"{value:.{figures - 1}e}"
+    return f"{value:.{places}f}" if places > 0 else f"{value:.{figures}g}"

@@ -22,10 +22,9 @@ from synthcam_shared.errors import InputError
 from tracker import results
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Frames
-from tracker.camera.recordings import RecordingSource, open_source
+from tracker.camera.recordings import RecordingSource, open_source, read_ends
 from tracker.detection.link import Tracks
 from tracker.edits import TrackEdits
-from tracker.pipeline import read_ends
 from tracker.report.collision_figures import list_residuals, view_collision
 from tracker.report.estimates_text import (
     METHODS,
@@ -33,10 +32,9 @@ from tracker.report.estimates_text import (
     describe_status,
     list_quantities,
     order_methods,
-    rows_as_dicts,
 )
 from tracker.report.pages import PAGE
-from tracker.results import RUN
+from tracker.results import RUN, rows_as_dicts
 
 MAX_COLLISIONS = 20  # whose numbers the page lists; the report has all
 MAX_POSITIONS = 200_000  # of tracks that the page draws

@@ -41,8 +41,3 @@ def format_value(value: Any, quoted: bool = True, most: int = 40) -> str:
         text = f"a {type(value).__name__} too long to show"
     line = "".join(c if c.isprintable() else " " for c in text)
     return line if len(line) <= most else f"{line[: most - 3]}..."
-
-
-def first_line(error: BaseException) -> str:
-    """The first line of an error, cut to 120 characters."""
-    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__

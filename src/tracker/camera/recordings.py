@@ -6,6 +6,7 @@ opens only two files of a dataset's clip: the film (``frames.tif``, or an encode
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
@@ -312,3 +313,29 @@ def check_two_frames(location: Path | str, frames: Frames) -> None:
     """Check that a recording has two frames or more. Raises InputError."""
     if len(frames) < 2:
         raise InputError(f"{location}: one frame only, expected at least two to follow a ball")
+
+
+def digest_films(source: RecordingSource) -> str:
+    """Digest the films and camera files of recordings, by which run.json knows them."""
+    mark = hashlib.sha256()
+    for part in read_ends(source):
+        mark.update(part)
+    for file in source.camera_files():
+        mark.update(file.read_bytes())
+    return mark.hexdigest()
+
+
+def read_ends(source: RecordingSource) -> Iterator[bytes]:
+    """Read numbers, sizes and both ends of the films of recordings, from which their digest is made."""
+    for number, location in source.clips:
+        yield f"{number}".encode()
+        inside = location.rglob("*") if is_zarr(location) else location.iterdir() if location.is_dir() else (location,)
+        files = sorted(path for path in inside if path.is_file())
+        for file in files:
+            size = file.stat().st_size
+            yield f"|{size}".encode()
+            with file.open("rb") as stream:
+                # 64 KiB at either end of a file distinguish recordings
+                yield stream.read(1 << 16)
+                stream.seek(max(0, size - (1 << 16)))
+                yield stream.read(1 << 16)

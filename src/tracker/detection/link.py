@@ -7,7 +7,7 @@ likelihood.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -254,3 +254,22 @@ def _keep_ball_tracks(
     whole = long | brief
     kept = [tracks[k] for k in np.flatnonzero((flux >= least) & whole & (length >= min_frames))]
     return sorted(kept, key=lambda rows: (glints.frame[rows[0]], glints.x[rows[0]], glints.y[rows[0]]))
+
+
+def to_centres(tracks: Tracks, camera: Camera) -> Tracks:
+    """Convert tracks of glints to tracks of ball centres, where the camera allows; else flag them 'glint'."""
+    seen = tracks.xy
+    centre, jacobian = camera.centre_of_glint(seen)
+    flags = tracks.flags
+    if not camera.corrects_glint:
+        flags = np.array(["|".join(filter(None, ["glint", *f.split("|")])) for f in flags.tolist()], dtype=np.str_)
+    return replace(
+        tracks,
+        x=centre[:, 0].copy(),
+        y=centre[:, 1].copy(),
+        cov=jacobian @ tracks.cov @ jacobian.transpose(0, 2, 1),
+        fixed=jacobian @ tracks.fixed @ jacobian.transpose(0, 2, 1),
+        flags=flags,
+        glint_x=seen[:, 0].copy(),
+        glint_y=seen[:, 1].copy(),
+    )

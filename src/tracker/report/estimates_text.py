@@ -13,6 +13,7 @@ from tracker.measurement.collision.adequacy import CROWD, MEASURED, MISFIT, ONE_
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.local.recommendation import recommended_suffix
 from tracker.report.quantities import QUANTITIES, Quantity
+from tracker.results import rows_as_dicts
 
 # suffix of a column: the method that gave its value
 METHODS = {"": "tied fit", "_free": "free fit", "_local": "local estimate", "_paper": "finite differences"}
@@ -24,11 +25,6 @@ class QuantityLine(NamedTuple):
     name: str
     quantity: Quantity
     values: tuple[str, ...]
-
-
-def rows_as_dicts(estimates: pd.DataFrame) -> list[dict[str, Any]]:
-    """Turn a table of estimates into one dictionary by column for each row."""
-    return [{str(name): value for name, value in row.items()} for row in estimates.to_dict("records")]
 
 
 def order_methods(row: Mapping[str, Any]) -> dict[str, str]:

@@ -60,11 +60,11 @@ from tracker.report.estimates_text import (
     is_straight,
     list_quantities,
     order_methods,
-    rows_as_dicts,
 )
 from tracker.report.overlay import Overlay, choose_frames, encode_mp4
 from tracker.report.quantities import QUANTITIES
 from tracker.report.refusals import REFUSALS
+from tracker.results import rows_as_dicts
 
 PAGE = "index.html"
 MAX_CONTACTS_OF_A_PAGE = 300  # the first; contacts.csv has all

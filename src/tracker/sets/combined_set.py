@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from pyarrow import ArrowException
 
 from synthcam_shared.arguments import check_arguments
-from synthcam_shared.errors import InputError
+from synthcam_shared.errors import InputError, first_line
 from synthcam_shared.report.numbers import format_with_error
 from synthcam_shared.settings import did_you_mean
-from tracker.camera.camera_keys import first_line
 from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.joint_fit import fit_all
 from tracker.measurement.local.local_columns import calibrate_set

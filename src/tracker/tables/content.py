@@ -15,8 +15,8 @@ from xml.parsers import expat
 import numpy as np
 import pandas as pd
 
-from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import first_line, format_value
+from synthcam_shared.errors import InputError, first_line
+from tracker.camera.camera_keys import format_value
 from tracker.tables.dialect import LINE, MISSING_MARKS, Dialect, Line, find_dialect, is_number, split_cells, split_lines
 
 

@@ -11,8 +11,7 @@ from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.select.score_test import ScoreTests
-from synthcam.dynamics.solve import without_mutual_push
-from synthcam.model import Model
+from synthcam.model import Model, without_mutual_push
 
 
 def test_a_ball_that_rests_only_beside_the_other_has_exact_derivatives():

@@ -13,9 +13,9 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 from discrepancy.report import search_page as report
 from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw_figures, name_of_best
 from discrepancy.report.narrative import write_story
-from discrepancy.wording import format_with_error
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
+from synthcam_shared.report.numbers import round_to_error
 
 WITH_A_MAP = pytest.param("friction_place", marks=pytest.mark.gate)
 
@@ -159,7 +159,7 @@ def test_the_formula_and_its_curve_are_on_the_page():
     ],
 )
 def test_a_value_is_shown_as_far_as_its_error_goes(value, std, digits, shown):
-    assert format_with_error(value, std, digits) == shown
+    assert round_to_error(value, std, digits) == shown
 
 
 def test_strengths_and_fitted_parameters_have_their_units(written):

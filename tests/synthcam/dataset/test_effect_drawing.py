@@ -7,16 +7,10 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from synthcam.cli import app
-from synthcam.dataset.effect_drawing import (
-    EXAMPLE_LAUNCH,
-    FPS,
-    FRAMES,
-    draw_effect,
-    simulate_tracks,
-    with_typical_values,
-)
+from synthcam.dataset.effect_drawing import EXAMPLE_LAUNCH, FPS, FRAMES, draw_effect, simulate_tracks
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
+from synthcam.effect import with_typical_values
 from synthcam.library import library
 from synthcam.model import Model
 

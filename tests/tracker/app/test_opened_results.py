@@ -15,9 +15,9 @@ from synthcam_shared.errors import InputError
 from tracker.app import opened_results
 from tracker.app.opened_results import OpenedResults, TracksAlone, find_film, show_tracks_alone
 from tracker.app.workbench import OPENED, Workbench
-from tracker.camera.recordings import open_source
+from tracker.camera.recordings import digest_films, open_source, read_ends
 from tracker.edits import TrackEdits
-from tracker.pipeline import digest_films, measure_tables, read_ends, run
+from tracker.pipeline import measure_tables, run
 from tracker.results import read_clip
 
 POINT = {"action": "remove_point", "ball": 1, "frame": 4}

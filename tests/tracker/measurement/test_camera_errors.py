@@ -10,9 +10,9 @@ from tracker_noisy import BENCHMARK, dataset, noisy, truth_of
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
+from tracker.detection.link import to_centres
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure
-from tracker.results import to_centres
 
 pytestmark = pytest.mark.usefixtures("not_local")
 

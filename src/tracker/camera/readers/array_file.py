@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import first_line
+from synthcam_shared.errors import InputError, first_line
 from tracker.camera.frame_times import drop_repeated, find_changes
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 
