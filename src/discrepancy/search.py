@@ -1,4 +1,4 @@
-"""Find what a model lacks: `find` composes prepare, select, measure the gap, validate, summarise."""
+"""The stages of a search, and `find`, which runs them: prepare, select, measure the gap, validate, summarise."""
 
 from __future__ import annotations
 

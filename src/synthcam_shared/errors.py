@@ -1,4 +1,4 @@
-"""The errors that a user may meet: bad input, a faulty plugin, and no OpenGL."""
+"""The errors that a user may meet, and their message in one line: bad input, a faulty plugin, no OpenGL."""
 
 from contextvars import ContextVar
 

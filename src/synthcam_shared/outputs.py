@@ -1,4 +1,4 @@
-"""Write files and folders so that nothing half-written is left behind and one process at a time works in a folder."""
+"""Write files and folders whole, lock a folder to one process, and let a killed run be continued."""
 
 from __future__ import annotations
 

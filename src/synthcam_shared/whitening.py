@@ -1,4 +1,4 @@
-"""Inverse Cholesky factors, by which errors of known covariance become independent ones of unit size."""
+"""Factors that make errors of known covariance independent and of unit size: inverse Cholesky factors."""
 
 from __future__ import annotations
 

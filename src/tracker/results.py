@@ -1,4 +1,4 @@
-"""Writes and reads the files of a results folder: run.json, tracks, estimates, and the marks of a finished run.
+"""Writes and reads the files of RESULTS: run.json, tracks, tables of estimates, and the marks of a finished run.
 
 Everything is written aside and moved into place. Files hold no times and no paths, so that the same input gives the
 same bytes.

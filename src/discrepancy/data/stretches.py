@@ -1,4 +1,4 @@
-"""Cuts collisions into free stretches: one ball between two contacts, each with a start of its own.
+"""Cuts collisions into free stretches, for a search without a law of the impact: one ball between two contacts.
 
 A stretch is evidence on the plate, the air, the camera and the clock, whatever the impact was and however the ball came
 to move. It is a `MeasuredCollision` of which only the striker is seen, launched so that it meets nothing. The time of

@@ -1,4 +1,4 @@
-"""A fitted model: the whitened clips, the residuals, and the derivatives with which it was found."""
+"""A fitted model: whitened clips, residuals, derivatives, and the directions that the derivatives absorb."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The parameters that a fit may change, by dotted name, and the candidates for what a model lacks."""
+"""The parameters that a fit may change, by dotted name: limits, steps, tried values; and the candidate effects."""
 
 from __future__ import annotations
 

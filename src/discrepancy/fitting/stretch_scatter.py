@@ -1,4 +1,4 @@
-"""The scatter from one free stretch to the next: of friction, rolling loss, and smooth displacements of the positions.
+"""Fits the scatter from one free stretch to the next: of friction, rolling loss, and smooth displacements.
 
 Real cloth, air and cameras differ from place to place and from shot to shot by more than the noise of positions. No
 parameter that all stretches share describes that. It is a random effect of each stretch (Pinheiro & Bates,

@@ -1,4 +1,4 @@
-"""The starts of free stretches: a slide of any length, chosen by how well each stretch is then fitted.
+"""Chooses the start of each free stretch: a slide of any length, by how well the stretch is then fitted.
 
 chi^2 of a stretch has a minimum for each way in which slide and roll may share it. So the fit begins from several.
 """

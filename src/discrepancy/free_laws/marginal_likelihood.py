@@ -1,4 +1,4 @@
-"""The marginal likelihood of a free curve: what it explains, and what freedom, strengths and choices cost in chi^2.
+"""The marginal likelihood of a free curve, and the costs in chi^2 of freedom, strengths and choices.
 
 The coefficients have a Gaussian prior, whose size maximises the marginal likelihood. F is the information of the
 coefficients, marginal over all that the fit absorbs; g is their pull, the gradient of -chi^2/2; s^2 K is their prior

@@ -1,4 +1,4 @@
-"""Whitens the residuals of one clip by its noise: noise alone becomes independent numbers from N(0, 1)."""
+"""Whitens the residuals of one clip for the fits of a search: noise becomes independent numbers from N(0, 1)."""
 
 from __future__ import annotations
 

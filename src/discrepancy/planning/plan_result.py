@@ -1,4 +1,4 @@
-"""Hold the values of a plan: limits of effects, indistinguishable pairs, and gains of changes."""
+"""The values of a plan: limits of effects, indistinguishable pairs, and gains of changes."""
 
 from __future__ import annotations
 

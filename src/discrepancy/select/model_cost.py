@@ -1,4 +1,4 @@
-"""The cost of a model's freedom, in chi^2, by one rule for every effect of the library and every free law."""
+"""The cost in chi^2 by which models are compared: one rule for every effect of the library and every free law."""
 
 from __future__ import annotations
 

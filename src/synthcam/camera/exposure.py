@@ -1,4 +1,4 @@
-"""One exposure as a picture: sub-exposures, blurred spots, and the patches of pixels that they change.
+"""The picture of one exposure: the shutter time in pieces, the spots blurred in each, and the pixels that change.
 
 The unit of a picture is the peak pixel of a glint after blur and pixel integration. The glint is the primary one of a
 ball at rest at the world's origin, and lies on a pixel's centre.

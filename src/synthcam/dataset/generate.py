@@ -1,4 +1,4 @@
-"""Make a dataset: clips side by side, resumable, with the same bytes however many workers there are."""
+"""Make a dataset: clips side by side in several processes, with the same bytes however many there are."""
 
 from __future__ import annotations
 

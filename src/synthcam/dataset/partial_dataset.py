@@ -1,4 +1,4 @@
-"""A dataset while it is made: a folder NAME.partial beside its place, renamed when it is complete."""
+"""The folder NAME.partial of an unfinished dataset: begun, continued after an interruption, renamed when complete."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Closed forms of sliding, rolling, flying and of impulses of friction, for one ball or for many at once.
+"""Closed forms of the simulated motion: sliding, rolling, gliding on air, flying, and impulses of friction.
 
 The state of a ball is nine numbers: position x, y, z (m), velocity vx, vy, vz (m/s), spin wx, wy, wz (rad/s).
 On the plate z = R. The contact velocity u = v - R (w x z) is the velocity of the ball's lowest point; rolling is u = 0.

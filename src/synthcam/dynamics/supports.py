@@ -1,4 +1,4 @@
-"""Supports of a body other than the plate: a cushion of air, or a dry plate under a disc."""
+"""The supports that a body may have instead of the plate: a cushion of air, or a dry plate under a disc."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draws a table from above: walls, paths and events, and an animation of the bodies."""
+"""Draws a tabletop from above: walls, paths and events, and an animation of the bodies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Free stretches of tracks: a ball between two contacts slides, then rolls, and nothing else acts on it.
+"""The free stretches to which a warp is fitted: a ball between two contacts slides, then rolls.
 
 A stretch has a free start. Its acceleration is constant while it slides; then it loses speed evenly, along its own
 direction. `FreeStretch` holds the residuals of this motion and what its own parameters can absorb.

@@ -1,4 +1,4 @@
-"""How a film is read: its times, the channel of its file, what is done with fields, and hints on where balls are."""
+"""Options on how a film is read: frames and times, channel, fields, region; and hints on where balls are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Opens recordings: a dataset, a clip, a TIFF stack, a folder of pictures, a video, an array.
+"""Opens recordings (a dataset, a clip, a stack, pictures, a video, an array), and digests their films.
 
 Frames are read one at a time when they are needed, so that memory does not grow with the length of a clip. The tracker
 opens only two files of a dataset's clip: the film (``frames.tif``, or an encoded ``frames.mp4``) and ``camera.json``.

@@ -1,4 +1,4 @@
-"""Compares the views of two cameras, by the first key that differs, and changes a view by its standard errors."""
+"""Compares the views of two cameras, changes a view by its standard errors, and gives its scale."""
 
 from __future__ import annotations
 

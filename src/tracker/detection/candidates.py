@@ -1,4 +1,4 @@
-"""The fast first search: pixels of a frame that are brighter than the empty plate by more than noise."""
+"""The fast first search: the empty plate of a film with its noise, and the pixels brighter than it by more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joins the detections of successive frames into tracks, through collisions, gaps, and balls that come and go.
+"""Joins the detections of successive frames into tracks of ball centres, through collisions, gaps, and new balls.
 
 `motion_filter` predicts each ball, also off another ball that it meets; `assignment` assigns the detections by their
 likelihood.

@@ -1,4 +1,4 @@
-"""The rule by which all commands cut tracks into stretches of free motion: what is a contact, and what lies beside it.
+"""The one rule by which commands cut tracks into free stretches: what is a contact, and what lies beside it.
 
 The local estimate, `tracker warp` and `discrepancy find --stretches` cut by it.
 

@@ -1,4 +1,4 @@
-"""One picture of a clip whose collisions are all misfits: both tracks, and enlarged residuals."""
+"""A picture of a clip whose collisions are all misfits (rejected by the tied fit): tracks, and enlarged residuals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One quantity of many collisions: its random-effects mean, slope, and what each collision does to them."""
+"""One quantity over many collisions: its random-effects mean, its slope, and the influence of each collision."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of a table as tracks, and tracks as rows: the columns of tracks.parquet."""
+"""Rows of a table of tracks: checks its columns, converts rows to tracks and back; the columns of tracks.parquet."""
 
 from __future__ import annotations
 

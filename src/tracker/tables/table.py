@@ -1,4 +1,4 @@
-"""A table as a file gives it, before it is known what a pixel is: rows, their unit, where its axes begin."""
+"""A table of tracks as its file gives it: rows, the unit of lengths, where the axes begin; not yet in pixels."""
 
 from __future__ import annotations
 

@@ -5,7 +5,6 @@ import html
 import json
 import re
 
-import numpy as np
 import pytest
 from discrepancy_clips import searched
 from discrepancy_outsiders import OUTSIDERS, outsider
@@ -15,7 +14,6 @@ from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw
 from discrepancy.report.narrative import write_story
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
-from synthcam_shared.report.numbers import round_to_error
 
 WITH_A_MAP = pytest.param("friction_place", marks=pytest.mark.gate)
 
@@ -144,22 +142,6 @@ def test_the_formula_and_its_curve_are_on_the_page():
     figures = {figure.title: figure.address for figure in draw_figures(found)}
     assert f"Free law: {found.law_summary.formula}" in figures
     assert len(figures) == 6
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "digits", "shown"),
-    [
-        (0.001001, 7.4e-7, 1, "0.0010010"),
-        (0.001001, 7.4e-7, 2, "0.00100100"),
-        (-0.4567, 0.0996, 1, "-0.5"),
-        (3.21e-6, 4e-8, 1, "3.21e-06"),
-        (31.4, 2.0, 1, "31"),
-        (0.02, 1.0, 1, "0.02"),
-        (0.5, np.inf, 1, "0.5"),
-    ],
-)
-def test_a_value_is_shown_as_far_as_its_error_goes(value, std, digits, shown):
-    assert round_to_error(value, std, digits) == shown
 
 
 def test_strengths_and_fitted_parameters_have_their_units(written):

@@ -1,4 +1,4 @@
-"""Effect of each defect of a tracker on the physics: it is put alone into true tracks, and these are measured.
+"""The shift of each measured quantity by each defect of a tracker, which is put alone into true tracks.
 
 The true tracks have the noise of the Cramér-Rao bound. It is the same for all trackers and defects, so every difference
 is due to the defect. The defects:

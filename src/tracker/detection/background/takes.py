@@ -1,4 +1,4 @@
-"""The takes of one film, between which the picture cuts; repeated frames; and the noise of a pixel."""
+"""Finds the takes of a film (its parts between two cuts), its repeated frames, and the noise of a pixel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tracker's closed-form model of two balls that roll, collide, slide and roll on.
+"""The tracker's own closed-form model of a collision: two balls roll, collide, slide and roll on.
 
 Ball 1 rests or rolls, ball 2 rolls at it. At t_c they exchange an impulse. Then each ball slides on a parabola until
 its slip is used up, and rolls on. Positions are averages over the camera's exposure, because a streaked image measures

@@ -1,4 +1,4 @@
-"""Find the contacts of a clip, the striker of each, and first guesses of its motion."""
+"""Finds the contacts of two balls in a clip, the striker of each, and first guesses for the fits."""
 
 from __future__ import annotations
 

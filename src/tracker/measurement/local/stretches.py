@@ -1,4 +1,4 @@
-"""Stretches of free motion up to a contact or from it on: what each shows, and the path that describes it.
+"""The stretches of a local estimate: the positions up to a contact or from it on, and the path that describes each.
 
 A path is a sum of a few functions of the time s since the contact. With G = s^2/2 until the time tau from the contact
 and straight from there on, and H = s^2/2 - G:

@@ -1,4 +1,4 @@
-"""Whitens a ball's positions by their full covariance, with the errors that a pixel pattern makes at every frame.
+"""Whitens one ball's positions for the tracker's fits: by noise, and by errors that a pixel pattern makes.
 
 A pixel's own response and offset are the same in every frame. So a ball at rest has the same error in all frames, and
 a slow ball shares part of it from frame to frame. To first order, a random pattern of pixels shifts a Gaussian glint by
