@@ -1,4 +1,4 @@
-"""Joins the detections of successive frames into tracks of ball centres, through collisions, gaps, and new balls.
+"""Joins the detections of successive frames into tracks of ball centres, through collisions and missing frames.
 
 `motion_filter` predicts each ball, also off another ball that it meets; `assignment` assigns the detections by their
 likelihood.
