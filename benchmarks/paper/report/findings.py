@@ -150,11 +150,11 @@ def conjecture(results: Results) -> list[str]:
     best_pair = min((n for n in ranked if " + " in n), key=lambda n: ranked[n][both])
     hop_c = next(x for x in models.leaders(results.scan) if x.name == "hop").numbers["spin_transfer"]
     least = min(row["score"] for row in ranked.values())
-    likelihood = np.exp((ranked["base"][both] - ranked["hop"][both]) / 2)
+    likelihood = float(f"{np.exp((ranked['base'][both] - ranked['hop'][both]) / 2):.0e}")  # to one digit
     flat = "; ".join(f"{_describe_fast(results, m)} {word} a hop" for m, word in (("base", "without"), ("hop", "with")))
     return [
         f"If the spins are those of both balls, the single effects with the smallest χ² (read at 4 ms) are {best}. "
-        f"The base model has {ranked['base'][both]:.1f}; the hop is {likelihood:.0e} times as likely. In films with "
+        f"The base model has {ranked['base'][both]:.1f}; the hop is {likelihood:,.0f} times as likely. In films with "
         f"a hop, the spins give C = {filmed['C, spins, both, 4 ms']:.3f} and the fit gives {filmed['C, fit']:.3f}.",
         "The mechanism: transferred spin lifts the striker and presses the struck ball on the plate. Its friction "
         "takes momentum during the hit, mu (1 + e) 0.4 C v0, while the striker flies and gets no push. Just after "

@@ -13,9 +13,10 @@ from synthcam_shared.report.page import PageTable
 
 PORTRAIT, LANDSCAPE = (8.27, 11.69), (11.69, 8.27)  # inches: A4
 MARGIN = 0.07
-LINE = 0.146  # inches
+LINE = 0.0195  # inches, times the size of the font in points
 WIDE = 118  # characters a line of words
 CELL = 205  # characters a line of a table
+TEXT_SIZE, TABLE_SIZE = 7.6, 5.8  # points
 
 
 def write(
@@ -30,18 +31,18 @@ def write(
     aside = path.with_suffix(".aside")
     with PdfPages(aside, metadata={"Title": title}) as pages:
         first = [f"# {title}", "", *(line for text in summary for line in [*textwrap.wrap(text, WIDE), ""])]
-        pages.savefig(_page(first, "DejaVu Sans", 7.6, PORTRAIT))
+        pages.savefig(_page(first, "DejaVu Sans", TEXT_SIZE, PORTRAIT))
         for caption, figure in figures:
             lines = [line for text in caption for line in [*textwrap.wrap(text, WIDE), ""]]
             width, height = figure.get_size_inches()
             figure.set_size_inches(width, height + 0.145 * len(lines) + 0.2)
             figure.supxlabel("\n".join(lines), x=0.02, ha="left", fontsize=7.2, linespacing=1.35)
             pages.savefig(figure)
-        for lines in _pages(list(_text(texts)), PORTRAIT):
-            pages.savefig(_page(lines, "DejaVu Sans", 7.6, PORTRAIT))
+        for lines in _pages(list(_text(texts)), TEXT_SIZE, PORTRAIT):
+            pages.savefig(_page(lines, "DejaVu Sans", TEXT_SIZE, PORTRAIT))
         for table in tables:
-            for lines in _pages(list(_table(table)), LANDSCAPE):
-                pages.savefig(_page(lines, "DejaVu Sans Mono", 5.8, LANDSCAPE))
+            for lines in _pages(list(_table(table)), TABLE_SIZE, LANDSCAPE):
+                pages.savefig(_page(lines, "DejaVu Sans Mono", TABLE_SIZE, LANDSCAPE))
     aside.replace(path)
 
 
@@ -49,7 +50,7 @@ def _page(lines: Sequence[str], family: str, size: float, paper: tuple[float, fl
     figure = Figure(figsize=paper)
     for row, line in enumerate(lines):
         bold = line.startswith("# ")
-        y = 1 - MARGIN / 1.5 - row * LINE / paper[1]
+        y = 1 - MARGIN / 1.5 - row * LINE * size / paper[1]
         figure.text(
             MARGIN, y, line.removeprefix("# "), family=family, fontsize=size * (1.15 if bold else 1), va="top",
             weight="bold" if bold else "normal", parse_math=False,
@@ -57,8 +58,8 @@ def _page(lines: Sequence[str], family: str, size: float, paper: tuple[float, fl
     return figure
 
 
-def _pages(lines: list[str], paper: tuple[float, float]) -> Iterator[list[str]]:
-    fit = int((1 - 1.4 * MARGIN) * paper[1] / LINE)
+def _pages(lines: list[str], size: float, paper: tuple[float, float]) -> Iterator[list[str]]:
+    fit = int((1 - 1.4 * MARGIN) * paper[1] / (LINE * size))
     for start in range(0, len(lines), fit):
         yield lines[start : start + fit]
 

@@ -108,9 +108,8 @@ def _filmed(results: Results) -> PageTable:
         f" (r = {PUBLISHED.r}, C = {PUBLISHED.C}, mu_k = {PUBLISHED.mu}); the others with the numbers that suit the"
         f" paper best: {made}."
     )
-    return PageTable(
-        ["", "paper", *columns], rows, "Table 4. Published values, base model and leading effects, from video", note
-    )
+    heads = ["", "paper", *(name.replace("_", " ") for name in columns)]  # a long name then breaks into lines
+    return PageTable(heads, rows, "Table 4. Published values, base model and leading effects, from video", note)
 
 
 def _numbers_of(leader: contradictions.Leader) -> str:
@@ -121,7 +120,7 @@ def _numbers_of(leader: contradictions.Leader) -> str:
 def _observed() -> PageTable:
     rows = [[x.name, f"{x.value:g}", f"{x.error:.3g}", x.why] for x in OBSERVED]
     rows.append([SLOW.name, f"{SLOW.value:g}", f"{SLOW.error:g}", SLOW.why])
-    note = "What enters chi². Errors that the paper does not print are ours, and say so."
+    note = "These numbers enter χ². The last column says which errors are ours, because the paper prints none."
     return PageTable(["number", "value", "error", "error from"], rows, "Table 5. Published numbers that enter χ²", note)
 
 
@@ -143,7 +142,7 @@ def _plan(results: Results) -> PageTable:
         )
     pairs = " ".join(str(p["advice"]) for p in found["pairs"])
     note = (
-        f"`discrepancy plan` for 30 collisions of the paper's scene, measured as our tracker measures. {found['said']}"
+        f"By discrepancy plan, for 30 collisions of the paper's scene, measured as by our tracker. {found['said']}"
         f" {pairs}"
     )
     heads = [
