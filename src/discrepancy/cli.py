@@ -42,7 +42,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 
 @contextmanager
 def show_stages(names: Sequence[str], limit_s: float = math.inf) -> Iterator[Callable[[str], None]]:
-    """Show the stages that are done and the time: a bar on a terminal, elsewhere a line now and then.
+    """Show the progress of a command: stages done and the time, as a bar on a terminal, elsewhere as lines.
 
     Yields a function that takes the name of the current stage. The time that a stage takes depends on what the tracks
     show, so the time left is a bound: what remains of the limit. If a search begins again, the bar returns to the fit.

@@ -84,7 +84,7 @@ def _describe_free_motion(found: SearchOutcome) -> str:
 
 
 def describe_law_in_model(free_law: FittedLaw, model_holds_law: bool) -> str:
-    """Say what model.yaml keeps of a free law."""
+    """Describe in a sentence what model.yaml keeps of a free law."""
     if free_law.law.frees:
         return f"model.yaml leaves {free_law.law.frees} free"
     return "model.yaml holds its curve" if model_holds_law else "model.yaml cannot hold it"
@@ -142,7 +142,7 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
 
 
 def describe_rejection(test: ClaimTest, unit: EvidenceUnit = EvidenceUnit.COLLISION) -> str:
-    """Say why a claim is rejected, with the numbers that decided it; empty for a claim that passes.
+    """Describe why a claim is rejected, with the numbers that decided it; empty for a claim that passes.
 
     Parameters
     ----------
@@ -179,12 +179,12 @@ def describe_rejection(test: ClaimTest, unit: EvidenceUnit = EvidenceUnit.COLLIS
 
 
 def describe_rejections(tests: Sequence[ClaimTest], unit: EvidenceUnit) -> str:
-    """List the rejected claims in a sentence; empty without any."""
+    """Describe the rejected claims in a sentence; empty without any."""
     return f" Rejected: {'; '.join(f'{t.name} ({describe_rejection(t, unit)})' for t in tests)}." if tests else ""
 
 
 def describe_disagreement(disagreement: Disagreement) -> str:
-    """Locate a disagreement: "ball 1 sliding, along its motion, changing with the speed"."""
+    """Describe a disagreement in words: "ball 1 sliding, along its motion, changing with the speed"."""
     phase = {"before": "before the contact", "contact": "at the contact"}.get(disagreement.phase, disagreement.phase)
     changing = f", changing with the {disagreement.against}" if disagreement.against else ""
     return f"{disagreement.ball} {phase}, {disagreement.observable} its motion{changing}"
@@ -201,7 +201,7 @@ def describe_gap(gap: Gap, unit: EvidenceUnit) -> str:
 
 
 def describe_small_closure(gap: Gap, unit: EvidenceUnit, most: float = 0.5) -> str:
-    """Warn if claims close less than the share `most` of a significant gap; else empty."""
+    """Describe, as a warning, claims that close less than the share `most` of a significant gap; else empty."""
     if not gap.closure < most:
         return ""
     closed = f"close only {100 * max(gap.closure, 0.0):.0f} %" if gap.closure > 0 else "do not close any"
@@ -209,7 +209,7 @@ def describe_small_closure(gap: Gap, unit: EvidenceUnit, most: float = 0.5) -> s
 
 
 def describe_scatter(scatter: StretchScatter) -> list[str]:
-    """Say what differs from stretch to stretch, and what to do about it; empty if nothing does."""
+    """Describe in sentences what differs from stretch to stretch, and what to do about it; empty if nothing does."""
     parts = []
     if scatter.friction:
         parts.append(f"the sliding friction scatters by {100 * scatter.friction:.2g} %")
@@ -282,7 +282,7 @@ def _advise_measurement(causes: Sequence[str]) -> str:
 
 
 def describe_slow_noise(noise: Noise) -> str:
-    """Warn if much of the estimated noise is slow, so that it may hide missing physics; else empty."""
+    """Describe, as a warning, noise that is slow, so that it may hide missing physics; else empty."""
     if noise.whole_phase_scale:
         return (
             f" The noise is {noise.scale:.3g} times the claimed errors within "

@@ -309,7 +309,7 @@ LAUNCH_SPIN = "launch.spin"  # what `free` may hold beside parameters: the spin 
 
 
 def build(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
-    """The model of checked plain settings with the keys ball, model, effects and free_laws."""
+    """Build the model of checked plain settings with the keys ball, model, effects and free_laws."""
     effects = tuple(
         library()[name](**values) for name, values in (settings.get("effects") or {}).items() if values is not None
     )
@@ -322,7 +322,7 @@ def build(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
 
 
 def settings_of(model: Model) -> dict[str, Any]:
-    """The inverse of `build`: plain ball, model, effects (and free_laws and free, when there are any)."""
+    """Return the plain settings of a model: ball, model, effects (and free_laws and free, when there are any)."""
     numbers = {k: getattr(model, k) for k in BASE_PARAMETERS}
     plain: dict[str, Any] = {
         "ball": dataclasses.asdict(model.ball),
@@ -335,7 +335,7 @@ def settings_of(model: Model) -> dict[str, Any]:
 
 @cache_until_effects_change
 def model_file() -> type[Settings]:
-    """The settings of a model file: a scene's ball, model, effects and free laws, and `free`."""
+    """Define a model file: a scene's ball, model, effects and free laws, and `free`."""
     return create_model(
         "ModelFile",
         __base__=Settings,
@@ -348,7 +348,7 @@ def model_file() -> type[Settings]:
 
 
 def resolve_symbols(loaded: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Settings in which r, mu_k and C of `model` and `free` have their long names.
+    """Give r, mu_k and C in the settings of a model, `model` and `free`, their long names.
 
     Raises InputError where a number is given under both names.
     """
@@ -365,7 +365,7 @@ def resolve_symbols(loaded: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def refuse_search_only_laws(free_laws: Any, where: str) -> None:
-    """Raises InputError for a free law of a search that no model holds, with why."""
+    """Refuse settings with a free law that no model can hold: raise InputError, which says why."""
     for name in free_laws if isinstance(free_laws, Mapping) else ():
         if why := SEARCH_ONLY_LAWS.get(str(name)):
             raise InputError(f"{where}: free_laws.{name}: {why}")
@@ -411,7 +411,7 @@ def _validate(loaded: Mapping[str, Any], where: str) -> Model:
 
 
 def as_model(given: Model | Mapping[str, Any] | str | Path) -> Model:
-    """A model, unchanged, or made from its settings or its file. Raises InputError."""
+    """Return a model, unchanged, or made from its settings or its file. Raises InputError."""
     if isinstance(given, Model):
         return given
     if isinstance(given, str | Path):

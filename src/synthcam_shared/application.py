@@ -120,7 +120,7 @@ def _name_alternatives(options: re.Match[str]) -> str:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar with an estimate on a terminal, elsewhere a line on stderr now and then. A total of 0: without end."""
+    """Show the progress as a bar with an estimate on a terminal, elsewhere as lines. A total of 0: without end."""
     if not sys.stderr.isatty():
         yield print_progress(what)
         return

@@ -131,7 +131,7 @@ def count_cores() -> int:
 
 
 def use_one_thread() -> None:
-    """Prepare a process to be one of many: OpenCV in one thread, and glibc keeps the memory that is freed.
+    """Prepare a process for one of many jobs: OpenCV in one thread, and glibc keeps the memory that is freed.
 
     By default glibc returns large arrays to the system at once, and taking them again costs page faults.
     """

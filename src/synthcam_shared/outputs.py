@@ -188,7 +188,7 @@ def open_scratch_folder(final: Path) -> Iterator[Path]:
 
 
 def publish(folder: Path, final: Path) -> None:
-    """Move a complete scratch folder to its place. The caller has checked that what is there may go."""
+    """Move a complete scratch folder to its final place. The caller has checked that what is there may go."""
     (folder / UNFINISHED).unlink(missing_ok=True)  # Zarr empties its folder
     shutil.rmtree(final, ignore_errors=True)
     folder.rename(final)

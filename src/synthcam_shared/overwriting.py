@@ -24,7 +24,7 @@ def check_not_read(output: Path, *inputs: Path | None) -> None:
 
 
 def check_replaceable(output: Path, mark: bytes, maker: str) -> None:
-    """Raise InputError if `output` exists and does not hold the `mark` that `maker` leaves in its files.
+    """Raise InputError if a command may not overwrite `output`: it lacks the `mark` that `maker` leaves in its files.
 
     The first or last 4 KiB hold the mark.
     """

@@ -113,7 +113,7 @@ _Loader.add_constructor("!number", _number)
 
 
 def did_you_mean(word: str, known: Iterable[str], section: str = "", written: Mapping[str, str] | None = None) -> str:
-    """The end of a message about an unknown word: the most similar known one, or nothing.
+    """Suggest the known key that is most similar to a wrong one in settings, for the end of a message.
 
     written: the spelling of each known word, if it differs.
     """
@@ -169,7 +169,7 @@ def _expectation(error: ErrorDetails) -> str:
 
 
 def to_input_error(error: ValidationError, where: str, file: type[BaseModel]) -> InputError:
-    """The first complaint of pydantic about `file` as one line: file, dotted key, what was expected."""
+    """Turn pydantic's first complaint about settings into one line: file, dotted key, what was expected."""
     first = error.errors()[0]
     keys = [p for p in first["loc"] if not re.fullmatch(r"(literal|list)\[.*\]|[A-Z]\w*Settings", str(p))]
     key = ".".join(repr(p)[1:-1] if isinstance(p, str) else str(p) for p in keys) or "the whole"

@@ -16,7 +16,7 @@ MOT_CORNER_PX = 1.5  # of the centre of the first pixel, in a frame in which the
 
 
 def split_by_particle(particle: Any, frame: Any, x: Any, y: Any) -> list[list[tuple[Any, Any, Any]]]:
-    """Split columns of equal length into tracks, in order of the particles' numbers."""
+    """Split columns of equal length into tracks to be written, in order of the particles' numbers."""
     tracks: dict[int, list[tuple[Any, Any, Any]]] = {}
     for ball, *row in zip(particle, frame, x, y, strict=True):
         tracks.setdefault(int(ball), []).append((row[0], row[1], row[2]))

@@ -58,7 +58,7 @@ def run(
     settings: SettingsSource | None = None,
     edits: EditsSource | None = None,
 ) -> ClipOutcome:
-    """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
+    """Run the whole chain on every clip of a source into RESULTS; continue what an interrupted run left.
 
     source: a dataset, clip, stack, video or folder of pictures; output: RESULTS; detector: None is what the first
     clip asks for; workers: processes, or 0 for one a core, where so many are quicker; progress: takes clips done

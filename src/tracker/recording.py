@@ -461,7 +461,7 @@ def measure_tracks(
 
 
 def check_particles(tracks: Tracks, number: int, settings: FitSettings, advice: str) -> None:
-    """Raise InputError for more particles than can be measured in seconds; the advice may hold {}, their number."""
+    """Refuse a recording with more particles than can be measured in seconds; the advice may hold {}, their number."""
     count = len(np.unique(tracks.particle))
     if count > settings.max_particles:
         raise InputError(
@@ -473,7 +473,7 @@ def check_particles(tracks: Tracks, number: int, settings: FitSettings, advice: 
 def track_clip(
     clip: Recording, name: DetectorChoice = DEFAULT, settings: TrackerSettings | None = None
 ) -> tuple[Tracks, Camera, str, list[Note]]:
-    """Tracks of one clip, its camera completed from the clip, why there is nothing, or '', and notes."""
+    """Track one recording: tracks, its camera completed from the clip, why there is nothing, or '', and notes."""
     settings = settings or TrackerSettings()
     view = make_view(clip, name, settings)
     found, view = detect_until_blur_converges(clip if name == DISCS else blank_outside(clip, view), view, name)

@@ -35,12 +35,12 @@ SEEN = "exposure_seen_s"  # by clip, where the motion blur is not as long as the
 
 
 def clip_folder(results: Path, number: int) -> Path:
-    """The folder of a clip's results."""
+    """Return the folder of a clip in RESULTS."""
     return results / "clips" / f"{number:06d}"
 
 
 def is_done(results: Path, number: int) -> bool:
-    """Test whether the results of a clip are complete."""
+    """Test whether a clip in RESULTS is complete, by its mark."""
     return clip_folder(results, number).is_dir()
 
 
@@ -75,7 +75,7 @@ def write_clip(
 
 
 def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
-    """Gathers the clips' estimates, fits them together, and moves the whole into place. Returns the estimates."""
+    """Finish RESULTS: gather all estimates, fit them together, move the whole into place; return the estimates."""
     from tracker.measurement.estimate import fit_all
 
     order = sorted(numbers)
@@ -124,7 +124,7 @@ def read_contacts(results: Path, number: int) -> pd.DataFrame:
 
 
 def calibrate_local(results: Path, numbers: Sequence[int]) -> None:
-    """Give the local estimates of all clips the errors that the balances of momentum of the set show.
+    """Calibrate the local estimates in RESULTS: errors that the balances of momentum of the set show.
 
     A second time changes nothing, because the errors start from the values of each clip alone.
     """
@@ -156,7 +156,7 @@ def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
 
 
 def estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """Estimates as the columns of estimates.parquet, one row a collision; None of JSON stands for NaN."""
+    """Make the table of estimates in RESULTS, one row a collision; None of JSON stands for NaN."""
     table = pd.DataFrame([finite(row) for row in rows])
     text_columns = "cov status striker noise flags motion_local local local_shared recommended why".split()
     for name in table.columns:
@@ -213,5 +213,5 @@ def read_clip(results: Path, number: int) -> tuple[Tracks, Camera]:
 
 
 def rows_as_dicts(estimates: pd.DataFrame) -> list[dict[str, Any]]:
-    """Convert the table of estimates to dictionaries by column, one for each collision."""
+    """Convert a table of estimates of RESULTS to dictionaries by column, one for each collision."""
     return [{str(name): value for name, value in row.items()} for row in estimates.to_dict("records")]

@@ -41,7 +41,7 @@ def remove_outliers(
 
 
 def note_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[SearchNote]:
-    """A note for each clip that lost positions between `clips` and `kept`, with their frames."""
+    """Note for each clip which outlier positions it lost between `clips` and `kept`, with their frames."""
     by_number, notes = {c.clip: c for c in kept}, []
     same_order = [c.clip for c in clips] == [c.clip for c in kept]  # stretches of a crowd have one number
     for c, own in zip(clips, kept if same_order else [by_number[c.clip] for c in clips], strict=True):

@@ -26,7 +26,7 @@ def detect_processing(clips: Sequence[MeasuredCollision]) -> tuple[SearchNote, .
 
 
 def remove_filtered_rows(clip: MeasuredCollision) -> MeasuredCollision:
-    """A clip without the positions that a filter moves: near the contact, a gap, and either end of a track."""
+    """Remove the positions of smoothed tracks that the filter moved: near the contact, a gap, and either end."""
     reach = current_policy().smoothing_reach_frames
     kept = np.abs(clip.frame - clip.launch[T_C] * clip.fps) > reach
     for ball in (0, 1):
@@ -37,7 +37,7 @@ def remove_filtered_rows(clip: MeasuredCollision) -> MeasuredCollision:
 
 
 def covers_contact(clip: MeasuredCollision) -> bool:
-    """True if a clip without filtered positions still shows each ball's path on either side of the contact."""
+    """True if a smoothed clip, without its filtered positions, shows each ball's path on either side of the contact."""
     early = clip.frame < clip.launch[T_C] * clip.fps
     counts = [np.sum((clip.ball == ball) & (early == before)) for ball in (0, 1) for before in (True, False)]
     return bool(min(counts) >= current_policy().min_frames_before_contact)

@@ -42,7 +42,7 @@ def detect_wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
 
 
 def find_exchange(tracks: Tracks, camera: Camera) -> int | None:
-    """Check if the two balls of a clip exchange their numbers: the frame in which they do, or None.
+    """Check the tracks of a clip for an exchange of the two balls: the frame in which it happens, or None.
 
     There the balls would move less since the previous frame, by more than a radius, with their numbers exchanged back.
     """

@@ -50,7 +50,7 @@ def differentiate_all(
     here: Sequence[Array],
     exact: bool = False,
 ) -> list[list[Array]]:
-    """`differentiate` by each of several parameters; the result is by name, then by clip.
+    """Differentiate the predicted tracks by each of several parameters; the result is by name, then by clip.
 
     The motion of balls that push each other takes about eight times as long to compute, and other parameters act on it
     nearly as they do without the push. Their derivatives are therefore taken without it, if that motion exists, unless

@@ -37,7 +37,7 @@ def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollis
 def map_by_frame_rate(
     clips: Sequence[MeasuredCollision], of: Callable[[Ints, Sequence[MeasuredCollision]], Sequence[Array]]
 ) -> list[Array]:
-    """Apply a function to the clips of each frame rate and exposure, and collect the results in the clips' order.
+    """Predict in groups: apply a function to the clips of each frame rate and exposure, and keep the clips' order.
 
     of: takes indices of some clips and these clips; returns an array for each.
     """
@@ -114,7 +114,7 @@ def _apply_camera(model: Model, camera: Camera, positions: Array, height: Array 
 
 
 def measurement_context(camera: Camera) -> dict[str, Any]:
-    """The quantities that a tracker's defect (law "measure") may depend on, for this camera file."""
+    """Collect the quantities that a tracker's defect (law "measure") may depend on, for a prediction."""
 
     def glint(seen: Array) -> Array:
         return camera.glint_of_centre(camera.unproject(seen)[0])

@@ -20,7 +20,7 @@ from synthcam_shared.errors import PluginError
 
 @cache
 def library() -> tuple[FreeLaw, ...]:
-    """Every free law, sorted by name, without axes yet.
+    """List every free law, sorted by name, without axes yet.
 
     Raises PluginError where a module of `laws` has no tuple LAWS of free laws, or two laws have one name.
     """

@@ -83,7 +83,7 @@ def _gain_at_sizes(values: Array, pulls: Array) -> tuple[Array, Array]:
 
 
 def iterate_priors(law: FreeLaw) -> Iterator[tuple[float, Array, float]]:
-    """Yield the priors of a law: the length of change, the variances (J,), and the cost of the choice.
+    """Yield the priors of a free curve: the length of change, the variances (J,), and the cost of the choice.
 
     A map may change along both axes or along one of them, and a vector may have both components or one of them. Each of
     the three alternatives costs a choice.

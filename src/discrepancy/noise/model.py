@@ -184,7 +184,7 @@ def cubic_basis(since: Ints) -> Array:
 
 
 def group_by_length(lengths: Sequence[int], ratio: float = 1.4) -> list[list[int]]:
-    """Choose which stretches an estimate of the noise bundles: the longest is at most `ratio` times the shortest."""
+    """Choose which smooth stretches the noise model bundles: the longest is at most `ratio` times the shortest."""
     out: list[list[int]] = []
     least = shortest_usable(lengths)
     for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
@@ -307,7 +307,7 @@ def component_from_numbers(shape: NoiseOrder, variance: float, x: Array) -> Nois
 
 
 def numbers_from_component(component: NoiseComponent) -> Array:
-    """The inverse of `component_from_numbers`, without the variance."""
+    """Turn a component of the noise back into unbounded numbers, without the variance."""
     shares = np.array(component.partial_autocorrelations) / MAX_PARTIAL_AUTOCORRELATION
     x = np.arctanh(np.clip(shares, -1 + 1e-9, 1 - 1e-9))
     if not component.white_share:

@@ -91,7 +91,7 @@ def _geometric_mean(ratios: Sequence[float]) -> float:
 
 
 def largest_cosine(limits: Limits, pair: Pair) -> float:
-    """The largest cosine between the signatures of two effects; 1 if one of them has none."""
+    """Compare two effects in a plan: the largest cosine between their signatures; 1 if one of them has none."""
     rivals = [(x.effect, r) for x in limits for r in x.rivals]
     return max((r.cosine for effect, r in rivals if (effect, r.effect) in (pair, pair[::-1])), default=1.0)
 
@@ -130,7 +130,7 @@ class CollisionsNeeded:
 def count_collisions_needed(
     strength: str, wanted: float, here: Limit, count: int, limit_at: Callable[[int], float], most: int = 400
 ) -> CollisionsNeeded:
-    """Estimate, for a comparison, how many collisions bring a strength's limit down to the wanted one.
+    """Compare a limit with the wanted one: estimate how many collisions bring it down to that.
 
     The limit is computed for `count` collisions and for twice as many. A power law through both gives a number, at
     which the limit is computed once more unless the number exceeds `most`. From there the limit falls as one over the

@@ -194,7 +194,7 @@ def find_replacements(
     base: ModelFit,
     progress: Callable[[], None],
 ) -> list[tuple[str, FittedLaw]]:
-    """Fit other effects beside a free law, each instead of one effect that is there.
+    """Challenge a free law: fit other effects beside it, each instead of one effect that is there.
 
     Returns the effects that to first order explain nearly as much, fitted in full, the best first.
 

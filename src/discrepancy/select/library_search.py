@@ -130,7 +130,7 @@ def exchange_effect(library: LibraryFits, found: Selection, candidate: Candidate
 
 
 def find_undetectable(library: LibraryFits, state: State) -> tuple[str, ...]:
-    """Effects that these collisions cannot show beside those of a model, at any realistic size."""
+    """Find the effects of the library that these collisions cannot show beside a model, at any realistic size."""
     return tuple(c.effect for c in library.score_tests(state).ranking() if not c.identifiable)
 
 
@@ -168,7 +168,7 @@ def _is_significant(library: LibraryFits, fit: ModelFit, more: ModelFit, candida
 
 
 def choose_simplest(library: LibraryFits, keys: Collection[Key]) -> Key:
-    """Choose the model with the fewest strengths, then shape parameters, among those as good as the best."""
+    """Choose the model with the fewest strengths, then shape parameters, among those that fit as well as the best."""
     near = min(map(library.cost_of, keys)) + current_policy().rival_excluded_chi2
 
     def order(key: Key) -> tuple[int, int, float]:

@@ -162,7 +162,7 @@ def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> li
 
 
 def leave_one_out_with_law(fitted_law: FittedLaw) -> list[Array]:
-    """`leave_one_out_residuals` of a fit that holds a free law, with the law's prior."""
+    """Test a fit with a free law as `leave_one_out_residuals` does, with the law's prior."""
     return leave_one_out_residuals(fitted_law.joint_fit, fitted_law.prior.precision)
 
 
@@ -182,7 +182,7 @@ class StrengthVariation:
 
 
 def find_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[str]) -> StrengthVariation:
-    """Find the quantity that the strengths of an effect change with most. A varying effect resembles another law.
+    """Test if a claim is constant: find the quantity that its strengths change with most.
 
     If the strength changes with position, clip or time, the residuals contain its signature times that change, to first
     order. This is a score test of each such change. `fit` is that of the whole model to these clips.
@@ -341,7 +341,7 @@ def _leaves_something(selection: Selection, library: LibraryFits, noise: Noise) 
 
 
 def judge_claim(claim: EffectClaim, predictions: Predictions, level: float, absorbed: bool = False) -> Rejection | None:
-    """Judge an effect that needs `level` sigma; absorbed: everything else explains as much without it."""
+    """Judge a claim that needs `level` sigma; absorbed: everything else explains as much without it."""
     if not claim.sigma > level:
         return Rejection.NOT_SIGNIFICANT
     if absorbed:

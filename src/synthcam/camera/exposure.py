@@ -66,7 +66,7 @@ def split_at_breaks(intervals: Array, breaks: Array) -> tuple[Array, Array, Inde
 def place_sub_exposures(
     bounds: Array, weights: Array, frames: Index, travel: Array, wave: Array | float = 0
 ) -> SubExposures:
-    """Place the Gauss-Legendre nodes of each piece that `split_at_breaks` returns.
+    """Place the nodes of the sub-exposures in each piece that `split_at_breaks` returns.
 
     Their number keeps the blurred glint within 1e-4 of its peak. Its centroid is exact for any number if the motion is
     a polynomial of low degree. travel: path (P,) of the balls over the blur's sigma. wave: change (P,) of the light's

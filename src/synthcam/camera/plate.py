@@ -72,7 +72,7 @@ def grain(surface: Surface, points: Array) -> Array:
 
 
 def plate_points(camera: PinholeCamera) -> Array:
-    """Points (h, w, 3), m, of the plate that are seen at the centres of the pixels."""
+    """Find the points (h, w, 3), m, of the plate that the pixels of a rendered picture show at their centres."""
     way = camera.unproject(np.stack(np.meshgrid(*map(np.arange, camera.size)), axis=-1))
     return np.asarray(camera.centre - way * (camera.centre[2] / way[..., 2])[..., None])
 

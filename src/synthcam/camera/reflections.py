@@ -65,7 +65,7 @@ def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
 
 
 def differentiate_by_tilt(lamp: Array, eye: Array, paths: Paths, centres: Array, radii: Array) -> Array:
-    """Derivative (M, 3, 2k) of a path's last point by tilts of the surface, rad, about two axes at each point.
+    """Derivative (M, 3, 2k) of a path of light at its last point by tilts of the mirrors, rad, about two axes at each.
 
     A tilt by a changes the gradient of the length along the facet by a times the pressure: H dq = -a pressure.
     """
@@ -138,7 +138,7 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
 def find_hidden(
     lamp: Array, eye: Array, paths: Paths, balls: Index, centres: Array, radii: Array, moment: Index, near: "NearBalls"
 ) -> NDArray[np.bool_]:
-    """Find the paths (M,) that a third ball blocks.
+    """Find the paths of light (M,) that a third ball blocks.
 
     balls: (M, k) of each path. centres: (T, N, 3). radii: (N,). moment: (M,) of each path. near: within the reach that
     `find_reach` gives. Only balls near a ball of the path can block it: its legs join such balls, or leave the layer
@@ -210,7 +210,7 @@ def find_neighbours(centres: Array, reach: Array) -> NearBalls:
 
 @cache
 def tabulate_pair_brightness(mirror: float, faintest: float = FAINTEST, most_bounces: int = 24) -> tuple[Array, Array]:
-    """Brightness (K, n) of the glints of 1 to K bounces between two balls, over that of the primary.
+    """Tabulate the brightness (K, n) of light after 1 to K reflections between two balls, over the primary glint.
 
     The balls are at distances (n,), in mean radii, which are returned first; lamp and eye are far overhead. The glint
     of K bounces is the last that carries `faintest` of the primary at contact. Two bounces fall as the inverse square
@@ -232,7 +232,7 @@ def tabulate_pair_brightness(mirror: float, faintest: float = FAINTEST, most_bou
 
 
 def find_widest(mirror: float, faintest: float = FAINTEST, most_bounces: int = 24) -> float:
-    """Distance of two balls, in mean radii, beyond which every secondary glint is fainter than `faintest`."""
+    """Find the distance of two balls, in mean radii, beyond which light reflected between them is below `faintest`."""
     apart, bright = tabulate_pair_brightness(mirror, faintest)
     if min(len(bright), most_bounces) == 1:
         return 0.0

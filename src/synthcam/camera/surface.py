@@ -45,7 +45,7 @@ STEEL_ON_BLACK = Surface()  # smooth balls on a dull, even plate
 
 
 def fresnel(cosines: Array, n: float, k: float) -> Array:
-    """Fresnel's reflectance of a metal in air for unpolarised light (Born & Wolf, Principles of Optics, 14.2)."""
+    """Compute the reflectance of a metal surface for unpolarised light (Born & Wolf, Principles of Optics, 14.2)."""
     c = np.clip(cosines, 0, 1)
     sine = 1 - c * c
     t = n * n - k * k - sine

@@ -22,7 +22,7 @@ FRAMES, FPS = 80, 250.0
 
 
 def simulate_tracks(model: Model) -> Array:
-    """Simulate the tracks that an experimenter with the nominal camera measures: mm, (2, FRAMES, 2)."""
+    """Simulate the tracks of the drawn collision as an experimenter with the nominal camera measures them: mm."""
     radius = model.ball.radius
     nominal = PinholeCamera.overhead(
         (640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0

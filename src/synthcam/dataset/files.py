@@ -37,7 +37,7 @@ def write_clip(
     secret: Path | None = None,
     compression: str = "none",
 ) -> None:
-    """Write one clip's folder.
+    """Write the folder of one clip of a dataset.
 
     frames: None: no video. meta: further keys of the clip's scene.json. secret: another folder, for the truth.
     compression: "none" or "zstd"; both are lossless.
@@ -132,7 +132,7 @@ def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path
 
 
 def finish_shard(folder: Path, about: dict[str, Any], unlisted: str = "") -> None:
-    """Complete a shard: write shard.json and the checksums."""
+    """Write the files that complete a shard of a dataset: shard.json and the checksums."""
     (folder / "truth").mkdir(exist_ok=True)
     _write_json(folder / "truth" / "shard.json", about)
     write_sums(folder, folder, unlisted)
@@ -156,7 +156,7 @@ def _write_rows(root: Path) -> tuple[int, list[str]]:
 
 
 def write_sums(folder: Path, root: Path, unlisted: str = "") -> None:
-    """Write SHA256SUMS of all files but itself and `unlisted`. root: the folder with the truth."""
+    """Write SHA256SUMS of all files of a dataset but itself and `unlisted`. root: the folder with the truth."""
     with (folder / SUMS).open("w", encoding="utf-8") as sums:
         for path in _files(folder):
             if path.name not in (SUMS, unlisted):
@@ -208,7 +208,7 @@ class Check:
 
 
 def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Check:
-    """Compare a dataset with its checksums and its counts. Raises InputError if it is not a finished dataset."""
+    """Verify the files of a dataset by its checksums and counts. Raises InputError if it is not a finished dataset."""
     listed = read_sums(folder)
     problems = []
     for k, (name, digest) in enumerate(listed.items(), 1):

@@ -157,7 +157,7 @@ def generate_dataset(
 
 
 def complete_dataset(plan: GenerationPlan, made: PartialDataset, machines: list[dict[str, Any]]) -> None:
-    """Write what covers all clips, and move the dataset into its place. machines: each kind of machine once."""
+    """Complete the dataset that was generated: write what covers all clips, and move it into its place."""
     about = plan.document() | machines[0] | ({"drawn_by": machines} if len(machines) > 1 else {})
     if plan.shard:
         finish_shard(made.folder, about | {"clips": list(plan.numbers)}, unlisted=PLAN)

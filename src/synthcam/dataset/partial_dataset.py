@@ -124,7 +124,7 @@ def open_partial(
 
 
 def check_apart(output: Path, withheld: Path) -> None:
-    """Raise InputError if one of two folders lies in the other, or in where the other is made; links are followed."""
+    """Raise InputError if the folders of a dataset and its truth, or those in which they are made, are not apart."""
     for one in (output.resolve(), _beside(output.resolve())):
         for other in (withheld.resolve(), _beside(withheld.resolve())):
             if one == other or one in other.parents or other in one.parents:
@@ -133,7 +133,7 @@ def check_apart(output: Path, withheld: Path) -> None:
 
 @contextmanager
 def place_clip(final: Path, truth: Path | None) -> Iterator[tuple[Path, Path]]:
-    """Make temporary folders for a clip and for its truth, moved into place at the end, or removed if the work fails.
+    """Make temporary folders for a clip of a partial dataset and its truth, moved into place if the work succeeds.
 
     truth: folder of the truth if it is withheld; None: it is in the clip's folder.
     """

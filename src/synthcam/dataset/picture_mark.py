@@ -13,7 +13,7 @@ MARK = b"made by synthcam"
 
 
 def check_picture_output(path: Path, command: str) -> None:
-    """Raise InputError if a picture cannot be written, or a file that synthcam did not make stands there."""
+    """Raise InputError if a picture cannot be written, or a file without the mark of synthcam stands there."""
     check_replaceable(path, MARK, command)
     check_writable(path)
 

@@ -103,7 +103,7 @@ def stream(
 def make_clips(
     scene: Scene, seed: int, numbers: Iterable[int], every: int, leave_out: Callable[[str], None]
 ) -> Iterator[Iterator[LabelledFrame]]:
-    """Yield the frames of each clip that can be made. leave_out: takes a line about each other one.
+    """Make the frames of each clip of a stream that can be made. leave_out: takes a line about each other one.
 
     Raises InputError if too many in a row cannot be made.
     """

@@ -137,7 +137,7 @@ def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None
 
 
 def check_video(path: Path, frames: int) -> None:
-    """Raise OSError if a video is cut short. OpenCV does not report a full disk."""
+    """Raise OSError if the video of an ordinary camera is cut short. OpenCV does not report a full disk."""
     film, count = cv2.VideoCapture(os.fspath(path), cv2.CAP_FFMPEG), 0
     while film.grab():
         count += 1

@@ -69,7 +69,7 @@ def _halves(size: int) -> Array:
 
 
 def resample(values: Array, places: Array, size: int) -> Array:
-    """Interpolate values (c, k, n), given at rising places (k, n) from -1 to 1, on `size` nodes: (c, k, size).
+    """Interpolate values (c, k, n) at rising points (k, n) from -1 to 1 on `size` collocation nodes: (c, k, size).
 
     The places must be a smooth function of Chebyshev nodes. The interpolant is rational, with alternating signs for
     weights: Baltensperger, Berrut & Noel, Math. Comp. 68 (1999) 1109.

@@ -49,7 +49,7 @@ def after_sliding(state: State, radius: Real, slowing: Real, t: Real, inertia: R
 
 
 def find_slowing(state: State, radius: Real, slowing: Real) -> tuple[Real, Real]:
-    """Return the acceleration of a ball that slides."""
+    """Return the acceleration with which friction slows a ball that slides."""
     ux, uy = slip_velocity(state, radius)
     rate = -slowing / (ux * ux + uy * uy) ** 0.5
     return rate * ux, rate * uy
@@ -260,7 +260,7 @@ def fly(state: Array, gravity: float, elapsed: Array) -> Array:
 
 
 def interpolate_hermite(ends: Array, wide: Array, shares: Array) -> Array:
-    """Interpolate positions between knots by cubic Hermite polynomials: (k, n - 1, m, 2).
+    """Interpolate motion between knots with known velocities, by cubic Hermite polynomials: (k, n - 1, m, 2).
 
     ends: (k, n, 4), x, y, vx, vy at the n knots of each of k balls. wide: (k, n - 1), times between the knots, s.
     shares: (m,), where to evaluate, as a share of each interval, 0 to 1.

@@ -356,7 +356,7 @@ def _propagate_units(
 
 
 def propagate_back(balls: BallStates, now: Array, until: Array) -> Iterator[tuple[Ints, IntegratedMotion]]:
-    """Integrate units whose balls roll, slide or rest at `now` (k,) back to `until` (k,), s.
+    """Integrate backwards units whose balls roll, slide or rest at `now` (k,), until `until` (k,), s.
 
     A ball that slides now has slid all the time. Yields units and their motions. Raises ValueError where a ball would
     have started from rest, or come faster than MAX_SPEED_M_S.

@@ -172,7 +172,7 @@ def find_video_problem(how: dict[str, Any], size: Sequence[int], fps: float) -> 
 
 
 def build_camera(drawn: dict[str, Any], ball_radius: float) -> PinholeCamera:
-    """Build the nominal camera of checked settings."""
+    """Build the nominal camera of an apparatus from checked settings."""
     camera, timing = drawn["camera"], drawn["timing"]
     same = ("scale", "height", "tilt", "distortion", "psf_sigma_px", "defocus_px", "vignetting")
     return PinholeCamera.overhead(
@@ -187,7 +187,7 @@ def build_camera(drawn: dict[str, Any], ball_radius: float) -> PinholeCamera:
 
 
 def build_lamp(settings: dict[str, Any]) -> Lamp:
-    """Build the lamp of checked settings. Raises ValueError for a lamp without area."""
+    """Build the lamp of an apparatus from checked settings. Raises ValueError for a lamp without area."""
     values = {k: v for k, v in settings.items() if k not in ("room", "ambient", "facing", "second")}
     values |= {"position": np.array(values["position"]), "flicker": Flicker(**values["flicker"])}
     towards = np.zeros(3) if settings["facing"] == "centre" else None
@@ -196,7 +196,7 @@ def build_lamp(settings: dict[str, Any]) -> Lamp:
 
 
 def build_surface(settings: dict[str, Any]) -> Surface:
-    """Build the surfaces of checked settings."""
+    """Build the surfaces of an apparatus from checked settings."""
     steel = settings["steel"]
     law = {"schlick": None, "iron": IRON_N_K}[steel] if isinstance(steel, str) else (steel[0], steel[1])
     own = {k: v for k, v in settings.items() if k not in MaterialSettings.model_fields}

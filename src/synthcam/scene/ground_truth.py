@@ -93,7 +93,7 @@ def tracks(
     turning: OrientationHistory | None = None,
     every: int = 1,
 ) -> pd.DataFrame:
-    """Make the table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure.
+    """Make the true tracks, the table `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure.
 
     x_mean_px, y_mean_px are means over the exposure. turning: of balls with a pattern. every: of every n-th frame only.
     """
@@ -128,7 +128,7 @@ def _is_whole(camera: PinholeCamera, centres: Array, radius: float) -> Any:
 
 
 def events(motion: Trajectory, fps: float) -> pd.DataFrame:
-    """Make the table of `truth/events.parquet`; impulses in N s."""
+    """Make the true events, the table `truth/events.parquet`; impulses in N s."""
     names = "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
     kinds = {"kind": "str", "i": "int64", "j": "int64"}
     rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, e.impulse_n, e.impulse_t) for e in motion.events]
@@ -153,7 +153,7 @@ SINKS = {
 
 
 def energies(bodies: Bodies, motion: Trajectory, times: Array, gravity: float) -> pd.DataFrame:
-    """Make the table of `truth/energy.parquet`: energy at times (m,), s, and by what it went since the start, J.
+    """Make the true energies, the table `truth/energy.parquet`: energy at times (m,), s, and by what it went, J.
 
     The energy is that of translation, spin and height. An event takes what the bodies lose in that instant, a kind of
     motion what they lose along it; `given_by_hand` has the other sign. A contact that lasts takes all that its bodies

@@ -66,7 +66,7 @@ def is_under_room_light(drawn: dict[str, Any]) -> bool:
 
 
 def build_finish(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> SurfaceFinish | None:
-    """Build the finish of balls with these labels and of their plate; None for mirror balls on a black plate."""
+    """Build the materials of balls with these labels and of their plate; None for mirror balls on a black plate."""
     surface = drawn["surface"]
     of_rooms = [key for key in MaterialSettings.model_fields if key in surface]
     if not is_under_room_light(drawn):
@@ -102,7 +102,7 @@ def build_finish(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> 
 
 
 def build_varnish(surface: Surface, drawn: dict[str, Any]) -> Surface | None:
-    """Build the mirror on balls under room light: their metal, or a varnish of glass with the `gloss` asked for.
+    """Build the mirror on the material of balls under room light: metal, or a varnish of glass with that `gloss`.
 
     A glass of index n reflects ((n - 1)/(n + 1))^2 at normal incidence.
     """

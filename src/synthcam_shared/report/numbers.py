@@ -27,7 +27,7 @@ def format_number(value: Any, digits: int = 3) -> str:
 
 
 def format_percent(value: float) -> str:
-    """Format a share as whole per cent."""
+    """Format a share as a number of whole per cent."""
     return f"{100 * value:.0f} %" if math.isfinite(value) else NOT_KNOWN
 
 

@@ -105,7 +105,7 @@ def write_page(
 
 
 def render(template: Path, **values: Any) -> str:
-    """Fill in a template, which may include files of its folder and of this one. A missing name is an error."""
+    """Render the HTML of a page from a template, which may include files of its folder and of this one."""
     loader = jinja2.FileSystemLoader([template.parent, Path(__file__).parent])
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     return environment.get_template(template.name).render(**values)

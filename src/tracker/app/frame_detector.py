@@ -77,7 +77,7 @@ class PreparedDetector:
 
 
 def prepare_detector(clip: Recording, channel: str | None) -> PreparedDetector:
-    """Choose channel and detector as a run does, and survey the film. Raises InputError."""
+    """Prepare the detector of a film for the page: choose channel and detector as a run does. Raises InputError."""
     clip, chosen = select_channel(clip, channel)
     name, why = select_detector(clip)
     rows, surveyed = None, clip

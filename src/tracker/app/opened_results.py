@@ -171,13 +171,13 @@ class TracksAlone(RecordingSource):
 
 
 def show_tracks_alone(opened: OpenedResults) -> TracksAlone:
-    """The source of results without their film; each clip has the camera file of its results."""
+    """Show opened results without their film; each clip has the camera file of its results."""
     tables = [(number, results.clip_folder(opened.folder, number) / "tracks.parquet") for number in opened.numbers]
     return TracksAlone(opened.folder, tuple(tables), dataset=len(tables) > 1)
 
 
 def find_film(opened: OpenedResults, film: Path | None = None, camera: Path | None = None) -> RecordingSource | None:
-    """The film of results; None where it is not found.
+    """Find the film of opened results; None where it is not found.
 
     It is the given one, or that of the command beside a run of the page, or a neighbour of RESULTS whose files are
     those that were tracked. Raises InputError for a given film that has other clips.

@@ -27,7 +27,7 @@ class ContactDistance:
 
 
 def contact_distances(tracks: Tracks) -> list[ContactDistance]:
-    """The contacts between the balls of one clip that can be measured."""
+    """Find the contacts between the balls of one clip at which their distance can be measured."""
     out = []
     for one, two in combinations(np.unique(tracks.particle).tolist(), 2):
         frame, gap, cov, fixed = _relative(tracks, one, two)

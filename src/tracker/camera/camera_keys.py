@@ -34,7 +34,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def format_value(value: Any, quoted: bool = True, most: int = 40) -> str:
-    """Any value as one line of a message, of at most so many characters."""
+    """Format a wrong value as one line of a message, of at most so many characters."""
     try:
         text = repr(value) if quoted else str(value)
     except (ValueError, RecursionError):  # more digits than Python writes, or too deep

@@ -32,7 +32,7 @@ def is_plane(name: str) -> bool:
 
 
 def find_shares(picture: Colours, white: float, *, dark: float = 0.03) -> Shares:
-    """The shares of red, green and blue of their sum, darkened a little towards 0 in dark pixels.
+    """Compute the shares of red, green and blue in a film's colours, darkened a little towards 0 in dark pixels.
 
     dark: of white, added to each colour; so small that shadows do not reach it.
     """
@@ -50,7 +50,7 @@ def read_plane(
     least_spread: float = 0.008,
     saturation_spreads: float = 4.0,
 ) -> Callable[[Colours], Any]:
-    """A function from red, green and blue to one of them, or to a plane of this name.
+    """Return a function that makes one grey plane from red, green and blue, by the plane's name.
 
     sample: gives pictures spread over the film, for planes that depend on its colours; white: the largest count.
     dark: of white, added to each colour of a difference; the encoder smears colours into dark pixels.

@@ -68,7 +68,7 @@ def parse_colour(text: str) -> str:
 
 
 def read_area(region: str, mask: str, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
-    """Return the pixels (h, w) among which balls are searched; None for all. Raises InputError."""
+    """Read the options --region and --mask of a film: the pixels (h, w) of the search, or None. Raises InputError."""
     if not region and not mask:
         return None
     area = np.ones(shape, bool)

@@ -91,7 +91,7 @@ def describe_missing(numbers: Ints, fps: float, source: str) -> tuple[str, ...]:
 
 
 def find_changes(count: int, pieces: Sequence[Callable[[int], Any]]) -> Array:
-    """1 where a frame differs from the one before it, 0 where they are the same; (count - 1,).
+    """Find which frames repeat: 1 where one differs from the frame before it, 0 where they are the same; (count - 1,).
 
     pieces: functions that give a part of a frame, the quickest first; the next is asked only if the last is the same.
     """
@@ -108,7 +108,7 @@ def find_changes(count: int, pieces: Sequence[Callable[[int], Any]]) -> Array:
 
 
 def find_repeated(changes: Array, tolerance: float = 0.0) -> Ints:
-    """Frames that show the previous one again, though the picture changes shortly before and after.
+    """Find the frames that repeat the previous one, though the picture changes shortly before and after.
 
     changes: sum of squares of the change from each frame to the next; tolerance: the most that a single copy changes,
     which an encoder with loss leaves; 0: copies are exact. Runs of more than three frames are a picture where nothing

@@ -177,7 +177,7 @@ def make_grey_frames(
 
 
 def linearise(frames: Frames, gamma: float) -> Frames:
-    """The same frames with counts in proportion to light, in 16 bits, where they were light to the power of 1/gamma."""
+    """Linearise frames whose counts are light to the power of 1/gamma: in proportion to light, in 16 bits."""
     top = 2.0 ** (8 * frames.dtype.itemsize) - 1
     table = np.rint((np.arange(top + 1) / top) ** gamma * (2**16 - 1)).astype(np.uint16)
     out, colours = frames.with_fetch(lambda k: table[frames[k]], np.uint16), frames.colours

@@ -38,7 +38,7 @@ def locate_secondary_glints(camera: Camera, glints: ArrayLike, others: ArrayLike
 
 
 def secondary_flux_ratio(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
-    """Flux (n,) of those secondary glints over that of the primary ones, but for one factor of the balls' reflectance.
+    """Compute the flux (n,) of those mirrored glints over that of primary ones, but for one factor of reflectance.
 
     The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's position. Arguments
     as of `locate_secondary_glints`.

@@ -131,7 +131,7 @@ def make_recording(
     names: tuple[str, str] = ("", ""),
     options: FilmOptions = DEFAULT_OPTIONS,
 ) -> Recording:
-    """Frames and their camera as one clip. names: of film and camera, for the InputError where their sizes differ."""
+    """Make one recording of frames and camera. names: of both, for the InputError where their sizes differ."""
     clip = _make_whole_recording(number, frames, camera, names, options)
     frames, (height, width) = clip.frames, clip.frames.shape[1:]
     if options.frames:

@@ -293,7 +293,7 @@ def name_channel(channel: str | None, colour: str) -> str | None:
 
 
 def look_at(clip: Recording) -> Frames:
-    """The frames of a recording, cut to the area of the search."""
+    """Return the frames from which a detector is chosen, cut to the area of the search."""
     return clip.frames if clip.area is None else clip.frames.crop(clip.area)
 
 

@@ -74,7 +74,7 @@ def _own_classes(module: ModuleType) -> list[Any]:
 
 
 def load_detector(name: DetectorChoice) -> DetectorClass:
-    """The class of a detector. Raises InputError, which lists all names, for an unknown one."""
+    """Load the class of a detector by its name. Raises InputError, which lists all names, for an unknown one."""
     if not isinstance(name, str):
         return as_detector(name)
     name = _split_linker(name)[0]
@@ -115,7 +115,7 @@ def load_linker(name: DetectorChoice, camera: Camera, settings: LinkSettings | N
 
 
 def detector_name(name: DetectorChoice) -> str:
-    """How messages and files call a detector."""
+    """Name a detector for messages and files."""
     if not isinstance(name, str):
         return str(getattr(name, "__name__", type(name).__name__))
     return short_name(name) if is_outside(name) else name
@@ -148,7 +148,7 @@ def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracker
 
 
 def blank_outside(clip: Recording, view: View) -> Recording:
-    """The recording with the empty plate outside its area and a diameter around that, where a ball may reach into it.
+    """Blank the frames of a detection outside its area and a diameter around that, where a ball may reach into it.
 
     A detector then finds nothing there, whatever moves or shines. `discs` looks at the area by itself.
     """

@@ -74,7 +74,7 @@ def explain_no_discs(frames: Sequence[Any], view: View) -> str:
 
 
 def warn_of_missed_examples(tracks: Tracks, examples: Sequence[BallExample], view: View) -> tuple[str, ...]:
-    """Warn of balls that the user points at and that no track passes in that frame."""
+    """Explain, as a warning, that no track passes the balls that the user points at."""
     notes = []
     for ball in examples:
         within = ball.radius or view.radius or view.camera.diameter_px / 2
@@ -91,7 +91,7 @@ def warn_of_missed_examples(tracks: Tracks, examples: Sequence[BallExample], vie
 
 
 def warn_of_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-    """Warn where most tracks begin or end inside the picture and inside a take, which balls do not do.
+    """Explain, as a warning, that most tracks begin or end inside the picture and a take, which balls do not do.
 
     Ends at the picture's rim count as well if their track stays there: what flickers in one position does not come in
     from outside. `size` is the width and height of the picture, px; `spans` are the first and last frames of the takes.

@@ -132,7 +132,7 @@ def link(
 
 
 def assign(glints: Glints, camera: Camera, diameter: float | None = None, settings: LinkSettings | None = None) -> Ints:
-    """Number the particle (n,) that each detection belongs to.
+    """Link the detections of all frames: the number of the track (n,) to which each belongs.
 
     Particles count from 0 by first appearance, then by position; -1 stands for detections of no track. `diameter` is
     that of balls that are seen whole, px; without it the detections are glints.

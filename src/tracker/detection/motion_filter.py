@@ -132,7 +132,7 @@ def predict_hits(
 
 
 def find_pairs(balls: PredictedBalls, frames: int, noise: MotionNoise) -> tuple[Ints, Ints]:
-    """Find the pairs of balls, both seen twice, that may come within a diameter."""
+    """Predict which pairs of balls, both seen twice, may come within a diameter."""
     rows = np.flatnonzero(balls.count > 1)
     if len(rows) < 2:
         return np.empty(0, np.int64), np.empty(0, np.int64)

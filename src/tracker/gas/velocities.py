@@ -69,7 +69,7 @@ class HalfVelocities:
 def fit_velocities(
     time: Floats, position: Floats, at: Floats, window_rows: int, slide_end: float = np.nan
 ) -> HalfVelocities:
-    """Estimate the velocity at each of the instants `at` (m,) from the nearest rows of one free path.
+    """Fit velocities at the instants `at` (m,) to the nearest rows of one free path.
 
     A parabola is fitted to each half of the nearest `window_rows` rows. Few rows have one parabola or straight line
     together. If the slide ends within the window, the acceleration changes there, and the window has more rows. An

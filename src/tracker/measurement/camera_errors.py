@@ -195,7 +195,7 @@ def add_contact_errors(
     *,
     hard_contact_s: float = 3e-4,
 ) -> DerivedValues:
-    """Add the changes by a contact that is too short to be seen to the errors of a fit of an impact.
+    """Add errors to a fit of an impact for a contact that is too short to be seen.
 
     distance: of the centres at the contact, as `measure_contact_distance` gives it. The longest contact that it leaves
     open lets the paths cross within one diameter, and plate friction presses the balls together while it lasts. A
@@ -287,7 +287,7 @@ def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> 
 
 
 def effects_to_json(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]:
-    """Make the entry "shared" of `cov` in estimates.parquet; see docs/format.md.
+    """Write the effects of camera errors as the entry "shared" of `cov` in estimates.parquet; see docs/format.md.
 
     blocks: by fit, the effect of one standard error of each of the camera's k keys on its n quantities, (n, k).
     """
@@ -340,13 +340,13 @@ def _list_local(text: Any) -> Iterator[SharedError]:
 
 
 def covariance_of_shared(effects: Floats) -> Floats:
-    """Convert such effects (..., names, errors) to the covariance (..., names, names) that clips share."""
+    """Convert effects of camera errors (..., names, errors) to the covariance (..., names, names) that clips share."""
     part = effects @ np.swapaxes(effects, -1, -2)
     # an effect is known to 3 %: clips must not determine the error of the camera from less
     return np.asarray(part * (1 - 0.03**2 * np.eye(part.shape[-1])))
 
 
 def remove_shared(std: Floats, effects: Floats) -> Floats:
-    """The standard errors (n,) of one quantity without the part that several rows share, effects (n, 1, errors)."""
+    """Remove from standard errors (n,) of one quantity the effects of camera errors that several rows share."""
     least = float(np.finfo(float).tiny)
     return np.asarray(np.sqrt(np.maximum(std**2 - covariance_of_shared(effects)[:, 0, 0], least)))

@@ -455,7 +455,7 @@ def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[i
 def select_claims(
     read: CollisionFits, *, encoded_outlines: float = 1.5, least_p_of_motion: float = 0.01
 ) -> tuple[DerivedValues, DerivedValues]:
-    """Select what each fit, tied and free, may claim.
+    """Select what the row of estimates may claim from each fit, tied and free.
 
     A value is NaN where the clip does not show it; it has no error where the data reject the fit. The free fit of a
     misfit has none either if other laws of sliding and rolling fit better: what breaks the laws of the tied fit may

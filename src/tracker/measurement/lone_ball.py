@@ -68,7 +68,7 @@ class _Rolling:
 
 
 def fit_lone_ball(track: BallTrack) -> LoneBallFit | None:
-    """Fit one ball that meets no other; None with fewer than four positions."""
+    """Fit the rolling of one ball by itself, that meets no other; None with fewer than four positions."""
     if len(track) < 4:
         return None
     span = track.start[-1] - track.start[0]

@@ -89,7 +89,7 @@ class BallTrack:
 
 
 def to_ball_tracks(tracks: Tracks, camera: Camera, *, default_glint_width_px: float = 1.0) -> list[BallTrack]:
-    """Convert tracks from pixels to positions on the plate, one BallTrack for each particle in order of its number.
+    """Convert tracks from pixels to metres on the plate, one BallTrack for each particle in order of its number.
 
     Rows without a finite position are left out. If not every row has a covariance, all get that of the tracks' own
     scatter about smooth motion.

@@ -34,7 +34,7 @@ class RepairedTracks:
 
 
 def repair_tracks(tracks: Tracks, camera: Camera, clip: int | None = None) -> RepairedTracks:
-    """Undo exchanges of numbers and leave out or renumber what cannot belong to a ball.
+    """Repair tracks: undo exchanges of numbers, and leave out or renumber what cannot belong to a ball.
 
     camera: gives the diameter of a ball, px, without which nothing is done.
     """

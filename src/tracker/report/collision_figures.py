@@ -211,7 +211,7 @@ def _mark_times(panels: tuple[Axes, ...], view: CollisionView) -> None:
 
 
 def residuals_figure(view: CollisionView) -> Figure:
-    """Draw position minus tied fit for each ball and axis, with the standard errors of the positions."""
+    """Draw the residuals of a collision, position minus tied fit, for each ball and axis, with standard errors."""
     figure, panels = make_axes(2, 1, figsize=(8.2, 4.2), sharex=True, sharey=True)
     for axes, (ball, course) in zip(panels, sorted(view.balls.items()), strict=True):
         off = (course.position - view.predict(ball, course.start)) * 1e6
@@ -244,7 +244,7 @@ def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
 
 
 def all_tracks_figure(tracks: Tracks, camera: Camera) -> Figure:
-    """Draw all tracks in the picture, px."""
+    """Draw all tracks of a film in the picture, px."""
     figure, axes = make_axes(figsize=(8.2, 4.2))
     for particle in np.unique(tracks.particle):
         rows = tracks.particle == particle

@@ -46,7 +46,7 @@ def _is_rejected(row: Mapping[str, Any], suffix: str) -> bool:
 
 
 def has_values(row: Mapping[str, Any]) -> bool:
-    """Decide whether a row has values of a collision, by a fit or by the local estimate."""
+    """Decide whether there are measured values of a row to write as text, by a fit or by the local estimate."""
     return row["status"] in MEASURED or recommended_suffix(row) == "_local"
 
 
@@ -66,7 +66,7 @@ def describe_recommendation(row: Mapping[str, Any]) -> str:
 
 
 def describe_velocities(row: Mapping[str, Any]) -> str:
-    """Give the speeds just before and after the hit, what they keep, and the balance, of a local estimate."""
+    """Say which speeds a local estimate has just before and after the hit, what they keep, and the balance."""
     if row.get("recommended") != "local":
         return ""
 
@@ -103,14 +103,14 @@ def list_quantities(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAME
 
 
 def format_value(row: Mapping[str, Any], column: str) -> str:
-    """Format the value of a column, with the error beside it, in the unit of its quantity."""
+    """Format a measured quantity as text, with the error beside it, in its unit."""
     value, std = (row[name] for name in (column, f"{column}_std"))
     factor = QUANTITIES[column.removesuffix("_free").removesuffix("_local").removesuffix("_paper")].factor
     return format_with_error(*(None if x is None else float(x) * factor for x in (value, std)))
 
 
 def describe_contacts(table: pd.DataFrame) -> str:
-    """Say in a sentence how many contacts there are in a film of more than two balls, and how many have values."""
+    """Say in a sentence how many contacts were measured in a film of more than two balls, and how many have values."""
     walls = int((table["kind"] == "wall").sum())
     known = int(table["r"].notna().sum())
     return (
@@ -146,7 +146,7 @@ def describe_status(row: Mapping[str, Any]) -> str:
 
 
 def is_straight(row: Mapping[str, Any]) -> bool:
-    """Decide whether the fits of a collision are straight lines after the contact, which need no law of friction."""
+    """Decide, for the text of a measured collision, whether its paths are straight lines after the contact."""
     if row["status"] not in MEASURED:
         return False
     if Flag.STRAIGHT in row.get("flags", "").split("|"):
@@ -155,7 +155,7 @@ def is_straight(row: Mapping[str, Any]) -> bool:
 
 
 def describe_contact(row: Mapping[str, Any]) -> str:
-    """Say how long the contact lasts; "" of one that takes no time."""
+    """Say in the text how long a measured contact lasts; "" of one that takes no time."""
     duration = row.get("contact_duration_s")
     if duration is None or not math.isfinite(duration):
         return ""
@@ -203,7 +203,7 @@ def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES
 
 
 def is_extrapolated(row: Mapping[str, Any], name: str, suffix: str) -> bool:
-    """Decide whether the tied fit's value is of a time after the balls were last seen."""
+    """Decide, for the text of a tied fit's value, whether it is of a time after the balls were last seen."""
     needs = {"tau1": "tau1", "v1f": "tau1", "tau2": "tau2", "v2f": "tau2"}
     if suffix or row["status"] not in MEASURED:
         return False
@@ -224,7 +224,7 @@ def describe_frames(row: Mapping[str, Any]) -> str:
 
 
 def describe_fit(row: Mapping[str, Any]) -> str:
-    """Give χ² and p of the tied fit; "" where there is no fit."""
+    """Say in the text χ² and p of the tied fit; "" where there is no fit."""
     if row["status"] not in MEASURED or not row["dof"]:
         return ""
     return f"tied fit: χ²/dof {row['chi2'] / row['dof']:.3g}, dof {int(row['dof'])}, p {row['adequate']:.2g}"

@@ -71,7 +71,7 @@ def _track_and_score(dataset: Path, name: str, report: Path, progress: Progress)
 
 
 def make_tables(detectors: dict[str, Any]) -> list[PageTable]:
-    """Make the tables of positions and speed, of tracks, and of the errors of quantities."""
+    """Make the tables of a comparison of detectors: positions and speed, tracks, and errors of quantities."""
     positions = [
         [name, *format_positions(d["localisation"]), format_number(d["ms_per_frame"])] for name, d in detectors.items()
     ]

@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """Score each quantity Q by each method ("", "_free", "_local", "_paper"), as in score.json.
+    """Score the errors of each quantity Q by each method ("", "_free", "_local", "_paper"), as in score.json.
 
     table: one row per clip with Q, Q_std, the truth Q_true and the bound Q_bound. Rows without an estimate or a truth
     do not count, and z counts only where an error is claimed. bound: root mean square over the rows that count; that of
@@ -42,7 +42,7 @@ def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
 
 
 def error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str, float]:
-    """Statistics of one quantity over clips (n,); NaN marks values that are not claimed or not known."""
+    """Compute the statistics of a quantity's errors over clips (n,); NaN marks values not claimed or not known."""
     use = np.isfinite(value) & np.isfinite(true)
     names = ("bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95")
     out: dict[str, float] = {"n": int(use.sum())} | dict.fromkeys(names, np.nan)
@@ -60,7 +60,7 @@ def error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) ->
 
 
 def true_motion(truth: pd.DataFrame, scalars: Mapping[str, Any] | pd.Series) -> Floats | None:
-    """True parameters of the tied fit, (16,), of a clip; None unless both balls are tracked before the contact.
+    """Compute the true parameters (16,) of a tied fit, for its bound; None unless both balls are tracked before.
 
     Positions and velocities are those of the last frame before it, extrapolated by less than a frame.
     scalars: the row of the clip in truth/clips.parquet.

@@ -59,7 +59,7 @@ class MatchedDetections:
 
 
 def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> MatchedDetections:
-    """Pair detections (frame, x, y px) with true balls (frame, x_mean_px, y_mean_px, visible), frame by frame.
+    """Match detected positions (frame, x, y px) with true ones (frame, x_mean_px, y_mean_px, visible) by frame.
 
     `gate` is the largest distance of a pair, `ball_px` the diameter of a ball, px. A ball partly out of view need not
     be found, and a detection on it does not count.

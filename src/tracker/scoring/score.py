@@ -164,7 +164,7 @@ def _read_clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, p
 
 
 def to_track_points(matched: MatchedDetections) -> tuple[TrackPoints, TrackPoints]:
-    """Make tracks for the tracking measures, of balls wholly in view and of the detections that count."""
+    """Make the tracks that are scored, of balls wholly in view and of the detections that count."""
     truth = matched.truth[matched.truth["visible"].to_numpy(bool)]
     found = matched.found[matched.counted]
     tables = ((truth, ["x_mean_px", "y_mean_px"]), (found, ["x", "y"]))
@@ -187,7 +187,7 @@ def join_truth(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFr
 
 
 def drop_unclaimed(table: pd.DataFrame) -> pd.DataFrame:
-    """Set to NaN what a row does not claim.
+    """Drop from a score what a row does not claim: set it to NaN.
 
     A row without a collision claims only the rolling loss; the tied fit of a misfit claims nothing.
     """

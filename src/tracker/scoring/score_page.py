@@ -117,7 +117,7 @@ def write_report(
 
 
 def draw_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str, Figure]:
-    """Draw the figures of `FIGURES` that the data allow, by name."""
+    """Draw the figures of a score's page that the data allow, by name."""
     out: dict[str, Figure] = {}
     clip = choose_clip(score)
     if clip is not None:
@@ -140,7 +140,7 @@ def draw_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str
 
 
 def choose_clip(score: DetectorScore, typical_speed: float = 0.3) -> int | None:
-    """Choose the example: the clip nearest to a typical speed (m/s) whose tied fit gives every quantity."""
+    """Choose the example on the page of a score: a clip of typical speed (m/s) whose tied fit gives every quantity."""
     table = score.table[score.table["status"] == "ok"]
     if len(table):
         table = table.dropna(subset=[n for n in QUANTITY_NAMES if n in table and n != "final_angle"])
@@ -175,7 +175,7 @@ def format_positions(where: Mapping[str, Any]) -> list[str]:
 
 
 def make_quantity_tables(score: DetectorScore) -> list[PageTable]:
-    """Make a table of the errors of all quantities for each method that has any."""
+    """Make a table for the page of a score with the errors of all quantities, for each method that has any."""
     heads = ["quantity", "unit", "clips", "bias", "rmse", "bound", "rmse / bound", "z mean", "z sd", "68 %", "95 %"]
     note = (
         "z: error over claimed standard error; its sd is 1 where error bars are correct. Bound: Cramér-Rao bound of "

@@ -86,6 +86,6 @@ def _format_errors(values: Mapping[str, float], factor: float) -> str:
 
 
 def format_ratio(scores: Mapping[str, Any], coordinates: int = 1) -> str:
-    """Format rmse over bound with its sampling error, for n independent values of so many coordinates."""
+    """Format a ratio for the summary of a score: rmse over bound with its sampling error, for n independent values."""
     ratio, values = scores["ratio"], coordinates * max(scores["n"], 1)
     return format_with_error(ratio, None if ratio is None else ratio / np.sqrt(2 * values))

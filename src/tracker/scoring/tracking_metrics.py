@@ -106,7 +106,7 @@ class TrackingCounts:
 
 
 def score_tracks(clips: Iterable[tuple[TrackPoints, TrackPoints]], gate: float = GATE_PX) -> dict[str, float]:
-    """All measures over clips of (truth, found); gate in px. NaN where nothing was there to be tracked."""
+    """Compute all measures of tracking over clips of (truth, found); gate in px. NaN where nothing could be tracked."""
     return sum((TrackingCounts.of(*clip, gate) for clip in clips), TrackingCounts.none()).scores()
 
 

@@ -140,7 +140,7 @@ def _describe(fit: RandomEffects, index: int = 0) -> dict[str, Any]:
 
 
 def describe_scatter(one: CombinedQuantity, factor: float = 1.0) -> str:
-    """Say how much the true values differ, with the interval of 95 %; factor: number of shown units in one SI unit."""
+    """Say how much the true values of a combined quantity differ, with the interval of 95 %; factor: to shown units."""
     if not one.mean.dof:
         return "scatter unknown"
     middle, low, high = (f"{factor * v:.2g}" for v in (one.mean.scatter, one.mean.scatter_low, one.mean.scatter_high))

@@ -26,7 +26,7 @@ _TIMES = ("s", "sec", "second", "seconds")
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """A name of a column in small letters, and the unit behind it: "X (px)" gives x, px; "x, px" and "x_px" too."""
+    """Split the name of a column from its unit: "X (px)" gives x, px; "x, px" and "x_px" too."""
     text = re.sub(r"\s+", " ", str(name).strip().lstrip("#").strip().lower())
     found = re.fullmatch(r"(.+?)\s*[\[(]\s*([^\])]*?)\s*[\])]", text) or re.fullmatch(r"(.+?)\s*[,/:_ ]\s*(\S+)", text)
     if found and (found[2] in _UNITS or found[2] in _TIMES):

@@ -44,7 +44,7 @@ class ClipTracks:
 
 
 def formats() -> dict[str, Any]:
-    """The modules of the formats, by name."""
+    """List the formats of tables that can be read, as modules by name."""
     names = sorted(info.name for info in pkgutil.iter_modules(format_files.__path__))
     return {name: importlib.import_module(f"{format_files.__name__}.{name}") for name in names}
 
@@ -142,7 +142,7 @@ def _find_column(name: str, rows: pd.DataFrame) -> str:
 
 
 def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = "", where: str = "") -> ClipTracks:
-    """Tracks, px, of a table in whatever unit. where: what messages call it; name: what notes do."""
+    """Convert a table that was read, in any unit, to tracks in px. where: its name in messages; name: in notes."""
     where = where or name
     table = table.leave_out_unassigned(name, where)
     notes = list(table.notes)

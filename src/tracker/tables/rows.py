@@ -52,7 +52,7 @@ def to_csv(table: pa.Table) -> bytes:
 
 
 def split_tracks(table: pd.DataFrame, where: str, metres: bool = False) -> dict[int, tuple[Tracks, str | None]]:
-    """Tracks by clip, with the clip's striker where the table says it; InputError for what is no such table.
+    """Split the rows of a table into tracks by clip, with the clip's striker where the table says it.
 
     Rows without a finite position are left out. where: what messages call the table; metres: whether lengths are known
     not to be pixels.

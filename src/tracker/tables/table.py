@@ -117,13 +117,13 @@ def unit_of(name: str, where: str) -> str:
 
 
 def per_second(interval: float, unit: str) -> float:
-    """Frames a second of an interval in a unit of time; NaN where that is none."""
+    """Convert an interval of a table's frames in a unit of time to frames a second; NaN where that is none."""
     seconds = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3}.get(unit.strip().lower())
     return 1.0 / (interval * seconds) if seconds and interval > 0 else math.nan
 
 
 def frames_from_times(times: NDArray[np.float64], where: str) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
-    """Frames, times and frame rate of times alone; even to a few digits they are evened out, else there is no rate."""
+    """Find frames and frame rate of a table with times alone; times that are even to a few digits are evened out."""
     steps = np.unique(times)
     if not np.isfinite(times).all() or len(steps) < 2:
         raise InputError(f"{where}: t: expected a time in s in each row")

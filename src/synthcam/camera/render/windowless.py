@@ -95,7 +95,7 @@ def egl_device() -> tuple[int | None, str]:
 
 
 def osmesa() -> ctypes.CDLL | None:
-    """Load Mesa's off-screen library; None without. Mesa 25.1 dropped it."""
+    """Load OSMesa, which draws without a window; None without it. Mesa 25.1 dropped it."""
     for name in ("libOSMesa.so.8", ctypes.util.find_library("OSMesa")):
         try:
             if name:

@@ -14,7 +14,7 @@ RANDOM_NUMBERS = 1 << 12  # in the table that a texture is made of
 
 
 def factors(look: SurfaceFinish, points: Array) -> Array:
-    """Reflectance (n, c) at points (n, 2), m, over the plate's mean."""
+    """Compute the texture of a plate at points (n, 2), m: reflectance (n, c) over the mean."""
     if look.texture == "plain" or not look.contrast:
         return np.ones((len(points), 1))
     table = np.random.default_rng(look.seed).random(RANDOM_NUMBERS)

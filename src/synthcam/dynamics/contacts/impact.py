@@ -175,7 +175,7 @@ def hit_wall(
 
 
 def join_inertia(k1: Real, m1: Real, k2: Real, m2: Real) -> Real:
-    """Return k1 k2 (m1 + m2)/(m1 k1 + m2 k2), the factor k of two bodies in contact; exactly k where both have one."""
+    """Return the factor k of an impact, k1 k2 (m1 + m2)/(m1 k1 + m2 k2); exactly k where both bodies have one."""
     return k1 + (k2 - k1) * (k1 * m1 / (m1 * k1 + m2 * k2))
 
 

@@ -124,7 +124,7 @@ class GroupImpact:
 
 
 def find_slip(one: RigidGroup, two: RigidGroup | None, point: Vector, n: Vector) -> tuple[float, float, float, float]:
-    """Return v_n, at which the groups approach, u_t, the velocity of the second along z x n, K_n and K_t.
+    """Return the velocities with which rigid groups meet, v_n and u_t (along z x n), and their factors K_n and K_t.
 
     n: the unit vector towards the first group. two: None for a wall.
     """
@@ -138,7 +138,7 @@ def find_slip(one: RigidGroup, two: RigidGroup | None, point: Vector, n: Vector)
 def hit(
     one: RigidGroup, two: RigidGroup | None, point: Vector, n: Vector, restitution: float, friction: float
 ) -> GroupImpact:
-    """Let two groups hit. friction: the tangential impulse over the one that would make the contact stick."""
+    """Let two rigid groups hit. friction: the tangential impulse over the one that would make the contact stick."""
     t = (-n[1], n[0])
 
     def push(impulse: float, along: Vector) -> None:

@@ -51,13 +51,13 @@ def make_entry(
 
 
 def overall_score(parts: Mapping[str, Mapping[str, float]], headline: list[str]) -> float:
-    """Compute 100 times the mean efficiency over these parts; a part that was not run counts 0. NaN without parts."""
+    """Compute the overall score of an entry: 100 times the mean efficiency over its parts. NaN without parts."""
     values = [parts[name]["efficiency"] if name in parts else 0.0 for name in headline]
     return 100 * float(np.mean(values)) if values else float("nan")
 
 
 def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min_collisions: int = 3) -> dict[str, Any]:
-    """Score each quantity of the tied and of the free fit.
+    """Score each quantity of the tied and of the free fit, for an entry.
 
     Returns `clips`, `measured` (clips with a collision that was measured), and by quantity the figures of score.json
     with `published`: the mean error over all collisions, each weighted by the error bar that it claims, and

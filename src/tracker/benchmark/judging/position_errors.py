@@ -70,7 +70,7 @@ def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> P
 
 
 def efficiency(figures: Mapping[str, float]) -> float:
-    """Efficiency: 1 where every ball is found at its bound and nothing else is; 0 where nothing is found.
+    """Compute the efficiency of positions: 1 where every ball is found at its bound and nothing else is.
 
     NaN without a bound.
     """

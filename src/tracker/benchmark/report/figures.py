@@ -31,7 +31,7 @@ def name_of(entry: Entry) -> str:
 
 
 def label_of(entry: Entry) -> str:
-    """Name for matplotlib, where "$" would begin a formula and a legend would leave out names that begin with "_"."""
+    """Name a tracker in figures so that matplotlib shows it: "$" would begin a formula, "_" hide it in a legend."""
     name = name_of(entry).replace("$", r"\$")
     return f"\u200b{name}" if name.startswith("_") else name
 
@@ -41,7 +41,7 @@ def _style(k: int) -> dict[str, Any]:
 
 
 def headline_figure(entries: Entries, definition: SuiteDefinition, worst: float = 30.0) -> Figure:
-    """Draw a table with a row for each tracker and a column for each setting: rmse over bound, or balls lost.
+    """Draw the first figure of the benchmark: a row for each tracker, a column for each setting, rmse over bound.
 
     worst: rmse over bound with the darkest colour.
     """
@@ -91,7 +91,7 @@ def _draw_cells(
 
 
 def cell(part: Mapping[str, Any] | None, reference_px: float = 0.05) -> tuple[str, float | None]:
-    """Text of a part in the first figure, and the value of its colour; None where it is lost or was not run.
+    """Write a cell of the first figure of the benchmark: its text and colour; None where a part is lost or was not run.
 
     reference_px: error that counts as the limit where there is no bound.
     """
@@ -110,7 +110,7 @@ def cell(part: Mapping[str, Any] | None, reference_px: float = 0.05) -> tuple[st
 
 
 def axes_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
-    """Draw the error against each axis of the suite, the gap between balls, and the phase within the pixel."""
+    """Draw the figure of errors against each axis of the suite, the gap between balls, and the pixel's phase."""
     axes = list(definition.axes())
     near = [e for e in entries if e["gap"]]
     phases = [name for name in definition.parts_of("phase") if any(e["phase"].get(name) for e in entries)]

@@ -95,7 +95,7 @@ def with_truth(suite: Suite) -> Suite:
 
 
 def truth_digest(truth: Path, definition: SuiteDefinition) -> str:
-    """Compute the SHA-256 over names and bytes of all true files, without bounds, which follow from them."""
+    """Compute the digest of the true files in the folder of a suite, without bounds, which follow from them."""
     mark = hashlib.sha256()
     for film in sorted(one.name for one in definition.films):
         for path in sorted(p for p in (truth / film).rglob("*") if p.is_file()):
@@ -106,7 +106,7 @@ def truth_digest(truth: Path, definition: SuiteDefinition) -> str:
 
 
 def covariances(truth: pd.DataFrame) -> NDArray[np.float64]:
-    """Turn the bounds beside true tracks into covariances (n, 2, 2), px^2."""
+    """Turn the bounds in the folder of a suite into covariances (n, 2, 2), px^2."""
     xx, xy, yy = (truth[name].to_numpy(np.float64) for name in ("xx", "xy", "yy"))
     return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
 

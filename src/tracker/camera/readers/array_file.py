@@ -15,7 +15,7 @@ ARRAYS = (".npy",)
 
 
 def read_array_file(path: Path) -> Frames:
-    """Frames of an array (frames, height, width), in colour (frames, height, width, 3). Raises InputError."""
+    """Read the frames of a numpy array file, (frames, height, width) or (..., 3) in colour. Raises InputError."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:

@@ -68,7 +68,7 @@ def is_zarr(path: Path) -> bool:
 def read_labelled_array(
     path: Path, options: FilmOptions = DEFAULT_OPTIONS, *, max_block_bytes: int = 256 << 20
 ) -> Frames:
-    """Frames of the largest array of whole numbers. Raises InputError, which names the library that is missing.
+    """Read the frames of the largest array in a file with named axes. Raises InputError, also for a missing library.
 
     max_block_bytes: of the chunks that are read at once and kept.
     """
@@ -135,7 +135,7 @@ def _choose_film(path: Path) -> tuple[LabelledArray, list[str]]:
 
 
 def name_axes(array: LabelledArray) -> str:
-    """A letter for each axis, each another: T, Y, X, C, Z, S, P, and Q, I, ... for those that are none of these."""
+    """Name each axis of an array by a letter: T, Y, X, C, Z, S, P, and Q, I, ... for those that are none of these."""
     letters = [""] * len(array.shape)
     names_of_letter = {  # the names of axes that a letter stands for
         "T": ("t", "time", "frame", "frames"),

@@ -61,7 +61,7 @@ def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) ->
 
 
 def find_picture_numbers(names: list[str]) -> tuple[NDArray[np.int64] | None, str]:
-    """Numbers of pictures by their names, from 0; None, with a note if need be, where names do not count frames."""
+    """Find the frame numbers in the names of pictures; None, with a note if need be, where names count no frames."""
     split = [re.split(r"(\d+)", name) for name in names]
     if len({tuple(parts[::2]) for parts in split}) > 1:
         return None, ""

@@ -61,7 +61,7 @@ class VideoContents:
 
 
 def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS, contents: VideoContents | None = None) -> Frames:
-    """Frames of a video; ``faults`` say what is wrong with its file.
+    """Read the frames of a video; ``faults`` say what is wrong with its file.
 
     contents: what a pass over the same file found, if there was one.
     """

@@ -38,7 +38,7 @@ class StillBackground:
 
 
 def estimate_still_background(frames: Sequence[Any], noise: float) -> StillBackground:
-    """Estimate the picture without balls from 31 frames spread over a film.
+    """Estimate the still background of a film, the picture without balls, from 31 frames spread over it.
 
     A pixel's level is the median of its samples. The exception is a pixel that differs from it in more than a tenth of
     the samples: a ball rested there. The level is then the cluster of samples that is most like the surroundings. If

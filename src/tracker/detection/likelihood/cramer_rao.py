@@ -65,7 +65,7 @@ def glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> GlintShape:
 
 
 def pixel_noise(mean: Array, sensor: SensorSpec) -> tuple[Array, Array]:
-    """Variance of pixels at their means, counts^2, and k = v'/(2v), 1/counts; any shape."""
+    """Compute the noise in the pixel model: variance of pixels at their means, counts^2, and k = v'/(2v), 1/counts."""
     variance = sensor.variance(mean)
     return variance, sensor.variance_slope(mean) / (2.0 * variance)
 
@@ -99,7 +99,7 @@ def _censored_information(z: Array, root: Array, k: Array) -> Array:
 
 
 def slopes(shape: GlintShape, flux: Array) -> Array:
-    """(n, 4, h, w) derivatives of the pixels' means by x, y, log flux and background."""
+    """Compute the derivatives (n, 4, h, w) of the pixel model by x, y, log flux and background."""
     grown = flux[:, None, None]
     return np.stack([grown * shape.by_x, grown * shape.by_y, grown * shape.value, np.ones_like(shape.value)], 1)
 

@@ -51,7 +51,7 @@ def find_neighbours(glints: Glints, good: NDArray[np.bool_], camera: Camera) -> 
 
 
 def find_isolated(frame: Ints, position: Array, distance: float) -> NDArray[np.bool_]:
-    """Which detections (n,), sorted by frame, have no other within a distance, px, in their frame."""
+    """Find the detections (n,), sorted by frame, that have no neighbour within a distance, px, in their frame."""
     return _find_nearest(frame, position)[0] >= distance
 
 

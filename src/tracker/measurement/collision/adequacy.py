@@ -73,7 +73,7 @@ VALUE_RANGES = (
 
 
 def p_value(square: float, dof: float, noise_dof: float) -> float:
-    """Compute the probability of a chi^2, `square`, at least so large; NaN without degrees of freedom.
+    """Compute the p-value of a fit: the probability of a chi^2, `square`, at least so large; NaN without dof.
 
     noise_dof: degrees of freedom from which the errors' size was found; inf where it was given. If they are a part of
     the same residuals, an F test compares the rest with that part.
@@ -107,7 +107,7 @@ class Chi2(Protocol):
 
 
 def compare_fits(tied: Chi2, free: Chi2, noise_dof: float) -> float:
-    """Compute the probability of so large a rise of chi^2 from the free fit to the tied one.
+    """Compute the p-value of the rise of chi^2 from the free fit to the tied one.
 
     Both are fits of the same positions; `noise_dof` as in `p_value`. NaN where the tied fit has no more degrees of
     freedom than the free one.
@@ -136,7 +136,7 @@ def find_impossible_values(values: DerivedValues, stretch: float, errors: float)
 
 
 def flag_contact_distance(distance: float, std: float, settings: FitSettings) -> list[Flag]:
-    """Flag balls that touch at another distance than one diameter; both numbers are in diameters.
+    """Flag an impossible value: balls that touch at another distance than one diameter; both in diameters.
 
     A deviation is flagged where it exceeds `contact_distance_tolerance` by `impossible_sigma` standard errors.
     """

@@ -290,7 +290,7 @@ def _departure(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floa
 
 
 def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]:
-    """Apply the laws of impact and sliding: the free parameters that follow from the tied ones.
+    """Apply the model's laws of impact and sliding: the free parameters that follow from the tied ones.
 
     The balls are equal; ball 1 rolls or rests. The laws are, with n, t and z the unit vectors of the contact:
 

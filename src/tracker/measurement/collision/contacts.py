@@ -77,7 +77,7 @@ class MarkedContact(NamedTuple):
 def find_contacts(
     balls: list[BallTrack], diameter: float, steps: float = 0.75, marked: Sequence[MarkedContact] = ()
 ) -> list[ContactCandidate]:
-    """Find all contacts of a recording, in order of time; diameter in m.
+    """Find all contacts of the balls of a clip, in order of time; diameter in m.
 
     steps: frames' worth of approach by which balls that touch between two frames may be farther apart in both.
     marked: contacts to add; each replaces what is found near it.
@@ -104,7 +104,7 @@ def find_contacts(
 
 
 def find_second_touch(candidate: ContactCandidate, diameter: float) -> int | None:
-    """Find the frame in which balls that have parted come back to a diameter (m); None if they do not.
+    """Find the second contact of a clip: the frame in which balls come back to a diameter (m), or None.
 
     Rolling balls whose restitution is under .4 do so, because the striker rolls on faster than the struck ball.
     """
@@ -185,7 +185,7 @@ def prepare_contact(
 
 
 def fit_velocity(track: BallTrack) -> tuple[Floats, Floats, float]:
-    """Fit a straight line: velocity (2,) m/s, position (2,) m at the mean time, the velocity's standard error, m/s."""
+    """Fit a straight line for a first guess: velocity (2,) m/s, position (2,) m at the mean time, and error, m/s."""
     t = track.time - track.time.mean()
     spread = float((t**2).sum())
     std = float(np.sqrt(np.trace(track.cov.mean(axis=0)) / 2 / spread))
@@ -295,7 +295,7 @@ def _shorten_rest(track: BallTrack, frame: int, longest: int = 150, same: float 
 
 
 def guess_parameters(contact: Contact) -> list[Floats]:
-    """Guess tied parameters (16,), the best first; none where the approach leads past the other ball.
+    """Guess tied parameters (16,) of a contact, the best first; none where the approach leads past the other ball.
 
     The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter apart.
     The impact comes from a coarse grid over all physical values, the best for each friction. If frames about the
@@ -341,7 +341,7 @@ def _rough_chi2(pair: BallPair, tied: Floats) -> Floats:
 
 
 def guess_launch(pair: BallPair, frame: int) -> list[float] | None:
-    """Guess the first eight of the tied parameters and ball 1's velocity, from what lies before `frame`."""
+    """Guess the first eight tied parameters and ball 1's velocity, from positions before a contact in `frame`."""
     line, target = _before(pair.striker, frame), _before(pair.struck, frame)
     if len(line) < 2 or len(target) < 1 + pair.target_moves:
         return None

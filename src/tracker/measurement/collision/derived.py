@@ -52,7 +52,7 @@ class DerivedValues:
 
 
 def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = None) -> DerivedValues:
-    """Quantities of a free motion, from the parameters (22,) and their covariance; diameter in m.
+    """Derive the quantities of a free motion from the parameters (22,) and their covariance; diameter in m.
 
     Friction and spin transfer follow from either ball; the two are averaged with weights from their errors. If they
     differ by more than five standard errors, there is no one value, and its covariance is NaN. A quantity that is
@@ -95,7 +95,7 @@ def mean_of_balls(cov: Floats) -> Floats:
 
 
 def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> DerivedValues:
-    """Quantities of a tied motion, from the parameters (16,) and their covariance.
+    """Derive the quantities of a tied motion from the parameters (16,) and their covariance.
 
     diameter in m; spin in m/s, see `tied_to_free`.
     """

@@ -147,7 +147,7 @@ class LastingResiduals:
 def time_before_crossing(
     beta: NDArray[np.inexact], v0: NDArray[np.inexact], distance: NDArray[np.inexact], diameter: float
 ) -> NDArray[np.inexact]:
-    """Seconds from the first touch to the crossing of the paths at a distance (m) under the angle beta."""
+    """Seconds from the first touch of a lasting contact to the crossing of the paths at a distance (m), angle beta."""
     reach = diameter**2 - (distance * np.sin(beta)) ** 2
     return np.asarray((np.sqrt(np.where(reach.real > 0, reach, 0.0)) - distance * np.cos(beta)) / v0)
 
@@ -155,7 +155,7 @@ def time_before_crossing(
 def delay_of_slides(
     closing: NDArray[np.inexact], r: NDArray[np.inexact], log_mu: NDArray[np.inexact], before: NDArray[np.inexact]
 ) -> NDArray[np.inexact]:
-    """Seconds after the first touch by which slides begin late, in effect: balls roll until the push exceeds 7/2 mu g.
+    """Seconds by which a lasting contact delays slides: balls roll until the push exceeds 7/2 mu g.
 
     closing, m/s; before: s from the touch to t_c. Until then friction is 2/7 of the push, so that half of this time
     counts. That is 7/2 mu g T^2/(pi^2 J) for a half sine. A push that rises straight from the start reaches the limit
@@ -180,7 +180,7 @@ def kept_share(r: Floats) -> tuple[Floats, Floats]:
 
 
 def advance_slides(free: NDArray[np.inexact], delay: NDArray[np.inexact]) -> NDArray[np.inexact]:
-    """The free parameters (..., 22) at t_c of slides that began `delay` (...) s earlier, from those at their start."""
+    """Advance slides that a lasting contact delays: free parameters (..., 22) at t_c, from those at their start."""
     out = free.copy()
     for at in AFTER.values():
         v, f, past = free[..., at : at + 2], free[..., at + 2 : at + 4], delay / np.exp(free[..., at + 4])
@@ -191,7 +191,7 @@ def advance_slides(free: NDArray[np.inexact], delay: NDArray[np.inexact]) -> NDA
 
 
 def rewind_slides(free: Floats, delay: Floats) -> Floats:
-    """The free parameters (..., 22) at the start of slides that began `delay` (...) s before t_c."""
+    """Rewind slides that a lasting contact delays: free parameters (..., 22) at their start, from those at t_c."""
     out = free.copy()
     for at in AFTER.values():
         v, f, tau = free[..., at : at + 2], free[..., at + 2 : at + 4], np.exp(free[..., at + 4])
@@ -741,7 +741,7 @@ def _as_free(fit: LastingFit) -> CollisionFit:
 
 
 def as_collision_fits(fits: LastingFits) -> tuple[CollisionFit, CollisionFit]:
-    """Tied and free fit as those of instantaneous contacts; of straight lines the launch and r alone."""
+    """Turn the fits of a lasting contact into a tied and a free fit; of straight lines the launch and r alone."""
     free, tied = _as_free(fits.free), fits.tied
     parameters, cov = np.zeros(len(TIED)), np.zeros((len(TIED), len(TIED)))
     if tied.problem.kind == "tied":

@@ -211,7 +211,7 @@ def _descend(problem: Problem, start: Floats, tolerance: float) -> tuple[Floats,
 def fit_motion(
     pair: BallPair, tied: bool, starts: list[Floats], tolerance: float = FINE, whole: bool = False
 ) -> CollisionFit:
-    """Fit a tied or free motion to two balls, from starts (16,) or (22,). A few outliers are dropped once.
+    """Fit a tied or free motion by least squares, from starts (16,) or (22,). A few outliers are dropped once.
 
     tolerance: as for `minimise`; whole: keep the outliers.
     """

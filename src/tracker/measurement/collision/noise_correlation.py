@@ -70,7 +70,7 @@ def _with_codec_errors(pair: BallPair, free: CollisionFit) -> BallPair | None:
 
 
 def variance_of_residuals(free: CollisionFit) -> float:
-    """Factor on the variances of a rejected free fit by which its errors are as large and as lasting as its residuals.
+    """Factor on the variances of a rejected free fit for noise as large and as correlated as its residuals.
 
     Residuals that are correlated by rho from frame to frame count as (1 - rho)/(1 + rho) of their number.
     """

@@ -90,7 +90,7 @@ def find_stays(
 
 
 def bounces_first(excess: Floats, noise: float, *, smoothed_frames: int = 5) -> bool:
-    """Decide whether two balls part before they end up side by side, as rolling ones of r near .4 do.
+    """Decide whether balls that end up staying together part first, as rolling ones of r near .4 do.
 
     Tape swings out for as long as the balls were nearer than a diameter. Plate friction takes longer to stop balls that
     part, and their separation grows all the while. excess: of the separation over the diameter from the touch on, m.

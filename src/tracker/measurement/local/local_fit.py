@@ -358,7 +358,7 @@ class StretchFit:
 
 
 def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, zooms: int = 3) -> StretchFit:
-    """Fit one stretch alone, by linear fits over a few durations of the slide, and again about the best of them."""
+    """Fit one stretch of a local fit alone, over a few durations of the slide, and again about the best of them."""
     span = float(np.abs(stretch.time - contact).max())
     taus = np.geomspace(span / 40, 1.5 * span, 12)
     costs, fits, left = _fit_each(stretch, contact, motion, taus)
@@ -460,7 +460,7 @@ def _line(stretch: Stretch, contact: float, most: int = 6) -> tuple[Floats, Floa
 
 
 def list_motions(stretches: Sequence[Stretch], rests: bool, glide: bool) -> Iterator[tuple[MotionKind, ...]]:
-    """List the motions that the stretches may have, on air (glide) or on a plate."""
+    """List the motions that the stretches of a local fit may have, on air (glide) or on a plate."""
     choices: list[tuple[MotionKind, ...]] = []
     for s in stretches:
         if s.ball == 1 and not s.after and rests:
@@ -523,7 +523,7 @@ def _try_other_starts(solution: LocalSolution) -> LocalSolution:
 
 
 def weigh_by_residuals(found: Sequence[LocalSolution], known: bool, shared: float = 8.0) -> list[LocalSolution]:
-    """Solve all again with errors as large and as lasting as the residuals of each stretch of the first; best first.
+    """Solve local fits again with errors as large and as lasting as the residuals of each stretch; best first.
 
     known: errors are claimed, and are never smaller than that. shared: degrees of freedom with which the mean of all
     stretches counts in each. A body at rest takes the mean, because recorders round or drop its positions.
@@ -557,7 +557,7 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool, shared: floa
 
 
 def shows_end(solution: LocalSolution, k: int, *, least_positions: int = 4, least_sigma: float = 10.0) -> bool:
-    """Decide whether the positions show when the slide of a stretch ends.
+    """Decide whether a local fit shows when the slide of a stretch ends.
 
     The part next to the contact holds `least_positions`. If the slide filled the stretch, one end of it would be off
     by `least_sigma` of its errors. The duration is known to a fifth.
@@ -579,7 +579,7 @@ def mix_solutions(
     durations: int = 6,
     least_weight: float = 0.05,
 ) -> list[tuple[float, LocalSolution]]:
-    """Weigh the motions that the stretches may have by their evidence, each with all durations of its slides.
+    """Weigh the solutions of local fits by their evidence: motions of the stretches and durations of their slides.
 
     A fit of the duration of a slide has no error to rely on where the positions do not show its end. While the slide
     outlasts the stretch, nothing depends on it; as soon as it ends earlier, all does. So such a slide gets each

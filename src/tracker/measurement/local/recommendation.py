@@ -121,5 +121,5 @@ def _find_difference(row: Mapping[str, Any], suffix: str, *, max_difference: flo
 
 
 def recommended_suffix(row: Mapping[str, Any]) -> str:
-    """Give the suffix of the recommended columns of a row; that of the tied fit where nothing is recommended."""
+    """Give the column suffix of the recommended estimate of a row; of the tied fit where none is recommended."""
     return SUFFIXES.get(str(row.get("recommended", TIED)), "")

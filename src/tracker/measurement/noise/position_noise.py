@@ -79,7 +79,7 @@ def measure_scatter(balls: Sequence[BallNoise]) -> ScatterRatio | None:
 
 
 def find_bent_windows(course: BallNoise) -> Ints:
-    """First frames (m,) of the windows in which a ball's motion is not smooth, by its chi^2 (p < 1e-6)."""
+    """Find windows whose scatter is no noise, because motion is not smooth there (p < 1e-6): frames (m,)."""
     starts, left, _ = _windows(course)
     return starts[left > np.median(left) * chdtri(DOF, 1e-6) / chdtri(DOF, 0.5)] if len(left) else starts
 

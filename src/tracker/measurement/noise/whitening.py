@@ -63,7 +63,7 @@ class PositionWhitener:
 
 
 def innovations(errors: Floats, kept: Floats) -> Floats:
-    """Innovations (..., 2n), of unit size, of errors (..., 2n) that keep a share (n - 1,) of the previous row."""
+    """Whiten errors (..., 2n) that keep a share (n - 1,) of the previous row: innovations (..., 2n) of unit size."""
     rows = errors.reshape(*errors.shape[:-1], -1, 2)
     new = (rows[..., 1:, :] - kept[:, None] * rows[..., :-1, :]) / np.sqrt(1 - kept**2)[:, None]
     return np.concatenate([rows[..., :1, :], new], axis=-2).reshape(errors.shape)
@@ -81,7 +81,7 @@ def _split_stretches(breaks: NDArray[np.bool_], longest: int = 200) -> list[tupl
 def position_covariance(
     position: Floats, cov: Floats, fixed: Floats, width: float, drifts: Sequence[tuple[float, float]] = ()
 ) -> Floats:
-    """Covariance (2n, 2n), m^2, of positions (n, 2), m; the other arguments are as for `PositionWhitener`."""
+    """Compute the full covariance (2n, 2n), m^2, of a ball's positions (n, 2); arguments as for `PositionWhitener`."""
     n = len(position)
     if drifts:
         own = sum(size**2 for size, _ in drifts) * np.eye(2)

@@ -34,7 +34,7 @@ def read(content: Content) -> TrackTable | None:
 
 
 def find_pairs(plain: dict[str, str]) -> list[tuple[str, str]]:
-    """The columns of x and y of each ball: x1, y1; x_1, y_1; a_x, a_y. plain: names without units, by column."""
+    """Find the columns of each ball in a wide table: x1, y1; x_1, y_1; a_x, a_y. plain: names without units."""
     axes: dict[str, dict[str, str]] = {"x": {}, "y": {}}
     for column, name in plain.items():
         first, last = re.fullmatch(r"([xy])_?(\w+)", name), re.fullmatch(r"(\w+?)_?([xy])", name)
@@ -46,7 +46,7 @@ def find_pairs(plain: dict[str, str]) -> list[tuple[str, str]]:
 
 
 def find_frames(table: pd.DataFrame, plain: dict[str, str], where: str) -> tuple[object, object, float]:
-    """Frames, times or None, and the frame rate of a table with a row for each frame."""
+    """Find frames, times or None, and the frame rate of a wide table, with a row for each frame."""
     by_name = {name: column for column, name in reversed(plain.items())}
     frames = next((by_name[name] for name in ("frame", "frames", "frame_number", "frame_no") if name in by_name), None)
     times = next((by_name[name] for name in ("seconds", "time", "t", "timestamp") if name in by_name), None)

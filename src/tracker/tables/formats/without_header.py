@@ -30,7 +30,7 @@ def read(content: Content) -> TrackTable | None:
 
 
 def find_roles(table: pd.DataFrame) -> dict[str, str] | None:
-    """Which column is which, where it is certain for frame and particle: no particle is twice in a frame.
+    """Find which column is which without a header, where it is certain: no particle is twice in a frame.
 
     x and y are the first two other columns whose values vary and are not whole numbers.
     """
