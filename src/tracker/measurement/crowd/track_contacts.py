@@ -9,12 +9,13 @@ better than one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from scipy.special import expit
 
 from tracker.measurement.collision.collision_model import GRAVITY
@@ -26,6 +27,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 NO_BALL = -1  # in place of a second ball: a wall, or something unseen
 CUTTER = StretchCutter(kink_positions=3, max_acceleration=2.4, kink_sigma=4.0)  # candidates only
+MAX_SPIN_TRANSFER = 5 / 14  # of balls whose surfaces stick to one another
 _NOTHING = np.full(2, np.nan)
 
 
@@ -34,10 +36,15 @@ class FinderSettings:
     """How contacts are found."""
 
     positions: int = 6  # of a path before a contact
-    positions_after: int = 4  # and after it, where a slide may end
+    positions_after: int = 6  # and after it, where a slide may end
     least_positions: int = 2
     curvature: float = 2.0  # rms acceleration of a ball beyond that of its slide after the contact, m/s^2
     friction: float = 0.2  # of the plate, on which a ball slides after a contact; 0 of bodies that glide
+    known_curvature: float = 0.2  # the same, where the film shows the friction
+    least_slides: int = 6  # contacts that show it
+    most_slides: int = 20  # of those with the greatest evidence
+    most_worse: float = 3.0  # log-likelihood of each that the smaller curvature may cost
+    spin_transfer: float = 0.3  # share of the relative speed of the surfaces that a contact gives to a spin
     distance_share: float = 0.016  # error of the distance at which balls touch, diameters
     near_share: float = 0.05  # farther than a diameter by this, balls do not touch
     prior_log_odds: float = -10.0  # of a contact at a position and time at which one is searched
@@ -48,6 +55,7 @@ class FinderSettings:
     event_frames: float = 0.1  # from an event to the first position that counts
     unseen_share: float = 0.5  # of a kick within `same_frames` of another, by which both may be mixed
     slide_share: float = 0.04  # error of a kick, relative, by the slide after it
+    known_slide_share: float = 0.016  # the same, where the film shows the friction
     turns: int = 3
     least_impulse_sigma: float = 3.0
     least_alignment: float = 0.85  # cosine between a kick and the line of centres
@@ -74,6 +82,8 @@ class TrackContact:
         chi^2 by which the contact fits better than none.
     confidence : float
         A score from 0 to 1 that grows with `gain`; it is no calibrated probability.
+    slips : (balls, 2) array
+        Velocities of the lowest points just after, m/s, against which balls slide; NaN if unknown, 0 if they glide.
     """
 
     time: float
@@ -86,6 +96,7 @@ class TrackContact:
     kick_std: float
     gain: float
     confidence: float
+    slips: Floats
 
     @property
     def balls(self) -> tuple[int, ...]:
@@ -93,58 +104,132 @@ class TrackContact:
         return (self.one,) if self.other == NO_BALL else (self.one, self.other)
 
 
-class _Path(NamedTuple):
-    """A parabola: position, velocity and half the acceleration at its origin of time, with their covariance."""
+class _Slide(NamedTuple):
+    """A ball that slides against its slip, the speed of its lowest point, until two sevenths of it are lost."""
 
-    value: Floats  # (3, 2)
-    cov: Floats  # (3, 3)
+    start: float  # s
+    slip: Floats  # (2,) there
+    decel: float
+
+    @property
+    def duration(self) -> float:
+        return 2 * float(np.hypot(*self.slip)) / (7 * self.decel)
+
+    @property
+    def direction(self) -> Floats:
+        return self.slip / max(float(np.hypot(*self.slip)), 1e-12)
+
+    def shape(self, time: Floats) -> Floats:
+        """The way (m,) that the ball lost since the start."""
+        since = np.maximum(time - self.start, 0.0)
+        lasts = np.minimum(since, self.duration)
+        return np.asarray(self.decel * lasts * (since - lasts / 2))
+
+    def rate(self, time: float) -> float:
+        """The speed that the ball lost since the start."""
+        return self.decel * min(max(time - self.start, 0.0), self.duration)
+
+    def left(self, time: float) -> Floats:
+        """The slip (2,) at a later instant."""
+        return self.slip * max(1 - (time - self.start) / max(self.duration, 1e-12), 0.0)
+
+
+class _Path(NamedTuple):
+    """A parabola: position, velocity and half the acceleration at its origin of time, with their covariance.
+
+    A slide from before adds the way that the ball lost, times a vector near minus its direction.
+    """
+
+    value: Floats  # (3 or 4, 2)
+    cov: Floats
     chi2: float
+    slide: _Slide | None = None
 
     def at(self, time: Floats) -> tuple[Floats, Floats]:
         """Positions (m, 2) and their variances (m,)."""
-        powers = np.stack([np.ones_like(time), time, time**2], axis=1)
-        return powers @ self.value, np.einsum("mi,ij,mj->m", powers, self.cov, powers)
+        basis = _make_basis(time, self.slide)
+        return basis @ self.value, np.einsum("mi,ij,mj->m", basis, self.cov, basis)
 
     def velocity(self, time: float) -> tuple[Floats, float]:
         """Velocity (2,) and its variance."""
-        powers = np.array([0.0, 1.0, 2 * time])
-        return powers @ self.value, float(powers @ self.cov @ powers)
+        basis = np.array([0.0, 1.0, 2 * time, *([] if self.slide is None else [self.slide.rate(time)])])
+        return basis @ self.value, float(basis @ self.cov @ basis)
 
 
-def _fit_path(time: Floats, position: Floats, variance: float, curvature: float) -> _Path:
-    basis = np.stack([np.ones_like(time), time, time**2], axis=1)
-    square = basis.T @ basis / variance
-    square[2, 2] += 4 / curvature**2
-    cov = np.asarray(np.linalg.inv(square), dtype=np.float64)
-    value = cov @ (basis.T @ position) / variance
-    left = position - basis @ value
-    return _Path(value, cov, float((left**2).sum() / variance + (2 * value[2] ** 2).sum() * 2 / curvature**2))
+def _make_basis(time: Floats, slide: _Slide | None) -> Floats:
+    columns = [np.ones_like(time), time, time**2, *([] if slide is None else [slide.shape(time)])]
+    return np.stack(columns, axis=1)
 
 
-def _fit_slide(
+def _fit_path(
     time: Floats,
     position: Floats,
     variance: float,
-    sides: Sequence[_Path | None],
+    curvature: float,
+    slide: _Slide | None = None,
+    *,
+    slide_error: float = 0.2,
+) -> _Path:
+    """Fit a parabola whose acceleration is `curvature` or so; slide_error: relative, of either component of its way."""
+    basis = _make_basis(time, slide)
+    expected, precision = np.zeros((basis.shape[1], 2)), np.zeros(basis.shape[1])
+    precision[2] = 4 / curvature**2
+    if slide is not None:
+        expected[3], precision[3] = -slide.direction, 1 / slide_error**2
+    cov = np.asarray(np.linalg.inv(basis.T @ basis / variance + np.diag(precision)), dtype=np.float64)
+    value = cov @ (basis.T @ position / variance + precision[:, None] * expected)
+    left, away = position - basis @ value, value - expected
+    chi2 = float((left**2).sum() / variance + (away**2).sum(axis=1) @ precision)
+    return _Path(value, cov, chi2, slide)
+
+
+def _fit_slides(
+    parts: Sequence[BallTrack],
+    late: Sequence[NDArray[np.bool_]],
+    zero: float,
+    start: float,
+    variances: Sequence[float],
+    ways: list[list[_Path | None]],
     settings: FinderSettings,
     *,
     turns: int = 2,
-) -> _Path | None:
-    """Fit the path after a contact at time 0 without the way that a ball loses while it slides.
+) -> list[Floats]:
+    """Fit the paths after a contact again, as if no ball slid there; returns the slips.
 
-    A ball that rolled slides after a kick, against the kick, until two sevenths of the kick are lost.
+    late: rows after the contact. start: of the slides, s after the instant `zero`.
     """
-    before, after = sides
+    slips = list[Floats]()
     for _ in range(turns):  # the kick and the slide depend on one another
-        if before is None or after is None:
-            break
-        kick = after.velocity(0.0)[0] - before.velocity(0.0)[0]
-        size = max(float(np.hypot(*kick)), 1e-12)
-        decel = settings.friction * GRAVITY
-        lasts = np.minimum(time, 2 * size / (7 * decel))
-        lost = decel * lasts * (time - lasts / 2)
-        after = _fit_path(time, position + np.outer(lost, kick / size), variance, settings.curvature)
-    return after
+        slips = _predict_slips(ways, start, settings)
+        for way, slip, part, rows, variance in zip(ways, slips, parts, late, variances, strict=True):
+            if np.isfinite(slip).all():
+                time = part.time[rows] - zero
+                slide = _Slide(start, slip, settings.friction * GRAVITY)
+                position = part.position[rows] + np.outer(slide.shape(time), slide.direction)
+                way[1] = _fit_path(time, position, variance, settings.curvature)
+    return slips
+
+
+def _predict_slips(ways: Sequence[Sequence[_Path | None]], start: float, settings: FinderSettings) -> list[Floats]:
+    """Predict how fast the lowest point of each ball slides after a contact; NaN where a path is not known.
+
+    The kick adds to what is left of the slip of an earlier contact. The surfaces of balls that roll also drag one
+    another upwards or downwards, and change the spins. A wall does that twice as much as a ball at rest.
+    """
+    before, after = (
+        [_NOTHING if side is None else side.velocity(start)[0] for side in sides] for sides in zip(*ways, strict=True)
+    )
+    left = [np.zeros(2) if way[0] is None or way[0].slide is None else way[0].slide.left(start) for way in ways]
+    kicks = [new - old for old, new in zip(before, after, strict=True)]
+    rolled = [velocity - slip for velocity, slip in zip(before, left, strict=True)]
+    if len(ways) == 1:
+        normal, share = kicks[0], 2 * settings.spin_transfer
+    else:
+        places = [next(side for side in way if side is not None).at(np.array([start]))[0][0] for way in ways]
+        normal, share = places[0] - places[1], settings.spin_transfer
+    normal = normal / max(float(np.hypot(*normal)), 1e-12)
+    dragged = share * sum(float(np.nan_to_num(velocity @ normal)) for velocity in rolled) * normal
+    return [slip + kick + dragged for slip, kick in zip(left, kicks, strict=True)]
 
 
 class _Found(NamedTuple):
@@ -159,6 +244,41 @@ class _Found(NamedTuple):
     before: Floats  # (balls, 2) velocities; NaN where too few positions show one
     after: Floats
     velocity_std: Floats  # (balls,) of the change
+    slips: Floats  # (balls, 2)
+
+
+@dataclass
+class _Film:
+    """A recording of balls, and what is known of their contacts so far."""
+
+    frame_s: float
+    diameter: float
+    settings: FinderSettings
+    events: dict[int, list[float]]  # of each ball, frames at which something may have happened to it
+    slides: dict[int, list[_Slide]] = field(default_factory=dict)  # of each ball, in order of time
+
+    def note_slides(self, found: Sequence[TrackContact]) -> None:
+        """Keep the slides after these contacts."""
+        self.slides, decel = {}, self.settings.friction * GRAVITY
+        if not decel:
+            return
+        for contact in sorted(found, key=lambda contact: contact.time):
+            for ball, slip in zip(contact.balls, contact.slips, strict=True):
+                if np.isfinite(slip).all():
+                    self.slides.setdefault(ball, []).append(_Slide(contact.time, slip, decel))
+
+    def fit_path(self, part: BallTrack, zero: float, variance: float) -> _Path:
+        """Fit a part of a track, with the slide of the last contact before it if that fits better.
+
+        zero: the instant from which times count.
+        """
+        time, curvature = part.time - zero, self.settings.curvature
+        before = [slide for slide in self.slides.get(part.particle, ()) if slide.start < part.time[0]]
+        rolls = _fit_path(time, part.position, variance, curvature)
+        if not before or before[-1].start + before[-1].duration < part.time[0]:
+            return rolls
+        slide = before[-1]._replace(start=before[-1].start - zero)
+        return min(rolls, _fit_path(time, part.position, variance, curvature, slide), key=lambda path: path.chi2)
 
 
 def find_track_contacts(
@@ -179,31 +299,83 @@ def find_track_contacts(
         for one, other in find_near_pairs(list(balls), diameter, 1.0)
         for frame in _find_approaches(one, other, diameter, settings)
     ]
-    # of each ball, when something may have happened to it
     events = {n: [*at.tolist(), *(f for a, b, f in pairs if n in (a.particle, b.particle))] for n, at in kinks.items()}
+    film = _Film(frame_s, diameter, settings, events)
     found = list[TrackContact]()
     for turn in range(settings.turns):  # each with better instants of the contacts before and after
         away = settings.other_frames if turn else settings.vague_frames
         tried = [
-            contact
-            for one, other, frame in pairs
-            if (contact := _examine((one, other), frame, events, away, frame_s, diameter, settings)) is not None
+            contact for one, other, frame in pairs if (contact := _examine((one, other), frame, away, film)) is not None
         ]
         found = list[TrackContact]()
         for contact in sorted(tried, key=lambda contact: -contact.gain):
             if not _is_explained(contact, found, frame_s, settings):
                 found.append(contact)
-        events = {n: _list_events(by_number[n], kinks[n], found, settings) for n in kinks}
+        film.events = {n: _list_events(by_number[n], kinks[n], found, settings) for n in kinks}
+        if settings.friction and turn < settings.turns - 1:
+            film.settings = _fit_friction(found, by_number, film)
+        film.note_slides(found)
         centres = {(c.one, c.other): c for c in found}
         pairs = [(one, other, _refine(one, other, frame, centres, settings)) for one, other, frame in pairs]
     for ball in balls:
         own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
         for frame in kinks[ball.particle].tolist():
             if min((abs(at - frame) for at in own), default=np.inf) > settings.same_frames:
-                contact = _examine((ball,), frame, events, settings.other_frames, frame_s, diameter, settings)
+                contact = _examine((ball,), frame, settings.other_frames, film)
                 if contact is not None:
                     found.append(contact)
     return _widen_errors(_find_partners(found, balls, diameter, frame_s, settings), frame_s, settings)
+
+
+def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], film: _Film) -> FinderSettings:
+    """The settings with the friction of the plate, and the drag of surfaces, by which slides fit best.
+
+    Without enough contacts these stay as they are.
+    """
+    settings = film.settings
+    best = sorted((c for c in found if len(c.balls) == 2), key=lambda contact: -contact.gain)[: settings.most_slides]
+    if len(best) < settings.least_slides:
+        return settings
+    places = list[tuple[list[BallTrack], int]]()
+    for contact in best:
+        frame = float(np.interp(contact.time, balls[contact.one].time, balls[contact.one].frame))
+        parts = [_cut(balls[n], frame, film.events[n], settings.other_frames, settings) for n in contact.balls]
+        places.append((parts, int(np.floor(frame))))
+
+    def misfit(friction: float, spin_transfer: float, curvature: float = settings.known_curvature) -> float:
+        """Minus the log-likelihood, with heavy tails because events are missed."""
+        tried = replace(settings, friction=friction, spin_transfer=spin_transfer, curvature=curvature)
+        fits = [_fit_gap(parts, left, left + 1, replace(film, settings=tried)) for parts, left in places]
+        dof = 2 * (settings.positions + settings.positions_after)
+        return float(sum(dof / 2 * np.log1p(fit.chi2 / dof) for fit in fits if fit is not None))
+
+    start = FinderSettings()
+    friction = float(
+        minimize_scalar(
+            lambda mu: misfit(mu, start.spin_transfer) + (np.log(mu / start.friction) / np.log(2)) ** 2 / 2,
+            bounds=(start.friction / 8, start.friction * 4),
+            method="bounded",
+            options={"xatol": 0.005},
+        ).x
+    )
+    transfer = float(
+        minimize_scalar(
+            lambda c: misfit(friction, c) + ((c - start.spin_transfer) / start.spin_transfer) ** 2 / 2,
+            bounds=(0.0, MAX_SPIN_TRANSFER),
+            method="bounded",
+            options={"xatol": 0.02},
+        ).x
+    )
+    worse = misfit(friction, transfer) - misfit(friction, transfer, start.curvature)
+    if worse > settings.most_worse * len(best):  # other forces bend the paths
+        return replace(settings, friction=friction, spin_transfer=transfer)
+    return replace(
+        settings,
+        friction=friction,
+        spin_transfer=transfer,
+        curvature=settings.known_curvature,
+        slide_share=settings.known_slide_share,
+    )
 
 
 def _widen_errors(found: Sequence[TrackContact], frame_s: float, settings: FinderSettings) -> list[TrackContact]:
@@ -315,27 +487,24 @@ def _find_approaches(one: BallTrack, other: BallTrack, diameter: float, settings
 def _examine(
     pair: tuple[BallTrack, ...],
     frame: float,
-    events: dict[int, list[float]],
     away: float,
-    frame_s: float,
-    diameter: float,
-    settings: FinderSettings,
+    film: _Film,
 ) -> TrackContact | None:
     """The contact of two balls, or of one with a wall, at about a frame; None if there is none.
 
-    events: by particle, frames at which other things happen. away: frames within which they are the same as this.
+    away: frames within which an event of a ball is this contact.
     """
-    fits = list[_Found]()
-    parts = [_cut(ball, frame, events[ball.particle], away, settings) for ball in pair]
+    fits, settings = list[_Found](), film.settings
+    parts = [_cut(ball, frame, film.events[ball.particle], away, settings) for ball in pair]
     if max(len(part) for part in parts) < 2 * settings.least_positions:
         return None
     gaps = np.unique(np.concatenate([part.frame for part in parts]))
     gaps = gaps[(gaps >= frame - 2.5) & (gaps <= frame + 2.5)]
     for left, right in pairwise(gaps):
-        here = _fit_gap(parts, int(left), int(right), frame_s, diameter, settings)
+        here = _fit_gap(parts, int(left), int(right), film)
         if here is not None:
             fits.append(here)
-    return _judge(pair, _weigh_gaps(fits), diameter, settings) if fits else None
+    return _judge(pair, _weigh_gaps(fits), film.diameter, settings) if fits else None
 
 
 def _weigh_gaps(fits: Sequence[_Found]) -> _Found:
@@ -356,21 +525,15 @@ def _cut(ball: BallTrack, frame: float, events: list[float], away: float, settin
 
 
 def _fit_gap(
-    parts: Sequence[BallTrack],
-    left: int,
-    right: int,
-    frame_s: float,
-    diameter: float,
-    settings: FinderSettings,
-    *,
-    steps_in_gap: int = 8,
+    parts: Sequence[BallTrack], left: int, right: int, film: _Film, *, steps_in_gap: int = 8, turns: int = 2
 ) -> _Found | None:
     """The best instant between two frames; None where a ball has too few positions before or after.
 
-    steps_in_gap: instants between two frames that are tried.
+    steps_in_gap: instants between two frames that are tried. turns: each with slides from the instant of the last.
     """
     if min(map(len, parts)) == 0:
         return None
+    settings, frame_s = film.settings, film.frame_s
     zero = float(np.mean([_time_of((left + right) / 2, part, frame_s) for part in parts]))
     low, high = (
         max(_time_of(left, part, frame_s) for part in parts) - zero,
@@ -378,42 +541,34 @@ def _fit_gap(
     )
     if not low < high:
         return None
-    times = np.linspace(low, high, steps_in_gap + 1)
-    cost, smooth, dof = np.zeros(len(times)), 0.0, 1
-    places, spread, ways = list[Floats](), list[Floats](), list[tuple[_Path | None, _Path | None]]()
-    for part in parts:
-        early, late = part.frame <= left, part.frame >= right
-        seen = [rows.sum() >= settings.least_positions for rows in (early, late)]
+    variances = [float(np.median(np.trace(part.cov, axis1=1, axis2=2))) / 2 for part in parts]
+    ways = list[list[_Path | None]]()
+    for part, variance in zip(parts, variances, strict=True):
+        halves = part.frame <= left, part.frame >= right
+        seen = [rows.sum() >= settings.least_positions for rows in halves]
         if not any(seen) or not (all(seen) or len(parts) == 2):
             return None
-        variance = float(np.median(np.trace(part.cov, axis1=1, axis2=2))) / 2
-        sides = [
-            _fit_path(part.time[rows] - zero, part.position[rows], variance, settings.curvature) if known else None
-            for rows, known in zip((early, late), seen, strict=True)
-        ]
-        if all(seen) and settings.friction:
-            sides[1] = _fit_slide(part.time[late] - zero, part.position[late], variance, sides, settings)
-        known_sides = [(side.chi2, *side.at(times)) for side in sides if side is not None]
-        chi2, (place, var) = sum(side[0] for side in known_sides), known_sides[0][1:]
-        cost += chi2
-        if len(known_sides) == 2:
-            other, other_var = known_sides[1][1:]
-            cost += ((place - other) ** 2).sum(axis=1) / (var + other_var)
-            weight = (other_var / (var + other_var))[:, None]
-            place, var = place * weight + other * (1 - weight), var * weight[:, 0]
-            chi2 = _fit_path(part.time - zero, part.position, variance, settings.curvature).chi2
-        smooth += chi2
-        dof += max(2 * len(part) - 4 * len(known_sides), 0)
-        places.append(place)
-        spread.append(var)
-        ways.append((sides[0], sides[1]))
+        before, after = (part.where(rows) for rows in halves)
+        ways.append(
+            [
+                film.fit_path(before, zero, variance) if seen[0] else None,
+                _fit_path(after.time - zero, after.position, variance, settings.curvature) if seen[1] else None,
+            ]
+        )
     if not any(None not in way for way in ways):
         return None
-    if len(parts) == 2:
-        apart = np.hypot(*(places[0] - places[1]).T)
-        variance_of_distance = (settings.distance_share * diameter) ** 2 + spread[0] + spread[1]
-        cost += (apart - diameter) ** 2 / variance_of_distance
-    at, bend = _find_least(times, cost)
+    times, at, slips = np.linspace(low, high, steps_in_gap + 1), 0.0, [np.zeros(2)] * len(parts)
+    for _ in range(turns if settings.friction else 1):
+        if settings.friction:
+            late = [part.frame >= right for part in parts]
+            slips = _fit_slides(parts, late, zero, at, variances, ways, settings)
+        cost, places = _compare_paths(ways, times, film)
+        at, bend = _find_least(times, cost)
+    smooth, dof = 0.0, 1
+    for part, variance, way in zip(parts, variances, ways, strict=True):
+        known = [side for side in way if side is not None]
+        dof += max(2 * len(part) - 4 * len(known), 0)
+        smooth += film.fit_path(part, zero, variance).chi2 if len(known) == 2 else known[0].chi2
     k = int(np.argmin(cost))
     excess = max(float(cost[k]) / dof, 1.0)
     exposed = min(at - low, high - at) < parts[0].exposure / 2  # a frame shows both paths
@@ -428,8 +583,35 @@ def _fit_gap(
         places=np.array([place[k] for place in places]),
         before=np.array([_NOTHING if first is None else first[0] for first, _ in velocities]),
         after=np.array([_NOTHING if second is None else second[0] for _, second in velocities]),
-        velocity_std=np.sqrt([np.nan if None in way else sum(side[1] for side in way if side) for way in velocities]),
+        velocity_std=np.sqrt(
+            [np.nan if None in way else excess * sum(side[1] for side in way if side) for way in velocities]
+        ),
+        slips=np.array(slips),
     )
+
+
+def _compare_paths(ways: Sequence[Sequence[_Path | None]], times: Floats, film: _Film) -> tuple[Floats, list[Floats]]:
+    """The chi^2 (m,) of a contact at each of m instants, and the places (m, 2) of each ball there.
+
+    The paths before and after meet there, and two balls are a diameter apart.
+    """
+    cost, places, spread = np.zeros(len(times)), list[Floats](), list[Floats]()
+    for way in ways:
+        known = [(side.chi2, *side.at(times)) for side in way if side is not None]
+        cost += sum(side[0] for side in known)
+        place, var = known[0][1:]
+        if len(known) == 2:
+            other, other_var = known[1][1:]
+            cost += ((place - other) ** 2).sum(axis=1) / (var + other_var)
+            weight = (other_var / (var + other_var))[:, None]
+            place, var = place * weight + other * (1 - weight), var * weight[:, 0]
+        places.append(place)
+        spread.append(var)
+    if len(ways) == 2:
+        apart = np.hypot(*(places[0] - places[1]).T)
+        variance = (film.settings.distance_share * film.diameter) ** 2 + spread[0] + spread[1]
+        cost += (apart - film.diameter) ** 2 / variance
+    return cost, places
 
 
 def _find_least(times: Floats, cost: Floats) -> tuple[float, float]:
@@ -480,7 +662,17 @@ def _judge(
         error = float(np.hypot(error, settings.slide_share * kick))
     other = pair[1].particle if len(pair) == 2 else NO_BALL
     return TrackContact(
-        found.time, found.time_std, pair[0].particle, other, place, normal, kick, error, gain, confidence
+        found.time,
+        found.time_std,
+        pair[0].particle,
+        other,
+        place,
+        normal,
+        kick,
+        error,
+        gain,
+        confidence,
+        found.slips,
     )
 
 
