@@ -42,7 +42,7 @@ class FinderSettings:
     friction: float = 0.2  # of the plate, on which a ball slides after a contact; 0 of bodies that glide
     known_curvature: float = 0.2  # the same, where the film shows the friction
     least_slides: int = 6  # contacts that show it
-    most_slides: int = 20  # of those with the greatest evidence
+    most_slides: int = 15  # of those with the greatest evidence
     most_worse: float = 3.0  # log-likelihood of each that the smaller curvature may cost
     spin_transfer: float = 0.3  # share of the relative speed of the surfaces that a contact gives to a spin
     distance_share: float = 0.016  # error of the distance at which balls touch, diameters
@@ -130,7 +130,7 @@ class _Slide(NamedTuple):
         return self.decel * min(max(time - self.start, 0.0), self.duration)
 
     def left(self, time: float) -> Floats:
-        """The slip (2,) at a later instant."""
+        """Compute the slip (2,) at a later instant."""
         return self.slip * max(1 - (time - self.start) / max(self.duration, 1e-12), 0.0)
 
 
@@ -148,7 +148,7 @@ class _Path(NamedTuple):
     def at(self, time: Floats) -> tuple[Floats, Floats]:
         """Positions (m, 2) and their variances (m,)."""
         basis = _make_basis(time, self.slide)
-        return basis @ self.value, np.einsum("mi,ij,mj->m", basis, self.cov, basis)
+        return basis @ self.value, ((basis @ self.cov) * basis).sum(axis=1)
 
     def velocity(self, time: float) -> tuple[Floats, float]:
         """Velocity (2,) and its variance."""
@@ -157,8 +157,11 @@ class _Path(NamedTuple):
 
 
 def _make_basis(time: Floats, slide: _Slide | None) -> Floats:
-    columns = [np.ones_like(time), time, time**2, *([] if slide is None else [slide.shape(time)])]
-    return np.stack(columns, axis=1)
+    basis = np.empty((len(time), 3 if slide is None else 4))
+    basis[:, 0], basis[:, 1], basis[:, 2] = 1.0, time, time * time
+    if slide is not None:
+        basis[:, 3] = slide.shape(time)
+    return basis
 
 
 def _fit_path(
@@ -172,15 +175,19 @@ def _fit_path(
 ) -> _Path:
     """Fit a parabola whose acceleration is `curvature` or so; slide_error: relative, of either component of its way."""
     basis = _make_basis(time, slide)
-    expected, precision = np.zeros((basis.shape[1], 2)), np.zeros(basis.shape[1])
-    precision[2] = 4 / curvature**2
+    square, right = basis.T @ basis / variance, basis.T @ position / variance
+    square[2, 2] += 4 / curvature**2
     if slide is not None:
-        expected[3], precision[3] = -slide.direction, 1 / slide_error**2
-    cov = np.asarray(np.linalg.inv(basis.T @ basis / variance + np.diag(precision)), dtype=np.float64)
-    value = cov @ (basis.T @ position / variance + precision[:, None] * expected)
-    left, away = position - basis @ value, value - expected
-    chi2 = float((left**2).sum() / variance + (away**2).sum(axis=1) @ precision)
-    return _Path(value, cov, chi2, slide)
+        square[3, 3] += 1 / slide_error**2
+        right[3] -= slide.direction / slide_error**2
+    cov = np.asarray(np.linalg.inv(square), dtype=np.float64)
+    value = cov @ right
+    left, bend = position - basis @ value, value[2]
+    chi2 = np.vdot(left, left) / variance + np.vdot(bend, bend) * 4 / curvature**2
+    if slide is not None:
+        away = value[3] + slide.direction
+        chi2 += np.vdot(away, away) / slide_error**2
+    return _Path(value, cov, float(chi2), slide)
 
 
 def _fit_slides(
@@ -228,7 +235,8 @@ def _predict_slips(ways: Sequence[Sequence[_Path | None]], start: float, setting
         places = [next(side for side in way if side is not None).at(np.array([start]))[0][0] for way in ways]
         normal, share = places[0] - places[1], settings.spin_transfer
     normal = normal / max(float(np.hypot(*normal)), 1e-12)
-    dragged = share * sum(float(np.nan_to_num(velocity @ normal)) for velocity in rolled) * normal
+    speeds = [float(velocity @ normal) for velocity in rolled]
+    dragged = share * sum(speed for speed in speeds if np.isfinite(speed)) * normal
     return [slip + kick + dragged for slip, kick in zip(left, kicks, strict=True)]
 
 
@@ -312,7 +320,7 @@ def find_track_contacts(
             if not _is_explained(contact, found, frame_s, settings):
                 found.append(contact)
         film.events = {n: _list_events(by_number[n], kinks[n], found, settings) for n in kinks}
-        if settings.friction and turn < settings.turns - 1:
+        if settings.friction and film.settings.curvature > settings.known_curvature and turn < settings.turns - 1:
             film.settings = _fit_friction(found, by_number, film)
         film.note_slides(found)
         centres = {(c.one, c.other): c for c in found}
@@ -355,7 +363,7 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
             lambda mu: misfit(mu, start.spin_transfer) + (np.log(mu / start.friction) / np.log(2)) ** 2 / 2,
             bounds=(start.friction / 8, start.friction * 4),
             method="bounded",
-            options={"xatol": 0.005},
+            options={"xatol": 0.01},
         ).x
     )
     transfer = float(
@@ -363,7 +371,7 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
             lambda c: misfit(friction, c) + ((c - start.spin_transfer) / start.spin_transfer) ** 2 / 2,
             bounds=(0.0, MAX_SPIN_TRANSFER),
             method="bounded",
-            options={"xatol": 0.02},
+            options={"xatol": 0.04},
         ).x
     )
     worse = misfit(friction, transfer) - misfit(friction, transfer, start.curvature)
@@ -499,7 +507,8 @@ def _examine(
     if max(len(part) for part in parts) < 2 * settings.least_positions:
         return None
     gaps = np.unique(np.concatenate([part.frame for part in parts]))
-    gaps = gaps[(gaps >= frame - 2.5) & (gaps <= frame + 2.5)]
+    reach = min(away, 1.5) + 1.0
+    gaps = gaps[(gaps >= frame - reach) & (gaps <= frame + reach)]
     for left, right in pairwise(gaps):
         here = _fit_gap(parts, int(left), int(right), film)
         if here is not None:
