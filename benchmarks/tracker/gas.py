@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from benchmarks.harness import ROOT, save
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
-from tracker.gas.gas import GasObservables, measure_gas
+from tracker.gas.gas import GasCamera, GasObservables, measure_gas
 from tracker.gas.kinetic_theory import contact_pair_correlation, contact_rate
 from tracker.gas.pair_correlation import pair_correlation
 from tracker.measurement.crowd.contact_table import tabulate_contacts
@@ -88,10 +88,8 @@ def observe(clip: Clip, side: float, seed: int, *, on_air: bool) -> Film:
     gas = measure_gas(
         to_ball_tracks(tracks, camera),
         contacts,
-        camera.ball_diameter,
-        camera.fps,
+        GasCamera(camera.ball_diameter, camera.fps, on_air),
         area=(-reach, -reach, reach, reach),
-        on_air=on_air,
     )
     balls = to_ball_tracks(tracks, camera)
     return Film(gas, *_read_truth(clip), _extrapolate_pairs(balls, 2 * reach, camera.ball_diameter))

@@ -21,7 +21,7 @@ from tracker.gas.temperature import (
     measure_temperatures,
     tabulate_velocities,
 )
-from tracker.gas.velocities import FreePath, cut_free_paths, extrapolate_to_contact
+from tracker.gas.velocities import FreePath, PathCuts, cut_free_paths, extrapolate_to_contact
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import measure_noise as measure_scatter_of_paths
 
@@ -41,6 +41,18 @@ class GasSettings:
     velocity_bins: int = 32
 
 
+@dataclass(frozen=True)
+class GasCamera:
+    """The numbers of a camera file on which the observables depend, and their standard errors, which are relative."""
+
+    diameter: float  # of a ball, m
+    fps: float
+    on_air: bool = False  # whether the bodies glide, and do not slide after a contact
+    scale_error: float = 0.0  # of lengths
+    fps_error: float = 0.0
+    diameter_error: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class GasObservables:
     """Observables of one recording, as `tracker.Gas` describes them."""
@@ -58,14 +70,9 @@ class GasObservables:
 def measure_gas(
     balls: Sequence[BallTrack],
     contacts: pd.DataFrame,
-    diameter: float,
-    fps: float,
+    camera: GasCamera,
     *,
     area: Rectangle | None = None,
-    on_air: bool = False,
-    scale_error: float = 0.0,
-    fps_error: float = 0.0,
-    diameter_error: float = 0.0,
     settings: GasSettings | None = None,
 ) -> GasObservables:
     """Measure the observables of a gas from the tracks of its balls and their contacts.
@@ -77,16 +84,10 @@ def measure_gas(
     contacts : DataFrame
         Columns t_s, particle1, particle2 (-1 at a wall), energy_lost, energy_lost_std (m^2/s^2, NaN if unknown) and
         misfit, as `Result.contacts` has them; t_s_std if it is known.
-    diameter : float
-        Of a ball, m.
-    fps : float
-        Frames a second.
+    camera : GasCamera
+        Its errors count in all errors.
     area : (left, bottom, right, top), optional
         The rectangle that the centres can reach, m. Without it: the one that they reached.
-    on_air : bool
-        Whether the bodies glide on air, and do not slide after a contact.
-    scale_error, fps_error, diameter_error : float
-        Relative standard errors of lengths, of the frame rate and of the diameter. They count in all errors.
     settings : GasSettings, optional
         How velocities and distributions are estimated.
 
@@ -101,34 +102,35 @@ def measure_gas(
     """
     used = settings or GasSettings()
     contacts = _sort_contacts(contacts)
-    paths = cut_free_paths(
-        balls,
-        contacts,
+    cuts = PathCuts(
         window_rows=used.window_rows,
-        margins_s=_find_margins(contacts, balls, used.margin_frames / fps),
-        max_gap_s=(used.max_gap_frames + 0.5) / fps,
+        margins_s=_find_margins(contacts, balls, used.margin_frames / camera.fps),
+        max_gap_s=(used.max_gap_frames + 0.5) / camera.fps,
         noise=measure_scatter_of_paths([(ball.frame, ball.position) for ball in balls]),
-        slides=not on_air,
+        slides=not camera.on_air,
     )
+    paths = cut_free_paths(balls, contacts, cuts)
     table = tabulate_velocities(paths) if paths else pd.DataFrame({"frame": []})
     claimed = float(np.sqrt(np.median(np.concatenate([_claimed_variance(ball) for ball in balls]))))
     noise = measure_noise(table) if len(table) else np.nan
     noise = noise if np.isfinite(noise) else claimed  # all free paths are short
-    time = _measure_time(paths, table, contacts, noise, fps)
+    time = _measure_time(paths, table, contacts, noise, camera.fps)
     where = area or _find_area(balls)
     sides = where[2] - where[0], where[3] - where[1]
     a2, a2_std = measure_sonine(table, time, noise)
     values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
     values |= _measure_rates(balls, contacts)
-    values |= _predict_rates(time, sides, diameter, fps, scale_error, fps_error, diameter_error)
-    time, values = _add_camera_errors(time, values, scale_error, fps_error)
+    values |= _predict_rates(time, sides, camera)
+    time, values = _add_camera_errors(time, values, camera)
     return GasObservables(
         time=time,
-        pairs=pair_correlation(_split_by_frame(balls), sides, used.pair_reach_diameters * diameter, used.pair_bins),
+        pairs=pair_correlation(
+            _split_by_frame(balls), sides, used.pair_reach_diameters * camera.diameter, used.pair_bins
+        ),
         velocities=measure_distribution(table, time, used.velocity_bins),
         values=values,
         area=where,
-        diameter=diameter,
+        diameter=camera.diameter,
     )
 
 
@@ -144,16 +146,17 @@ def _measure_time(
 
 
 def _add_camera_errors(
-    time: pd.DataFrame, values: dict[str, float], scale_error: float, fps_error: float
+    time: pd.DataFrame, values: dict[str, float], camera: GasCamera
 ) -> tuple[pd.DataFrame, dict[str, float]]:
     """Both with the relative errors of lengths and of the frame rate in whatever depends on them."""
-    energies = ("temperature", "energy", *SINKS.values())
-    time = time.assign(
-        **{f"{k}_std": np.hypot(time[f"{k}_std"], 2 * np.hypot(scale_error, fps_error) * time[k]) for k in energies}
+    energies, velocity_error = (
+        ("temperature", "energy", *SINKS.values()),
+        np.hypot(camera.scale_error, camera.fps_error),
     )
+    time = time.assign(**{f"{k}_std": np.hypot(time[f"{k}_std"], 2 * velocity_error * time[k]) for k in energies})
     wider = {
         f"{name}_std": float(np.hypot(values[f"{name}_std"], error * values[name]))
-        for name, error in (("free_path", scale_error), ("contact_rate", fps_error))
+        for name, error in (("free_path", camera.scale_error), ("contact_rate", camera.fps_error))
     }
     return time, values | wider
 
@@ -193,15 +196,7 @@ def _measure_rates(balls: Sequence[BallTrack], contacts: pd.DataFrame) -> dict[s
     }
 
 
-def _predict_rates(
-    time: pd.DataFrame,
-    sides: tuple[float, float],
-    diameter: float,
-    fps: float,
-    scale_error: float,
-    fps_error: float,
-    diameter_error: float,
-) -> dict[str, float]:
+def _predict_rates(time: pd.DataFrame, sides: tuple[float, float], camera: GasCamera) -> dict[str, float]:
     """Area fraction, and contacts and free path of Enskog's hard discs at the measured temperature and density.
 
     Their errors are those of the camera file and of the temperature, by one standard error of each. The errors of the
@@ -210,15 +205,15 @@ def _predict_rates(
     seen = (time["balls"] + time["unknown"]).to_numpy()
 
     def predict(length: float, rate: float, body: float, hotter: float) -> Floats:
-        d = diameter * body
+        d = camera.diameter * body
         temperature = np.maximum(time["temperature"], 0.0) + hotter * time["temperature_std"].fillna(0.0)
         density = seen / ((sides[0] * length + d) * (sides[1] * length + d))
-        each = contact_rate(temperature.to_numpy() * (length * rate) ** 2, density, d) / (fps * rate)
+        each = contact_rate(temperature.to_numpy() * (length * rate) ** 2, density, d) / (camera.fps * rate)
         return np.array([density.mean() * np.pi * d**2 / 4, (seen * each).sum() / 2, mean_free_path(density.mean(), d)])
 
     best = np.array([1.0, 1.0, 1.0, 0.0])
     expected = predict(*best)
-    errors = np.diag([scale_error, fps_error, diameter_error, 1.0])
+    errors = np.diag([camera.scale_error, camera.fps_error, camera.diameter_error, 1.0])
     std = np.sqrt(sum((predict(*(best + error)) - expected) ** 2 for error in errors))
     names = ("area_fraction", "contacts_theory", "free_path_theory")
     errors_of = {f"{name}_std": float(value) for name, value in zip(names, std, strict=True)}

@@ -12,7 +12,7 @@ import pandas as pd
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.gas.gas import GasObservables, GasSettings, Rectangle, measure_gas
+from tracker.gas.gas import GasCamera, GasObservables, GasSettings, Rectangle, measure_gas
 from tracker.gas.gas_page import summarise, write_gas
 from tracker.measurement.camera_errors import camera_errors
 from tracker.measurement.positions import to_ball_tracks
@@ -119,18 +119,9 @@ def observe_gas(
     if not (camera.metric and camera.knows_diameter):
         raise InputError(f"{name}: the camera file has no scale or no ball_diameter; a gas needs both, and fps")
     balls, shares = to_ball_tracks(tracks, camera), {error.key: error.share for error in camera_errors(camera)}
-    gas = measure_gas(
-        balls,
-        contacts,
-        camera.ball_diameter,
-        camera.fps,
-        area=_check_area(area),
-        on_air=camera.glides,
-        scale_error=shares.get("scale", 0.0),
-        fps_error=shares.get("fps", 0.0),
-        diameter_error=shares.get("ball_diameter", 0.0),
-        settings=settings,
-    )
+    errors = [shares.get(key, 0.0) for key in ("scale", "fps", "ball_diameter")]
+    known = GasCamera(camera.ball_diameter, camera.fps, camera.glides, *errors)
+    gas = measure_gas(balls, contacts, known, area=_check_area(area), settings=settings)
     return Gas(**vars(gas) | {"name": name, "notes": tuple(_limits(gas, camera))})
 
 

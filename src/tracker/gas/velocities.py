@@ -211,28 +211,28 @@ class FreePath:
     unsure: Floats
 
 
-def cut_free_paths(
-    balls: Sequence[BallTrack],
-    contacts: pd.DataFrame,
-    *,
-    window_rows: int,
-    margins_s: Floats,
-    max_gap_s: float,
-    noise: float,
-    slides: bool,
-) -> list[FreePath]:
+@dataclass(frozen=True, eq=False)
+class PathCuts:
+    """How tracks are cut into free paths, and how velocities are estimated on these."""
+
+    window_rows: int  # of a velocity
+    margins_s: Floats  # of each contact: positions nearer to it do not count in a velocity
+    max_gap_s: float  # a ball that was not seen for longer starts a new path
+    noise: float  # of a coordinate, m
+    slides: bool  # whether balls slide after a contact, as on a plate
+
+
+def cut_free_paths(balls: Sequence[BallTrack], contacts: pd.DataFrame, cuts: PathCuts) -> list[FreePath]:
     """Cut tracks at contacts and gaps, and estimate the velocities of each part.
 
-    contacts: columns t_s, particle1, particle2, in the order of time. margins_s: positions nearer to each
-    contact do not count in a velocity. max_gap_s: a ball that was not seen for longer starts a new path. noise: of a
-    coordinate, m. slides: whether balls slide after a contact, as on a plate.
+    contacts: columns t_s, particle1, particle2, in the order of time.
     """
     paths = []
     for ball in balls:
         own = np.flatnonzero((contacts["particle1"] == ball.particle) | (contacts["particle2"] == ball.particle))
         breaks = contacts["t_s"].to_numpy(dtype=np.float64)[own]
         part = np.searchsorted(breaks, ball.time)
-        gaps = np.flatnonzero(np.diff(ball.time) > max_gap_s) + 1
+        gaps = np.flatnonzero(np.diff(ball.time) > cuts.max_gap_s) + 1
         for k in range(len(breaks) + 1):
             inside = np.flatnonzero(part == k)
             for rows in np.split(inside, np.searchsorted(inside, gaps)):
@@ -240,9 +240,7 @@ def cut_free_paths(
                     continue
                 start = int(own[k - 1]) if k > 0 and rows[0] == inside[0] and rows[0] not in gaps else -1
                 end = int(own[k]) if k < len(breaks) and rows[-1] == inside[-1] and rows[-1] + 1 not in gaps else -1
-                paths.append(
-                    _fit_path(ball, rows, (start, end), contacts, breaks, window_rows, margins_s, noise, slides)
-                )
+                paths.append(_fit_path(ball, rows, (start, end), contacts, breaks, cuts))
     return paths
 
 
@@ -252,27 +250,24 @@ def _fit_path(
     ends: tuple[int, int],
     contacts: pd.DataFrame,
     breaks: Floats,
-    window_rows: int,
-    margins_s: Floats,
-    noise: float,
-    slides: bool,
+    cuts: PathCuts,
 ) -> FreePath:
     """Estimate the velocities of one path, whose contacts are the rows `ends` of their table."""
     time = ball.time[rows]
     at = contacts["t_s"].to_numpy(dtype=np.float64)
     first, last = (float(at[k]) if k >= 0 else float(edge) for k, edge in zip(ends, time[[0, -1]], strict=True))
-    early, late = (float(margins_s[k]) if k >= 0 else 0.0 for k in ends)
+    early, late = (float(cuts.margins_s[k]) if k >= 0 else 0.0 for k in ends)
     near = (time - first < early) | (last - time < late)
     free, position = time[~near], ball.position[rows[~near]]
-    slide_end = find_slide_end(free, position, noise) if slides and ends[0] >= 0 else np.nan
-    velocities = fit_velocities(free, position, np.append(time, [first, last]), window_rows, slide_end)
+    slide_end = find_slide_end(free, position, cuts.noise) if cuts.slides and ends[0] >= 0 else np.nan
+    velocities = fit_velocities(free, position, np.append(time, [first, last]), cuts.window_rows, slide_end)
     unsure, step = np.zeros(len(time)), float(np.diff(ball.time).min(initial=1.0))
     if len(free) < 2 and min(ends) >= 0:
         places = [extrapolate_to_contact(ball, breaks, edge, later) for edge, later in ((first, False), (last, True))]
         velocities = _chord(np.array([place for place, _ in places]), last - first, len(time) + 2)
         short = (early + late + step * (2 - sum(sure for _, sure in places))) / 4  # interpolation cuts the corners
         unsure += np.hypot(*velocities.even[0]) * min(short / (last - first), 0.5)
-    if slides and ends[0] >= 0 and not (free < slide_end).sum() >= ROWS_OF_SLIDE:
+    if cuts.slides and ends[0] >= 0 and not (free < slide_end).sum() >= ROWS_OF_SLIDE:
         velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
         rest = early + ROWS_OF_SLIDE * step - (time - first)  # of the longest slide that would not be seen
         unsure = USUAL_FRICTION * np.maximum(rest, 0) / 2

@@ -6,7 +6,7 @@ import pytest
 
 from synthcam_shared.errors import InputError
 from tracker.gas.energy import SINKS
-from tracker.gas.gas import measure_gas
+from tracker.gas.gas import GasCamera, measure_gas
 from tracker.gas.kinetic_theory import contact_pair_correlation, contact_rate, mean_free_path
 from tracker.gas.pair_correlation import pair_correlation
 from tracker.gas.velocities import find_slide_end, fit_velocities
@@ -79,7 +79,7 @@ def test_temperature_and_shape(kind, a2):
     if kind == "equal speeds":
         velocities *= np.sqrt(2 * temperature) / np.linalg.norm(velocities, axis=1, keepdims=True)
     balls = make_gas(velocities + np.array([0.3, 0.0]), 12, noise)
-    gas = measure_gas(balls, NO_CONTACTS, 0.002, FPS)
+    gas = measure_gas(balls, NO_CONTACTS, GasCamera(0.002, FPS))
     true = velocities.var(axis=0, ddof=1).sum() / 2
     z = (gas.time["temperature"] - true) / gas.time["temperature_std"]
     assert np.abs(z).max() < 4
@@ -137,7 +137,7 @@ def test_energies_add_up_and_go_where_they_went():
         for k, one in enumerate(x)
     ]
     nan = float("nan")
-    gas = measure_gas(balls, make_contacts((contact, 0, 1, nan, nan), (contact, 2, -1, nan, nan)), 0.01, FPS)
+    gas = measure_gas(balls, make_contacts((contact, 0, 1, nan, nan), (contact, 2, -1, nan, nan)), GasCamera(0.01, FPS))
     last = gas.time.iloc[-1]
     total = gas.time["energy"].iloc[0] - last["energy"]
     assert sum(last[column] for column in SINKS.values()) == pytest.approx(total, abs=1e-9)
@@ -149,7 +149,9 @@ def test_energies_add_up_and_go_where_they_went():
     assert last["lost_at_walls"] == pytest.approx((v2**2 - 0.24**2) / 2, abs=5 * last["lost_at_walls_std"])
     assert last["lost_unresolved"] == 0
     plate = last["lost_to_plate"]
-    given = measure_gas(balls, make_contacts((contact, 0, 1, 0.01, 0.001), (contact, 2, -1, nan, nan)), 0.01, FPS)
+    given = measure_gas(
+        balls, make_contacts((contact, 0, 1, 0.01, 0.001), (contact, 2, -1, nan, nan)), GasCamera(0.01, FPS)
+    )
     last = given.time.iloc[-1]
     assert (last["lost_in_contacts"], last["lost_in_contacts_std"]) == pytest.approx((0.01, 0.001))
     assert last["lost_to_plate"] == pytest.approx(plate + in_contact - 0.01, abs=1e-4)
@@ -157,14 +159,14 @@ def test_energies_add_up_and_go_where_they_went():
 
 def test_two_balls_are_no_gas():
     with pytest.raises(InputError, match="3 balls"):
-        measure_gas(make_gas(np.ones((2, 2)), 20, 1e-6), NO_CONTACTS, 0.002, FPS)
+        measure_gas(make_gas(np.ones((2, 2)), 20, 1e-6), NO_CONTACTS, GasCamera(0.002, FPS))
 
 
 @pytest.mark.parametrize("frames", [3, 7])
 def test_short_films_have_a_temperature_too(frames):
     """No window is long enough for halves: the noise is then what the tracks claim."""
     velocities = np.random.default_rng(4).normal(0, 0.15, (20, 2))
-    gas = measure_gas(make_gas(velocities, frames, 1e-6), NO_CONTACTS, 0.002, FPS)
+    gas = measure_gas(make_gas(velocities, frames, 1e-6), NO_CONTACTS, GasCamera(0.002, FPS))
     z = (gas.time["temperature"] - velocities.var(axis=0, ddof=1).mean()) / gas.time["temperature_std"]
     assert len(z) == frames
     assert np.abs(z).max() < 4
@@ -176,7 +178,9 @@ def test_balls_without_a_velocity_count_and_have_their_way():
     balls = make_gas(np.array([[0.2, 0.0], [0.0, 0.3], [-0.1, 0.1], [0.1, 0.2]]), 30, 1e-6)
     nan = float("nan")
     bounces = make_contacts(*((k / FPS + 0.5 / FPS, 0, -1, nan, nan) for k in range(29)))
-    plain, bounced = (measure_gas(balls, rows, 0.002, FPS, area=(-2, -2, 2, 2)) for rows in (NO_CONTACTS, bounces))
+    plain, bounced = (
+        measure_gas(balls, rows, GasCamera(0.002, FPS), area=(-2, -2, 2, 2)) for rows in (NO_CONTACTS, bounces)
+    )
     assert bounced.values["area_fraction"] == pytest.approx(plain.values["area_fraction"])
     assert bounced.time["temperature"].iloc[15] == pytest.approx(plain.time["temperature"].iloc[15], rel=1e-3)
     assert bounced.time["temperature_std"].iloc[15] > 10 * plain.time["temperature_std"].iloc[15]
