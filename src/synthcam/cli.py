@@ -1,4 +1,4 @@
-"""The command `synthcam`: generate, stream, merge, verify, preview, export, schema, effects, doctor."""
+"""The command `synthcam`: generate, stream, merge, verify, preview, serve, export, schema, effects, doctor."""
 
 from __future__ import annotations
 
@@ -267,6 +267,19 @@ def preview(
         text = f"{output}: clip {clip} of {scene}, in {slower:.3g} times slow motion"
         _print_result(summary | {"slower": slower}, as_json, text)
     _print_hint(describe_unseen_balls(read, clip, seed))
+
+
+@app.command()
+def serve() -> None:
+    """Answer requests for pictures of scenes: a line of JSON each, on standard input and output.
+
+    The page of `tracker open` starts it for its sliders. docs/format.md lists the keys.
+
+    Example: synthcam serve < requests.jsonl
+    """
+    from synthcam.dataset.live_preview import answer_requests
+
+    answer_requests(sys.stdin, partial(print, flush=True))
 
 
 @app.command()

@@ -290,6 +290,32 @@ def test_nothing_is_wider_than_the_screen(address, browser, width, scheme):
             page.screenshot(path=f"{folder}/workbench_{width}_{scheme}.png", full_page=True)
 
 
+def test_a_scene_is_moved_by_sliders_made_and_opened(films, browser, tmp_path):
+    with workbench(films / "long.tif", tmp_path / "bench") as (_, address), opened(browser, address) as page:
+        page.click("#view-make")
+        page.wait_for_selector("#slider-offset", timeout=60_000)
+        page.select_option("#scene", "head_on")
+        says(page, "#yaml", "name: head-on")
+        page.locator("#slider-speed").focus()
+        page.keyboard.press("ArrowRight")  # moves the slider, not the film
+        says(page, "#yaml", r"v0: 0\.\d+")
+        page.fill("[data-name=offset] input[type=number]", "3")
+        says(page, "#make-error", "Offset b: expected -0.95 to 0.95, not 3")
+        page.fill("[data-name=offset] input[type=number]", "0.4")
+        says(page, "#yaml", "b: 0.4")
+        says(page, "#make-error", "^$")
+        if folder := os.environ.get("SCREENSHOTS"):
+            page.screenshot(path=f"{folder}/workbench_make.png")
+        page.fill("[data-name=balls] input[type=number]", "1")
+        page.wait_for_selector("[data-name=offset].unused")
+        page.click("#generate")
+        page.wait_for_selector("#measure:not([hidden])", timeout=60_000)
+        says(page, "#film-name", "made_1/clips/000000")
+        assert shown(page, 0) == 1
+        says(page, "#scale", "0.16 mm/px .camera.json.")
+    assert "kind: single" in (tmp_path / "bench/scene_1.yaml").read_text()
+
+
 def test_clips_of_a_dataset_in_colour(browser, tmp_path):
     for number, first in ((3, 0), (4, 30)):
         light = film(np.random.default_rng(2), PATHS[first : first + 30])

@@ -195,7 +195,9 @@ def test_effects_and_schema(command):
     assert json.loads(out)["properties"]["launch"]
 
 
-@pytest.mark.parametrize("name", ["generate", "merge", "verify", "preview", "export", "effects", "schema", "doctor"])
+@pytest.mark.parametrize(
+    "name", ["generate", "merge", "verify", "preview", "serve", "export", "effects", "schema", "doctor"]
+)
 def test_every_command_has_help_with_an_example(command, name):
     status, out, _ = command(name, "--help")
     assert status == 0

@@ -40,7 +40,7 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
         raise InputError(f"--frame {frame}: expected 0 to {clip.frames - 1}; the clip has {clip.frames} frames")
     before = min(max(int((when - clip.camera.exposure) * clip.camera.fps), 0), clip.frames - 1)
     k = before if frame is None else frame
-    counts = next(itertools.islice(clip.pictures(), k, None))
+    counts = next(itertools.islice(clip.pictures(max(k, 1)), min(k, 1), None))
     picture = _eight_bits(counts, clip)
     if magnify:
         places = clip.camera.project(view.at(np.array([k / clip.camera.fps]))[:, 0, :3])
@@ -164,6 +164,12 @@ def _eight_bits(counts: Counts, clip: Clip) -> NDArray[np.uint8]:
         return (counts >> (bits - 8)).astype(np.uint8) if bits > 8 else counts.astype(np.uint8)
     above = np.maximum(counts - clip.sensor.black_level, 0) / (2**bits - 1 - clip.sensor.black_level)
     return np.asarray(255 * adjust_gamma(above, 1 / 2.2)).astype(np.uint8)
+
+
+def show_on_screen(counts: Counts, clip: Clip) -> NDArray[np.uint8]:
+    """A frame of a clip for a screen: dark parts of mirror balls on a black plate are brightened."""
+    picture = _eight_bits(counts, clip)
+    return picture if clip.finish else _brighten(picture, _black(clip))
 
 
 def _black(clip: Clip) -> float:

@@ -143,12 +143,30 @@ class Clip:
         NoGL
             If no OpenGL can render; `synthcam doctor` says what to install.
         """
+        return self._expose(range(0, self.frames, every))
+
+    def sketch(self, k: int) -> Counts:
+        """Render and expose one frame at once. Its sensor noise is that of `pictures`, but drawn otherwise.
+
+        Parameters
+        ----------
+        k : int
+            Its number, from 0 on.
+
+        Returns
+        -------
+        ndarray
+            Counts, as of `pictures`.
+        """
+        return next(self._expose(range(k, k + 1), by_tables=False))
+
+    def _expose(self, frames: range, *, by_tables: bool = True) -> Iterator[Counts]:
         varnish = build_varnish(self.surface, self.drawn) if self.finish else None
         radii = self.launch.bodies.radius.tolist()
         setup = OpticalSetup(self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish)
         colour = bool(self.drawn["camera"].get("colour"))
-        key = (self.seed, self.number)
-        return expose_frames(self.view, setup, self.sensor, self.frames, key, self.orientation, colour, every)
+        key, view = (self.seed, self.number), self.view
+        return expose_frames(view, setup, self.sensor, frames, key, self.orientation, colour, by_tables=by_tables)
 
     @cached_property
     def orientation(self) -> OrientationHistory | None:

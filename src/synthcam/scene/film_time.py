@@ -41,9 +41,9 @@ class FilmedMotion:
         start, end = min(float(times.min()), 0.0), float(times.max())
         return cls(model, camera, solve(model, launch, start, end, table=table))
 
-    def spans(self, frames: int, every: int = 1) -> Array:
-        """Film time at which each exposure opens and closes: (frames, 2), s. every: of every n-th frame only."""
-        starts = np.arange(0, frames, every) / self.camera.fps
+    def spans(self, frames: int | range) -> Array:
+        """Film time at which each exposure opens and closes: (frames, 2), s. frames: their number, or which."""
+        starts = np.array(range(frames) if isinstance(frames, int) else frames) / self.camera.fps
         return np.stack([starts, starts + self.camera.exposure], axis=1)
 
     def as_drawn(self) -> FilmedMotion:
@@ -85,7 +85,8 @@ class FilmedMotion:
     def breaks(self) -> Array:
         """Film times of all events, rising, s."""
         out, (turns, rounding) = [], TURNS_AND_ROUNDING_S
-        for event, ball in ((e, k) for e in self.motion.events for k in {e.i, e.j} - {-1}):
+        balls_of = ((e, {e.i} if e.kind == "wall" else {e.i, e.j} - {-1}) for e in self.motion.events)
+        for event, ball in ((event, ball) for event, balls in balls_of for ball in balls):
             film = event.t
             for _ in range(turns):
                 late = event.t - float(self.times(np.array([film]))[ball, 0])

@@ -97,7 +97,7 @@ def tracks(
 
     x_mean_px, y_mean_px are means over the exposure. turning: of balls with a pattern. every: of every n-th frame only.
     """
-    spans, camera, numbers = view.spans(frames, every), view.camera, np.arange(0, frames, every)
+    spans, camera, numbers = view.spans(range(0, frames, every)), view.camera, np.arange(0, frames, every)
     times = view.times(spans.mean(axis=1))
     states = view.at_own_times(times)
     kinds = view.kinds(times)

@@ -41,16 +41,18 @@ def expose_frames(
     motion: FilmedMotion,
     setup: OpticalSetup,
     sensor: Sensor,
-    frames: int,
+    frames: range,
     key: tuple[int, int],
     orientation: OrientationHistory | None,
     colour: bool,
-    every: int = 1,
+    *,
+    by_tables: bool = True,
 ) -> Iterator[Counts]:
     """Yield the frames as the sensor gives them.
 
-    frames: their number. key: seed and number of the clip, for the chips' noise. orientation: of balls with a pattern.
-    colour: three channels, each with a chip of its own: (h, w, 3). every: of every n-th frame only.
+    frames: their numbers. key: seed and number of the clip, for the chips' noise. orientation: of balls with a pattern.
+    colour: three channels, each with a chip of its own: (h, w, 3). by_tables: draw the noise of the plate from tables,
+    which take seconds to make; otherwise pixel by pixel, with other random numbers.
     """
     seed, number = key
     apart = 1 << 64  # the seeds of the three chips are further apart than any two seeds that a user may give
@@ -71,10 +73,13 @@ def expose_frames(
         return np.stack([orientation.at(ball, own).as_matrix() for ball, own in enumerate(times)], axis=1)
 
     paths = (centres, rotations) if setup.finish else (centres,)
-    drawn = renderer.frames(*paths, motion.spans(frames, every), motion.breaks())
-    for k, rendered in zip(range(0, frames, every), drawn, strict=True):
+    drawn = renderer.frames(*paths, motion.spans(frames), motion.breaks())
+    for k, rendered in zip(frames, drawn, strict=True):
         pictures = rendered if isinstance(rendered, tuple) else (rendered,) * len(chips)
-        exposed = (chip.expose(picture, number, k) for chip, picture in zip(chips, pictures, strict=True))
+        exposed = (
+            chip.expose(picture if by_tables else picture.image, number, k)
+            for chip, picture in zip(chips, pictures, strict=True)
+        )
         yield np.stack(list(exposed), axis=-1) if colour else next(exposed)
 
 

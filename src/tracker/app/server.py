@@ -89,6 +89,8 @@ class SessionAddresses:
             Route("/api/edits", self.mend, methods=["POST"]),
             Route("/api/combine", self.start_combination, methods=["POST"]),
             Route("/api/search", self.start_search, methods=["POST"]),
+            Route("/api/preview", self.draw_scene, methods=["POST"]),
+            Route("/api/generate", self.start_generation, methods=["POST"]),
             Route("/api/cancel", self.cancel_run, methods=["POST"]),
             Route("/api/status", self.stream_status),
         ]
@@ -176,6 +178,14 @@ class SessionAddresses:
     async def start_search(self, request: Request) -> Response:
         """Search results for what a model lacks, whose name the page sends."""
         return JSONResponse(await run_in_threadpool(self.bench.start_search, await _read_body(request)))
+
+    async def draw_scene(self, request: Request) -> Response:
+        """A picture of the scene that the page sends, or the names of the scenes."""
+        return JSONResponse(await run_in_threadpool(self.bench.previews.ask, await _read_body(request)))
+
+    async def start_generation(self, request: Request) -> Response:
+        """Make a dataset of the scene that the page sends, and open it."""
+        return JSONResponse(await run_in_threadpool(self.bench.start_generation, await _read_body(request)))
 
     async def cancel_run(self, request: Request) -> Response:
         """Stop the run."""

@@ -19,6 +19,7 @@ from synthcam_shared.application import PROGRESS_INTERVAL
 
 State = Literal["idle", "running", "done", "failed", "cancelled"]
 PROGRESS = re.compile(r"(\w+): (\d+) of (\d+) after ")
+PROGRAM = re.compile(r"^(tracker|discrepancy|synthcam): ")
 MAX_LINES = 200  # of the child's messages that are kept
 
 
@@ -108,7 +109,7 @@ class TrackProcess:
                     what, done, total = match[1], int(match[2]), int(match[3])
                     self._set(replace(self.status, what=what, done=done, total=total))
                 else:
-                    text = line.strip().removeprefix("tracker: ").removeprefix("discrepancy: ")
+                    text = PROGRAM.sub("", line.strip())
                     lines = (*self.status.lines, text)[-MAX_LINES:]
                     self._set(replace(self.status, lines=lines))
             code = child.wait()

@@ -32,18 +32,20 @@ from tracker.app.run_settings import (
     name_as_argument,
     read_run_settings,
 )
+from tracker.app.scene_previews import ScenePreviews
 from tracker.app.track_process import TrackProcess
 from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY
-from tracker.camera.recordings import RecordingSource
+from tracker.camera.recordings import RecordingSource, open_source
 from tracker.edits import EDITS, TrackEdits
 from tracker.results import clip_folder, finite
 
 FILES_OF_RUNS = (
     *("command_{}.txt", "edits_{}.yaml", "camera_{}.json", "calibrated_{}.json", "points_{}.csv", "model_{}.yaml"),
-    *("results_{}", "set_{}", "search_{}"),
+    *("results_{}", "set_{}", "search_{}", "scene_{}.yaml", "made_{}"),
 )
 MAX_WAIT_AT_END_S = 2.0  # for the preparation of a detector, which ends with the program
+MAX_MADE_CLIPS = 1000  # on the page; the command makes more
 OPENED = 0  # the number of the results that the session was opened with; its runs count from 1
 
 
@@ -87,7 +89,9 @@ class Workbench:
             raise InputError(f"{self.folder}: a file, expected a folder for the results")
         if beside.is_dir() and beside in (self.folder, *self.folder.parents):
             raise InputError(f"{self.folder}: lies in {shown}, expected a folder outside it")
+        self.home = self.folder  # of the datasets that the page makes
         self.process = TrackProcess(self._hear_process)
+        self.previews = ScenePreviews()
         self.report_key = secrets.token_urlsafe(24)  # part of the addresses of reports
         self.version = 0  # grows with every change of detector and run
         self.detector: PreparedDetector | None = None
@@ -106,6 +110,7 @@ class Workbench:
         self._wake.set()
         self.view.close()  # ends a pass of the detector over the film
         self.process.close()
+        self.previews.close()
         self._worker.join(timeout=MAX_WAIT_AT_END_S)
 
     def _note_change(self) -> None:
@@ -115,6 +120,8 @@ class Workbench:
         status = self.process.status
         if (status.command, status.state) == ("calibrate", "done"):
             self._take_camera(self._calibrated(status.number))
+        if (status.command, status.state) == ("generate", "done"):
+            self._open_source(self._made(status.number))
         self._note_change()
 
     # --- the film
@@ -137,6 +144,14 @@ class Workbench:
             self.view, self.given = view, given
             self.mending = Mending(edits_file, max(applied, key=len, default=[]))
             self._take(plan)
+
+    def _open_source(self, dataset: Path) -> None:
+        """Show a dataset in place of the source, with a folder of its own."""
+        with self._lock:
+            self.source, self.has_film, self._start = open_source(dataset), True, RunSettings()
+            self.folder = dataset.with_name(f"{dataset.name}_workbench")
+            self.results, self.others, self.pages = {}, [], {}
+            self.open_clip(0)
 
     @property
     def film(self) -> Path:
@@ -258,14 +273,17 @@ class Workbench:
 
     # --- the run
 
-    def _next_number(self) -> int:
+    def _next_number(self, folder: Path | None = None) -> int:
         """The first number without a file of an earlier run, finished, interrupted or claimed."""
-        taken = {path.name.removesuffix(".partial") for path in self.folder.glob("*_*")}
+        taken = {path.name.removesuffix(".partial") for path in (folder or self.folder).glob("*_*")}
         names = ({kind.format(n) for kind in FILES_OF_RUNS} for n in count(1))
         return next(n for n, own in enumerate(names, 1) if not own & taken)
 
-    def _command_file(self, number: int) -> Path:
-        return self.folder / f"command_{number}.txt"
+    def _command_file(self, number: int, folder: Path | None = None) -> Path:
+        return (folder or self.folder) / f"command_{number}.txt"
+
+    def _made(self, number: int) -> Path:
+        return self.home / f"made_{number}"
 
     def _edits_file(self, number: int) -> Path:
         return self.folder / f"edits_{number}.yaml"
@@ -316,22 +334,43 @@ class Workbench:
             self.source, self.given = replace(self.source, camera=file), read_source(file)
             self._take(make_plan(build_settings(kept, RunSettings, "settings"), self.view, self.given, where=f"{file}"))
 
-    def _claim_number(self) -> int:
+    def _claim_number(self, folder: Path | None = None) -> int:
         """The number of the next run, which no other session takes from now on. Raises InputError."""
         if self.process.is_running:
             raise InputError("run: one is under way; wait for it, or cancel it")
-        check_writable(self.folder)
-        self.folder.mkdir(parents=True, exist_ok=True)
+        folder = folder or self.folder
+        check_writable(folder)
+        folder.mkdir(parents=True, exist_ok=True)
         while True:
-            number = self._next_number()
+            number = self._next_number(folder)
             with suppress(FileExistsError):
-                self._command_file(number).touch(exist_ok=False)
+                self._command_file(number, folder).touch(exist_ok=False)
                 return number
 
-    def _start_process(self, number: int, words: list[str]) -> None:
+    def _start_process(self, number: int, words: list[str], folder: Path | None = None) -> None:
         """Start a run, and note its command beside its results."""
-        write_atomically(self._command_file(number), join_words(words) + "\n")
+        write_atomically(self._command_file(number, folder), join_words(words) + "\n")
         self.process.start(number, words)
+
+    def start_generation(self, values: Any) -> dict[str, Any]:
+        """Start `synthcam generate`, with a scene as the page shows it. When it is done, its dataset is opened.
+
+        values: the request of the preview, and `clips`, their number. Raises InputError.
+        """
+        asked = dict(values) if isinstance(values, dict) else {}
+        clips, seed = asked.pop("clips", 1), asked.get("seed", 0)
+        if not isinstance(clips, int) or isinstance(clips, bool) or not 1 <= clips <= MAX_MADE_CLIPS:
+            raise InputError(f"make: expected 1 to {MAX_MADE_CLIPS} clips")
+        scene = self.previews.ask({**asked, "sharp": False}).get("yaml")
+        if scene is None:
+            raise InputError("make: expected the name of a scene")
+        with self._lock:
+            number = self._claim_number(self.home)
+            file = self.home / f"scene_{number}.yaml"
+            write_atomically(file, scene)
+            words = ["synthcam", "generate", f"{file}", "-o", f"{self._made(number)}"]
+            self._start_process(number, [*words, "--clips", f"{clips}", "--seed", f"{seed}"], self.home)
+            return self.describe_status()
 
     def start_run(self) -> dict[str, Any]:
         """Start `tracker track` with the settings of the page. Raises InputError."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from synthcam.scene.ground_truth import tracks
-from synthcam.scene.scene import check_scene
+from synthcam.scene.scene import Scene, check_scene
 
 FPS = 250.0
 
@@ -112,6 +112,17 @@ def test_means_are_split_at_every_kink(effects):
         instants = film[0] + (np.arange(10000) + 0.5) / 10000 * (film[1] - film[0])
         mean = view.mean(np.array([film]), lambda s: s[..., :2])[:, 0]
         np.testing.assert_allclose(mean, view.at(instants)[..., :2].mean(axis=1), rtol=0, atol=2e-11)
+
+
+def test_a_hit_on_the_last_wall_is_a_break_of_its_ball_alone():
+    """The number of a wall is no number of a ball: a ball alone that hits wall 3."""
+    walls = [{"start": [-x, y], "end": [x, y]} for x, y in ((0.05, -0.02), (0.06, -0.03), (0.07, -0.04))]
+    walls.append({"start": [0.02, -0.02], "end": [0.02, 0.02]})
+    scene = Scene.build(launches=[{"position": [0.0, 0.0], "velocity": [0.3, 0.0]}], walls=walls)
+    view = scene.draw().view
+    (hit,) = (event for event in view.motion.events if event.kind == "wall")
+    assert hit.j == 3
+    assert hit.t in view.breaks()
 
 
 @pytest.mark.parametrize("name", ["glint_parallax", "pixel_locking"])

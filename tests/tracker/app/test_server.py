@@ -179,7 +179,7 @@ def test_two_sessions_on_one_folder_take_different_numbers(tmp_path, pictures, m
     for bench in both:
         offered = iter([1, 2])
         monkeypatch.setattr(bench.process, "start", lambda number, words: numbers.append(number))
-        monkeypatch.setattr(bench, "_next_number", offered.__next__)  # both sessions are offered 1
+        monkeypatch.setattr(bench, "_next_number", lambda folder, offered=offered: next(offered))  # both sessions: 1
     for bench in both:
         bench.start_run()
         bench.close()

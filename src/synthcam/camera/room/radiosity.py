@@ -6,6 +6,8 @@ is that of the plate without balls. These tables are of a single ball, without n
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +70,43 @@ def solve_plate_exchange(
 
     sources: points (n, 3) on the plate -> the lamps as they are seen there. Six reflections are followed.
     """
+    cells = _divide_ball_and_plate()
+    normals, spots = cells.normals, cells.spots
+    to_centre = UP - spots
+    far = np.sqrt(dot(to_centre, to_centre))
+    on_plate = np.full((len(spots), 1), ambient) * (1 - cells.to_ball.sum(1, keepdims=True))
+    on_ball = ambient * (1 + normals[:, 2:]) / 2
+    for source in sources(spots):
+        apart = np.arccos(np.clip(dot(to_centre, source.way) / far, -1, 1))
+        on_plate[:, 0] += source.light * visible_fraction(source.wide, np.arcsin(1 / far), apart)
+    for source in sources(np.zeros((1, 3))):
+        seen = mean_cosine_above_horizon(normals @ source.way[0], np.sin(source.wide))
+        on_ball[:, 0] += source.light * seen / source.way[0, 2]
+    below, glow = np.zeros((len(normals), len(ball))), np.zeros((len(spots), len(ball)))
+    for _ in range(6):
+        glow = cells.to_ball @ (ball * (on_ball + below))
+        below = cells.to_plate @ (plate * (on_plate + glow))
+    return PlateExchange(
+        ReflectionTable(below.reshape(*cells.of_ball, -1)),
+        ReflectionTable(np.pad(glow.reshape(*cells.of_plate, -1), ((0, cells.beyond), (0, 0), (0, 0)))),
+    )
+
+
+class ExchangeCells(NamedTuple):
+    """The cells of a ball and of its plate, and the form factors between them."""
+
+    normals: Array  # (belts sectors, 3) of the ball's cells
+    spots: Array  # (rings sectors, 3) of the plate's cells
+    to_plate: Array  # form factors from the ball's cells to the plate's
+    to_ball: Array  # the reverse
+    of_ball: tuple[int, int]  # belts, sectors
+    of_plate: tuple[int, int]  # rings, sectors
+    beyond: int  # rows of zeros from the last ring to r/(1 + r) = 1
+
+
+@lru_cache(maxsize=1)
+def _divide_ball_and_plate() -> ExchangeCells:
+    """Divide a ball and its plate into cells: they are the same for all, in radii of the ball."""
     rings_of_plate, belts_of_ball, sectors = 48, 24, 32  # cells of the tables
     turn = (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
@@ -83,25 +122,14 @@ def solve_plate_exchange(
     spots = np.pad((middle[:, None, None] * ring).reshape(-1, 2), ((0, 0), (0, 1)))
     areas = np.repeat(np.pi * np.diff(edges**2) / sectors, sectors)
     to_plate, to_ball = _exchange(normals, spots, areas)
-
-    to_centre = UP - spots
-    far = np.sqrt(dot(to_centre, to_centre))
-    on_plate = np.full((len(spots), 1), ambient) * (1 - to_ball.sum(1, keepdims=True))
-    on_ball = ambient * (1 + normals[:, 2:]) / 2
-    for source in sources(spots):
-        apart = np.arccos(np.clip(dot(to_centre, source.way) / far, -1, 1))
-        on_plate[:, 0] += source.light * visible_fraction(source.wide, np.arcsin(1 / far), apart)
-    for source in sources(np.zeros((1, 3))):
-        seen = mean_cosine_above_horizon(normals @ source.way[0], np.sin(source.wide))
-        on_ball[:, 0] += source.light * seen / source.way[0, 2]
-    below, glow = np.zeros((len(normals), len(ball))), np.zeros((len(spots), len(ball)))
-    for _ in range(6):
-        glow = to_ball @ (ball * (on_ball + below))
-        below = to_plate @ (plate * (on_plate + glow))
-    beyond = max(1, round(rings_of_plate / plate_radius))  # rows of zeros from r = plate_radius to r/(1 + r) = 1
-    return PlateExchange(
-        ReflectionTable(below.reshape(belts_of_ball, sectors, -1)),
-        ReflectionTable(np.pad(glow.reshape(rings_of_plate, sectors, -1), ((0, beyond), (0, 0), (0, 0)))),
+    return ExchangeCells(
+        normals=normals,
+        spots=spots,
+        to_plate=to_plate,
+        to_ball=to_ball,
+        of_ball=(belts_of_ball, sectors),
+        of_plate=(rings_of_plate, sectors),
+        beyond=max(1, round(rings_of_plate / plate_radius)),
     )
 
 

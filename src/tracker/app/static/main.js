@@ -2,6 +2,7 @@
 
 import { get, newestOnly, post } from "/static/api.js";
 import { Inspector } from "/static/ball.js";
+import { Make } from "/static/make.js";
 import { Mending } from "/static/mending.js";
 import { Player } from "/static/player.js";
 import { Pointing } from "/static/pointing.js";
@@ -22,12 +23,33 @@ async function begin() {
   const stage = new Stage(element("stage")), player = new Player(stage, film, tell);
   const inspector = new Inspector(stage, player), pointing = new Pointing(stage, player, inspector);
   const plot = new ResidualPlot(player), mending = new Mending(stage, player, pointing, inspector, plot);
-  const run = new Run(pointing, mending, tell, async () => { takeSettings(await get("/api/film")); });
+  const make = new Make();
+  const run = new Run(pointing, mending, tell, {
+    calibrate: async () => { takeSettings(await get("/api/film")); },
+    generate: async () => { change(await get("/api/film")); show("measure"); },
+  });
   let detector = film.status.detector;
 
   function takeSettings(next) {
     film = next;
     pointing.open(film);
+  }
+
+  // Another film, or another clip of it, in place of the one in view.
+  function change(next) {
+    run.clear();
+    player.open(next);
+    open(next);
+  }
+
+  // One of the views of the page.
+  function show(view) {
+    for (const name of ["measure", "make"]) {
+      element(name).hidden = name !== view;
+      element(`view-${name}`).setAttribute("aria-pressed", name === view);
+    }
+    element("report-box").classList.toggle("away", view !== "measure");
+    if (view === "make") make.open();
   }
 
   function open(next) {
@@ -81,6 +103,7 @@ async function begin() {
     element("notes-box").hidden = notes.length === 0;
     element("notes").replaceChildren(...notes.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
     run.show(status);
+    make.follow(status);
     stage.draw();
   }
 
@@ -119,12 +142,10 @@ async function begin() {
   element("zoom-in").addEventListener("click", () => stage.zoomBy(1.5));
   element("zoom-out").addEventListener("click", () => stage.zoomBy(1 / 1.5));
   element("fit").addEventListener("click", () => stage.fit());
+  for (const view of ["measure", "make"]) element(`view-${view}`).addEventListener("click", () => show(view));
   element("clip").addEventListener("change", async () => {
     try {
-      const next = await post("/api/clip", Number(element("clip").value));
-      run.clear();
-      player.open(next);
-      open(next);
+      change(await post("/api/clip", Number(element("clip").value)));
     } catch (error) {
       tell(error.message);
     }
@@ -162,7 +183,7 @@ async function begin() {
   document.addEventListener("keydown", (event) => {
     const { target } = event, plain = !event.ctrlKey && !event.metaKey;
     const isSlider = target.type === "range" && target.id !== "frame";
-    if (!plain || isSlider || target.matches("select, textarea, summary, iframe, input:not([type=range], [type=radio], [type=checkbox])")) return;
+    if (!plain || !element("make").hidden || isSlider || target.matches("select, textarea, summary, iframe, input:not([type=range], [type=radio], [type=checkbox])")) return;
     const presses = target.matches("button, input[type=checkbox], input[type=radio]");
     if (presses && (event.key === " " || (target.type === "radio" && event.key.startsWith("Arrow")))) return;
     if (event.altKey && moves[event.key]) {

@@ -5,12 +5,12 @@ import { get, post } from "/static/api.js";
 const element = (id) => document.getElementById(id);
 const cell = (kind, text) => Object.assign(document.createElement(kind), { textContent: text });
 
-const DOING = { calibrate: "Measuring the scale", measure: "Measuring", combine: "Combined set", find: "Search" };
+const DOING = { calibrate: "Measuring the scale", measure: "Measuring", combine: "Combined set", find: "Search", generate: "Making a dataset" };
 const STARTERS = ["run", "calibrate", "perspective", "combine", "search"];
 
 export class Run {
-  constructor(pointing, mending, tell, whenCalibrated) {
-    Object.assign(this, { pointing, mending, tell, whenCalibrated, shown: 0 });
+  constructor(pointing, mending, tell, whenDone) {
+    Object.assign(this, { pointing, mending, tell, whenDone, shown: "" });
     element("run").addEventListener("click", () => this.start("/api/run"));
     element("calibrate").addEventListener("click", () => this.start("/api/calibrate"));
     element("perspective").addEventListener("click", () => {
@@ -35,7 +35,7 @@ export class Run {
 
   // After the page is loaded again: what has ended is part of the film's description.
   open({ results, has_film: hasFilm, status: { run } }) {
-    if (run.state === "done") this.shown = run.number;
+    if (run.state === "done") this.shown = `${run.command} ${run.number}`;
     element("run").textContent = hasFilm ? "Track" : "Measure again";
     element("settings").hidden = !hasFilm;
     if (results != null) this.showResults(results);
@@ -59,9 +59,9 @@ export class Run {
     element("run-state").className = run.state === "failed" ? "error" : "";
     element("log-box").hidden = run.lines.length === 0;
     element("log").replaceChildren(...run.lines.map((line) => cell("li", line)));
-    if (run.state === "done" && this.shown !== run.number) {
-      this.shown = run.number;
-      if (calibrates) this.whenCalibrated();
+    if (run.state === "done" && this.shown !== `${run.command} ${run.number}`) {
+      this.shown = `${run.command} ${run.number}`;
+      if (this.whenDone[run.command]) this.whenDone[run.command]();
       else if (page) this.showReport(page, DOING[run.command]);
       else this.showResults(run.number);
     }

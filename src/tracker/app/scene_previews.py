@@ -1,0 +1,85 @@
+"""Pictures of scenes whose numbers are moved: asked of `synthcam serve`, which stays at work between the requests."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+from synthcam_shared.errors import InputError
+
+SERVER = (sys.executable, "-m", "synthcam", "serve")
+
+
+class ScenePreviews:
+    """One process that draws scenes, started at the first request. `ask` may be called from any thread."""
+
+    def __init__(self, program: Sequence[str] = SERVER) -> None:
+        self._program = program
+        self._child: subprocess.Popen[str] | None = None
+        self._lock = threading.Lock()
+        self._closed = False
+
+    def ask(self, request: Any) -> dict[str, Any]:
+        """The answer to one request. Raises InputError where there is none, or it says why there is no picture."""
+        with self._lock:
+            if self._closed:
+                raise InputError("make: closed")
+            if self._child is None:
+                self._start()
+            line = self._exchange(json.dumps(request))
+            if not line:
+                raise InputError(self._end())
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise InputError(answer["error"])
+        return answer
+
+    def _start(self) -> None:
+        self._messages = tempfile.TemporaryFile("w+")  # noqa: SIM115  # a pipe that nobody empties would stop the child
+        self._child = subprocess.Popen(
+            self._program,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._messages,
+            text=True,
+            start_new_session=True,
+        )
+
+    def _exchange(self, line: str) -> str:
+        """The child's answer to a line; "" where it has ended."""
+        assert self._child is not None
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        try:
+            self._child.stdin.write(f"{line}\n")
+            self._child.stdin.flush()
+            return self._child.stdout.readline()
+        except OSError:
+            return ""
+
+    def _end(self) -> str:
+        """Wait for the child's end, and explain it."""
+        assert self._child is not None
+        with self._messages, suppress(BrokenPipeError):
+            self._child.communicate()
+            self._messages.seek(0)
+            last = (self._messages.read().strip().splitlines() or ["no message"])[-1]
+        self._child = None
+        if "No module named" in last:
+            return "make: synthcam, which draws scenes, is not installed here; type: pip install synthcam"
+        return f"make: synthcam serve has ended ({last})"
+
+    def close(self) -> None:
+        """End the process, also while it answers a request."""
+        self._closed = True
+        if (child := self._child) is not None:
+            child.kill()
+        with self._lock:
+            if self._child is not None:
+                self._end()

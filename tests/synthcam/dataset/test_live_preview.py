@@ -1,0 +1,112 @@
+"""Pictures of scenes on request: what each slider moves, what stays, and a picture that is that of the film."""
+
+import base64
+import io
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from synthcam import Scene
+from synthcam.dataset.live_preview import answer_request, answer_requests
+from synthcam.dataset.scene_sliders import list_sliders, move_sliders
+from synthcam.scene.clip import Clip
+from synthcam.scene.scene import check_scene, read_scene
+from synthcam.settings import SCENES
+from synthcam_shared.errors import InputError
+from synthcam_shared.settings import parse_yaml
+
+PLACES = {  # of what a slider moves, and units in SI
+    "offset": ("launch", "b", 1),
+    "restitution": ("model", "restitution", 1),
+    "friction": ("model", "sliding_friction", 1),
+    "exposure": ("timing", "exposure", 1e-3),
+    "noise": ("sensor", "read_noise", 1),
+}
+
+
+@pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_slider_of_every_scene_moves_its_number_and_no_other(path):
+    scene = read_scene(path)
+    start = scene.draw().drawn
+    for slider in list_sliders(scene, start):
+        value = (slider.low + slider.high) / 2
+        if slider.name == "balls":
+            value = min(3, slider.high)
+        moved = check_scene(move_sliders(scene, start, {slider.name: value}), "moved").draw().drawn
+        if slider.name in PLACES:
+            section, key, factor = PLACES[slider.name]
+            assert moved[section].pop(key) == pytest.approx(factor * value, rel=1e-5)
+            assert moved == {**start, section: {k: v for k, v in start[section].items() if k != key}}
+        elif slider.name == "lamp":
+            assert moved["lamp"]["position"] == pytest.approx([1e-3 * value, *start["lamp"]["position"][1:]], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "balls", "launched"),
+    [("oblique", 1, 1), ("oblique", 2, 2), ("oblique", 5, 5), ("tray", 4, 4), ("crowd", 7, 7), ("break", 3, 4)],
+)
+def test_the_number_of_balls(name, balls, launched):
+    scene = Scene.read(name)
+    settings = move_sliders(scene, scene.draw().drawn, {"balls": balls, "speed": 0.4 if name != "tray" else 2})
+    clip = check_scene(settings, name).draw()
+    assert len(clip.launch.bodies.radius) == launched
+    if name == "oblique" and balls == 5:
+        speeds = np.array([launch["velocity"] for launch in clip.drawn["launches"]])
+        assert np.sqrt((speeds**2).sum(axis=1).mean()) == pytest.approx(0.4)
+    if name == "tray":  # all velocities are twice as large
+        before = np.array([launch["velocity"] for launch in scene.draw().drawn["launches"]])[:4]
+        np.testing.assert_allclose([launch["velocity"] for launch in clip.drawn["launches"]], 2 * before)
+
+
+def test_a_sketch_is_the_frame_of_the_film_with_noise_of_the_same_size():
+    small = {"size": [96, 64], "scale": 3.7e-3, "colour": None}
+    even = {"surface": {"plate": "plain"}, "lamp": {"ambient": 1.0}}  # one table of noise is enough
+    clip = Scene.read("matte_white", camera=small, sensor={"dsnu": 0.0, "prnu": 0.0}, **even).draw()
+    film, seen = next(clip.pictures(every=clip.frames)).astype(float), clip.sketch(0).astype(float)
+    noise = np.sqrt(2 * (film.mean() * clip.sensor.gain + clip.sensor.read_noise**2)) / clip.sensor.gain
+    off = film - seen
+    assert abs(off.mean()) < 5 * noise / np.sqrt(off.size)
+    assert off.std() == pytest.approx(noise, rel=0.1)
+
+
+def test_a_request_is_answered_in_a_line_and_a_wrong_one_by_a_sentence(monkeypatch):
+    monkeypatch.setattr(Clip, "sketch", lambda clip, k: np.full(clip.camera.size[::-1], 8 + k, np.uint8))
+    asked = [{}, {"scene": "oblique", "values": {"offset": 0.5}, "frame": 3}, {"scene": "none"}, {"scene": "../x"}]
+    asked += [{"scene": "oblique", "values": {"offset": 2}}, {"scene": "oblique", "values": {"mass": 2}}, 3]
+    lines, out = [*map(json.dumps, asked), "{"], io.StringIO()
+    answer_requests(lines, lambda text: print(text, file=out))
+    names, drawn, *refused = map(json.loads, out.getvalue().splitlines())
+    assert {"oblique", "tray"} < set(names["scenes"])
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(drawn["picture"]), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert [*picture.shape[::-1]] == drawn["size"]
+    assert parse_yaml(drawn["yaml"])["launch"]["b"] == 0.5
+    assert parse_yaml(drawn["yaml"])["launch"]["v0"] == {"uniform": [0.1, 0.6]}  # not moved
+    at = check_scene(parse_yaml(drawn["yaml"]), "copied").draw()
+    np.testing.assert_allclose(drawn["paths"][1][0], at.camera.project(at.view.at(np.zeros(1))[1, 0, :3]), atol=0.06)
+    said = [
+        "none: no such file",
+        "scene",
+        "Offset b: expected -0.95 to 0.95, not 2",
+        "expected one of speed, offset",
+        "preview",
+    ]
+    for answer, words in zip(refused, [*said, ""], strict=True):
+        assert [*answer] == ["error"]
+        assert words in answer["error"]
+
+
+def test_a_matte_scene_is_drawn_small_and_sharp_on_demand(monkeypatch):
+    sizes = []
+    monkeypatch.setattr(
+        Clip, "sketch", lambda clip, k: sizes.append(clip.camera.size) or np.zeros(clip.camera.size[::-1], np.uint8)
+    )
+    small, sharp = (answer_request({"scene": "matte_white", "sharp": sharp}) for sharp in (False, True))
+    assert sizes == [(160, 120), (640, 480)]
+    assert small["paths"] == sharp["paths"]
+    assert small["size"] == sharp["size"] == [640, 480]
+    with pytest.raises(InputError, match="no such file"):
+        answer_request({"scene": "elsewhere"})
+    assert not Path("elsewhere.yaml").exists()
