@@ -42,6 +42,6 @@ def decide_verdict(
 
 
 def more_is_missing(left: Sequence[Disagreement], rejected: Sequence[ClaimTest], policy: SearchPolicy) -> bool:
-    """Tell if more is missing than the claims explain; a rejected significant free law is evidence of that."""
+    """Tell, for the verdict, if more is missing than the claims explain, as a rejected significant free law shows."""
     law_rejected = any(t.is_free_law and t.sigma > policy.unexplained_sigma for t in rejected)
     return law_rejected or is_unexplained(left, policy)

@@ -33,7 +33,7 @@ _forget: list[Callable[[], None]] = []
 
 
 def classes_in(package: ModuleType, base: type[T]) -> Iterator[type[T]]:
-    """Iterate over the one subclass of `base` in each module of a package, by name. Raises PluginError."""
+    """Find the plug-ins of a package, as the library does: the subclass of `base` in each module, by name."""
     for info in sorted(pkgutil.iter_modules(package.__path__), key=lambda i: i.name):
         yield _only_class(importlib.import_module(f"{package.__name__}.{info.name}"), base)
 
@@ -132,7 +132,7 @@ def digest(name: str) -> str | None:
 
 
 def check_name(name: str, where: str) -> None:
-    """Raise PluginError if an effect cannot have that name, or another effect has it. where: for the message."""
+    """Check the name of an effect for the library. Raises PluginError if it cannot be, or another effect has it."""
     _check_free(name, library(), where)
 
 

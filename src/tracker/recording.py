@@ -504,7 +504,7 @@ def track_clip(
 def measure_clip(
     tracks: Tracks, camera: Camera, settings: FitSettings | None = None, marked: Sequence[MarkedContact] = ()
 ) -> tuple[list[dict[str, Any]], pd.DataFrame]:
-    """Measure a clip: rows of estimates, and the table of motion about the first collision."""
+    """Measure one recording's tracks, in memory: rows of estimates, and the motion about the first collision."""
     from tracker.measurement.estimate import empty_row, failure_status, measure, motion_table
 
     try:

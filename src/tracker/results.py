@@ -53,7 +53,7 @@ def write_clip(
     camera: Camera,
     pictures: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
-    """Writes one clip's folder aside and moves it into place. pictures: further files by name."""
+    """Writes the folder of one clip of RESULTS aside and moves it into place. pictures: further files by name."""
     final = clip_folder(results, number)
     aside = final.with_suffix(".tmp")
     shutil.rmtree(aside, ignore_errors=True)
@@ -202,7 +202,7 @@ def finite(value: Any) -> Any:
 
 
 def read_clip(results: Path, number: int) -> tuple[Tracks, Camera]:
-    """Tracks and camera of one clip of RESULTS."""
+    """Read the tracks and the camera of one clip of RESULTS."""
     folder = clip_folder(results, number)
     own = folder / "camera.json"
     camera = Camera.read(own if own.is_file() else results / "camera.json")

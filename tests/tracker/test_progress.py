@@ -8,8 +8,7 @@ import tifffile
 from tracker_discs import film
 
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Frames
-from tracker.detection.candidates import spread_frames
+from tracker.camera.frames import Frames, spread_frames
 from tracker.detection.choose import choose_detector
 from tracker.pipeline import run
 

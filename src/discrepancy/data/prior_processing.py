@@ -14,7 +14,7 @@ from discrepancy.policy import current_policy
 
 
 def detect_processing(clips: Sequence[MeasuredCollision]) -> tuple[SearchNote, ...]:
-    """A note for each way in which these tracks were processed, as far as the positions show it."""
+    """Note each way in which these tracks were processed before the search, as far as the positions show it."""
     notes = []
     if step := _detect_grid(clips):
         notes.append(SearchNote(SearchNoteKind.ROUNDED, values={"step": step}))

@@ -34,7 +34,7 @@ def find_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[SearchNo
 
 
 def split_held_out(clips: Sequence[MeasuredCollision]) -> tuple[list[MeasuredCollision], list[MeasuredCollision]]:
-    """(clips to fit, clips to hold out): one in `SearchPolicy.hold_out_one_in` is held out, evenly over the speeds.
+    """Split clips into (those to fit, those held out): one in `SearchPolicy.hold_out_one_in`, over all speeds.
 
     From `SearchPolicy.min_clips_to_hold_out_extremes` clips on, the fastest and the most oblique collision are held
     out, so that the test extrapolates.

@@ -15,7 +15,7 @@ from tracker.detection.link import Tracks
 
 
 def find_clock_start(tracks: Tracks, camera: Camera) -> float:
-    """The time at which frame 0 begins by the tracks' own times, s: the median over the frames."""
+    """Find the time at which frame 0 begins by the uneven times of tracks, s: the median over the frames."""
     off = tracks.time * camera.fps - tracks.frame
     return float(np.median(off)) / camera.fps if len(off) and np.all(np.isfinite(off)) else 0.0
 

@@ -26,7 +26,7 @@ Progress = Callable[[str], None]
 
 
 def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[MeasuredCollision]:
-    """Check that there are enough clips, that all have one camera, and that their ball is the model's.
+    """Check the clips at the start of a search: enough of them, one camera, and the model's ball.
 
     A ball of another size or another camera would otherwise look like a missing effect. Frame rates and exposures may
     differ. The returned clips have a side spin of each striker where the model's `free` lists it. Raises InputError.

@@ -36,7 +36,7 @@ def linearise(
 
 
 def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Set to zero the whitened derivatives (2n, S) by shape parameters that are not identifiable.
+    """Set to zero the derivatives (2n, S) of a linearised fit by shape parameters that are not identifiable.
 
     Such a parameter moves the tracks by less than one sigma over its whole range. Without derivatives no step carries
     it away; a dropped frame, for example, may be anywhere between two frames.

@@ -76,8 +76,7 @@ class ResponseSegment:
 def compute_responses(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], changes: Mapping[str, LawChange], size: int
 ) -> list[Array]:
-    """Differentiate the tracks by many changes of the laws at once: (n, 2, size) for each clip, m for a change of one
-    unit.
+    """Compute the responses of tracks to many changes of laws: (n, 2, size) for each clip, m for a change of one unit.
 
     changes: for "friction", "rolling" or "push", what `size` changes add to the law on a segment. Responses that
     overflow are zero.

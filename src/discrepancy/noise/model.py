@@ -209,7 +209,7 @@ def bundle_stretches(stretches: Iterable[Stretch]) -> list[StretchBundle]:
 
 
 def estimate_noise(clips: Sequence[MeasuredCollision]) -> Noise:
-    """Estimate the noise of clips from their smooth stretches.
+    """Estimate the noise of tracks, own and shared, from the smooth stretches of clips.
 
     Clips that are much noisier than the median clip are left out. Shared noise is fitted if its score exceeds
     `SearchPolicy.shared_noise_sigma`.

@@ -49,7 +49,7 @@ class LawScore:
 
 
 def whiten_law_columns(evidence: WhitenedClips, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
-    """Whitened derivatives of each clip by the coefficients of the law, (2n, J)."""
+    """Whiten the derivatives of each clip by the coefficients of the law to be fitted, (2n, J)."""
     return evidence.whiten(law.derivatives(model, launches, evidence.clips))
 
 

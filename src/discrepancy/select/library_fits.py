@@ -180,7 +180,7 @@ def fit_with_candidate(
     progress: Callable[[], None] = lambda: None,
     min_share: float = 0.5,
 ) -> ModelFit:
-    """Fit a candidate's strengths, then its shape parameters, together with all parameters of a fit without it.
+    """Fit a model of the library with one candidate more: its strengths, then its shape parameters, with all others.
 
     The descent starts where the score test leads. If that gains less than `min_share` of what the test promised, the
     fit starts from realistic sizes as well. For a base parameter held at zero it starts from realistic sizes only.

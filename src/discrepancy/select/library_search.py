@@ -138,7 +138,7 @@ def find_undetectable(library: LibraryFits, state: State) -> tuple[str, ...]:
 
 
 def choose_addition(library: LibraryFits, state: State) -> Candidate | None:
-    """Choose the candidate to add: of the leader and its rivals, the simplest that fits as well as the best.
+    """Choose the candidate that the library search adds: of leader and rivals, the simplest that fits as well.
 
     None if no candidate is significant, or if much more is missing than any candidate explains.
     """

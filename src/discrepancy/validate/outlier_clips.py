@@ -17,7 +17,7 @@ from discrepancy.policy import current_policy
 def find_outlier_clips(
     clips: Sequence[MeasuredCollision], base: ModelFit, best: ModelFit, removed: int = 0
 ) -> dict[int, SearchNote]:
-    """Find the clips to leave out before a search is repeated.
+    """Find outlier clips, which deviate from all others, to leave out before a search is repeated.
 
     A clip is an outlier in one of two cases.
 

@@ -113,7 +113,7 @@ _gauss_legendre = cache(np.polynomial.legendre.leggauss)
 
 
 def integrate_spots(pixels: Array, variances: Array, origins: Array, width: int, steps: int = 1) -> tuple[Array, Array]:
-    """Integrate Gaussian spots of unit flux over square pixels: rows and columns, each (G, width steps).
+    """Integrate the blurred spots of an exposure, Gaussians of unit flux, over square pixels: rows and columns.
 
     Their outer product is the spot in the box whose first pixel is origins (G, 2) (column, row), sampled at `steps`
     points per pixel.

@@ -37,7 +37,7 @@ def irradiance(lamp: Lamp, points: Array) -> Array:
 
 
 def gloss(lamp: Lamp, surface: Surface, eye: Array, points: Array) -> Array:
-    """Radiance, over a lamp's own, that the plate's rough mirror reflects at points (..., 3), m, to the eye.
+    """Compute the gloss of the plate: radiance, over a lamp's own, that its rough mirror reflects to the eye.
 
     Beckmann's lobe without masking (Beckmann & Spizzichino 1963): reflectance D / (4 cos_in cos_out), times the
     light's cos_in and solid angle.

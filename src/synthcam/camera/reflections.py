@@ -170,7 +170,7 @@ def find_hidden(
 
 
 def find_reach(lamps: Array, eye: Array, centres: Array, radii: Array, leg: float) -> Array:
-    """Distance (N,), m, from a ball within which another can block a path of light between balls up to `leg` apart.
+    """Find how far from a ball, (N,), m, another can block a path of light between mirror balls up to `leg` apart.
 
     lamps: (L, 3). From lamp and eye, light is among balls only in the lowest layer.
     """

@@ -115,7 +115,7 @@ class Chip:
 
 
 def digitise(values: NDArray[Any], bits: int) -> Counts:
-    """Round to counts (half to even), and clip to the converter's range."""
+    """Digitise what a pixel holds: round to counts (half to even), and clip to the converter's range."""
     counts = np.clip(np.rint(values), 0, (1 << bits) - 1)
     return np.asarray(counts, dtype=np.uint8 if bits <= 8 else np.uint16)
 
@@ -195,7 +195,7 @@ def _look_up(table: Float32, cells: NDArray[np.uint16]) -> Float32:
 
 
 def noise_tables(mean: float, read_noise: float) -> tuple[Array, Array]:
-    """Tabulate the electrons of a pixel with that mean: shot noise and read noise.
+    """Tabulate the noise of a pixel's electrons by their mean: shot noise and read noise.
 
     Returns the medians of 65536 equally likely cells, (65536,), and those of the divisions of the outer two cells,
     (2, 65536).

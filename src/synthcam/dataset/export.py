@@ -19,7 +19,7 @@ from synthcam_shared.outputs import as_input_error, check_writable, open_scratch
 
 
 def formats() -> dict[str, str]:
-    """Describe each format in one line, by its name."""
+    """Describe each format to which a dataset can be exported in one line, by its name."""
     names = sorted(info.name for info in pkgutil.iter_modules(exports.__path__))
     return {name: (_module(name).__doc__ or "").splitlines()[0] for name in names}
 

@@ -94,7 +94,7 @@ def label_frames(clip: Clip, every: int = 1) -> Iterator[LabelledFrame]:
 
 
 def label_recorded(clip: RecordedClip) -> Iterator[LabelledFrame]:
-    """Read the frames of a recorded clip, and label them. Raises InputError if it has no film."""
+    """Label the frames of a recorded clip with their truth. Raises InputError if it has no film."""
     if not clip.video:
         raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
     drawn = rebuild_clip(clip.number, clip.drawn, f"{clip.folder}, scene.json")

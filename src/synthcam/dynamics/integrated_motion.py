@@ -182,7 +182,7 @@ def _norms(coefficients: Array) -> Array:
 
 
 def average_by_quadrature(places: Callable[[Array], Array], middle: Array, wide: Any) -> Array:
-    """Average positions (2, m, times) over spans of the width `wide` about `middle`, by Gauss quadrature: (2, m, k)."""
+    """Average integrated positions (2, m, times) over spans of the width `wide` about `middle`: (2, m, k)."""
     nodes, weights = np.polynomial.legendre.leggauss(4)  # exact for a parabola, 1e-15 m for a roll
     if np.ndim(wide) == 0 and wide == 0:
         return places(middle)

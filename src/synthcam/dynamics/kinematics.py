@@ -1,4 +1,4 @@
-"""Closed forms of the simulated motion: sliding, rolling, gliding on air, flying, and impulses of friction.
+"""Closed forms of the simulated motion: sliding, rolling, gliding, flying, the slip, and impulses of friction.
 
 The state of a ball is nine numbers: position x, y, z (m), velocity vx, vy, vz (m/s), spin wx, wy, wz (rad/s).
 On the plate z = R. The contact velocity u = v - R (w x z) is the velocity of the ball's lowest point; rolling is u = 0.
@@ -26,7 +26,7 @@ TOUCH_TOLERANCE = 1e-12  # of a radius
 
 
 def slip_velocity(state: State, radius: Real) -> tuple[Real, Real]:
-    """Return u, the velocity of the lowest point of a ball."""
+    """Return u, the slip: the velocity of the lowest point of one ball."""
     return state[3] - radius * state[7], state[4] + radius * state[6]
 
 
@@ -115,7 +115,7 @@ def _turning_path(drag: float, slowing: float, curl: float, t: Array) -> NDArray
 
 
 def to_rest(state: State, radius: Real) -> State:
-    """Stop the ball; a spin about the vertical stays."""
+    """Set a ball to rest when its motion stops; a spin about the vertical stays."""
     return state[0], state[1], radius, 0.0, 0.0, 0.0, 0.0, 0.0, state[8]
 
 
@@ -143,7 +143,7 @@ def _stack_components(state: State, elapsed: Array) -> Array:
 
 
 def contact_velocity(state: Array, radius: Real) -> Array:
-    """Return u, the velocity (..., 2) of the lowest point of a ball."""
+    """Return u, the slip: the velocity (..., 2) of the lowest point of each of many balls."""
     return np.stack([state[..., 3] - radius * state[..., 7], state[..., 4] + radius * state[..., 6]], axis=-1)
 
 
@@ -222,7 +222,7 @@ def stop_time(speed: Real, drag: float, decel: float) -> Any:
 
 
 def coast(drag: float, t: Real) -> tuple[Real, Real]:
-    """Return (1 - e^(-drag t))/drag and its integral over t, accurate at small drag t; t is a float or an array."""
+    """Return the closed forms of a drag: (1 - e^(-drag t))/drag and its integral over t, accurate at small drag t."""
     if drag == 0 and isinstance(t, float):
         return t, t * t / 2
     x = drag * t

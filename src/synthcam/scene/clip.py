@@ -242,7 +242,7 @@ class Clip:
 
 
 def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
-    """Build the clip of checked settings without distributions. Raises InputError if they contradict each other."""
+    """Build one clip from settings without distributions. Raises InputError if they contradict each other."""
     model, where = build(drawn), where or drawn["name"]
     timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
     for effect in model.effects:

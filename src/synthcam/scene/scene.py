@@ -234,7 +234,7 @@ class Scene:
 
 
 def rebuild_clip(number: int, drawn: dict[str, Any], where: str) -> Clip:
-    """Build a clip from its `drawn` settings, as a dataset records them: its camera, lamp and bodies are the film's.
+    """Rebuild a scene's clip from its `drawn` settings, as datasets record them: camera, lamp, bodies of the film.
 
     Raises InputError, which begins with `where`.
     """

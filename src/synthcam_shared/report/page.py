@@ -87,7 +87,7 @@ def write_page(
     summary: Sequence[str] = (),
     warnings: Sequence[str] = (),
 ) -> Path:
-    """Write a page aside and move it into place; return its path.
+    """Write the HTML of a page aside and move it into place; return its path.
 
     Sections without blocks are left out. The foot names `command`, which made the page. The summary
     becomes paragraphs under the title, the warnings a highlighted list.

@@ -17,9 +17,8 @@ from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import CHANNELS, PLANES
 from tracker.camera.film_options import FilmOptions
-from tracker.camera.frames import GREY, Frames
+from tracker.camera.frames import GREY, Frames, spread_frames
 from tracker.camera.recordings import Recording, RecordingSource, make_recording
-from tracker.detection.candidates import spread_frames
 
 COLOUR = "colour film"  # the channel of the page that shows all colours
 MAX_KEPT_BYTES = 128 << 20  # of decoded frames, for steps to and fro

@@ -14,7 +14,7 @@ PLANES = ("red-green", "red-blue", "green-blue", "colour")  # and in these, whic
 
 
 def read_json(path: Path, most: int = 1 << 20) -> Any:
-    """The content of a JSON file of at most so many bytes. Raises ValueError with a reason, or OSError."""
+    """Read a JSON file, such as a camera's, of at most so many bytes. Raises ValueError with a reason, or OSError."""
     if path.stat().st_size > most:
         raise ValueError(f"more than {most >> 20} MB")
     try:

@@ -18,7 +18,7 @@ def describe_camera_gaps(camera: Camera) -> list[Note]:
 
 
 def describe_exposure(camera: Camera, key: str) -> list[Note]:
-    """Make a note where the motion blur differs from the exposure in the camera file; `key` holds the one seen."""
+    """Note that the motion blur differs from the exposure in the camera file; `key` holds the one seen."""
     if camera.exposure_from_blur is None:
         return []
     kind = "longer" if camera.exposure_from_blur > camera.exposure else "shorter"
@@ -26,7 +26,7 @@ def describe_exposure(camera: Camera, key: str) -> list[Note]:
 
 
 def describe_frame_rate(camera: Camera, claimed: float) -> list[Note]:
-    """Make a note where the film claims another frame rate: a playback rate, or a wrong camera file.
+    """Note that the film contradicts the frame rate of the camera file: a playback rate, or a wrong file.
 
     claimed: in frames per second; 0 where the film claims none.
     """

@@ -156,5 +156,5 @@ def find_stride(numbers: Ints) -> int:
 
 
 def agree(one: float, other: float, tolerance: float = 0.01) -> bool:
-    """True for frame rates that are the same: 29.97 counts as 30."""
+    """True for frame rates of a film and a clock that are the same: 29.97 counts as 30."""
     return other > 0 and math.isfinite(one) and abs(one / other - 1) < tolerance

@@ -1,4 +1,4 @@
-"""`Frames`: the grey pictures of a film, or one plane of its colours, each read when it is indexed."""
+"""`Frames`: the grey pictures of a film, or one plane of its colours, each read when indexed; frames spread over it."""
 
 from __future__ import annotations
 
@@ -197,3 +197,8 @@ def check_pixel_type(path: Path | str, dtype: Any) -> None:
         raise InputError(f"{path}: float pixels, expected counts as uint8 or uint16 (which cannot hold NaN)")
     if dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: pixels of type {dtype}, expected uint8 or uint16")
+
+
+def spread_frames(frames: Sequence[Any], count: int = 9) -> list[int]:
+    """Choose `count` frames that are spread over a film; some come twice in a short one."""
+    return [round(k * (len(frames) - 1) / (count - 1)) for k in range(count)]

@@ -29,7 +29,7 @@ def scale_at(camera: Camera) -> float:
 
 
 def first_difference(camera: Camera, other: Camera, besides: Collection[str] = ()) -> str:
-    """The first key of camera.json by which two cameras see the same balls at other pixels; empty if there is none.
+    """Compare two cameras: the first key of camera.json by which they see the same balls at other pixels, or "".
 
     They may differ in what each clip measures again (exposure from the blur, width of the glints), and in `besides`.
     Numbers that agree to a millionth are equal.

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.frames import spread_frames
 from tracker.camera.lens import Array
 from tracker.settings import DetectionSettings
 
@@ -38,13 +39,8 @@ class EmptyPlate:
     """Indices into the flattened plate of hot pixels, which are always bright."""
 
 
-def spread_frames(frames: Sequence[Any], count: int = 9) -> list[int]:
-    """Choose `count` frames spread over a film to find its empty plate; some come twice in a short one."""
-    return [round(k * (len(frames) - 1) / (count - 1)) for k in range(count)]
-
-
 def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
-    """Estimate plate and noise of a clip from nine frames spread over it.
+    """Estimate the empty plate of a clip and its noise from nine frames spread over it.
 
     The median of the nine contains no moving ball. A ball at rest stays in the median. Its brightness
     above its surroundings reveals it. The smooth part of the plate, a median over about 60 px, replaces it.
@@ -249,7 +245,7 @@ class CandidateSearch:
 
 
 def estimate_coarse_positions(windows: Array, half: int) -> Array:
-    """First positions (n, 2), px from the central pixel, of glints in (n, s, s) counts: centroids of their cores."""
+    """Estimate positions of candidates (n, 2), px from the central pixel: centroids of cores in (n, s, s)."""
     core = windows[:, half - 1 : half + 2, half - 1 : half + 2]
     weight = np.maximum(core - np.median(windows.reshape(len(windows), -1), axis=1)[:, None, None], 0.0)
     total = np.maximum(weight.sum(axis=(1, 2)), 1e-9)

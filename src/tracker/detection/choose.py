@@ -16,12 +16,12 @@ from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import CHANNELS, PLANES
 from tracker.camera.colour_planes import read_plane
 from tracker.camera.film_options import BallExample, parse_colour
-from tracker.camera.frames import GREY, Frames
+from tracker.camera.frames import GREY, Frames, spread_frames
 from tracker.camera.lens import Array
 from tracker.camera.recordings import Recording
 from tracker.detection.background.still_background import StillBackground, estimate_still_background
 from tracker.detection.background.windows import find_regions
-from tracker.detection.candidates import MAX_FITTED, MAX_FOLLOWED, estimate_noise, median_of_nine, spread_frames
+from tracker.detection.candidates import MAX_FITTED, MAX_FOLLOWED, estimate_noise, median_of_nine
 from tracker.detection.outlines.contrast_regions import find_touching_discs
 
 GLINTS, DISCS, CENTROIDS = "maximum_likelihood", "discs", "centroid"
@@ -211,7 +211,7 @@ def _shrink(picture: NDArray[Any], times: float) -> NDArray[Any]:
 
 
 def select_channel(clip: Recording, name: str | None) -> tuple[Recording, str]:
-    """The recording in the channel ``name``, or in the chosen one, and a note that gives the reason.
+    """Return the recording in the channel ``name``, or in the one that suits it, and a note with the reason.
 
     Raises InputError for a channel that the film does not have.
     """

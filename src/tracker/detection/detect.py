@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError, PluginError
 from synthcam_shared.settings import did_you_mean
 from tracker.camera.camera import Camera
+from tracker.camera.frames import spread_frames
 from tracker.camera.recordings import Recording
 from tracker.detection import detectors as detector_files
 from tracker.detection import linkers as linker_files
 from tracker.detection.autocalibrate import estimate_unknown_settings
 from tracker.detection.background.takes import find_takes
-from tracker.detection.candidates import EmptyPlate, estimate_empty_plate, median_of_nine, spread_frames
+from tracker.detection.candidates import EmptyPlate, estimate_empty_plate, median_of_nine
 from tracker.detection.choose import find_radius
 from tracker.detection.detector import (
     AnyDetector,
@@ -122,7 +123,7 @@ def detector_name(name: DetectorChoice) -> str:
 
 
 def detected_point(name: DetectorChoice, camera: Camera) -> Point:
-    """The point that a detector finds with this camera: "glint", or "centre" of a ball's outline.
+    """Find by the name of a detector which point it finds with this camera: "glint" or "centre" of an outline.
 
     It is the optional attribute ``point`` of the detector's class; see `tracker.detection.detector`.
     """

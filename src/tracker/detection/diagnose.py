@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.film_options import BallExample
-from tracker.detection.candidates import CandidateSearch, spread_frames
+from tracker.camera.frames import spread_frames
+from tracker.detection.candidates import CandidateSearch
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks

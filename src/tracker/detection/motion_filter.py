@@ -100,7 +100,7 @@ class Hits:
 def predict_hits(
     before: PredictedBalls, after: PredictedBalls, pairs: tuple[Ints, Ints], frames: int, noise: MotionNoise
 ) -> Hits:
-    """Predict the hits of pairs of balls between two frames, from their states in the first.
+    """Predict the hits of pairs of balls before the next frame, from their states in the last one.
 
     after: the same balls in the second frame, if they do not meet.
     """

@@ -135,7 +135,7 @@ def _import(module: str, name: str) -> Any:
 
 
 def describe_fault(error: BaseException, file: str = "") -> str:
-    """An exception of a user's code in one line, with the line where it was raised."""
+    """Describe an exception of a user's own detector in one line, with the line where it was raised."""
     if isinstance(error, SyntaxError):
         return f"line {error.lineno}: {error.msg}"
     steps = traceback.extract_tb(error.__traceback__)

@@ -25,7 +25,7 @@ SINKS = {
 
 
 def measure_energies(velocities: HalfVelocities, noise: float) -> tuple[Floats, Floats]:
-    """Energies per unit mass (m^2/s^2) and their variances; noise: of a coordinate, m."""
+    """Measure the energies of the balls per unit mass (m^2/s^2), and their variances; noise: of a coordinate, m."""
     square, variance = velocities.square(noise)
     return square / 2, variance / 4
 

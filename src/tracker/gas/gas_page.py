@@ -65,7 +65,7 @@ def write_gas(gas: GasObservables, folder: Path, command: str) -> Path:
 
 
 def summarise(gas: GasObservables) -> list[str]:
-    """Lines for a terminal: balls, temperature, contacts and energies."""
+    """Summarise a gas in lines for a terminal: balls, temperature, contacts and energies."""
     time, values = gas.time, gas.values
     first, last = time.iloc[0], time.iloc[-1]
     shares = _shares(gas)
@@ -113,7 +113,7 @@ def _energy_text(gas: GasObservables) -> list[Block]:
 
 
 def temperature_figure(gas: GasObservables) -> Figure:
-    """Draw the temperature against time, with both errors."""
+    """Draw the figure of a gas's temperature against time, with both errors."""
     figure, axes = make_axes(figsize=(7.2, 3.6))
     time = gas.time[gas.time["temperature"] > 0]
     t, value = time["t_s"], time["temperature"]
@@ -137,7 +137,7 @@ def temperature_figure(gas: GasObservables) -> Figure:
 
 
 def energy_figure(gas: GasObservables) -> Figure:
-    """Draw the energies lost against time, one line for each sink."""
+    """Draw the figure of the energies that a gas has lost against time, one line for each sink."""
     figure, axes = make_axes(figsize=(7.2, 3.6))
     time = gas.time
     for name, column in SINKS.items():

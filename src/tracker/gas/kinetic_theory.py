@@ -29,6 +29,6 @@ def contact_rate(temperature: ArrayLike, density: ArrayLike, diameter: float) ->
 
 
 def mean_free_path(density: ArrayLike, diameter: float) -> Floats:
-    """Mean way between two contacts, m: mean speed over rate, 1 / (2 sqrt(2) n d g)."""
+    """Mean free path of discs between two contacts, m, by kinetic theory: 1 / (2 sqrt(2) n d g)."""
     n = np.asarray(density, dtype=np.float64)
     return np.asarray(1 / (2 * np.sqrt(2) * n * diameter * contact_pair_correlation(n * np.pi * diameter**2 / 4)))

@@ -108,7 +108,7 @@ def _jackknife(sums: Floats, counts: Floats) -> Floats:
 
 
 def measure_sonine(table: pd.DataFrame, temperatures: pd.DataFrame, noise: float) -> tuple[float, float]:
-    """Second Sonine coefficient a2 = <v^4> / (2 <v^2>^2) - 1, which is 0 of a Maxwellian, and its jackknife error.
+    """Measure the shape of the velocities' distribution: a2 = <v^4> / (2 <v^2>^2) - 1, 0 of a Maxwellian, and error.
 
     Each frame is divided by its own temperature. A Maxwellian of n balls about their mean then has <v^4> less by
     (n - 1) / n, which is corrected.

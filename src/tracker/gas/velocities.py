@@ -158,7 +158,7 @@ def _bend(since: Floats, change: Floats, scale: Floats) -> Floats:
 def find_slide_end(
     time: Floats, position: Floats, noise: float, *, max_rows: int = 60, min_sigma: float = 5.0
 ) -> float:
-    """Find when the acceleration of a ball changes after a contact, as it does where a slide ends; NaN if nowhere.
+    """Find the end of a slide between contacts, where a ball's acceleration changes; NaN if nowhere.
 
     Two parabolas with the same value and slope where they meet are compared with one; noise: of a coordinate, m.
 
@@ -223,7 +223,7 @@ class PathCuts:
 
 
 def cut_free_paths(balls: Sequence[BallTrack], contacts: pd.DataFrame, cuts: PathCuts) -> list[FreePath]:
-    """Cut tracks at contacts and gaps, and estimate the velocities of each part.
+    """Cut tracks at contacts and at missing frames, and estimate the velocities of each part.
 
     contacts: columns t_s, particle1, particle2, in the order of time.
     """

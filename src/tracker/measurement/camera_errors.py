@@ -158,7 +158,7 @@ def add_camera_errors(
 
 
 def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> CollisionFits:
-    """Add the errors of the camera file to the fits of a contact that lasts, as `add_camera_errors` does."""
+    """Add the errors of the camera file to the fits of a contact that lasts, as `add_camera_errors` does to others."""
     errors, fits = camera_errors(camera), read.fits
     if not errors or fits is None:
         return read

@@ -97,7 +97,7 @@ _SPINS_FROM_LAWS = ("w1n", "w1t", "w2n", "w2t")  # the free fit infers spins by 
 def measure(
     tracks: Tracks, camera: Camera, settings: FitSettings | None = None, marked: Sequence[MarkedContact] = ()
 ) -> list[dict[str, Any]]:
-    """Measure the collisions of a clip: a row for each, never empty, as estimates.parquet without `clip`, in SI units.
+    """Measure the physics of a clip: a row for each collision, never empty, as estimates.parquet without `clip`.
 
     marked: contacts that are measured even if nothing shows them. Raises InputError if they are those of a crowd.
 

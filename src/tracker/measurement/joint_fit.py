@@ -25,7 +25,7 @@ MIN_EIGENVALUE = 1e-12  # of a correlation matrix that is positive definite beyo
 
 
 def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
-    """Fit all clips of estimates.parquet together: the contents of fit.json.
+    """Fit all clips of estimates.parquet by one joint fit: the contents of fit.json.
 
     It leaves out misfits, and tied fits that the local estimate contradicts. A clip whose covariance is not positive
     definite is left out of the sums that need it.

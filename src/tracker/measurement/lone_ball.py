@@ -82,7 +82,7 @@ def fit_lone_ball(track: BallTrack) -> LoneBallFit | None:
 
 
 def add_camera_errors_to_lone_ball(alone: LoneBallFit, camera: Camera) -> tuple[LoneBallFit, dict[str, Any]]:
-    """Add the errors of the camera file to the fit of a ball alone; with the entry of `camera_errors.shared_block`."""
+    """Give the fit of one ball by itself the errors of the camera file; with `camera_errors.shared_block`."""
     errors, track, x = camera_errors(camera), alone.track, alone.parameters
     if not errors:
         return alone, {}

@@ -47,7 +47,7 @@ SAME_BODIES = (
 
 
 def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Note]:
-    """List what the reader of estimates.parquet has to know.
+    """List messages about the collisions of a run, which the reader of estimates.parquet has to know.
 
     Misfits come first, then flags, then errors of the positions that differ from the claimed ones. The messages name
     the folder `results`.

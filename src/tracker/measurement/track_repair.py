@@ -80,7 +80,7 @@ def repair_tracks(tracks: Tracks, camera: Camera, clip: int | None = None) -> Re
 def undo_exchanges(
     tracks: Tracks, diameter: float, *, max_gap_frames: int = 3, max_step_diameters: float = 1.75
 ) -> tuple[Ints, list[int], list[int]]:
-    """Numbers of particles with exchanges undone, their frames, and the frames of exchanges that are not certain.
+    """Undo exchanges of the numbers of balls in tracks: the numbers, their frames, and frames that are not certain.
 
     Balls are assigned to their last positions so that all move least. Two balls that touch are a diameter apart, so
     that numbers exchanged even at a hit cost two diameters more.

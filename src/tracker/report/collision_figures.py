@@ -81,7 +81,7 @@ def list_residuals(views: Iterable[CollisionView | None]) -> dict[tuple[int, int
 
 
 def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera) -> Figure:
-    """Draw a frame with its detections, and the balls enlarged.
+    """Draw the figure of a collision's frame with its detections, and the balls enlarged.
 
     image: counts (h, w); spots: the rows of tracks.parquet at that frame.
     """
@@ -172,7 +172,7 @@ def separation_figure(view: CollisionView) -> Figure:
 
 
 def energy_figure(view: CollisionView, tracks: Tracks) -> Figure:
-    """Draw translational energy against time, with the tied fit and the loss in a head-on impact alone."""
+    """Draw the figure of a collision's energy of translation, with the tied fit and the loss in the impact."""
     figure, axes = make_axes(figsize=(8.2, 3.6))
     row = view.row
     whole = row["v0"] ** 2 / 2
@@ -230,7 +230,7 @@ def residuals_figure(view: CollisionView) -> Figure:
 
 
 def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
-    """Draw the speed of each ball from differences of neighbouring frames; contacts: times, s."""
+    """Draw the figure of the speed of each ball by differences of neighbouring frames; contacts: times, s."""
     figure, axes = make_axes(figsize=(8.2, 3.4))
     for particle, rows in motion.groupby("particle"):
         speed = np.hypot(rows["vx"], rows["vy"])

@@ -28,7 +28,7 @@ class QuantityLine(NamedTuple):
 
 
 def order_methods(row: Mapping[str, Any]) -> dict[str, str]:
-    """Give the METHODS to show, the recommended one first.
+    """Order the methods by which quantities are shown in text, METHODS, the recommended one first.
 
     A fit that the tracks reject has values without errors. They are not shown beside a recommended estimate.
     """
@@ -57,7 +57,7 @@ def _has_recommended_values(row: Mapping[str, Any]) -> bool:
 
 
 def describe_recommendation(row: Mapping[str, Any]) -> str:
-    """Say which estimate to use, and why; "" of a row without values."""
+    """Say in the text which estimate to use, and why; "" of a row without values."""
     if not has_values(row) or not row.get("why"):
         return ""
     if row["recommended"] == "none":
@@ -120,7 +120,7 @@ def describe_contacts(table: pd.DataFrame) -> str:
 
 
 def describe_status(row: Mapping[str, Any]) -> str:
-    """Say in a sentence what the tracks of a row show."""
+    """Say in a sentence of the text what the tracks of a row show."""
     if row["status"] == TOGETHER:
         frames = f"from frame {row['contact_first']:.0f} to {row['contact_last']:.0f}"
         return f"Two balls collide and stay together {frames}"
@@ -167,7 +167,7 @@ def describe_contact(row: Mapping[str, Any]) -> str:
 
 
 def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES) -> list[str]:
-    """List the reasons for which quantities have no value, or none with an error: one sentence for each reason."""
+    """Explain in the text, by one sentence for each reason, why quantities have no value, or none with an error."""
     if row["status"] not in MEASURED:
         return []
     flags = row["flags"].split("|")
@@ -219,7 +219,7 @@ def _is_known(row: Mapping[str, Any], column: str) -> bool:
 
 
 def describe_frames(row: Mapping[str, Any]) -> str:
-    """Give the frames that a collision is measured from; "" where there is no collision."""
+    """Say in the text which frames a collision is measured from; "" where there is no collision."""
     return f", frames {row['frame_first']:.0f} to {row['frame_last']:.0f}" if row.get("frame_last", -1) >= 0 else ""
 
 

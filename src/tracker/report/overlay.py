@@ -110,7 +110,7 @@ class Overlay:
 
 
 def encode_mp4(pictures: Iterable[Picture]) -> bytes:
-    """Encode pictures as an H.264 film; the same pictures give the same bytes."""
+    """Encode pictures with tracks as an H.264 film; the same pictures give the same bytes."""
     stream = io.BytesIO()
     film: Any = None
     with av.open(stream, "w", format="mp4") as container:

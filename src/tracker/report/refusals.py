@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.frames import spread_frames
 from tracker.detection.background.windows import Region, find_regions
-from tracker.detection.candidates import estimate_noise, median_of_nine, spread_frames
+from tracker.detection.candidates import estimate_noise, median_of_nine
 from tracker.measurement.collision.adequacy import CROWD, MEASURED, NO_SCALE, ONE_BALL
 from tracker.notes import Note, NoteKind
 

@@ -181,7 +181,7 @@ class PositionSums:
 
 
 def score_positions(clips: Iterable[tuple[MatchedDetections, Floats]]) -> dict[str, float]:
-    """Score the positions of clips, given as (matched, bounds), as `PositionSums.statistics` does."""
+    """Score the errors of detected positions, given as (matched, bounds), as `PositionSums.statistics` does."""
     return sum((PositionSums.of(*clip) for clip in clips), PositionSums.none()).statistics()
 
 

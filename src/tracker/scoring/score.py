@@ -68,7 +68,7 @@ def score(
     ms_per_frame: float | None = None,
     scheduler: str = "",
 ) -> DetectorScore:
-    """Compare RESULTS of `tracker track` with the truth of a dataset.
+    """Score RESULTS of `tracker track` against the truth of a dataset.
 
     Clips of the truth without results count as missed. `detector` and `ms_per_frame`, the processing time per frame, go
     into score.json. `scheduler` is the address of a Dask scheduler, whose workers see the same folders and score the

@@ -78,7 +78,7 @@ FIGURES = {
 def write_report(
     score: DetectorScore, results: Path | str, dataset: Path | str, report: Path | str, command: str = "tracker score"
 ) -> Path:
-    """Write REPORT/index.html, one self-contained file, and return its path.
+    """Write the page of a score, REPORT/index.html, one self-contained file, and return its path.
 
     results, dataset: tracks and pictures of the example clip are read here. The page says so where there is no video or
     no collision. command: that which made the page.
@@ -151,7 +151,7 @@ def choose_clip(score: DetectorScore, typical_speed: float = 0.3) -> int | None:
 
 
 def make_position_tables(score: DetectorScore) -> list[PageTable]:
-    """Make the tables of position errors and of tracking measures."""
+    """Make the tables on the page of a score with errors of positions and measures of tracking."""
     note = (
         "Errors of x and y, over all balls that are wholly in view. Bound: the Cramér-Rao bound, the smallest standard "
         "deviation of an unbiased estimate. The ratio has its sampling error in brackets, for independent errors. "
@@ -169,7 +169,7 @@ def make_position_tables(score: DetectorScore) -> list[PageTable]:
 
 
 def format_positions(where: Mapping[str, Any]) -> list[str]:
-    """Format the errors of positions, in the order of `POSITION_HEADS`."""
+    """Format the errors of positions for the page of a score, in the order of `POSITION_HEADS`."""
     keys = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
     return [format_ratio(where, 2) if key == "ratio" else format_number(where[key]) for key in keys]
 

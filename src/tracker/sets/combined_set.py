@@ -146,7 +146,7 @@ class CombinedSet:
 def combine(
     results: Sequence[str | Path | Result] | str | Path, *, quantities: Sequence[str] | None = None
 ) -> CombinedSet:
-    """Combine the collisions of several results.
+    """Combine the collisions of several results into a set: random-effects means and slopes.
 
     The column `recommended` says which fit of a collision enters; without this column it is the tied fit of those that
     are ok. A recording that is given twice counts once. Local estimates of results with fewer than 8 hits each are

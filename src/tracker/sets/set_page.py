@@ -59,7 +59,7 @@ CHI2 = (
 def write_set(
     document: Mapping[str, Any], quantities: Mapping[str, CombinedQuantity], folder: Path, command: str
 ) -> Path:
-    """Write set.json, which is `document`, and index.html into a folder, which replaces an earlier set."""
+    """Write the page of a set, and set.json, which is `document`, into a folder, which replaces an earlier set."""
     sections = [
         Section("", [_means_table(quantities)]),
         *(

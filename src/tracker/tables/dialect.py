@@ -95,7 +95,7 @@ def _mixes_whole_numbers(lines: Sequence[Line], delimiter: str) -> bool:
 
 
 def split_cells(text: str, delimiter: str) -> list[str]:
-    """The cells of a line, without blanks and quotes around them."""
+    """Split a line of a text table into its cells, without blanks and quotes around them."""
     if delimiter == " ":
         text, delimiter = " ".join(text.split()), " "
     try:

@@ -50,7 +50,7 @@ def formats() -> dict[str, Any]:
 
 
 def read_tracks(path: Path, camera: CameraSource, options: TableOptions = DEFAULT_TABLE_OPTIONS) -> ClipTracks:
-    """Read a file of tracks. Raises InputError.
+    """Read the tracks of a file in any format. Raises InputError.
 
     path: CSV or Parquet with frame, particle, x, y, or a file of one of the formats; camera: of the tracks.
     """
@@ -69,7 +69,7 @@ def read_tracks(path: Path, camera: CameraSource, options: TableOptions = DEFAUL
 
 
 def recognise_format(content: Content) -> TrackTable:
-    """A table as its file gives it, known by its content; an empty file is one without rows.
+    """Read a table of tracks in the format that its content shows; an empty file is one without rows.
 
     Raises InputError for what is none.
     """

@@ -66,7 +66,7 @@ class PlateExchange:
 def solve_plate_exchange(
     sources: Callable[[Array], list[LightSource]], ambient: float, ball: Array, plate: Array
 ) -> PlateExchange:
-    """Solve the exchange of a ball and a plate of mean reflectances (c,) under lamps and a uniform sky.
+    """Solve the light that a ball and a plate of mean reflectances (c,) reflect to each other, under lamps and sky.
 
     sources: points (n, 3) on the plate -> the lamps as they are seen there. Six reflections are followed.
     """

@@ -27,7 +27,7 @@ def mean_cosine_above_horizon(cosine: Array, sine: Array) -> Array:
 
 
 def visible_fraction(a: Array, b: Array, apart: Array) -> Array:
-    """Share of a disc of angular radius a that a disc of radius b, at a distance of `apart` rad, leaves visible."""
+    """Compute the share of a disc of angular radius a that one of radius b, `apart` rad off, leaves visible."""
     a, b, apart = np.broadcast_arrays(a, b, apart)
     out = (apart >= b).astype(float)
     edge = np.abs(apart - b) < a

@@ -211,7 +211,7 @@ def find_contact_coefficients(
 
 
 def land(model: Model, state: Array, body: Bodies) -> Array:
-    """Let balls in states (k, 9) that come down at -vz hit the plate.
+    """Let balls in states (k, 9) that come down at -vz hit the plate: an impact with it.
 
     The impulse of the plate over the mass is (1 + e) |vz|, with its restitution e. Friction mu times that acts on the
     lowest point until it no longer slips. Bounces slower than MIN_BOUNCE_SPEED_M_S are summed: compared with sliding

@@ -22,7 +22,7 @@ PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 
 
 def is_hidden(path: Path) -> bool:
-    """Test whether a file is one of an operating system's own: ``._`` files, other hidden files, Thumbs.db."""
+    """Test whether a file in a folder of pictures is an operating system's own: ``._`` files, Thumbs.db."""
     ignored = ("thumbs.db", "desktop.ini", "ehthumbs.db")
     return path.name.startswith(".") or path.name.lower() in ignored
 
@@ -99,7 +99,7 @@ def _describe_colours(path: Path) -> tuple[str, ...]:
 
 
 def read_picture(path: Path) -> Any:
-    """A picture, in colour with red first. Raises InputError where it cannot be read."""
+    """Read a picture of a folder, in colour with red first. Raises InputError where it cannot be read."""
     if path.suffix.lower() in TIFF:
         try:
             return _read_tiff(path)

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.frames import spread_frames
 from tracker.camera.lens import Array
-from tracker.detection.candidates import spread_frames
 
 SURROUNDINGS_PX = (11, 31, 91, 271)  # widths of the neighbourhoods that are averaged, the smallest first
 

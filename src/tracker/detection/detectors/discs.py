@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.colour_planes import is_plane
-from tracker.camera.frames import Frames
+from tracker.camera.frames import Frames, spread_frames
 from tracker.camera.lens import Array
 from tracker.detection.background.still_background import StillBackground, average_uncovered, estimate_still_background
 from tracker.detection.background.takes import find_takes
 from tracker.detection.background.windows import Index, Region, find_regions
-from tracker.detection.candidates import spread_frames
 from tracker.detection.detector import Detections, OutlineRadius, View
 from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.outlines.contrast_regions import (

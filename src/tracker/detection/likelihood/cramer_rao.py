@@ -37,7 +37,7 @@ def _legendre(count: int) -> tuple[Array, Array]:
 
 
 def glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> GlintShape:
-    """Gaussian glints of unit flux, integrated over the pixels of square windows.
+    """Compute the pixel model of glints of unit flux: Gaussians integrated over the pixels of square windows.
 
     Parameters
     ----------

@@ -190,7 +190,7 @@ def fit_lasting_collision(
     settings: FitSettings,
     least_sigma: float = MIN_SIGNIFICANCE,
 ) -> CollisionFits | str | None:
-    """Fit a contact that lasts, or that balls leave in straight lines, as `fit_lasting_contact` does.
+    """Fit one collision that lasts, or that balls leave in straight lines, as `fit_lasting_contact` does.
 
     Quantities that are measured once both balls roll are unseen if the tracks do not show the ends of the slides. All
     that the slides determine is unseen if the balls move in straight lines.

@@ -166,7 +166,7 @@ def find_slow_contacts(balls: list[BallTrack], diameter: float, span: int = 40) 
 def prepare_contact(
     candidate: ContactCandidate, diameter: float, earlier: Mapping[int, EarlierHit], settings: FitSettings
 ) -> Contact:
-    """Prepare a contact to be fitted: which ball strikes, and which of their positions count; diameter in m.
+    """Prepare a contact of a clip for the fits: which ball strikes, and which positions count; diameter in m.
 
     earlier: by particle, the state after earlier hits. Positions while a ball still slides are left out.
     """
@@ -185,7 +185,7 @@ def prepare_contact(
 
 
 def fit_velocity(track: BallTrack) -> tuple[Floats, Floats, float]:
-    """Fit a straight line for a first guess: velocity (2,) m/s, position (2,) m at the mean time, and error, m/s."""
+    """Fit a straight line to one side of a contact of a clip: velocity (2,) m/s, position (2,) m, and error, m/s."""
     t = track.time - track.time.mean()
     spread = float((t**2).sum())
     std = float(np.sqrt(np.trace(track.cov.mean(axis=0)) / 2 / spread))

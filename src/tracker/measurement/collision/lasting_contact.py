@@ -168,7 +168,7 @@ def delay_of_slides(
 
 
 def kept_share(r: Floats) -> tuple[Floats, Floats]:
-    """Share of the speed lost to a small constant push after t_c that a contact does not give back, and its error.
+    """Share of the speed lost to a small push after t_c that a lasting contact does not give back, and its error.
 
     A spring without loss gives all of it back. To first order in the push, a linear spring with a dashpot keeps
     2 (1 + r)^2 L/(pi^2 + L^2), with L = -log r. Bodies that keep a dent keep most: (1 - r)(1.07 + .2 r), by
@@ -548,7 +548,7 @@ def _chi2_of_lines(pair: BallPair, first: int, last: int) -> float:
 
 
 def count_frames_within(candidate: ContactCandidate, diameter: float) -> int:
-    """Count frames about a contact in which the balls are nearer than a diameter (m) by more than their noise."""
+    """Count the frames of a contact that lasts: balls are nearer than a diameter (m) by more than their noise."""
     one, two = candidate.one, candidate.other
     frames, first, second = np.intersect1d(one.frame, two.frame, return_indices=True)
     apart = np.hypot(*(one.position[first] - two.position[second]).T)

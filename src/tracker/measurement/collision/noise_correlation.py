@@ -24,7 +24,7 @@ MIN_CORRELATION_SIGMA = 3.0  # standard errors of the correlation of neighbourin
 
 
 def with_correlated_noise(pair: BallPair, free: CollisionFit) -> BallPair | None:
-    """The pair with errors of the size and the correlation from frame to frame that its tracks show.
+    """Give two balls the noise that their tracks show: its size and its correlation from frame to frame.
 
     Its free fit says when the balls roll. The result is None if the errors are not clearly correlated, or if no ball
     rolls for long enough. It is also None if the residuals of the cubics cannot be errors, because those would scatter

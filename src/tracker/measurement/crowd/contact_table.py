@@ -139,7 +139,7 @@ def _derive(values: Floats) -> Floats:
 def summarise_contacts(
     table: pd.DataFrame, rows: Sequence[Mapping[str, Any]], *, least: int = 3, least_share: float = 0.1
 ) -> dict[str, RandomEffects]:
-    """Compute the random-effects means of r, mu_bb and mu_k over the contacts of a film that show them.
+    """Summarise the table of all contacts of a film: random-effects means of r, mu_bb and mu_k.
 
     Contacts whose motion the local estimate does not describe are left out. Errors that contacts share, such as that of
     the friction of the plate, do not average out.

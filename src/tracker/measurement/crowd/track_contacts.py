@@ -292,7 +292,7 @@ class _Film:
 def find_track_contacts(
     balls: Sequence[BallTrack], diameter: float, settings: FinderSettings | None = None, *, glides: bool = False
 ) -> list[TrackContact]:
-    """Find all contacts in the tracks of a recording, in order of time; diameter: m.
+    """Find all contacts in the tracks of any number of balls, in order of time; diameter: m.
 
     glides: whether the bodies glide, as on air, and do not slide after a contact until they roll.
     """

@@ -368,7 +368,7 @@ def _recoil_by_mass(
 
 
 def calibrate_set(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Compute the rows of a set with the errors that its balances of momentum show; few hits keep their prior."""
+    """Calibrate the local columns of a set by its balances of momentum; few hits keep their prior."""
     errors = calibrate_rows(rows)
     if errors is None:
         return [dict(row) for row in rows]
