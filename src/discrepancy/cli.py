@@ -93,7 +93,7 @@ def find(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Find the effects that the model lacks, and test them on held-out collisions.
+    """Find the effects that --model lacks in MEASURED collisions, and test them on held-out ones.
 
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
@@ -146,7 +146,7 @@ def add(
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Add a suspected effect to a model and fit its strength, with all other parameters, to measured tracks.
+    """Add a suspected EFFECT to --model and fit its strength, with all other parameters, to measured tracks.
 
     Example: discrepancy add plate_tilt --model model.yaml --fit out/results -o tilted.yaml
     """
@@ -236,7 +236,7 @@ def plan(
     seed: Annotated[int, typer.Option(metavar="S", help="Seed of all random numbers.")] = 0,
     as_json: Json = False,
 ) -> None:
-    """Predict which effects an experiment could detect and name, and which change of it helps most.
+    """Predict which effects the experiment of SCENE could detect and name, and which change of it helps most.
 
     Example: discrepancy plan scenes/oblique.yaml --clips 30 -o out/plan
     """

@@ -191,7 +191,7 @@ def describe_disagreement(disagreement: Disagreement) -> str:
 
 
 def describe_gap(gap: Gap, unit: EvidenceUnit) -> str:
-    """Describe how the gap on held-out collisions, or stretches, changes."""
+    """Describe how the claims change the gap on held-out collisions, or on held-out stretches."""
     before, after = f"{gap.before:.3g}", f"{gap.after:.3g}"
     if before == after:
         moved = f"stays at {before}"

@@ -70,7 +70,7 @@ def generate(
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Make a dataset: simulate, render, expose, write. If interrupted, the same command continues.
+    """Make a dataset from SCENE: simulate, render, expose, write. If interrupted, the same command continues.
 
     Example: synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 100
     """
@@ -206,7 +206,7 @@ def merge(
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Merge shards into the dataset, byte for byte, that one process makes. The shards are not changed.
+    """Merge each SHARD into the dataset, byte for byte, that one process makes. The shards are not changed.
 
     Example: synthcam merge out/part1 out/part2 out/part3 -o out/benchmark
     """
@@ -235,7 +235,7 @@ def preview(
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Render one frame of a scene (.png), with the balls magnified below it.
+    """Render one frame of SCENE (.png), with the balls magnified below it.
 
     For .gif and .mp4: render all frames in slow motion, cropped to the paths of the balls and magnified.
 
@@ -287,7 +287,7 @@ def verify(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET")],
     as_json: Json = False,
 ) -> None:
-    """Compare every file of a dataset with its checksum. Exit status 1 if one is changed, missing or new.
+    """Compare every file of DATASET with its checksum. Exit status 1 if one is changed, missing or new.
 
     Example: synthcam verify out/benchmark
     """
@@ -313,7 +313,7 @@ def export(
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
-    """Export a dataset to the format of another program.
+    """Export DATASET with -o to the format of another program.
 
     Example: synthcam export out/benchmark --format mot -o out/benchmark_mot
     """

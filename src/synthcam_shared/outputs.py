@@ -137,7 +137,7 @@ def open_resumable(folder: Path, maker: str, expected: str) -> Iterator[None]:
 
 @contextmanager
 def resume_folder(partial: Path, plan_file: str, plan: str) -> Iterator[None]:
-    """Work in a folder that a killed run may have left, and that the next run of the same plan continues.
+    """Work in a folder that a killed run may have left, and that the next run with the same settings continues.
 
     The caller has checked that `partial` is missing, empty, or of the same plan. The folder is locked, `plan`, which
     distinguishes this run from others, is written into it, and the leftovers of killed workers (``clips/*.tmp``) are

@@ -189,7 +189,7 @@ def measure(
     edits: EditsFile = None,
     as_json: Json = False,
 ) -> None:
-    """Measure the collisions in tracks that any program made.
+    """Measure the collisions in TRACKS, which any program made.
 
     Known by their content: columns frame, particle, x, y, as trackpy's; a table with x and y of each ball, as
     idtracker.ai's; DeepLabCut; Qualisys; TrackMate (CSV, XML); Particle Tracking Challenge; MOTChallenge; Tracker
@@ -217,7 +217,7 @@ def combine(
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Combine collisions: random-effects means of r, mu_k, C and others, their scatter, and their slopes in the speed.
+    """Combine the collisions of RESULTS: random-effects means of r, mu_k, C and others, scatter, slopes in the speed.
 
     Example: tracker combine out/monday out/tuesday -o out/set
     """
@@ -247,7 +247,7 @@ def gas(
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Observe many balls as a gas: temperature, velocities, pair correlation, contacts, and where energy goes.
+    """Observe balls in RESULTS as a gas: temperature, velocities, pair correlation, contacts, and where energy goes.
 
     Example: tracker gas out/crowd_tracks -o out/gas
     """
@@ -276,7 +276,7 @@ def export(
     ],
     as_json: Json = False,
 ) -> None:
-    """Write the tracks for other programs.
+    """Write the tracks of RESULTS with -o for other programs.
 
     Example: tracker export out/results --format trackmate -o tracks.xml
     """
@@ -298,7 +298,7 @@ def score(
     scheduler: Scheduler = "",
     as_json: Json = False,
 ) -> None:
-    """Compare results with the truth: localisation against its bound, tracking measures, bias and coverage.
+    """Compare RESULTS with --truth: localisation against its bound, tracking measures, bias and coverage.
 
     A table of any program may be scored against a true table of any program: CSV, MOTChallenge, Particle Tracking
     Challenge, TrackMate. Boxes are then compared by their overlap, points by their distance.
@@ -350,7 +350,7 @@ def compare(
     output: Report,
     as_json: Json = False,
 ) -> None:
-    """Track a dataset with several detectors and compare them. If interrupted, the same command continues.
+    """Track DATASET with several detectors and compare them. If interrupted, the same command continues.
 
     Example: tracker compare out/benchmark --detectors maximum_likelihood,centroid -o out/compared
     """
@@ -387,7 +387,7 @@ def calibrate(
     select: Select = "",
     as_json: Json = False,
 ) -> None:
-    """Write a camera file: scale from balls that touch or are seen whole, glint width, noise, and what is not known.
+    """Write a camera file from VIDEO: scale from balls that touch or are whole, glint width, noise, what is unknown.
 
     With --points or --board: perspective and lens from four or more known points, with their errors.
 
@@ -422,7 +422,7 @@ def warp(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="CAMERA.JSON", help="File to write.")],
     as_json: Json = False,
 ) -> None:
-    """Correct the camera's map: a smooth displacement of positions, from balls that slide and roll freely.
+    """Correct the camera's map by RESULTS: a smooth displacement of positions, from balls that slide and roll freely.
 
     Writes the camera file of the results with the key warp, if it predicts recordings that were left out. All commands
     apply it.

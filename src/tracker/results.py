@@ -124,7 +124,7 @@ def read_contacts(results: Path, number: int) -> pd.DataFrame:
 
 
 def calibrate_local(results: Path, numbers: Sequence[int]) -> None:
-    """Calibrate the local estimates in RESULTS: errors that the balances of momentum of the set show.
+    """Write into RESULTS the local estimates with errors that the balances of momentum of the set show.
 
     A second time changes nothing, because the errors start from the values of each clip alone.
     """

@@ -88,7 +88,7 @@ def iterate_models(library: LibraryFits, state: State = ()) -> Iterator[State]:
 
 
 def complete_search(library: LibraryFits, begun: State) -> State:
-    """Search on from a model to the last one; if none follows, drop the effects that are not significant."""
+    """Complete a search of the library from a model; if no model follows, drop effects that are not significant."""
     state = [begun, *iterate_models(library, begun)][-1]
     return improve(library, state) if state == begun else state
 

@@ -302,7 +302,7 @@ Tested = tuple[list[ClaimTest], dict[str, Selection], tuple[EffectClaim, ...]]  
 def validate(
     selection: Selection, library: LibraryFits, held_out: HeldOutClips, progress: Callable[[], None]
 ) -> ValidatedSelection:
-    """Reject claims, the weakest first, until all that remain pass every test.
+    """Validate claims: reject the weakest first, until all that remain pass every test.
 
     After each rejection everything else is fitted and tested again. In three cases an effect needs more sigma, since it
     may be part of an unknown law:

@@ -30,7 +30,7 @@ from synthcam.dynamics.forces import (
     find_ending_slip,
 )
 from synthcam.dynamics.integrated_motion import snap_to_goal
-from synthcam.dynamics.kinematics import Array, contact_velocity, interpolate_hermite, rolling_state, rolling_velocity
+from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_state, rolling_velocity
 from synthcam.dynamics.launch import NO_SPIN, Launch, touching
 from synthcam.dynamics.propagate import IntegrationStep, propagate, propagate_back
 from synthcam.dynamics.segments import (
@@ -473,3 +473,15 @@ class _BatchSolver:
         )
         self.out.segments.append(leg)
         return leg.states(ends[:, None])[:, 0]
+
+
+def interpolate_hermite(ends: Array, wide: Array, shares: Array) -> Array:
+    """Interpolate the paths of many collisions between knots with known velocities, by cubic Hermite polynomials.
+
+    ends: (k, n, 4), x, y, vx, vy at the n knots of each of k balls. wide: (k, n - 1), times between the knots, s.
+    shares: (m,), where to evaluate, as a share of each interval, 0 to 1.
+    """
+    s, h = shares[:, None], wide[..., None, None]
+    a, b = ends[:, :-1, None], ends[:, 1:, None]
+    left = (1 - s) ** 2 * ((1 + 2 * s) * a[..., :2] + s * h * a[..., 2:])
+    return np.asarray(left + s**2 * ((3 - 2 * s) * b[..., :2] + (s - 1) * h * b[..., 2:]))

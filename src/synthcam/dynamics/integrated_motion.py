@@ -192,5 +192,5 @@ def average_by_quadrature(places: Callable[[Array], Array], middle: Array, wide:
 
 
 def snap_to_goal(now: Array, goal: Array | float) -> Array:
-    """Replace the end of an integration that misses its goal by rounding alone with the goal."""
+    """Snap the end of an integrated motion to its goal where only rounding separates them."""
     return np.where(np.abs(now - goal) <= 1e-15 * (1 + np.abs(goal)), goal, now)

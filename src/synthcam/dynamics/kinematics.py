@@ -259,18 +259,6 @@ def fly(state: Array, gravity: float, elapsed: Array) -> Array:
     return _stack_components(after_flight(_split_components(state), gravity, elapsed), elapsed)
 
 
-def interpolate_hermite(ends: Array, wide: Array, shares: Array) -> Array:
-    """Interpolate motion between knots with known velocities, by cubic Hermite polynomials: (k, n - 1, m, 2).
-
-    ends: (k, n, 4), x, y, vx, vy at the n knots of each of k balls. wide: (k, n - 1), times between the knots, s.
-    shares: (m,), where to evaluate, as a share of each interval, 0 to 1.
-    """
-    s, h = shares[:, None], wide[..., None, None]
-    a, b = ends[:, :-1, None], ends[:, 1:, None]
-    left = (1 - s) ** 2 * ((1 + 2 * s) * a[..., :2] + s * h * a[..., 2:])
-    return np.asarray(left + s**2 * ((3 - 2 * s) * b[..., :2] + (s - 1) * h * b[..., 2:]))
-
-
 def flight_time(states: Array, radius: Array, gravity: float) -> Array:
     """Return how long balls that fly stay in the air, (m,) s."""
     up, height = states[:, 5], np.maximum(states[:, 2] - radius, 0.0)

@@ -27,7 +27,7 @@ DISTANCE = "colour"
 
 
 def is_plane(name: str) -> bool:
-    """Tell whether a name stands for one of these planes."""
+    """Tell whether a name stands for a grey plane of a film's colours."""
     return name in PLANES or re.fullmatch(r"#[0-9a-fA-F]{6}", name) is not None
 
 

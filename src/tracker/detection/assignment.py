@@ -25,7 +25,7 @@ def link_frame(
     coming: tuple[Floats, int] | None,
     noise: MotionNoise,
 ) -> tuple[PredictedBalls, Ints]:
-    """Link the detections of a frame: the balls in that frame, and the track (m,) of each detection, or -1.
+    """Assign the detections of a frame to balls: the balls in that frame, and the track (m,) of each detection, or -1.
 
     before: the balls some `frames` earlier. found: positions (m, 2). coming: those of the next frame, and how many
     frames later that is. A ball that is not found is where it was predicted.

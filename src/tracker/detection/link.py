@@ -257,7 +257,7 @@ def _keep_ball_tracks(
 
 
 def to_centres(tracks: Tracks, camera: Camera) -> Tracks:
-    """Convert tracks of glints to tracks of ball centres, where the camera allows; else flag them 'glint'."""
+    """Convert tracks of linked glints to tracks of ball centres, where the camera allows; else flag them 'glint'."""
     seen = tracks.xy
     centre, jacobian = camera.centre_of_glint(seen)
     flags = tracks.flags

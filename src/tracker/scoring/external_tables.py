@@ -81,7 +81,7 @@ class TableScore:
 
 
 def score_table(found: Path, truth: Path, gate: float | None = None, name: str = "") -> TableScore:
-    """Compare a table with a true table: files of tracks in any formats, with lengths in the same unit.
+    """Compare a table of tracks by any program with a true table: files in any formats, lengths in the same unit.
 
     `gate` is the largest distance of a pair in that unit; default: 5. Without a gate, boxes are compared by their
     overlap where both files have boxes. `name` of the table; default: that of its file. Raises InputError.

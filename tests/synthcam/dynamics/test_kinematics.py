@@ -14,7 +14,6 @@ from synthcam.dynamics.kinematics import (
     after_sliding,
     coast,
     fly,
-    interpolate_hermite,
     roll,
     rolling_state,
     slide,
@@ -78,20 +77,3 @@ def test_impacts(v0, b, heading):
     for ours, theirs in zip(single, (many.target[0], many.striker[0], many.n[0]), strict=False):
         np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-13)
     assert single[3:] == pytest.approx((many.impulse_n[0], many.impulse_t[0]), rel=1e-13, abs=1e-22)
-
-
-def parabola(times, kink=0.3):
-    """Two balls that turn at `kink`: (2, m, 4); just after the kink where a time falls on it."""
-    late = np.maximum(times - kink, 0)
-    x = 1 + 2 * times - times**2 - 3 * late + 2 * late**2
-    v = 2 - 2 * times + np.where(times >= kink, -3 + 4 * late, 0)
-    return np.stack([x, -2 * x, v, -2 * v], axis=-1) * np.array([1.0, 10.0])[:, None, None]
-
-
-def test_places_between_knots():
-    knots = np.array([[0.3, 0.5, 0.5, 0.9]])
-    ends = parabola(np.concatenate([knots, knots]))[:1]
-    shares = np.linspace(0, 1, 5)
-    places = interpolate_hermite(ends, np.diff(knots), shares)
-    times = knots[:, :-1, None] + shares * np.diff(knots)[..., None]
-    np.testing.assert_allclose(places[0], parabola(np.tile(times.reshape(1, -1), (2, 1)))[0, :, :2].reshape(3, 5, 2))

@@ -332,6 +332,6 @@ def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.ine
 
 
 def tied_to_free_jacobian(tied: Floats, spin: float = 0.0) -> Floats:
-    """Compute the derivatives (22, 16) of `tied_to_free` at tied (16,), exact to rounding, by complex steps."""
+    """Compute the derivatives (22, 16) of the model's free parameters by the tied ones, exact to rounding."""
     steps = tied + 1e-30j * np.eye(len(TIED))
     return np.asarray(tied_to_free(steps, spin).imag.T / 1e-30, dtype=np.float64)
