@@ -82,7 +82,10 @@ def track(
         str, typer.Option(help="Colour of the balls, as orange or #ff8000; use it without --channel.")
     ] = "",
     region: Annotated[
-        str, typer.Option(metavar="X0,Y0,X1,Y1", help="Search for balls in this rectangle alone, px.")
+        str,
+        typer.Option(
+            metavar="X0,Y0,X1,Y1", help="Search for balls in this rectangle alone, px, or in a polygon: 'X,Y X,Y X,Y'."
+        ),
     ] = "",
     mask: Annotated[Path | None, typer.Option(help="A picture, white where alone balls are searched.")] = None,
     frames: Annotated[str, typer.Option(metavar="A:B", help="Which frames are read, without B.")] = "",

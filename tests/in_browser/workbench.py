@@ -227,6 +227,18 @@ def test_everything_by_keyboard(address, browser):
             page.keyboard.press("Alt+Shift+ArrowDown")
         says(page, "#command", r"--region 100,80,110,90")
         assert "--ball" not in page.text_content("#command")
+        page.check("#region-out")
+        page.keyboard.press("6")
+        page.focus("#stage")
+        for move in ("ArrowRight", "ArrowDown", "ArrowLeft"):
+            page.keyboard.press("Enter")
+            page.keyboard.press(f"Alt+Shift+{move}")
+        page.keyboard.press("c")
+        says(page, "#command", r"--region '100,80,110,90; not 120,100 130,100 130,110'")
+        says(page, "#settings-error", "^$")
+        page.click("#no-region")
+        page.uncheck("#region-out")
+        page.focus("#stage")
         before = page.evaluate("document.activeElement.id")
         page.keyboard.press("+")
         assert before == "stage"

@@ -32,7 +32,7 @@ class RunSettings(Settings):
     ball_diameter: float | None = None
     exposure: float | None = None
     balls: list[Text] = Field(default_factory=list, max_length=100)
-    region: Text = ""
+    region: Annotated[str, Field(max_length=5000)] = ""
     frames: Text = ""
     channel: Text = ""
 

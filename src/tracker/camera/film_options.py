@@ -38,15 +38,52 @@ def parse_frames(text: str) -> tuple[int, int | None]:
     return int(match[1] or 0), int(match[2]) if match[2] else None
 
 
-def parse_region(text: str) -> tuple[float, float, float, float]:
-    """Parse the option --region of a film, the box of the search: left, top, right, bottom, px. Raises InputError."""
-    try:
-        left, top, right, bottom = map(float, text.split(","))
-    except ValueError:
-        left = top = right = bottom = 0.0
-    if not (right > left and bottom > top):
-        raise InputError(f"--region {text!r}: expected X0,Y0,X1,Y1 in px, left and upper before right and lower")
-    return left, top, right, bottom
+@dataclass(frozen=True)
+class RegionPart:
+    """A box of two opposite corners or a polygon of three or more, px; `outside`: what lies in it is left out."""
+
+    corners: tuple[tuple[float, float], ...]
+    outside: bool = False
+
+    def fill(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
+        """Tell which pixels (h, w) lie in it, by their centres."""
+        y, x = np.ogrid[: shape[0], : shape[1]]
+        if len(self.corners) == 2:
+            (left, top), (right, bottom) = self.corners
+            return np.asarray((x >= left) & (x <= right) & (y >= top) & (y <= bottom))
+        inside = np.zeros(shape, bool)
+        for (x0, y0), (x1, y1) in zip(self.corners, (*self.corners[1:], self.corners[0]), strict=True):
+            crosses = (y0 <= y) != (y1 <= y)  # a ray to the right crosses this side
+            inside ^= crosses & (x < x0 + (x1 - x0) * (y - y0) / ((y1 - y0) or 1.0))
+        return inside
+
+
+def parse_region(text: str) -> tuple[RegionPart, ...]:
+    """Parse the option --region of a film: boxes and polygons, in which balls are looked for, px.
+
+    Parts are separated by `;`, and begin with "not" to leave out. Raises InputError.
+    """
+    parts = []
+    for written in text.split(";"):
+        words = written.split()
+        outside = bool(words) and words[0] == "not"
+        try:
+            points = [tuple(map(float, word.split(","))) for word in words[outside:]]
+        except ValueError:
+            points = []
+        if [len(point) for point in points] == [4]:
+            left, top, right, bottom = points[0]
+            corners = ((left, top), (right, bottom)) if right > left and bottom > top else ()
+        else:
+            corners = tuple((point[0], point[1]) for point in points if len(point) == 2)
+            corners = corners if len(corners) == len(points) > 2 else ()
+        if not corners or not np.isfinite(corners).all():
+            raise InputError(
+                f"--region {text!r}: expected X0,Y0,X1,Y1 in px, left and upper before right and lower, "
+                "or the corners X,Y X,Y X,Y ... of a polygon"
+            )
+        parts.append(RegionPart(corners, outside))
+    return tuple(parts)
 
 
 def parse_ball(text: str) -> BallExample:
@@ -83,9 +120,11 @@ def read_area(region: str, mask: str, shape: tuple[int, int]) -> NDArray[np.bool
             raise InputError(f"--mask {path}: {has} pixels, expected {wants} as the film")
         area &= picture > 127
     if region:
-        left, top, right, bottom = parse_region(region)
-        y, x = np.ogrid[: shape[0], : shape[1]]
-        area &= (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+        parts = parse_region(region)
+        kept = [part.fill(shape) for part in parts if not part.outside]
+        area &= np.any(kept, axis=0) if kept else True
+        for part in parts:
+            area &= ~part.fill(shape) if part.outside else True
     if not area.any():
         raise InputError(f"{'--region ' + region if region else '--mask ' + mask}: no pixel of the film is left")
     return area
@@ -117,7 +156,8 @@ class FilmOptions:
     fields : {"auto", "separate", "weave"}
         Of interlaced video: "separate" makes two frames of each, "weave" leaves them; "auto" looks at the film.
     frames, region : str
-        Which frames are read, "A:B" without B, and where balls are looked for, "X0,Y0,X1,Y1" in px; "": all.
+        Which frames are read, "A:B" without B, and where balls are looked for, "X0,Y0,X1,Y1" in px; "": all. A polygon
+        is "X,Y X,Y X,Y"; several parts are separated by ";", and "not" before a part leaves it out.
     mask : str
         Path of a picture that is white where balls are looked for.
     ball : tuple of str

@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from matplotlib.path import Path as MplPath
 from tracker_colours import GREEN, ORANGE, draw
 from tracker_discs import CAMERA, SIZE, R, apart, disc
 from tracker_film import CAMERA as GLINTS
@@ -16,6 +17,7 @@ from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.film_options import (
     BallExample,
     FilmOptions,
+    RegionPart,
     parse_ball,
     parse_colour,
     parse_frames,
@@ -39,7 +41,8 @@ def grey_film(noise=2.0):
 
 @pytest.mark.parametrize(("read", "text", "value"), [
     (parse_frames, "20:80", (20, 80)), (parse_frames, ":80", (0, 80)), (parse_frames, "20:", (20, None)),
-    (parse_region, "0,10,50.5,60", (0, 10, 50.5, 60)), (parse_ball, "12.5,8@3", BallExample(12.5, 8, None, 3)),
+    (parse_region, "0,10,50.5,60", (RegionPart(((0, 10), (50.5, 60))),)),
+    (parse_ball, "12.5,8@3", BallExample(12.5, 8, None, 3)),
     (parse_ball, "12,8,5@30", BallExample(12, 8, 5, 30)), (parse_colour, "orange", "#ffa500"),
 ])  # fmt: skip
 def test_hints_are_read(read, text, value):
@@ -49,7 +52,9 @@ def test_hints_are_read(read, text, value):
 @pytest.mark.parametrize(("hint", "said"), [
     ({"frames": "8:3"}, "frames '8:3': expected A:B"), ({"frames": "x"}, "frames 'x': expected A:B"),
     ({"frames": "90:"}, "frames: 0 frames from 90 on"), ({"region": "1,2,3"}, "region '1,2,3': expected X0,Y0,X1,Y1"),
-    ({"region": "9,2,3,8"}, "region '9,2,3,8'"), ({"region": "500,0,600,9"}, "no pixel of the film is left"),
+    ({"region": "9,2,3,8"}, "region '9,2,3,8'"), ({"region": "not 1,2 3,4"}, "corners X,Y X,Y X,Y"),
+    ({"region": "1,2 3,4 5,nan"}, "corners"), ({"region": "1,2 3,4 5,6;"}, "corners"),
+    ({"region": "500,0,600,9"}, "no pixel of the film is left"),
     ({"ball": ["1,2"]}, "ball '1,2': expected X,Y@FRAME"), ({"ball": ["999,2@3"]}, "ball 999,2@3: expected a place in"),
     ({"ball": ["9,2@99"]}, "ball 9,2@99: .* a frame from 0 to 23"), ({"colour": "oramge"}, "colour: unknown 'oramge'"),
     ({"mask": "no.png"}, "mask no.png: no picture"), ({"colour": "red", "channel": "red"}, "colour, .*channel"),
@@ -80,6 +85,21 @@ def test_balls_outside_a_region_are_left_out(tmp_path, masked):
     low = WAYS[WAYS[:, :, 1].mean(axis=1).argmax()]
     assert len(result.tracks) == len(low)
     assert np.hypot(*(result.found.xy - low).T).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    "corners", [[(20, 30), (150, 10.5), (180, 150), (90, 60), (30, 140)], [(5, 5), (9, 5), (7, 9)]]
+)
+def test_a_polygon_holds_the_pixels_whose_centres_it_holds(corners):
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    expected = MplPath(corners).contains_points(np.stack([x, y], axis=-1).reshape(-1, 2)).reshape(SIZE)
+    text = " ".join(f"{x},{y}" for x, y in corners)
+    on_a_side = 1e-3 * expected.size  # whose centres may count either way
+    for region, wanted in ((text, expected), (f"not {text}", ~expected), (f"0,0,999,999; not {text}", ~expected)):
+        assert (read_area(region, "", SIZE) != wanted).sum() < on_a_side
+    both = read_area(f"{text};100,100,199,159;not 0,0,120,120", "", SIZE)
+    assert not both[:121, :121].any()
+    assert both[125:, 125:].all()
 
 
 def test_a_mask_of_another_size_is_refused(tmp_path):

@@ -11,7 +11,7 @@ import { Run } from "/static/run.js";
 import { Stage } from "/static/stage.js";
 
 const element = (id) => document.getElementById(id);
-const TOOLS = ["look", "scale", "points", "ball", "region", "mend"];
+const TOOLS = ["look", "scale", "points", "ball", "region", "polygon", "mend"];
 
 function tell(text) {
   element("message").textContent = text;
@@ -174,6 +174,7 @@ async function begin() {
     Delete: () => mending.press("remove-point"),
     b: () => mending.chooseNext(),
     a: () => mending.addAtCross(),
+    c: () => pointing.closePolygon(),
     u: () => mending.press("undo"),
     r: () => mending.press("redo"),
   };

@@ -1,6 +1,7 @@
 // What is set: scale, balls, region, frames, numbers of the camera. The server checks it and gives the command line.
 
 import { newestOnly, post } from "/static/api.js";
+import { cornersOfBox } from "/static/stage.js";
 
 const POINTING_ERROR_PX = 1; // of each end of a length
 const element = (id) => document.getElementById(id);
@@ -10,7 +11,8 @@ const HINTS = {
   scale: "Click both ends of a known length, then type the length.",
   points: "Click a point of the table that you know, then type its x and y in mm, y up. Four or more give the perspective.",
   ball: "Click the middle of a ball: an example for --ball. Not needed if the balls are found.",
-  region: "Drag a rectangle: balls are searched in it alone.",
+  region: "Drag a rectangle: balls are searched in it alone. With Leave out ticked: everywhere but in it.",
+  polygon: "Click the corners; click the first one again to close the polygon.",
   mend: "Click a ball to choose its track, or the place of a point to add.",
 };
 
@@ -25,6 +27,8 @@ export class Pointing {
     element("known-points").addEventListener("input", () => this.markPoints());
     element("no-scale").addEventListener("click", () => this.clearScale());
     element("region").addEventListener("input", () => this.markRegion());
+    element("close-polygon").addEventListener("click", () => this.closePolygon());
+    element("no-region").addEventListener("click", () => { element("region").value = ""; this.markRegion(); this.send(); });
     element("add-ball").addEventListener("click", () => this.addTypedBall());
     element("settings").addEventListener("submit", (event) => { event.preventDefault(); this.addTypedBall(); });
     element("search-channel").addEventListener("change", () => this.send());
@@ -81,6 +85,8 @@ export class Pointing {
   choose(tool) {
     this.stage.tool = tool;
     this.stage.marks.pending = null;
+    this.stage.marks.polygon = [];
+    element("close-polygon").hidden = true;
     element(`hint`).textContent = HINTS[tool];
     document.querySelector(`input[name=tool][value=${tool}]`).checked = true;
     this.stage.draw();
@@ -97,6 +103,11 @@ export class Pointing {
       text.value = `${text.value.trimEnd()}${text.value.trim() ? "\n" : ""}${at.map((v) => v.toFixed(1)).join(" ")} `;
       this.markPoints();
       text.focus();
+    } else if (tool === "polygon") {
+      const first = marks.polygon[0], near = 12 / this.stage.zoom;
+      if (marks.polygon.length > 2 && Math.hypot(at[0] - first[0], at[1] - first[1]) < near) this.closePolygon();
+      else marks.polygon.push(at.map((v) => rounded(v, 4)));
+      element("close-polygon").hidden = marks.polygon.length < 3;
     } else if (tool === "mend") {
       this.stage.dispatchEvent(new CustomEvent("mend", { detail: at }));
     } else if (tool !== "look" && !marks.pending) {
@@ -111,11 +122,24 @@ export class Pointing {
       const [a, b] = [marks.pending, at];
       marks.pending = null;
       const corners = [Math.min(a[0], b[0]), Math.min(a[1], b[1]), Math.max(a[0], b[0]), Math.max(a[1], b[1])];
-      element("region").value = corners.map((v) => Math.round(v)).join(",");
-      this.markRegion();
-      this.send();
+      this.addRegion(corners.map((v) => Math.round(v)).join(","));
     }
     this.stage.draw();
+  }
+
+  closePolygon() {
+    const { marks } = this.stage;
+    if (marks.polygon.length < 3) return;
+    this.addRegion(marks.polygon.map((corner) => corner.join(",")).join(" "));
+    marks.polygon = [];
+    element("close-polygon").hidden = true;
+  }
+
+  addRegion(text) {
+    const field = element("region"), part = element("region-out").checked ? `not ${text}` : text;
+    field.value = field.value.trim() ? `${field.value.trim()}; ${part}` : part;
+    this.markRegion();
+    this.send();
   }
 
   // Each line of the field: x and y in px, x and y in mm.
@@ -203,8 +227,15 @@ export class Pointing {
   }
 
   markRegion() {
-    const numbers = element("region").value.split(",").map(Number);
-    this.stage.marks.region = numbers.length === 4 && numbers.every(Number.isFinite) ? numbers : null;
+    const parse = (text) => {
+      const out = text.trim().startsWith("not "), words = text.trim().replace(/^not /, "").split(/\s+/);
+      const points = words.map((word) => word.split(",").map(Number));
+      const [x0, y0, x1, y1] = points[0];
+      return { out, corners: points[0].length === 4 ? cornersOfBox([x0, y0], [x1, y1]) : points };
+    };
+    const parts = element("region").value.split(";").map(parse);
+    this.stage.marks.regions = parts.filter(({ corners }) => corners.length > 2 && corners.flat().every(Number.isFinite));
+    element("no-region").hidden = element("region").value === "";
     this.stage.draw();
   }
 

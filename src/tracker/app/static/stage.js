@@ -1,7 +1,9 @@
 // The picture: zoom and pan, marks drawn over it, and presses as positions in the film (pixel centres at whole numbers).
 
-const BALL = "#E69F00", HINT = "#56B4E9", SCALE = "#009E73", REGION = "#F0E442", CROSS = "#CC79A7";
+const BALL = "#E69F00", HINT = "#56B4E9", SCALE = "#009E73", REGION = "#F0E442", LEFT_OUT = "#D55E00", CROSS = "#CC79A7";
 const TRACKS = ["#56B4E9", "#F0E442", "#009E73", "#D55E00", "#CC79A7"], DASHES = [[], [8, 4], [2, 3]];
+
+export const cornersOfBox = ([x0, y0], [x1, y1]) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
 
 export class Stage extends EventTarget {
   constructor(canvas) {
@@ -12,7 +14,7 @@ export class Stage extends EventTarget {
     this.at = [0, 0]; // film position in the upper left corner
     this.fitted = true;
     this.picture = null;
-    this.marks = { balls: [], radius: 8, hints: [], scale: [], region: null, pending: null, points: [], tracks: [], showTracks: true, showArrows: false, chosen: null };
+    this.marks = { balls: [], radius: 8, hints: [], scale: [], regions: [], polygon: [], pending: null, points: [], tracks: [], showTracks: true, showArrows: false, chosen: null };
     this.frame = 0; // number of the frame in view
     this.cross = null;
     this.tool = "look";
@@ -132,7 +134,7 @@ export class Stage extends EventTarget {
   point(film) {
     this.cross = film;
     this.dispatchEvent(new CustomEvent("point", { detail: film }));
-    if (this.marks.pending || document.activeElement === this.canvas) this.draw();
+    if (this.marks.pending || this.marks.polygon.length || document.activeElement === this.canvas) this.draw();
   }
 
   press(film) { this.dispatchEvent(new CustomEvent("press", { detail: film })); }
@@ -157,17 +159,18 @@ export class Stage extends EventTarget {
     pen.imageSmoothingEnabled = this.zoom < 3;
     const [left, top] = this.toScreen([-0.5, -0.5]);
     if (this.picture) pen.drawImage(this.picture, left, top, this.size[0] * this.zoom, this.size[1] * this.zoom);
-    const { balls, radius, hints, scale, region, pending } = this.marks;
+    const { balls, radius, hints, scale, regions, polygon, pending } = this.marks;
     if (this.marks.showTracks) this.marks.tracks.forEach((track, k) => this.drawTrack(pen, track, k));
     if (this.marks.showArrows) this.marks.tracks.forEach((track) => this.drawArrows(pen, track));
     if (this.marks.chosen) this.drawChosen(pen, this.marks.chosen);
     for (const ball of balls) this.ring(pen, ball, radius, BALL, []);
     for (const hint of hints) this.ring(pen, hint, hint.radius ?? radius, HINT, [6, 4]);
     for (const point of this.marks.points) this.ring(pen, point, 4 / this.zoom, SCALE, [2, 2]);
-    if (region) this.outline(pen, region, REGION);
+    for (const { corners, out } of regions) this.outline(pen, corners, out ? LEFT_OUT : REGION, out);
+    if (polygon.length) this.outline(pen, [...polygon, this.cross], REGION);
     if (scale.length === 2) this.line(pen, scale[0], scale[1]);
     if (pending && this.tool === "scale") this.line(pen, pending, this.cross);
-    if (pending && this.tool === "region") this.outline(pen, [...pending, ...this.cross], REGION);
+    if (pending && this.tool === "region") this.outline(pen, cornersOfBox(pending, this.cross), REGION);
     if (document.activeElement === this.canvas && this.cross) this.drawCross(pen);
   }
 
@@ -239,9 +242,12 @@ export class Stage extends EventTarget {
     });
   }
 
-  outline(pen, [x0, y0, x1, y1], colour) {
-    const [a, b] = [this.toScreen([x0, y0]), this.toScreen([x1, y1])];
-    this.stroke(pen, colour, () => pen.rect(a[0], a[1], b[0] - a[0], b[1] - a[1]), [10, 5]);
+  // A closed outline; what is left out has short dashes.
+  outline(pen, corners, colour, out = false) {
+    this.stroke(pen, colour, () => {
+      for (const corner of corners) pen.lineTo(...this.toScreen(corner));
+      pen.closePath();
+    }, out ? [3, 3] : [10, 5]);
   }
 
   drawCross(pen) {
