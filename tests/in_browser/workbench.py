@@ -346,6 +346,12 @@ def test_clips_of_a_dataset_in_colour(browser, tmp_path):
         assert len(marks) == 2  # a kept picture of another clip would be shown otherwise
         assert "data/clips/000004" in page.text_content("#command")
         says(page, "#notes", "colour")
+        page.check("input[value=ball]")
+        page.mouse.click(*at(page, *PATHS[30, 0]))
+        page.click("#take-colour")
+        says(page, "#command", r"--colour '#[\da-f]{4}00'")  # a pixel of red has half as much of green
+        page.fill("#colour", "")
+        page.click("#balls button")
         page.select_option("#channel", label="red")
         page.check("#search-channel")
         says(page, "#command", "--channel red")

@@ -35,6 +35,7 @@ class RunSettings(Settings):
     region: Annotated[str, Field(max_length=5000)] = ""
     frames: Text = ""
     channel: Text = ""
+    colour: Text = ""
 
     def camera_keys(self, given: Mapping[str, Any] | None, size: tuple[int, int]) -> dict[str, Any] | None:
         """The keys of camera.json: those of the film's own file, and what is set; None without both.
@@ -76,6 +77,7 @@ class RunPlan:
     recording: Recording
     keys: dict[str, Any] | None
     needs_file: bool
+    channel: str | None
 
     def open_apart(self) -> Recording:
         """The recording again, whose frames are read beside those of the page."""
@@ -88,7 +90,7 @@ class RunPlan:
         words += ["--camera", f"{camera}"] if camera is not None else []
         for ball in self.settings.balls:
             words += ["--ball", ball]
-        for name in ("region", "frames", "channel"):
+        for name in ("region", "frames", "channel", "colour"):
             words += [f"--{name}", value] if (value := getattr(self.settings, name)) else []
         return words
 
@@ -98,7 +100,9 @@ def read_run_settings(run: Mapping[str, Any]) -> RunSettings:
     film = run.get("film", {})
     names = {"ball": "balls", "region": "region", "frames": "frames"}
     known = {names[key]: list(value) if key == "ball" else value for key, value in film.items() if key in names}
-    return build_settings(known | {"channel": run.get("channel", "")}, RunSettings, "run.json")
+    channel = run.get("channel", "")
+    named = {"colour" if f"{channel}".startswith("#") else "channel": channel}
+    return build_settings(known | named, RunSettings, "run.json")
 
 
 def name_as_argument(film: Path) -> str:
@@ -114,11 +118,11 @@ def make_plan(
     given: the keys of the film's own camera file.
     """
     keys = settings.camera_keys(given, film.size)
-    channel = name_channel(settings.channel or None, "")
+    channel = name_channel(settings.channel or None, settings.colour)
     recording = film.open_recording(None if keys is None else Camera.from_dict(keys, where), settings.options)
     if channel is not None:
         recording.select_channel(channel)
-    return RunPlan(film, settings, recording, keys, keys is not None and keys != given)
+    return RunPlan(film, settings, recording, keys, keys is not None and keys != given, channel)
 
 
 def join_words(words: list[str]) -> str:

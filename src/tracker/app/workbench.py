@@ -209,7 +209,7 @@ class Workbench:
     def _take(self, plan: RunPlan) -> None:
         """Use a plan from now on, and prepare its detector if that may differ."""
         self.plan = plan
-        mark = json.dumps([plan.keys, *vars(plan.settings.options).values(), plan.settings.channel, self.view.index])
+        mark = json.dumps([plan.keys, *vars(plan.settings.options).values(), plan.channel, self.view.index])
         if not self.has_film:
             self.detector_status = DetectorStatus("failed", error="The film of these results is not here.")
         elif mark != self._mark:
@@ -235,7 +235,7 @@ class Workbench:
                 continue
             began, ready, status = time.monotonic(), None, DetectorStatus("failed")
             try:
-                ready = prepare_detector(plan.open_apart(), plan.settings.channel or None)
+                ready = prepare_detector(plan.open_apart(), plan.channel)
                 status = DetectorStatus(
                     state="ready",
                     name=ready.name,
@@ -330,7 +330,7 @@ class Workbench:
     def _take_camera(self, file: Path) -> None:
         """Use another camera file for the film, and keep the settings that it does not contain."""
         with self._lock:
-            kept = self.plan.settings.model_dump(include={"balls", "region", "frames", "channel"})
+            kept = self.plan.settings.model_dump(include={"balls", "region", "frames", "channel", "colour"})
             self.source, self.given = replace(self.source, camera=file), read_source(file)
             self._take(make_plan(build_settings(kept, RunSettings, "settings"), self.view, self.given, where=f"{file}"))
 

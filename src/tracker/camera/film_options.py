@@ -73,16 +73,17 @@ def parse_region(text: str) -> tuple[RegionPart, ...]:
             points = []
         if [len(point) for point in points] == [4]:
             left, top, right, bottom = points[0]
-            corners = ((left, top), (right, bottom)) if right > left and bottom > top else ()
+            corners = [(left, top), (right, bottom)]
+            is_valid = right > left and bottom > top
         else:
-            corners = tuple((point[0], point[1]) for point in points if len(point) == 2)
-            corners = corners if len(corners) == len(points) > 2 else ()
-        if not corners or not np.isfinite(corners).all():
+            corners = [(point[0], point[1]) for point in points if len(point) == 2]
+            is_valid = len(corners) == len(points) > 2
+        if not is_valid or not np.isfinite(corners).all():
             raise InputError(
                 f"--region {text!r}: expected X0,Y0,X1,Y1 in px, left and upper before right and lower, "
                 "or the corners X,Y X,Y X,Y ... of a polygon"
             )
-        parts.append(RegionPart(corners, outside))
+        parts.append(RegionPart(tuple(corners), outside))
     return tuple(parts)
 
 

@@ -1,6 +1,6 @@
 // What is set: scale, balls, region, frames, numbers of the camera. The server checks it and gives the command line.
 
-import { newestOnly, post } from "/static/api.js";
+import { frameAddress, newestOnly, post } from "/static/api.js";
 import { cornersOfBox } from "/static/stage.js";
 
 const POINTING_ERROR_PX = 1; // of each end of a length
@@ -20,7 +20,7 @@ export class Pointing {
   constructor(stage, player, inspector) {
     Object.assign(this, { stage, player, inspector, ballTexts: [], given: {} });
     this.send = newestOnly(() => this.apply());
-    for (const id of ["fps", "diameter", "exposure", "first", "last", "region"]) {
+    for (const id of ["fps", "diameter", "exposure", "first", "last", "region", "colour"]) {
       element(id).addEventListener("input", () => this.send());
     }
     for (const id of ["length", "points"]) element(id).addEventListener("input", () => this.setScale());
@@ -29,6 +29,7 @@ export class Pointing {
     element("region").addEventListener("input", () => this.markRegion());
     element("close-polygon").addEventListener("click", () => this.closePolygon());
     element("no-region").addEventListener("click", () => { element("region").value = ""; this.markRegion(); this.send(); });
+    element("take-colour").addEventListener("click", () => this.takeColour());
     element("add-ball").addEventListener("click", () => this.addTypedBall());
     element("settings").addEventListener("submit", (event) => { event.preventDefault(); this.addTypedBall(); });
     element("search-channel").addEventListener("change", () => this.send());
@@ -69,6 +70,9 @@ export class Pointing {
     element("points").value = element("length").value = "";
     element("known-points").value = "";
     this.stage.marks.points = [];
+    element("colour").value = settings.colour;
+    element("colour-box").hidden = !film.channels.includes("colour film");
+    element("take-colour").disabled = true;
     element("search-channel").checked = settings.channel !== "";
     this.searched = settings.channel;
     element("film-fps").textContent = film.fps ? `The file says ${rounded(film.fps)}.` : "The file does not say.";
@@ -97,6 +101,8 @@ export class Pointing {
     const at = [Math.min(Math.max(x, 0), width - 1), Math.min(Math.max(y, 0), height - 1)].map((v) => rounded(v, 5));
     if (tool === "ball") {
       const seen = this.inspector.find(at), [bx, by] = seen ? [seen.x, seen.y] : at;
+      this.clicked = { at: [bx, by], index: this.player.index };
+      element("take-colour").disabled = false;
       this.addBall(`${bx.toFixed(1)},${by.toFixed(1)}@${this.player.number}`);
     } else if (tool === "points") {
       const text = element("known-points");
@@ -125,6 +131,19 @@ export class Pointing {
       this.addRegion(corners.map((v) => Math.round(v)).join(","));
     }
     this.stage.draw();
+  }
+
+  // The mean colour of 5 x 5 pixels in the middle of the ball that was clicked last.
+  async takeColour() {
+    const { at: [x, y], index } = this.clicked, box = [Math.round(x) - 2, Math.round(y) - 2, 5, 5].join(",");
+    const look = { channel: "colour film", mark: this.player.look.mark, box };
+    const picture = await createImageBitmap(await (await fetch(frameAddress(index, look, "png"))).blob());
+    const pen = Object.assign(document.createElement("canvas"), { width: 1, height: 1 }).getContext("2d");
+    pen.imageSmoothingQuality = "high";
+    pen.drawImage(picture, 0, 0, 1, 1);
+    const rgb = [...pen.getImageData(0, 0, 1, 1).data].slice(0, 3);
+    element("colour").value = `#${rgb.map((v) => v.toString(16).padStart(2, "0")).join("")}`;
+    this.send();
   }
 
   closePolygon() {
@@ -255,6 +274,7 @@ export class Pointing {
       exposure: number("exposure", "exposure", 1e-3),
       balls: this.ballTexts,
       region: element("region").value.trim(),
+      colour: element("colour").value.trim(),
       frames: first || last ? `${first}:${last}` : "",
       channel: element("search-channel").checked && channel !== "colour film" ? channel : "",
     };
