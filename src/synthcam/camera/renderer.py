@@ -30,15 +30,16 @@ Pictures = tuple[Picture, ...]  # one per channel
 class Renderer:
     """The view of one camera on balls of `radii` (N,), m.
 
-    plates: the picture without balls, one per channel. reach: of the region that a ball changes, over its own outline.
+    plates: the picture without balls, one per channel. extents: radii (N,), m, of balls that enclose the bodies. reach:
+    of the region that a ball changes, over its own outline.
     Raises ValueError if a lamp is in view.
     """
 
     plates: tuple[Float32, ...]
-    reach = 1.0
+    reach: Array | float = 1.0
 
     def __init__(self, camera: PinholeCamera, lamp: Lamp, radii: Array) -> None:
-        self.camera, self.lamp, self.radii = camera, lamp, radii
+        self.camera, self.lamp, self.radii, self.extents = camera, lamp, radii, radii
         w, h = camera.size
         for each in lamp.all:
             at = camera.project(each.position)
@@ -79,7 +80,7 @@ class Renderer:
     def _see_balls(self, positions: Array) -> tuple[Array, Array]:
         """Pixels (T, N, 2), and half widths (T, N) px of the region that each ball at positions (T, N, 3) changes."""
         pixels, slope = self.camera.project_with_slope(positions)
-        half = outline_half_width(self.camera, positions, self.radii, slope)
+        half = outline_half_width(self.camera, positions, self.extents, slope)
         return pixels, half * self.reach + self.psf.margin
 
     def _roll(

@@ -78,8 +78,9 @@ class LabelledFrame:
     @cached_property
     def labels(self) -> NDArray[np.uint16]:
         """(height, width): for each pixel 1 + id of the ball that covers its centre at mid-exposure; 0 for none."""
-        radii = self.clip.launch.bodies.radius[self.ids]
-        return label_pixels(self.clip.camera, self.positions, radii, self.boxes, (self.ids + 1).astype(np.uint16))
+        clip, numbers = self.clip, (self.ids + 1).astype(np.uint16)
+        radii, heights = clip.launch.bodies.radius[self.ids], clip.heights[self.ids]
+        return label_pixels(clip.camera, self.positions, radii, self.boxes, numbers, heights)
 
     @property
     def masks(self) -> NDArray[np.bool_]:
@@ -106,7 +107,7 @@ def _label(clip: Clip, tracks: pd.DataFrame, pictures: Iterator[NDArray[Any]], e
     radii = clip.launch.bodies.radius
     rows = tracks.sort_values(["frame", "particle"])[columns].to_numpy(float).reshape(-1, len(radii), len(columns))
     for k, (image, row) in enumerate(zip(pictures, rows, strict=True)):
-        boxes = find_boxes(clip.camera, row[:, 3:], radii)
+        boxes = find_boxes(clip.camera, row[:, 3:], radii, clip.heights)
         ids = np.flatnonzero((boxes[:, 2:] > boxes[:, :2]).all(axis=1))
         shown = row[ids]
         yield LabelledFrame(

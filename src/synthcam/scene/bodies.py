@@ -16,6 +16,7 @@ from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.supports import Air, DryPlate, Support
 from synthcam.dynamics.tabletop import Scatter, Table
 from synthcam.model import Ball, Bodies, Model
+from synthcam.scene.materials import BallFinishSettings
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings
 
@@ -58,21 +59,24 @@ class SupportSettings(Settings):
     curl_range: Range | None = None
 
 
-class BodySettings(Settings):
+class BodySettings(BallFinishSettings):
     """One of `bodies:`, or the kind of all.
 
     - diameter, m, and density, kg/m^3: those of `ball` if left out; or mass, kg
-    - shape: solid or shell, balls; disc, of the given height, m
+    - shape: solid or shell, balls; or disc
+    - height: of discs, m; default: a quarter of the ball's diameter, or with balls beside them the whole
     - inertia: I/(m R^2); default: the shape's
     - label: a or b, the ball that effects such as mass_mismatch act on, or not
     - support: default: the scene's
     - sticks: of discs, the impulse, N s, of a later hit that parts it from a body that it has hit; 0: it does not stick
+    - albedo, colour, second_colour, pattern: in place of those of `surface`, for matte bodies
     """
 
     diameter: Positive | None = None
     density: Positive | None = None
     mass: Positive | None = None
     shape: Literal["solid", "shell", "disc"] = "solid"
+    height: Positive | None = None
     inertia: Annotated[float, Field(gt=0, le=1)] | None = None
     label: Literal["a", "b"] = "b"
     support: SupportSettings | None = None
@@ -199,8 +203,7 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
 
     Raises InputError where bodies overlap or lie in a wall or beyond it, and where their numbers differ.
     """
-    launches, kinds = drawn["launches"], drawn["bodies"]
-    kinds = kinds if isinstance(kinds, list) else [kinds] * len(launches)
+    launches, kinds = drawn["launches"], list_kinds(drawn)
     if len(kinds) != len(launches):
         raise InputError(
             f"{where}: bodies: {len(kinds)} of them and {len(launches)} launches; expected as many, or one"
@@ -251,6 +254,30 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
         spring=ContactSpring(**force) if force else None,
     )
     return Launch(0.0, states, bodies, later), table
+
+
+def list_kinds(drawn: dict[str, Any]) -> list[dict[str, Any]]:
+    """List the kind of each body of the drawn settings."""
+    kinds: Any = drawn["bodies"]
+    return kinds if isinstance(kinds, list) else [kinds] * len(drawn.get("launches") or ())
+
+
+def find_heights(drawn: dict[str, Any], where: str) -> NDArray[np.float64]:
+    """Find the height (N,), m, of each disc; 0 of balls. All centres are level, so that all discs have one height.
+
+    Raises InputError for another height.
+    """
+    kinds = list_kinds(drawn)
+    flat = np.array([kind["shape"] == "disc" for kind in kinds])
+    given = {kind["height"]: k for k, kind in enumerate(kinds) if kind.get("height")}
+    for k, kind in enumerate(kinds):
+        if kind.get("height") and not flat[k]:
+            raise InputError(f"{where}: bodies: body {k} is a ball; expected no height, or shape: disc")
+    usual = drawn["ball"]["diameter"] * (0.25 if flat.all() else 1.0)
+    if len(given) > 1 or (given and not flat.all() and usual not in given):
+        wanted = "one height for all" if flat.all() else f"that of the balls beside it, {usual:g} m"
+        raise InputError(f"{where}: bodies: disc {max(given.values())} is {max(given):g} m high; expected {wanted}")
+    return np.where(flat, next(iter(given), usual), 0.0)
 
 
 def _starts_later(launch: dict[str, Any]) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -21,10 +21,10 @@ from synthcam.dynamics.tabletop import Table
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, camera_json, find_video_problem
-from synthcam.scene.bodies import build_table
+from synthcam.scene.bodies import build_table, find_heights, list_kinds
 from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.groups import place_groups
-from synthcam.scene.materials import build_finish, build_varnish
+from synthcam.scene.materials import build_finish, build_varnish, make_discs_matte, screen_colour
 from synthcam.scene.motion import Motion
 from synthcam.scene.sensor_frames import Counts, OpticalSetup, expose_frames
 from synthcam_shared.errors import InputError
@@ -66,6 +66,8 @@ class Clip:
         Of matte balls, or of a plate with texture, under room light. None: mirror balls on a black plate.
     table : Table
         Walls, and what carries each body.
+    heights : ndarray
+        (N,) m, of discs; 0 of balls.
 
     Examples
     --------
@@ -90,6 +92,7 @@ class Clip:
     seed: int = 0
     finish: SurfaceFinish | None = None
     table: Table = PLATE
+    heights: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def __repr__(self) -> str:
         launch, (width, height) = self.drawn["launch"], self.camera.size
@@ -123,7 +126,14 @@ class Clip:
         ValueError
             If the model has no motion for this launch.
         """
-        return Motion(self.view.motion, self.camera.fps, tuple(self.launch.bodies.radius.tolist()), self.table.walls)
+        return Motion(
+            self.view.motion,
+            self.camera.fps,
+            tuple(self.launch.bodies.radius.tolist()),
+            self.table.walls,
+            tuple(screen_colour(kind.get("colour")) for kind in list_kinds(self.drawn)),
+            self.orientation if self.heights.any() else None,
+        )
 
     def pictures(self, every: int = 1) -> Iterator[Counts]:
         """Render and expose the frames one after the other, for clips too long for memory.
@@ -163,14 +173,21 @@ class Clip:
     def _expose(self, frames: range, *, by_tables: bool = True) -> Iterator[Counts]:
         varnish = build_varnish(self.surface, self.drawn) if self.finish else None
         radii = self.launch.bodies.radius.tolist()
-        setup = OpticalSetup(self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish)
+        tall = self.heights.tolist()
+        level = (
+            self.model.ball.radius - max(tall) / 2 if any(tall) else 0.0
+        )  # the centres of discs are where balls' are
+        setup = OpticalSetup(self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish, tall, level)
         colour = bool(self.drawn["camera"].get("colour"))
         key, view = (self.seed, self.number), self.view
         return expose_frames(view, setup, self.sensor, frames, key, self.orientation, colour, by_tables=by_tables)
 
     @cached_property
     def orientation(self) -> OrientationHistory | None:
-        """The orientation of balls with a pattern, which is random when the motion starts."""
+        """The orientation of bodies with a pattern, which is random when the motion starts.
+
+        The pattern's axis, z of a body, lies in the plane of a disc.
+        """
         if self.finish is None or not self.finish.shows_rotation:
             return None
         from scipy.spatial.transform import Rotation  # here alone: slow to load, and few balls have a pattern
@@ -178,8 +195,12 @@ class Clip:
         from synthcam.dynamics.orientation import OrientationHistory
 
         stream = np.random.SeedSequence(self.seed, spawn_key=(self.number, zlib.crc32(b"turning")))
-        first = Rotation.random(len(self.launch.bodies.radius), rng=np.random.default_rng(stream))
-        return OrientationHistory(self.view.motion, first.as_quat())
+        rng = np.random.default_rng(stream)
+        first = Rotation.random(len(self.launch.bodies.radius), rng=rng).as_quat()
+        flat = self.heights > 0
+        turns = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi, flat.sum())[:, None])
+        first[flat] = (turns * Rotation.from_euler("y", np.pi / 2)).as_quat()
+        return OrientationHistory(self.view.motion, first)
 
     def film(self) -> NDArray[Any]:
         """Render and expose all frames: the pixels of ``frames.tif`` in a dataset of this scene and seed.
@@ -262,14 +283,18 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
     if drawn.get("groups"):
         drawn = place_groups(model, drawn, (seed, number), where)
+    heights = np.zeros(0 if drawn.get("launches") else 1 + (launch["kind"] == "pair"))
     if drawn.get("launches"):
         started, table = build_table(model, drawn, (seed, number), where)
+        heights = find_heights(drawn, where)
+        drawn = make_discs_matte(drawn, heights, where)
     else:
         started, table = _build_launch(model, launch, timing["contact_frame"] / timing["fps"]), PLATE
     nominal = build_camera(drawn, model.ball.radius)
     many = drawn.get("launches")
     labels = ["a" if of_a else "b" for of_a in started.bodies.of_a]
-    finish = build_finish(drawn, tuple(labels) if many else _ball_labels(launch), where)
+    kinds = list_kinds(drawn) if many else ()
+    finish = build_finish(drawn, tuple(labels) if many else _ball_labels(launch), where, kinds)
     sensor = {k: v for k, v in drawn["sensor"].items() if k != "white"}
     if finish:
         sensor["glint_peak"] = drawn["sensor"].get("white", 200.0)
@@ -291,6 +316,7 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         sensor=Sensor(**sensor),
         frames=timing["frames"],
         finish=finish,
+        heights=heights,
     )
 
 

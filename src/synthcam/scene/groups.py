@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import zlib
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ class GroupSettings(Settings):
     - centre, m; size: width and height of the area in which random and lattice place the centres, m
     - gap: least distance between two surfaces, m
     - velocity: of the group, m/s; rms_speed: of its bodies about that, m/s, normal in each direction
-    - body: what they are, instead of `bodies`
+    - body: what they are, instead of `bodies`; those of a list take turns
     """
 
     count: Annotated[int, Field(ge=1, le=MAX_BODIES)]
@@ -38,7 +39,7 @@ class GroupSettings(Settings):
     gap: Annotated[float, Field(ge=0, le=1e3)] = 0.0
     velocity: Point = Field([0.0, 0.0])
     rms_speed: NotNegative = 0.0
-    body: BodySettings | None = None
+    body: BodySettings | Annotated[list[BodySettings], Field(min_length=1)] | None = None
 
 
 def place_groups(model: Model, drawn: dict[str, Any], seed: tuple[int, int], where: str) -> dict[str, Any]:
@@ -62,7 +63,8 @@ def place_groups(model: Model, drawn: dict[str, Any], seed: tuple[int, int], whe
     for number, group in enumerate(drawn["groups"]):
         kind, key = group.get("body") or kinds, f"{where}: groups.{number}"
         stream = np.random.SeedSequence(seed[0], spawn_key=(seed[1], zlib.crc32(f"groups.{number}".encode())))
-        rng, radius = np.random.default_rng(stream), _radius(model, kind)
+        turns = kind if isinstance(kind, list) else [kind]
+        rng, radius = np.random.default_rng(stream), max(_radius(model, one) for one in turns)
         if group["arrangement"] != "rack" and "size" not in group:
             raise InputError(f"{key}.size: expected the width and the height of the area, m")
         if group["arrangement"] == "rack":
@@ -79,7 +81,7 @@ def place_groups(model: Model, drawn: dict[str, Any], seed: tuple[int, int], whe
             for at, v in zip(places.tolist(), speeds.tolist(), strict=True)
         ]
         taken, radii = np.vstack([taken, places]), np.append(radii, np.full(len(places), radius))
-        every += [kind] * group["count"]
+        every += itertools.islice(itertools.cycle(turns), group["count"])
     rest = {name: value for name, value in drawn.items() if name != "groups"}
     return rest | {"launches": launches, "bodies": every if any(kind != kinds for kind in every) else kinds}
 

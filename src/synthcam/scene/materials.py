@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from synthcam.camera.room.finish import GREY_WEIGHTS, BallFinish, Colour, Pattern, SurfaceFinish
@@ -65,9 +67,20 @@ def is_under_room_light(drawn: dict[str, Any]) -> bool:
     return bool(drawn["surface"].get("ball") or drawn["surface"].get("plate"))
 
 
-def build_finish(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> SurfaceFinish | None:
-    """Build the materials of balls with these labels and of their plate; None for mirror balls on a black plate."""
+def build_finish(
+    drawn: dict[str, Any], labels: tuple[str, ...], where: str, kinds: Sequence[dict[str, Any]] = ()
+) -> SurfaceFinish | None:
+    """Build the materials of balls with these labels and of their plate; None for mirror balls on a black plate.
+
+    kinds: of the bodies of a scene that lists them.
+    """
     surface = drawn["surface"]
+    own = [{key: kind[key] for key in BallFinishSettings.model_fields if key in kind} for kind in kinds]
+    for k, keys in enumerate(own):
+        if keys and surface.get("ball") != "matte":
+            raise InputError(
+                f"{where}: bodies: {next(iter(keys))} of body {k}: expected together with surface.ball: matte"
+            )
     of_rooms = [key for key in MaterialSettings.model_fields if key in surface]
     if not is_under_room_light(drawn):
         if of_rooms or "ambient" in drawn["lamp"] or "white" in drawn["sensor"]:
@@ -90,7 +103,8 @@ def build_finish(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> 
     albedo, tint = of_plate[plate]
     return SurfaceFinish(
         balls=tuple(
-            _build_ball_finish(surface | surface.get("b", {}) if k == "b" else surface, matte, colour) for k in labels
+            _build_ball_finish(surface | (surface.get("b", {}) if label == "b" else {}) | keys, matte, colour)
+            for label, keys in zip(labels, own or [{}] * len(labels), strict=True)
         ),
         plate=_channel_reflectance(
             surface.get("plate_albedo", albedo), _parse_colour(surface.get("plate_colour"), tint), colour
@@ -99,6 +113,21 @@ def build_finish(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> 
         contrast=surface.get("plate_contrast", 1.0),
         ambient=drawn["lamp"].get("ambient", 0.35),
     )
+
+
+def make_discs_matte(drawn: dict[str, Any], heights: NDArray[np.float64], where: str) -> dict[str, Any]:
+    """Return the drawn settings with matte bodies where there are discs. Raises InputError for discs of steel."""
+    surface = drawn["surface"]
+    if not heights.any() or surface.get("ball") == "matte":
+        return drawn
+    if surface.get("ball") == "steel":
+        raise InputError(f"{where}: surface.ball: steel is of balls alone; expected matte for discs")
+    return drawn | {"surface": surface | {"ball": "matte"}}
+
+
+def screen_colour(given: Any) -> tuple[float, ...] | None:
+    """The colour of a body on a screen, red, green and blue; None where it has none of its own."""
+    return None if given is None else tuple(x ** (1 / 2.2) for x in _parse_colour(given, ()))
 
 
 def build_varnish(surface: Surface, drawn: dict[str, Any]) -> Surface | None:

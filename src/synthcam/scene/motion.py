@@ -15,11 +15,13 @@ from numpy.typing import ArrayLike
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.trajectory import Trajectory
 from synthcam.scene import ground_truth
-from synthcam.scene.table_drawing import draw_paths, write_animation
+from synthcam.scene.table_drawing import DrawnBodies, draw_paths, write_animation
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from synthcam.dynamics.orientation import OrientationHistory
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,6 +38,10 @@ class Motion:
         Of the bodies, m.
     walls : tuple of Wall
         Between which they move.
+    colours : tuple
+        Of the bodies on a screen, red, green and blue; None where a body has no colour of its own.
+    orientation : OrientationHistory, optional
+        Of discs with a pattern, whose axis an animation shows.
 
     Examples
     --------
@@ -56,6 +62,8 @@ class Motion:
     fps: float
     radius: tuple[float, ...] = ()
     walls: tuple[Wall, ...] = ()
+    colours: tuple[tuple[float, ...] | None, ...] = ()
+    orientation: OrientationHistory | None = None
 
     def __repr__(self) -> str:
         balls, events = len(self.trajectory.legs), self.trajectory.events
@@ -134,7 +142,7 @@ class Motion:
             import matplotlib.pyplot as plt
 
             ax = plt.subplots(layout="constrained")[1]
-        draw_paths(ax, self.trajectory, self.walls)
+        draw_paths(ax, self.trajectory, self.walls, self.colours)
         return ax
 
     def animate(self, path: str | Path, fps: float = 25.0, slower: float = 1.0) -> None:
@@ -154,4 +162,5 @@ class Motion:
         InputError
             If the file's name ends otherwise, or the animation would have one frame or none.
         """
-        write_animation(Path(path), self.trajectory, np.array(self.radius), self.walls, fps, slower)
+        bodies = DrawnBodies(np.array(self.radius), self.colours, self.orientation)
+        write_animation(Path(path), self.trajectory, bodies, self.walls, fps, slower)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +16,28 @@ from synthcam_shared.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from synthcam.dynamics.orientation import OrientationHistory
+
 TWO_BALLS = ("#2166ac", "#b2182b")
+Colours = Sequence[tuple[float, ...] | None]
 
 
-def choose_colours(count: int) -> list[Any]:
-    """Choose a colour for each body in the drawing of a table."""
-    if count <= len(TWO_BALLS):
-        return list(TWO_BALLS[:count])
-    from matplotlib import colormaps
+class DrawnBodies(NamedTuple):
+    """What an animation shows of bodies."""
 
-    return list(colormaps["tab20"](np.arange(count) % 20))
+    radius: NDArray[np.float64]  # (N,), m
+    colours: Colours = ()  # of those that have one of their own
+    orientation: OrientationHistory | None = None  # of discs with a pattern
+
+
+def choose_colours(count: int, own: Colours = ()) -> list[Any]:
+    """Choose a colour for each body in the drawing of a table: its own, or one that distinguishes it."""
+    usual: list[Any] = list(TWO_BALLS[:count])
+    if count > len(TWO_BALLS):
+        from matplotlib import colormaps
+
+        usual = list(colormaps["tab20"](np.arange(count) % 20))
+    return [theirs or other for theirs, other in zip(own, usual, strict=True)] if own else usual
 
 
 def draw_walls(ax: Axes, walls: Sequence[Wall]) -> None:
@@ -42,7 +54,13 @@ def draw_walls(ax: Axes, walls: Sequence[Wall]) -> None:
 
 
 def draw_paths(
-    ax: Axes, motion: Trajectory, walls: Sequence[Wall], *, max_marked_events: int = 60, max_legend_bodies: int = 6
+    ax: Axes,
+    motion: Trajectory,
+    walls: Sequence[Wall],
+    colours: Colours = (),
+    *,
+    max_marked_events: int = 60,
+    max_legend_bodies: int = 6,
 ) -> None:
     """Draw the paths of all bodies, the walls, and the events unless they are too many, in mm.
 
@@ -50,10 +68,10 @@ def draw_paths(
     """
     breaks = [e.t for e in motion.events]
     times = np.unique(np.concatenate([np.linspace(motion.t0, motion.t1, 400), np.clip(breaks, motion.t0, motion.t1)]))
-    places, colours = 1e3 * motion.at(times)[..., :2], choose_colours(len(motion.legs))
+    places, shown = 1e3 * motion.at(times)[..., :2], choose_colours(len(motion.legs), colours)
     draw_walls(ax, walls)
     few = len(places) <= max_legend_bodies
-    for ball, (path, colour) in enumerate(zip(places, colours, strict=True)):
+    for ball, (path, colour) in enumerate(zip(places, shown, strict=True)):
         ax.plot(*path.T, color=colour, label=f"ball {ball + 1}" if few else None, zorder=1)
         if len(places) > len(TWO_BALLS):
             ax.plot(*path[-1], "o", color=colour, ms=4, zorder=2)
@@ -66,7 +84,7 @@ def draw_paths(
         for ball in {event.i, event.j if event.kind in pair_marks else event.i} - {-1}:
             known = ax.get_legend_handles_labels()[1]
             alone = event.kind in ball_marks
-            style: dict[str, Any] = {"color": colours[ball], "mfc": "white"} if alone else {}
+            style: dict[str, Any] = {"color": shown[ball], "mfc": "white"} if alone else {}
             mark = marks[event.kind]
             ax.plot(*places[ball, at], mark, label=None if label in known else label, ms=6, zorder=2, **style)
     ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
@@ -76,7 +94,7 @@ def draw_paths(
 
 
 def write_animation(
-    path: Path, motion: Trajectory, radius: NDArray[np.float64], walls: Sequence[Wall], fps: float, slower: float
+    path: Path, motion: Trajectory, bodies: DrawnBodies, walls: Sequence[Wall], fps: float, slower: float
 ) -> None:
     """Write a drawn table as an animation, .gif or .mp4. Raises InputError for another ending, or one frame or none."""
     import imageio.v3 as iio
@@ -90,7 +108,7 @@ def write_animation(
         raise InputError(
             f"{path}: {count} frame; expected a larger fps or slower for a motion of {motion.t1 - motion.t0:g} s"
         )
-    frames = list(_draw_frames(motion, radius, walls, np.linspace(motion.t0, motion.t1, count)))
+    frames = list(_draw_frames(motion, bodies, walls, np.linspace(motion.t0, motion.t1, count)))
     if path.suffix.lower() == ".gif":
         iio.imwrite(path, frames, duration=1000 / fps, loop=0)
     else:
@@ -98,34 +116,42 @@ def write_animation(
 
 
 def _draw_frames(
-    motion: Trajectory, radius: NDArray[np.float64], walls: Sequence[Wall], times: NDArray[np.float64]
+    motion: Trajectory, bodies: DrawnBodies, walls: Sequence[Wall], times: NDArray[np.float64]
 ) -> Iterator[NDArray[np.uint8]]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.collections import PatchCollection
+    from matplotlib.collections import LineCollection, PatchCollection
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle
 
     figure = Figure(figsize=(6.4, 4.8), dpi=100, layout="constrained")
     canvas, ax = FigureCanvasAgg(figure), figure.subplots()
     draw_walls(ax, walls)
-    places, size = 1e3 * motion.at(times)[..., :2], 1e3 * np.asarray(radius)
+    places, size = 1e3 * motion.at(times)[..., :2], 1e3 * np.asarray(bodies.radius)
     ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     if not walls:
         low, high = (places + sign * size.max() * 1.5 for sign in (-1, 1))
         ax.set(xlim=(low[..., 0].min(), high[..., 0].max()), ylim=(low[..., 1].min(), high[..., 1].max()))
-    circles = PatchCollection([Circle((0, 0), r) for r in size], facecolors=choose_colours(len(size)), edgecolors="k")
-    ax.add_collection(circles, autolim=False)
+    colours = choose_colours(len(size), bodies.colours)
+    circles = PatchCollection([Circle((0, 0), r) for r in size], facecolors=colours, edgecolors="k")
+    axes = LineCollection([], colors="k", linewidths=1)
+    reach = np.zeros_like(places)  # from the centre of each body to its rim, along the axis of its pattern
+    if history := bodies.orientation:
+        turned = np.array([history.at(k, times).apply([0.0, 0.0, 1.0])[:, :2] for k in range(len(size))])
+        reach = size[:, None, None] * turned
+    for artist in (circles, axes):
+        ax.add_collection(artist, autolim=False)
     title = ax.set_title(f"{times[0]:.3f} s", fontsize="medium")
     canvas.draw()  # type: ignore[no-untyped-call]
     figure.set_layout_engine("none")  # all frames have the layout of the first
-    for artist in (circles, title):
+    for artist in (circles, axes, title):
         artist.set_animated(True)
     canvas.draw()  # type: ignore[no-untyped-call]
     background = canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
     for k, t in enumerate(times):
         circles.set_paths([Circle(tuple(xy), r) for xy, r in zip(places[:, k], size, strict=True)])
+        axes.set_segments(list(np.stack([places[:, k], places[:, k] + reach[:, k]], axis=1)))
         title.set_text(f"{t:.3f} s")
         canvas.restore_region(background)  # type: ignore[no-untyped-call]
-        for artist in (circles, title):
+        for artist in (circles, axes, title):
             ax.draw_artist(artist)
         yield np.array(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam.camera.disc import list_discs
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.room.radiosity import (
@@ -40,6 +41,7 @@ Index = NDArray[np.intp]
 # Up to this distance from its point of contact a ball changes the light on the plate. Over the second distance, this
 # change fades to nothing.
 REACH_RADII, FADE_RADII = 7.0, 3.0
+DISC_REACH_HEIGHTS = 6.0  # further from its rim, a disc hides less than 0.4 % of the sky
 EXCHANGE_REACH_RADII = 5.0  # of many balls: further away, a white one returns less than 4 % of the light
 
 
@@ -74,10 +76,17 @@ class BallView(NamedTuple):
 
 
 class Illumination:
-    """The light of a scene. radii: (N,), m. mirror: the balls' varnish or bare metal; None: dull."""
+    """The light of a scene.
 
-    def __init__(self, lamp: Lamp, finish: SurfaceFinish, radii: Array, mirror: Surface | None) -> None:
+    radii, heights: (N,), m; a height of 0 is a ball's, others are those of discs. mirror: the balls' varnish or bare
+    metal; None: dull. Discs are dull, and no surface mirrors them.
+    """
+
+    def __init__(
+        self, lamp: Lamp, finish: SurfaceFinish, radii: Array, mirror: Surface | None, heights: Array | None = None
+    ) -> None:
         self.finish, self.radii, self.mirror = finish, radii, mirror
+        self.discs = list_discs(radii, np.zeros(len(radii)) if heights is None else heights)
         self.colours = [ball.mean for ball in finish.balls]
         self.plate = np.array(finish.plate)
         cells = [cell for each in lamp.all for cell in _cells(each)]
@@ -85,13 +94,20 @@ class Illumination:
         self.unit = (1 - finish.ambient) / whole  # of a radiance over pi
         self.cells = [replace(cell, strength=cell.strength * self.unit) for cell in cells]
         tables: dict[tuple[bytes, float], PlateExchange] = {}
-        for colour, radius in zip(self.colours, radii.tolist(), strict=True):
-            if (colour.tobytes(), radius) not in tables:
+        for colour, radius, disc in zip(self.colours, radii.tolist(), self.discs, strict=True):
+            if disc is None and (colour.tobytes(), radius) not in tables:
                 made = solve_plate_exchange(partial(self._sources, radius), finish.ambient, colour, self.plate)
                 tables[colour.tobytes(), radius] = made
-        self.bounces = [tables[c.tobytes(), r] for c, r in zip(self.colours, radii.tolist(), strict=True)]
+        self.bounces = [tables.get((c.tobytes(), r)) for c, r in zip(self.colours, radii.tolist(), strict=True)]
         slant = max(np.hypot(*c.position[:2]) / c.position[2] for c in self.cells)
-        self.reach = max(REACH_RADII, 1.5 * slant + np.hypot(slant, 1) + 1)  # radii
+        far = max(REACH_RADII, 1.5 * slant + np.hypot(slant, 1) + 1)
+        self.reaches = np.array(  # radii
+            [
+                1 + disc.height / disc.radius * max(1.5 * slant, DISC_REACH_HEIGHTS) if disc else far
+                for disc in self.discs
+            ]
+        )
+        self.reach = float(self.reaches.max())
 
     def _sources(self, radius: float, spots: Array) -> list[LightSource]:
         """The lamps as seen from spots (n, 3) on the plate, in radii of a ball."""
@@ -132,20 +148,46 @@ class Illumination:
                     others[shares[k][0]] *= shares[k][1]
             others = others[near]
             dim = (bare[near] * others).sum(axis=1) / bare[near].sum(axis=1)  # its light comes from about there
-            thrown = self.bounces[ball].on_plate((points[near, :2] - centre[:2]) / self.radii[ball])
-            total[near] += (local[ball] * fade * dim)[:, None] * thrown
+            offsets, bounces = points[near, :2] - centre[:2], self.bounces[ball]
+            if bounces:
+                thrown = local[ball] * bounces.on_plate(offsets / self.radii[ball])
+            else:
+                thrown = self._from_side(ball, offsets, centre)
+            total[near] += (fade * dim)[:, None] * thrown
         return total
 
     def _near(self, ball: int, points: Array, centre: Array, reach: float = REACH_RADII) -> tuple[Index, Array]:
         """Points of the plate near a ball, and the weight of its reflected light there, which falls to 0 smoothly."""
         r = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1]) / self.radii[ball]
+        full, fading = REACH_RADII, FADE_RADII
+        if self.discs[ball]:
+            full = reach = float(self.reaches[ball])
+            fading = (full - 1) / 2
         near = np.flatnonzero(r < reach)
-        x = np.clip((REACH_RADII - r[near]) / FADE_RADII, 0, 1)
+        x = np.clip((full - r[near]) / fading, 0, 1)
         return near, x * x * (3 - 2 * x)
+
+    def _from_side(self, ball: int, offsets: Array, centre: Array) -> Array:
+        """Light (n, c) that the side of a disc reflects to the plate at offsets (n, 2), m, from its axis."""
+        disc = self.discs[ball]
+        assert disc
+        turn = np.linspace(-np.pi, np.pi, 33)
+        normals = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+        light = self._direct(ball, centre + disc.radius * normals, normals, centre[None], alone=True)
+        angle = np.arctan2(offsets[:, 1], offsets[:, 0])
+        shown = np.stack([np.interp(angle, turn, of_channel) for of_channel in light.T], axis=1)
+        return np.asarray(disc.hide_sky(np.hypot(*offsets.T))[:, None] * self.colours[ball] * shown)
 
     def _unshadowed_shares(self, ball: int, points: Array, centre: Array, soft: float = 0.0) -> tuple[Index, Array]:
         """Points that a ball shadows, and the shares (n, 1 + cells) of the light of sky and lamps that it leaves."""
         near, fade = self._near(ball, points, centre, self.reach)
+        if disc := self.discs[ball]:
+            far = np.hypot(points[near, 0] - centre[0], points[near, 1] - centre[1])
+            shares = [1 - fade * disc.hide_sky(far)]
+            for cell in self.cells:
+                way, size = _direction_and_size(cell, points[near])
+                shares.append(disc.find_visible_share(points[near], way, size, centre, soft))
+            return near, np.stack(shares, axis=1)
         offset = centre - points[near]
         far = np.sqrt(dot(offset, offset))
         wide = np.arcsin(np.clip(self.radii[ball] / far, 0, 1))
@@ -165,16 +207,26 @@ class Illumination:
             total += exchange.on_ball(ball, normals)
         return np.asarray(np.maximum(total, 0))
 
-    def _direct(self, ball: int, points: Array, normals: Array, centres: Array) -> Array:
-        """Light (n, c) of lamps, sky and plate on a ball."""
+    def _direct(self, ball: int, points: Array, normals: Array, centres: Array, *, alone: bool = False) -> Array:
+        """Light (n, c) of lamps, sky and plate on a ball. alone: `centres` is its own, (1, 3)."""
         lamps = np.zeros(len(points))
         for cell in self.cells:
             light = _irradiance(cell, points, normals)
-            for k in self._neighbours(ball, centres):
-                light = light * _visible_share(cell, points, centres[k], self.radii[k])
+            for k in () if alone else self._neighbours(ball, centres):
+                light = light * self._visible_share(k, cell, points, centres[k])
             lamps += light
         sky = self.finish.ambient * (1 + normals[:, 2]) / 2
-        return np.asarray((lamps + sky)[:, None] + self._from_plate(ball, normals, centres))
+        if alone:
+            plate = np.outer(self.bare(centres * [1, 1, 0]) * (1 - normals[:, 2]) / 2, self.plate)
+        else:
+            plate = self._from_plate(ball, normals, centres)
+        return np.asarray((lamps + sky)[:, None] + plate)
+
+    def _visible_share(self, ball: int, cell: LampCell, points: Array, centre: Array) -> Array:
+        """Share (n,) of a lamp's cell that a ball leaves visible from points on other bodies."""
+        if disc := self.discs[ball]:
+            return disc.find_visible_share(points, *_direction_and_size(cell, points), centre)
+        return _visible_share(cell, points, centre, float(self.radii[ball]))
 
     def _neighbours(self, ball: int, centres: Array, reach: float = np.inf) -> list[int]:
         """Other balls up to `reach` radii away, or as far as a shadow falls; of two balls the other one."""
@@ -185,7 +237,9 @@ class Illumination:
     def _from_plate(self, ball: int, normals: Array, centres: Array) -> Array:
         """Light (n, c) from the plate on a ball, reduced by the shadows of other balls on that part of the plate."""
         foot = centres[ball] * [1, 1, 0]
-        out = self.bounces[ball].on_ball(normals) * self.bare(foot[None])[0]
+        if not (bounces := self.bounces[ball]):
+            return self._on_side(ball, normals, centres)
+        out = bounces.on_ball(normals) * self.bare(foot[None])[0]
         if len(centres) == 1:
             return np.asarray(out)
         # A ball's equator looks at the plate 4 radii away: of 1.5 to 4, this is closest to traced light.
@@ -197,11 +251,29 @@ class Illumination:
             left[near] *= kept
         return np.asarray(out * (left.sum(axis=1) / bare.sum(axis=1))[:, None])
 
+    def _on_side(self, ball: int, normals: Array, centres: Array) -> Array:
+        """Light (n, c) from the plate on a disc: that of the plate as far from its side as it is high."""
+        disc = self.discs[ball]
+        assert disc
+        out = np.zeros((len(normals), self.finish.channels))
+        lean = np.flatnonzero(normals[:, 2] < 1 - 1e-9)
+        way = normals[lean] * [1, 1, 0] / np.hypot(*normals[lean, :2].T)[:, None]
+        looks = centres[ball] * [1, 1, 0] + (disc.radius + disc.height) * way
+        light = self._lights(looks)
+        for k in [ball, *self._neighbours(ball, centres)]:
+            near, kept = self._unshadowed_shares(k, looks, centres[k])
+            light[near] *= kept
+        out[lean] = np.outer((1 - normals[lean, 2]) / 2 * light.sum(axis=1), self.plate)
+        return out
+
     def exchange(self, centres: Array) -> BallExchange | None:
         """Exchange of each two balls: the light sent minus the light of plate and sky that the sender hides."""
         if len(centres) == 1:
             return None
-        pairs = [(a, b) for a in range(len(centres)) for b in self._neighbours(a, centres, EXCHANGE_REACH_RADII)]
+        balls = [k for k, disc in enumerate(self.discs) if disc is None]  # of discs one sees little but the top
+        pairs = [
+            (a, b) for a in balls for b in self._neighbours(a, centres, EXCHANGE_REACH_RADII) if self.discs[b] is None
+        ]
         if not pairs:
             return None
         views = [self._view(a, b, centres) for a, b in pairs]
@@ -241,14 +313,15 @@ class Illumination:
 
         paint: its reflectance there, (n, c).
         """
-        normals = _units(points - among.centres[ball])
+        disc, centre = self.discs[ball], among.centres[ball]
+        normals = disc.find_normals(points, centre) if disc else _units(points - centre)
         out = np.zeros((len(points), self.finish.channels))
         if paint.any():
             out += paint * self.on_ball(ball, points, normals, *among)
         if mirrors is None:
             metal = self.mirror is not None and self.mirror.head_on > 0.2
             mirrors = 3 if metal else 1  # reflections of a ray on metal and on varnish
-        if self.mirror is not None and mirrors:
+        if self.mirror is not None and mirrors and not disc:
             away, cosine = mirror_direction(normals, ways)
             out += self.mirror.mirror(cosine)[:, None] * self._around(ball, points, away, among, mirrors - 1)
         return out
@@ -259,7 +332,7 @@ class Illumination:
         out = np.full((len(points), self.finish.channels), self.finish.ambient)
         nearest = np.full(len(points), np.inf)
         meets = np.full(len(points), -1)
-        seen = self._neighbours(ball, centres)
+        seen = [k for k in self._neighbours(ball, centres) if self.discs[k] is None]
         for k in seen:
             offset = points - centres[k]
             b, c = dot(offset, ways), dot(offset, offset) - self.radii[k] ** 2

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from synthcam.camera.disc import measure_cover
 from synthcam.camera.exposure import (
     Array,
     Box,
@@ -40,17 +41,25 @@ FINENESS = 3  # samples of balls and plate per pixel, along rows and along colum
 class RoomRenderer(Renderer):
     """The view of one camera on balls with a `finish` and, unless they are dull, a `mirror`: varnish or bare metal.
 
-    The unit of a picture is the white of a plate of reflectance 1 at the world's origin. radii: one a ball, m. Raises
-    ValueError if a lamp is in view.
+    The unit of a picture is the white of a plate of reflectance 1 at the world's origin. radii: one a ball, m. heights:
+    those of discs, m, and 0 of balls. Raises ValueError if a lamp is in view.
     """
 
     def __init__(
-        self, camera: PinholeCamera, lamp: Lamp, radii: Sequence[float], finish: SurfaceFinish, mirror: Surface | None
+        self,
+        camera: PinholeCamera,
+        lamp: Lamp,
+        radii: Sequence[float],
+        finish: SurfaceFinish,
+        mirror: Surface | None,
+        heights: Sequence[float] = (),
     ) -> None:
         super().__init__(camera, lamp, np.array(radii, float))
         self.finish = finish
-        self.shade = Illumination(lamp, finish, self.radii, mirror)
-        self.reach = self.shade.reach
+        tall = np.array(heights or np.zeros(len(self.radii)), float)
+        self.extents = self.radii + tall / 2  # of balls that enclose the bodies
+        self.shade = Illumination(lamp, finish, self.radii, mirror, tall)
+        self.reach = self.shade.reaches
         self._points = self._meet_plate(*(np.arange(n, dtype=float) for n in camera.size))
         self._bare = self.shade.bare(self._points.reshape(-1, 3)).reshape(self._points.shape[:2])
         self.plates = self._draw_plates()
@@ -176,7 +185,7 @@ class RoomRenderer(Renderer):
         """First column and row, and width, of a square that holds a ball and its blur."""
         own = np.s_[None, ball : ball + 1]
         pixels, slope = self.camera.project_with_slope(centres[own])
-        half = float(outline_half_width(self.camera, centres[own], self.radii[own[1]], slope)[0, 0])
+        half = float(outline_half_width(self.camera, centres[own], self.extents[own[1]], slope)[0, 0])
         half += 1 + self.psf.margin
         return np.floor(pixels[0, 0] - half).astype(int), int(2 * half) + 3
 
@@ -192,7 +201,11 @@ class RoomRenderer(Renderer):
         tiles[0] = share
         if len(rows):
             ways = way[rows, columns]
-            points = self._meet_ball(centres[ball], self.radii[ball], ways)
+            disc = self.shade.discs[ball]
+            if disc:
+                points, _ = disc.meet(self.camera.centre, ways, centres[ball])
+            else:
+                points = self._meet_ball(centres[ball], self.radii[ball], ways)
             own_finish = self.finish.balls[ball]
             sharp = self.camera.scale / (FINENESS * self.radii[ball])
             paint = own_finish.paint((points - centres[ball]) / self.radii[ball] @ turn, sharp)
@@ -200,20 +213,31 @@ class RoomRenderer(Renderer):
             tiles[1:, rows, columns] = (share[rows, columns, None] * seen).T
         blur = blur_matrix(width, self.psf.margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
         images = blur_tiles(tiles, blur)
-        if self.shade.mirror is not None:
+        if self.shade.mirror is not None and not self.shade.discs[ball]:
             images[1:] += self._draw_glints(ball, centres, low, width, self.shade.mirror)
         return self.psf.spread(images)
 
     def _shares(self, ball: int, centres: Array, way: Array) -> Array:
         """Share of each sample in which this ball is in front. Outlines are ramps one sample wide."""
-        own, near = _cover(self.camera.centre, way, centres[ball], self.radii[ball])
-        at, scale = self.camera.project(centres), self.radii / self.camera.scale
+        own, near = self._cover(ball, centres, way)
+        at, scale = self.camera.project(centres), self.extents / self.camera.scale
         for k in range(len(centres)):
             apart = np.hypot(*(at[k] - at[ball])) > 2 * (scale[k] + scale[ball]) + 2 and len(centres) > 2
             if k != ball and not apart:
-                other, before = _cover(self.camera.centre, way, centres[k], self.radii[k])
+                other, before = self._cover(k, centres, way)
                 own = own * np.where(before < near, 1 - other, 1)
         return own
+
+    def _cover(self, ball: int, centres: Array, way: Array) -> tuple[Array, Array]:
+        """Share of each sample that a body covers, and its distance, m."""
+        if disc := self.shade.discs[ball]:
+            miss, _ = disc.find_miss(self.camera.centre, way, centres[ball])
+            return measure_cover(miss, disc.radius), disc.meet(self.camera.centre, way, centres[ball])[1]
+        offset, radius = centres[ball] - self.camera.centre, self.radii[ball]
+        along = way @ offset
+        aside = offset - along[..., None] * way
+        miss = np.sqrt(dot(aside, aside))
+        return measure_cover(miss, radius), along - np.sqrt(np.maximum(radius**2 - miss**2, 0))
 
     def _meet_ball(self, centre: Array, radius: float, ways: Array) -> Array:
         """Points (n, 3) at which rays meet a ball; of a ray that misses it, the nearest point of its surface."""
@@ -225,12 +249,13 @@ class RoomRenderer(Renderer):
 
     def _draw_glints(self, ball: int, centres: Array, low: Index, width: int, mirror: Surface) -> Float32:
         """Images (width steps, width steps) of the lamps in a ball."""
-        light = (np.arange(len(centres)) == ball)[None].astype(float)
-        found = []
+        balls = [k for k, disc in enumerate(self.shade.discs) if disc is None]
+        light = (np.array(balls) == ball)[None].astype(float)
+        centres, radii, found = centres[balls], self.radii[balls], []
         for lamp in self.lamp.all:
-            whole = find_glints(self.camera, lamp, centres[None], self.radii, light, mirror)
+            whole = find_glints(self.camera, lamp, centres[None], radii, light, mirror)
             cut = GlintSettings(narrow_cell(self.camera, lamp, whole.spread[:1]))
-            found.append(find_glints(self.camera, lamp, centres[None], self.radii, light, mirror, cut))
+            found.append(find_glints(self.camera, lamp, centres[None], radii, light, mirror, cut))
         glints = join_glints(found)
         variances = glints.spread + self.camera.psf_sigma_px**2
         rows, columns = integrate_spots(glints.pixels, variances, low[None].astype(float), width, self.psf.steps)
@@ -250,14 +275,3 @@ class RoomRenderer(Renderer):
         if self._vignette is not None:
             total[1:] *= self._vignette[box]
         return total
-
-
-def _cover(eye: Array, way: Array, centre: Array, radius: float) -> tuple[Array, Array]:
-    """Share of each sample that a ball covers, and its distance, m."""
-    offset = centre - eye
-    along = way @ offset
-    aside = offset - along[..., None] * way
-    miss = np.sqrt(dot(aside, aside))
-    down, across = np.gradient(miss)
-    share = np.clip((radius - miss) / np.maximum(np.hypot(down, across), 1e-12) + 0.5, 0, 1)
-    return np.where(miss < 0.5 * radius, 1.0, share), along - np.sqrt(np.maximum(radius**2 - miss**2, 0))
