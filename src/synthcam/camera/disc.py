@@ -31,29 +31,28 @@ class Disc:
         """
         offset = start - centre
         down = np.where(np.abs(ways[..., 2]) < 1e-9, 1e-9, ways[..., 2])
-        ends = np.stack([(side * self.height / 2 - offset[..., 2]) / down for side in (-1, 1)])
-        first, last = np.maximum(np.sort(ends, axis=0), 0)
-        across = np.maximum((ways[..., :2] ** 2).sum(axis=-1), 1e-18)
-        nearest = np.clip(-(offset[..., :2] * ways[..., :2]).sum(axis=-1) / across, first, last)
-        x, y = (offset[..., k] + nearest * ways[..., k] for k in (0, 1))
-        return np.hypot(x, y), nearest
+        ends = [(side * self.height / 2 - offset[..., 2]) / down for side in (-1, 1)]
+        first, last = (np.maximum(order(*ends), 0) for order in (np.minimum, np.maximum))
+        u, v = ways[..., 0], ways[..., 1]
+        nearest = -(offset[..., 0] * u + offset[..., 1] * v) / np.maximum(u * u + v * v, 1e-18)
+        nearest = np.minimum(np.maximum(nearest, first), last)
+        x, y = offset[..., 0] + nearest * u, offset[..., 1] + nearest * v
+        return np.sqrt(x * x + y * y), nearest
 
     def meet(self, eye: Array, ways: Array, centre: Array) -> tuple[Array, Array]:
         """Find where rays from above meet the disc: points (..., 3) on its surface, and their distances from the eye.
 
         A ray that misses it gets the nearest point of its rim.
         """
-        offset = eye - centre
-        top, bottom = ((side * self.height / 2 - offset[2]) / ways[..., 2] for side in (1, -1))
-        along, square = ways[..., :2] @ offset[:2], np.maximum((ways[..., :2] ** 2).sum(axis=-1), 1e-18)
+        offset, (u, v, w) = eye - centre, (ways[..., k] for k in range(3))
+        top, bottom = ((side * self.height / 2 - offset[2]) / w for side in (1, -1))
+        along, square = u * offset[0] + v * offset[1], np.maximum(u * u + v * v, 1e-18)
         root = np.sqrt(np.maximum(along**2 - square * (offset[:2] @ offset[:2] - self.radius**2), 0))
-        far = np.clip((-along - root) / square, top, bottom)
-        out = offset + far[..., None] * ways
-        rim = np.hypot(out[..., 0], out[..., 1])
-        over = np.hypot(*(offset[k] + top * ways[..., k] for k in (0, 1))) <= self.radius
-        far, out = np.where(over, top, far), np.where(over[..., None], offset + top[..., None] * ways, out)
-        out[..., :2] *= np.where(over, 1, self.radius / np.maximum(rim, 1e-12))[..., None]
-        return centre + out, far
+        over = (offset[0] + top * u) ** 2 + (offset[1] + top * v) ** 2 <= self.radius**2
+        far = np.where(over, top, np.minimum(np.maximum((-along - root) / square, top), bottom))
+        x, y, z = offset[0] + far * u, offset[1] + far * v, offset[2] + far * w
+        shrink = np.where(over, 1, self.radius / np.sqrt(np.maximum(x * x + y * y, 1e-24)))
+        return centre + np.stack([shrink * x, shrink * y, z], axis=-1), far
 
     def find_normals(self, points: Array, centre: Array) -> Array:
         """Find the unit normals (n, 3) at points of the surface."""

@@ -216,13 +216,38 @@ def noise_tables(mean: float, read_noise: float) -> tuple[Array, Array]:
         high = numbers[np.maximum(len(numbers) - 1 - np.searchsorted(above[::-1], at / CELLS_OF_TABLE), 0)]
         return middle, np.stack([low, high])
     grid = np.linspace(max(mean - 9 * spread, -9 * read_noise), mean + 9 * spread + 20, 4096)
-    scores = (grid[:, None] - numbers) / read_noise
-    below, above = ndtr(scores) @ weights, ndtr(-scores) @ weights
+    below, above = _integrate_noise(grid, numbers, weights, read_noise)
     middle = np.interp(at, below, grid)
     # On a logarithmic scale, the interpolation stays accurate in the tails.
     low = np.interp(np.log(at / CELLS_OF_TABLE), np.log(below + 1e-300), grid)
     high = np.interp(np.log(at / CELLS_OF_TABLE), np.log(above[::-1] + 1e-300), grid[::-1])
     return middle, np.stack([low, high])
+
+
+def _integrate_noise(grid: Array, numbers: Array, weights: Array, read_noise: float) -> tuple[Array, Array]:
+    """Compute the probabilities of fewer and of more electrons than those of a grid.
+
+    numbers, weights: of the electrons without read noise, the numbers rising by 1. Each tail is summed from its own end
+    and the other side follows from it, so both tails keep their digits.
+    """
+    rows_at_once, last_score = 64, 10.0  # ndtr(-10) is 1e-23
+    below, above = np.empty(len(grid)), np.empty(len(grid))
+    sums = np.concatenate([[0.0], np.cumsum(weights)])
+    rest = np.concatenate([np.cumsum(weights[::-1])[::-1], [0.0]])
+    middle = numbers @ weights
+    for first in range(0, len(grid), rows_at_once):
+        rows = slice(first, first + rows_at_once)
+        at = grid[rows]
+        reach = last_score * read_noise
+        low, high = np.searchsorted(numbers, (at[0] - reach, at[-1] + reach))
+        scores = (at[:, None] - numbers[low:high]) / read_noise
+        if at[-1] < middle:
+            below[rows] = sums[low] + ndtr(scores) @ weights[low:high]
+            above[rows] = sums[-1] - below[rows]
+        else:
+            above[rows] = rest[high] + ndtr(-scores) @ weights[low:high]
+            below[rows] = sums[-1] - above[rows]
+    return below, above
 
 
 def _generator(root_seed: int, key: tuple[int, ...]) -> np.random.Generator:

@@ -258,7 +258,7 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
 
 def list_kinds(drawn: dict[str, Any]) -> list[dict[str, Any]]:
     """List the kind of each body of the drawn settings."""
-    kinds: Any = drawn["bodies"]
+    kinds: Any = drawn.get("bodies")
     return kinds if isinstance(kinds, list) else [kinds] * len(drawn.get("launches") or ())
 
 

@@ -108,6 +108,11 @@ class Clip:
         """Radiance of the surroundings that a mirror ball shows, over the peak of its glint."""
         return float(self.drawn["lamp"]["room"])
 
+    @property
+    def plate_level(self) -> float:
+        """z of the plate, m: 0, or half a height below discs, whose centres are as high as those of balls."""
+        return self.model.ball.radius - float(self.heights.max()) / 2 if self.heights.any() else 0.0
+
     @cached_property
     def view(self) -> FilmedMotion:
         """The motion over all frames in film time, with the effects of clock and shutter."""
@@ -173,10 +178,7 @@ class Clip:
     def _expose(self, frames: range, *, by_tables: bool = True) -> Iterator[Counts]:
         varnish = build_varnish(self.surface, self.drawn) if self.finish else None
         radii = self.launch.bodies.radius.tolist()
-        tall = self.heights.tolist()
-        level = (
-            self.model.ball.radius - max(tall) / 2 if any(tall) else 0.0
-        )  # the centres of discs are where balls' are
+        tall, level = self.heights.tolist(), self.plate_level
         setup = OpticalSetup(self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish, tall, level)
         colour = bool(self.drawn["camera"].get("colour"))
         key, view = (self.seed, self.number), self.view

@@ -96,6 +96,24 @@ def test_a_ball_starts_in_the_air_or_without_rolling():
         (lambda s: s.update(walls=[{"centre": [0, 0], "radius": 5e-3}]), "launches.0: the body is beyond wall 0"),
         (lambda s: s.update(bodies=[{}, {}, {}]), "bodies: 3 of them and 2 launches"),
         (lambda s: s.update(bodies={"shape": "cube"}), r"bodies\.shape: expected"),
+        (
+            lambda s: s.update(bodies=[{"shape": "disc", "height": 2e-3}, {}], support={"kind": "air"}),
+            "bodies: disc 0 is 0.002 m high; expected that of the balls beside it, 0.00238 m",
+        ),
+        (
+            lambda s: s.update(bodies=[{"shape": "disc", "height": h} for h in (1e-3, 2e-3)], support={"kind": "air"}),
+            "bodies: disc 1 is 0.002 m high; expected one height for all",
+        ),
+        (lambda s: s.update(bodies={"height": 1e-3}), "bodies: body 0 is a ball; expected no height, or shape: disc"),
+        (
+            lambda s: s.update(bodies={"shape": "disc"}, support={"kind": "air"}, surface={"ball": "steel"}),
+            "surface.ball: steel is of balls alone; expected matte for discs",
+        ),
+        (lambda s: s.update(bodies={"colour": "red"}), "bodies: colour of body 0: expected together with surface.ball"),
+        (
+            lambda s: s.update(bodies={"colour": "mauve"}, surface={"ball": "matte"}),
+            "bodies.colour: expected .*white.*",
+        ),
         (lambda s: s.update(bodies={"mass": -1}), r"bodies\.mass: expected a number above 0"),
         (lambda s: s.update(contact_duration=10.0), "contact_duration: expected a number of 0.01 or less"),
         (lambda s: s["launches"][0].update(spin=1e300), r"launches\.0\.spin: expected a number of 100000 or less"),
@@ -157,6 +175,27 @@ def test_what_cannot_be_is_one_line(change, line):
         check_scene(changed(change), "scene.yaml")
     assert "\n" not in str(refused.value)
     assert str(refused.value).startswith("scene.yaml")
+
+
+def test_each_body_has_its_colour_and_its_height():
+    """In the film, in the drawing from above and for the light; those of a group take turns."""
+    kinds = [{"colour": "red", "pattern": "half"}, {"colour": [0.1, 0.2, 0.3], "albedo": 1.0}]
+    group = {"count": 3, "size": [0.01, 0.005], "centre": [0, 0.01], "body": kinds}
+    scene = TRAY | {"bodies": {"shape": "solid"}, "groups": [group], "surface": {"ball": "matte"}}
+    clip = check_scene(scene | {"camera": {"colour": True}}, "scene").draw()
+    red, own, white = (0.6375, 0.0425, 0.0425), (0.1, 0.2, 0.3), (0.85, 0.8245, 0.765)
+    assert clip.finish is not None
+    np.testing.assert_allclose([ball.colour for ball in clip.finish.balls], [white, white, red, own, red])
+    assert [ball.pattern for ball in clip.finish.balls][1:4] == ["plain", "half", "plain"]
+    shown = clip.solve().colours
+    assert shown[0] is None
+    np.testing.assert_allclose(np.array(shown[3]) ** 2.2, own)
+    flat = TRAY | {"bodies": {"shape": "disc", "pattern": "half"}, "support": {"kind": "air"}}
+    discs = check_scene(flat, "scene").draw()
+    np.testing.assert_allclose(discs.heights, 0.00238 / 4)
+    assert discs.finish is not None  # discs are matte
+    axis = discs.orientation.at(0, np.array([0.0, 0.04])).apply([0, 0, 1])
+    np.testing.assert_allclose(axis[:, 2], 0, atol=1e-12)  # in their plane
 
 
 def test_an_animation(tmp_path):

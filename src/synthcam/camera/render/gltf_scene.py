@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from synthcam.camera.lamp import Lamp
 
@@ -21,9 +22,10 @@ material: Any = untyped.visual.material.PBRMaterial
 
 @dataclass(frozen=True)
 class BallMotion:
-    """The motion of one ball of `radius` m."""
+    """The motion of one ball of `radius` m, or of a disc of a `height`, m."""
 
     radius: float
+    height: float  # 0 of a ball
     times: Array  # increasing (T,), s
     positions: Array  # at these times (T, 3), m
     turn_times: Array  # increasing (S,), s
@@ -40,11 +42,12 @@ def glb(
     roughness: float,
     plate: float | tuple[float, ...],
     dull: bool,
+    level: float = 0.0,
 ) -> bytes:
     """A binary glTF file of one clip.
 
     camera: the keys of camera.json; glTF has no lens distortion. lamps: each with its candela. steel, plate: base
-    colours of metals; a `dull` plate is not a metal. roughness: glTF's, of the balls.
+    colours of metals; a `dull` plate is not a metal. roughness: glTF's, of the balls. level: z of the plate, m.
     """
     colours = {"plate": plate, "steel": steel}
     lights = {f"light{k or ''}": each for k, each in enumerate(lamps)}
@@ -89,13 +92,17 @@ def glb(
             surface = {"metallicFactor": 0.0, "roughnessFactor": roughness}
             tree["materials"].append({"name": f"matte{k}", "pbrMetallicRoughness": surface})
 
-    scene = _scene(camera, balls, lights, roughness)
+    scene = _scene(camera, balls, lights, roughness, level)
     export = untyped.exchange.gltf.export_glb
     return bytes(export(scene, include_normals=True, buffer_postprocessor=animate, tree_postprocessor=complete))
 
 
 def _scene(
-    camera: dict[str, Any], balls: list[BallMotion], lights: dict[str, tuple[Lamp, float]], roughness: float
+    camera: dict[str, Any],
+    balls: list[BallMotion],
+    lights: dict[str, tuple[Lamp, float]],
+    roughness: float,
+    level: float,
 ) -> Any:
     """Plate, balls, lamps and camera as trimesh's scene."""
     scene = untyped.Scene(base_frame="scene")
@@ -111,7 +118,6 @@ def _scene(
         )
 
     thickness = 1e-3  # of the plate, m
-    subdivisions = 4  # of an icosahedron: outlines are then round to 1e-3 of the radius
     side = 1.5 * max(camera["size"]) * camera["scale"]
     plate = untyped.creation.box([side, side, thickness])
     plate.unmerge_vertices()  # with shared corners it would be shaded like a dome
@@ -119,21 +125,33 @@ def _scene(
         material(name=name, metallicFactor=1.0, roughnessFactor=rough)
         for name, rough in (("plate", 1.0), ("steel", roughness))
     )
-    add("plate", plate, [0.0, 0.0, -thickness / 2], black)
+    add("plate", plate, [0.0, 0.0, level - thickness / 2], black)
     for k, ball in enumerate(balls):
-        sphere = untyped.creation.icosphere(subdivisions + (ball.paint is not None), ball.radius)
+        body = _body(ball)
         if ball.paint:  # as colours of the corners, which glTF takes as linear; its material is set later
-            corners = sphere.vertices / np.linalg.norm(sphere.vertices, axis=1, keepdims=True)
+            corners = body.vertices / ball.radius
             shown = np.rint(255 * np.broadcast_to(ball.paint(corners), corners.shape)).astype(np.uint8)
             opaque = np.pad(shown, ((0, 0), (0, 1)), constant_values=255)
-            sphere.visual = untyped.visual.ColorVisuals(sphere, vertex_colors=opaque)
-        add(f"ball{k}", sphere, ball.positions[0], None if ball.paint else steel)
+            body.visual = untyped.visual.ColorVisuals(body, vertex_colors=opaque)
+        add(f"ball{k}", body, ball.positions[0], None if ball.paint else steel)
     lamp_material = material(name="lamp", baseColorFactor=[0.0, 0.0, 0.0, 1.0], emissiveFactor=[1.0, 1.0, 1.0])
     for name, (lamp, _) in lights.items():
         add(name.replace("light", "lamp"), _shape(lamp), lamp.position, lamp_material, lamp.axes * [1, 1, -1])
     for name in (*lights, "camera"):
         scene.graph.update(frame_from="table", frame_to=name)
     return scene
+
+
+def _body(ball: BallMotion) -> Any:
+    """A body's mesh, fine enough for its colours. A disc lies flat once its first turn has been applied."""
+    subdivisions = 4  # of an icosahedron: outlines are then round to 1e-3 of the radius
+    if not ball.height:
+        return untyped.creation.icosphere(subdivisions + (ball.paint is not None), ball.radius)
+    disc = untyped.creation.cylinder(ball.radius, ball.height, sections=64)
+    for _ in range(subdivisions - 1 if ball.paint else 0):
+        disc = disc.subdivide()
+    disc.vertices = Rotation.from_quat(ball.turns[0]).inv().apply(disc.vertices)
+    return disc
 
 
 def _perspective(camera: dict[str, Any]) -> dict[str, Any]:

@@ -158,14 +158,16 @@ class Illumination:
 
     def _near(self, ball: int, points: Array, centre: Array, reach: float = REACH_RADII) -> tuple[Index, Array]:
         """Points of the plate near a ball, and the weight of its reflected light there, which falls to 0 smoothly."""
-        r = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1]) / self.radii[ball]
         full, fading = REACH_RADII, FADE_RADII
         if self.discs[ball]:
             full = reach = float(self.reaches[ball])
             fading = (full - 1) / 2
-        near = np.flatnonzero(r < reach)
-        x = np.clip((full - r[near]) / fading, 0, 1)
-        return near, x * x * (3 - 2 * x)
+        x, y, radius = points[:, 0] - centre[0], points[:, 1] - centre[1], self.radii[ball]
+        near = np.flatnonzero(np.maximum(np.abs(x), np.abs(y)) < reach * radius * (1 + 1e-9))
+        r = np.hypot(x[near], y[near]) / radius
+        inside = r < reach
+        weight = np.clip((full - r[inside]) / fading, 0, 1)
+        return near[inside], weight * weight * (3 - 2 * weight)
 
     def _from_side(self, ball: int, offsets: Array, centre: Array) -> Array:
         """Light (n, c) that the side of a disc reflects to the plate at offsets (n, 2), m, from its axis."""

@@ -41,13 +41,17 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             own = (jumps["i"] == number) | (jumps["j"] == number)
             times, positions, spins = _keys(ball, jumps.loc[own, "t_s"].to_numpy(float))
             resting = ball.loc[ball["state"] != "fly", "z"]
-            radius = float(resting.median()) if len(resting) else clip.camera_json["ball_diameter"] / 2
+            radius, height = clip.camera_json["ball_diameter"] / 2, float(drawn.heights[number])
+            if height:
+                radius = float(drawn.launch.bodies.radius[number])
+            elif len(resting):
+                radius = float(resting.median())
             first = ball[["qx", "qy", "qz", "qw"]].iloc[0].to_numpy(float) if "qx" in ball else None
             paint = partial(finish.balls[number].paint, sharp=0.02) if finish and matte else None
-            balls.append(BallMotion(radius, times, positions, *_turns(times, spins, first), paint))
+            balls.append(BallMotion(radius, height, times, positions, *_turns(times, spins, first), paint))
         look = _light_room(drawn) if finish else _light_mirrors(drawn)
         (folder / f"{clip.number:06d}.glb").write_bytes(
-            glb(clip.camera_json, balls, steel=drawn.surface.head_on, **look)
+            glb(clip.camera_json, balls, steel=drawn.surface.head_on, level=drawn.plate_level, **look)
         )
 
 

@@ -22,7 +22,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from synthcam.dynamics.contacts.rigid_group import split
 from synthcam.dynamics.forces import Forces
@@ -260,6 +259,8 @@ def follow_contacts(
 
         overlap.terminal, overlap.direction = True, -1  # type: ignore[attr-defined]
         return overlap
+
+    from scipy.integrate import solve_ivp  # here alone: slow to load
 
     first = np.concatenate([np.array([states[k] for k in members]).ravel(), [c.given for c in contacts]])
     done = solve_ivp(

@@ -82,3 +82,32 @@ def test_wide_lamps_are_cut_and_keep_their_light():
     found = shade(0.0, lamp=wide)
     assert len(found.cells) > 4
     assert found.bare(np.zeros((1, 3)))[0] == pytest.approx(1)
+
+
+def test_a_disc_takes_the_light_of_the_rays_that_it_meets():
+    """Black, in the light of random rays to lamp and sky, which meet its side or its top."""
+    radius, height, rng = 0.03, 0.02, np.random.default_rng(2)
+    lamp = Lamp(np.array([0.5, 0.2, 0.6]), 0.05)
+    black = BallFinish((0.0,), (0.0,))
+    shade = Illumination(
+        lamp, SurfaceFinish((black,), (0.5,), ambient=0.4), np.array([radius]), None, np.array([height])
+    )
+    away, angle = np.array([0.031, 0.034, 0.04, 0.05, 0.045]), np.array([3.3, 3.7, 3.5, 3.6, 0.4])
+    points = np.column_stack([away * np.cos(angle), away * np.sin(angle), 0 * away])
+    found = shade.on_plate(points, np.array([[0, 0, height / 2]]))[:, 0]
+    n = 20_000
+    turn, share = rng.uniform(0, 2 * np.pi, (2, n)), rng.random((2, n))
+    sky = np.stack([np.sqrt(share[0]) * np.cos(turn[0]), np.sqrt(share[0]) * np.sin(turn[0]), np.sqrt(1 - share[0])])
+    spots = lamp.position + 0.05 * np.sqrt(share[1])[:, None] * (
+        np.cos(turn[1])[:, None] * lamp.axes[:, 0] + np.sin(turn[1])[:, None] * lamp.axes[:, 1]
+    )
+
+    def is_free(point, ways):
+        """Whether rays miss the cylinder: at the steps where they are level with it."""
+        steps = np.linspace(0, 1, 60)[:, None] * height / ways[:, 2]
+        return (np.hypot(*(point[k] + steps * ways[:, k] for k in (0, 1))) > radius).all(axis=0)
+
+    for point, value in zip(points, found, strict=True):
+        exact = 0.4 * is_free(point, sky.T).mean()
+        exact += (shade.bare(point[None])[0] - 0.4) * is_free(point, spots - point).mean()
+        assert value == pytest.approx(exact, abs=0.02)

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from synthcam.camera.lamp import Flicker, Lamp
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.room.finish import BallFinish, SurfaceFinish
 from synthcam.camera.room.room_renderer import RoomRenderer
 from synthcam.camera.surface import IRON_N_K, Surface
+from synthcam.scene.outlines import find_boxes, label_pixels
 
 R = 0.01
 LAMP = Lamp(np.array([0.15, 0.1, 0.5]), 0.02)
@@ -152,3 +154,22 @@ def test_mains_and_rolling_shutter():
 def test_what_no_film_can_show():
     with pytest.raises(ValueError, match="is between the camera and the plate"):
         RoomRenderer(overhead(), Lamp(np.array([0.0, 0.0, 0.3]), 0.01), [R], look(), None)
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.3, -0.2)])
+def test_a_black_disc_hides_its_outline(tilt):
+    """Beside a ball, in even light without shadows: what is missing is what `label_pixels` says."""
+    camera, height = overhead(tilt=tilt), 0.012
+    at, radii, heights = np.array([[0.02, -0.01, height / 2], [0.045, -0.01, R]]), [1.2 * R, R], [height, 0.0]
+    film = RoomRenderer(camera, LAMP, radii, look(BLACK, BLACK, ambient=0.0), None, heights)
+    film.shade.cells = []
+    film.shade.finish = SurfaceFinish((BLACK, BLACK), (0.5,), ambient=1.0)
+    film.shade._unshadowed_shares = lambda ball, points, centre, soft=0.0: (np.zeros(0, int), np.ones((0, 1)))
+    film._bare = np.ones(film._bare.shape)
+    missing = 1 - one(film, *at)[0].image / film.plates[0]
+    radii, heights = np.array(radii), np.array(heights)
+    covered = label_pixels(camera, at, radii, find_boxes(camera, at, radii, heights), np.array([1, 2]), heights) > 0
+    blurred = gaussian_filter(covered.astype(float), 0.8)
+    assert missing.sum() == pytest.approx(covered.sum(), rel=0.01)
+    assert np.abs(missing - blurred).max() < 0.3  # half a pixel of an edge
+    assert np.abs(missing - blurred).mean() < 0.003
