@@ -84,11 +84,12 @@ class FilmedMotion:
 
     def breaks(self) -> Array:
         """Film times of all events, rising, s."""
-        if not self._has_own_clock:
-            return np.sort(np.array([e.t for e in self.motion.events for _ in {e.i, e.j} - {-1}]))
         out, (turns, rounding) = [], TURNS_AND_ROUNDING_S
         balls_of = ((e, {e.i} if e.kind == "wall" else {e.i, e.j} - {-1}) for e in self.motion.events)
-        for event, ball in ((event, ball) for event, balls in balls_of for ball in balls):
+        pairs = [(event, ball) for event, balls in balls_of for ball in balls]
+        if not self._has_own_clock:
+            return np.sort(np.array([event.t for event, _ in pairs]))
+        for event, ball in pairs:
             film = event.t
             for _ in range(turns):
                 late = event.t - float(self.times(np.array([film]))[ball, 0])

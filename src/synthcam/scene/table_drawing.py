@@ -138,8 +138,8 @@ def _draw_frames(
     if history := bodies.orientation:
         turned = np.array([history.at(k, times).apply([0.0, 0.0, 1.0])[:, :2] for k in range(len(size))])
         reach = size[:, None, None] * turned
-    for artist in (circles, axes):
-        ax.add_collection(artist, autolim=False)
+    ax.add_collection(circles, autolim=False)
+    ax.add_collection(axes, autolim=False)
     title = ax.set_title(f"{times[0]:.3f} s", fontsize="medium")
     canvas.draw()  # type: ignore[no-untyped-call]
     figure.set_layout_engine("none")  # all frames have the layout of the first
