@@ -85,6 +85,56 @@ def test_a_short_contact_is_an_impact():
     assert left[2] < left[1] / 5
 
 
+def follow_stiff_contact(before, duration, restitution, friction, turns):
+    """Integrate spring, damper and Coulomb's friction between two balls, and that of the plate, by an implicit method.
+
+    turns: whether the friction follows the slip; otherwise it keeps the direction that the slip has at first. The plate
+    holds back the vertical part of the friction. Returns the velocities and the tangential impulse on the target.
+    """
+    w, g, grip, kept = math.pi / duration, -math.log(restitution) / duration, 0.232 * 9.81, {}
+
+    def law(_, y):
+        now = y[:18].reshape(2, 9)
+        x, v, spin = now[:, :2], now[:, 3:5], R * now[:, 6:9]
+        far = math.hypot(*(x[0] - x[1]))
+        n, u = np.array([*(x[0] - x[1]) / far, 0.0]), np.array([*(v[0] - v[1]), 0.0])
+        press = M / 2 * ((w * w + g * g) * (2 * R - far) - 2 * g * (u @ n))
+        slip = u - (u @ n) * n - np.cross(spin[0] + spin[1], n)
+        hat = slip / math.hypot(np.linalg.norm(slip), 1e-5)
+        rub = -friction * press * (hat if turns else kept.setdefault("hat", hat))
+        out = np.zeros((2, 9))
+        out[:, :2] = v
+        for k, sign in ((0, 1), (1, -1)):
+            low = v[k] + np.array([-spin[k, 1], spin[k, 0]])
+            plate = -grip * low / math.hypot(*low, 1e-5)
+            out[k, 3:5] = sign * (press * n + rub)[:2] / M + plate
+            out[k, 6:9] = np.cross(-n, rub) / (0.4 * M * R) + np.array([plate[1], -plate[0], 0]) / (0.4 * R)
+        return [*out.ravel(), rub[:2] @ [-n[1], n[0]]]
+
+    def parts(_, y):
+        return 2 * R - math.hypot(*(y[:2] - y[9:11])) + 1e-12
+
+    parts.terminal, parts.direction = True, -1
+    limits = {"rtol": 1e-7, "atol": 1e-13, "max_step": duration / 20}
+    first = [*np.ravel(before), 0.0]
+    last = solve_ivp(law, (0, 20 * duration), first, method="Radau", events=parts, **limits).y[:, -1]
+    return last[:18].reshape(2, 9)[:, 3:5], last[18]
+
+
+@pytest.mark.parametrize(("b", "friction", "least"), [(0.3, 0.05, 0.96), (0.3, 0.15, 0.85), (0.9, 0.15, 0.98)])
+def test_friction_in_a_contact_keeps_its_direction(b, friction, least):
+    """It is that of a stiff integration. If it followed the slip, the tangential impulse would be smaller."""
+    model = Model(restitution=0.8, rolling_drag=0.0, rolling_decel=0.0, effects=(BallFriction(mu=friction),))
+    states = rolling_state(np.array([[0.0, 0.0], [-0.01, 2 * R * b]]), np.array([[0.0, 0.0], [0.3, 0.0]]), 0.0, R)
+    table = Table(spring=ContactSpring("linear", 1e-4))
+    hit = solve(model, Launch(0.0, states, BALLS), 0.0, 0.06, table=table).first("contact")
+    velocities, impulse = follow_stiff_contact(hit.before, 1e-4, 0.8, friction, turns=False)
+    np.testing.assert_allclose(hit.after[:, 3:5], velocities, rtol=0, atol=2e-5)
+    assert hit.impulse_t == pytest.approx(impulse, rel=1e-3)
+    _, turned = follow_stiff_contact(hit.before, 1e-4, 0.8, friction, turns=True)
+    assert least < turned / hit.impulse_t < 1
+
+
 def test_the_plate_rubs_balls_in_a_soft_contact():
     """Against the equations with a small step of another integrator, head-on, in 8 ms."""
     model = Model(restitution=0.7, spin_transfer=0.25, rolling_drag=0.0, rolling_decel=0.0)
