@@ -9,6 +9,7 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -107,9 +108,9 @@ def track(
 
     started = time.monotonic()
     options = FilmOptions(times, select, fields, frames, region, str(mask or ""), tuple(ball or ()))
-    films, channel = open_source(source, camera, options), name_channel(channel, colour)
+    films = replace(open_source(source, camera, options), channel=name_channel(channel, colour))
     with progress_bar("frames" if len(films) == 1 else "clips") as progress:
-        outcome = track_all(films, output, detector, workers or 0, progress, channel, scheduler, settings, edits)
+        outcome = track_all(films, output, detector, workers or 0, progress, scheduler, settings, edits)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:

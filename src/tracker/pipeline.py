@@ -53,18 +53,16 @@ def run(
     detector: str | None,
     workers: int,
     progress: Progress = lambda done, of: None,
-    channel: str | None = None,
     scheduler: str = "",
     settings: SettingsSource | None = None,
     edits: EditsSource | None = None,
 ) -> ClipOutcome:
     """Run the whole chain on every clip of a source into RESULTS; continue what an interrupted run left.
 
-    source: a dataset, clip, stack, video or folder of pictures; output: RESULTS; detector: None is what the first
-    clip asks for; workers: processes, or 0 for one a core, where so many are quicker; progress: takes clips done
-    and clips in all, of one clip frames; channel: of films in colour, None is what the first clip asks for;
-    scheduler: address of a Dask scheduler, whose workers see the same folders; edits: corrections of tracks by hand.
-    Raises InputError.
+    source: a dataset, clip, stack, video or folder of pictures. output: RESULTS. detector: by None the first clip
+    decides, as it does on the channel of a source that has none. workers: processes, or 0 for one a core, if so many
+    are quicker. progress: takes clips done and clips in all, or frames of a single clip. scheduler: address of a Dask
+    scheduler, whose workers see the same folders. edits: corrections of tracks by hand. Raises InputError.
     """
     check_utf8(output)
     chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)
@@ -77,7 +75,9 @@ def run(
         raise InputError(f"{output}: lies in {films.path}, expected a folder outside it")
     if not output.exists():
         check_writable(output)
-    first, why = select_channel(films.open_clip(0), channel)
+    first, why = films.open_clip(0), ""
+    if films.channel is None:
+        first, why = select_channel(first, None)
     if detector is not None:
         load_linker(detector, first.camera)
     films, said = replace(films, channel=first.channel), note_all(NoteKind.CHANNEL, [why])

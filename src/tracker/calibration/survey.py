@@ -10,6 +10,7 @@ from synthcam_shared.jobs import use_one_thread
 from tracker.calibration.ball_outline import measure_outline
 from tracker.calibration.contact_distance import ContactDistance, contact_distances
 from tracker.camera.camera import Camera
+from tracker.camera.frames import GREY
 from tracker.camera.recordings import Recording, RecordingSource, make_recording
 from tracker.detection.choose import DISCS
 from tracker.detection.detect import detect, detected_point, make_view
@@ -37,7 +38,7 @@ def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: boo
     use_one_thread()
     number, frames = source.open_film(index)
     clip = make_recording(number, frames, Camera.from_dict(known), options=source.options)
-    clip = clip.select_channel(source.channel)
+    clip = clip.select_channel(source.channel or GREY)
     return _survey_discs(clip, index, sized) if name == DISCS else _survey_glints(clip, name, index)
 
 

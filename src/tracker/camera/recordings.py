@@ -73,7 +73,7 @@ class RecordingSource:
     clips: tuple[tuple[int, Path], ...]
     camera: Path | None = None
     dataset: bool = False
-    channel: str = GREY
+    channel: str | None = None  # of films in colour; None: not chosen, clips are opened in grey
     options: FilmOptions = DEFAULT_OPTIONS
 
     def __len__(self) -> int:
@@ -92,7 +92,7 @@ class RecordingSource:
         number, frames = self.open_film(index, contents)
         camera = Camera.read(chosen) if chosen is not None else None
         names = f"{location}", f"{chosen}"
-        return make_recording(number, frames, camera, names, self.options).select_channel(self.channel)
+        return make_recording(number, frames, camera, names, self.options).select_channel(self.channel or GREY)
 
     def open_film(self, index: int, contents: Any = None) -> tuple[int, Frames]:
         """Number and frames of clip ``index``, whatever its camera."""

@@ -16,7 +16,7 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.job_result import JobValue, LostJob
 from tracker import pipeline
 from tracker.camera.camera import Camera
-from tracker.camera.recordings import HelperProcesses, RecordingSource
+from tracker.camera.recordings import HelperProcesses, RecordingSource, open_source
 from tracker.detection import shared_frames
 from tracker.detection.detect import detect, make_view
 from tracker.detection.detectors.discs import Discs
@@ -83,7 +83,7 @@ def test_real_processes_find_the_same_in_a_colour_of_a_video(tmp_path, monkeypat
     (tmp_path / "camera.json").write_text(json.dumps(camera))
     tables = []
     for workers in (1, 2):
-        pipeline.run(video, tmp_path / f"{workers}", "discs", workers, channel="red-green")
+        pipeline.run(replace(open_source(video), channel="red-green"), tmp_path / f"{workers}", "discs", workers)
         tables.append(pd.read_parquet(tmp_path / f"{workers}/clips/000000/tracks.parquet"))
     assert taken == [(3, 2)]  # the other process begins with two stretches
     assert len(tables[0]) == 2 * count
