@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -58,7 +58,7 @@ def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set
 
     A position is compared with a parabola through its neighbours of the same ball and phase. It is an outlier if it is
     more than `SearchPolicy.outlier_position_sigma` typical distances off and the neighbours themselves are smooth. The
-    worst outlier is removed first and its neighbours are tested again, because it distorts their parabolas.
+    worst outlier is removed first and the others are tested again, because it distorts the parabolas of its neighbours.
 
     expected: positions (n, 2) that a model predicts, m. If the model is nearly right, its residuals are smooth through
     a slide's end too. Outliers are then also found near events and at both ends of the clip: positions outside both
@@ -67,49 +67,61 @@ def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set
     policy, paths = current_policy(), _Paths.of(clip, expected)
     if expected is not None and np.median(np.abs(paths.xy) / paths.claimed[:, None]) > policy.max_model_error_sigma:
         return set()
-    every = range(len(clip.frame))
-    inner = paths.inner(every)
-    typical = max(1.4826 * float(np.median(np.abs([o.off for o in inner.values()]))), 1e-300) if inner else 1.0
+    offsets = paths.inner()
+    known = np.isfinite(offsets.rest)
+    typical = max(1.4826 * float(np.median(np.abs(offsets.off[known]))), 1e-300) if known.any() else 1.0
     smooth = policy.max_neighbour_rms * typical
-    outer: dict[int, _Offset] | None = None
     while True:
-        wrong = {row: offset for row, offset in inner.items() if offset.is_outlier(typical, policy)}
-        if expected is not None and not wrong:
-            if outer is None:
-                outer = paths.outer(every, smooth)
-            explained = {row for row, offset in inner.items() if offset.rest < smooth}
-            wrong = {row: o for row, o in outer.items() if row not in explained and o.is_outlier(typical, policy)}
-        if not wrong:
-            return paths.gone
-        worst = max(wrong, key=lambda row: float(np.abs(wrong[row].off).max()))
-        paths.gone.add(worst)
-        near = paths.near(worst)
-        inner = {row: offset for row, offset in inner.items() if row not in near} | paths.inner(near)
-        if outer is not None:
-            outer = {row: offset for row, offset in outer.items() if row not in near} | paths.outer(near, smooth)
+        size = offsets.outlier_sizes(typical, policy)
+        if expected is not None and not size.any():
+            size = np.where(offsets.rest < smooth, 0.0, paths.outer(smooth).outlier_sizes(typical, policy))
+        if not size.any():
+            return set(np.flatnonzero(paths.gone).tolist())
+        paths.gone[np.argmax(size)] = True
+        offsets = paths.inner()
 
 
 @dataclass(frozen=True)
-class _Offset:
-    """A position's distance from the path through others, (2,), and the rms of these; in claimed deviations."""
+class _Offsets:
+    """Distances of positions from the paths through others, in claimed deviations; NaN where there is no path."""
 
-    off: Array
-    rest: float
+    off: Array  # (n, 2)
+    rest: Array  # (n,): rms of the others about their path
 
-    def is_outlier(self, typical: float, policy: SearchPolicy) -> bool:
-        """typical: the size of such distances where there are only errors."""
-        far = bool(np.abs(self.off).max() > policy.outlier_position_sigma * typical)
-        return far and self.rest < policy.max_neighbour_rms * typical
+    def outlier_sizes(self, typical: float, policy: SearchPolicy) -> Array:
+        """The distance (n,) of each outlier, 0 for other positions.
+
+        typical: the size of such distances where there are only errors.
+        """
+        size = np.abs(self.off).max(axis=1)
+        far = size > policy.outlier_position_sigma * typical
+        return np.where(far & (self.rest < policy.max_neighbour_rms * typical), size, 0.0)
 
 
 @dataclass(frozen=True)
-class _Parabola:
-    """A parabola through positions: its position (2,) and velocity (2,) per frame at one frame, its error, its rms."""
+class _Parabolas:
+    """Parabolas through other positions, each evaluated at the frame of its row; NaN for rows without one."""
 
-    position: Array
-    velocity: Array
-    std: float
-    rest: float
+    values: Array  # (n, 6), in the order of the properties
+
+    @property
+    def position(self) -> Array:
+        return self.values[:, :2]
+
+    @property
+    def velocity(self) -> Array:
+        """Per frame."""
+        return self.values[:, 2:4]
+
+    @property
+    def std(self) -> Array:
+        """Errors of the positions."""
+        return self.values[:, 4]
+
+    @property
+    def rest(self) -> Array:
+        """The rms of the other positions about each parabola, in claimed deviations."""
+        return self.values[:, 5]
 
 
 @lru_cache(maxsize=4096)
@@ -121,96 +133,100 @@ def _parabola(frames: tuple[int, ...]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class _Paths:
-    """The rows of a clip, and those that are removed as outliers."""
+    """The rows of a clip, and those that are removed as outliers.
 
-    frame: Ints  # (n,)
-    ball: Ints  # (n,)
+    The window of a row holds the rows of its ball nearest to it in time, `ONE_SIDE_FRAMES` on either side, in order.
+    """
+
     xy: Array  # (n, 2), m; less the positions that a model predicts
     phase: Ints  # (n,), -1 in an exposure that holds an event
     claimed: Array  # (n,), m
     max_rms: float  # of a path that needs no position left out, in claimed deviations
+    window: Ints  # (n, w): rows
+    ahead: Ints  # (n, w): by how many frames they are later; far where there is no such row
+    gone: NDArray[np.bool_]  # (n,)
     unsure: float = 0.0  # a quarter of the time in which that event may be, frames
-    gone: set[int] = field(default_factory=set)
 
     @classmethod
     def of(cls, clip: MeasuredCollision, expected: Array | None) -> _Paths:
-        policy, claimed = current_policy(), clip.claimed_std()
-        if expected is None:
-            return cls(clip.frame, clip.ball, clip.xy, clip.phases(), claimed, policy.max_neighbour_rms)
-        contact, wide, error = clip.launch[T_C] * clip.fps, clip.exposure * clip.fps, policy.contact_error_frames
-        phases = [clip.frame + wide + error <= contact, clip.frame - error >= contact]
-        phase = np.select(phases, [0, 1], -1)
-        unsure = (wide + error) / 4
-        return cls(clip.frame, clip.ball, clip.xy - expected, phase, claimed, policy.max_neighbour_rms, unsure)
+        policy, claimed, count = current_policy(), clip.claimed_std(), len(clip.frame)
+        order = np.lexsort((clip.frame, clip.ball))
+        places = np.argsort(order)[:, None] + np.arange(-ONE_SIDE_FRAMES, ONE_SIDE_FRAMES + 1)
+        window = order[np.clip(places, 0, count - 1)]
+        there = (places >= 0) & (places < count) & (clip.ball[window] == clip.ball[:, None])
+        ahead = np.where(there, clip.frame[window] - clip.frame[:, None], 2 * ONE_SIDE_FRAMES)
+        xy, phase, unsure = clip.xy, clip.phases(), 0.0
+        if expected is not None:
+            contact, wide, error = clip.launch[T_C] * clip.fps, clip.exposure * clip.fps, policy.contact_error_frames
+            phases = [clip.frame + wide + error <= contact, clip.frame - error >= contact]
+            xy, phase, unsure = clip.xy - expected, np.select(phases, [0, 1], -1), (wide + error) / 4
+        gone = np.zeros(count, dtype=np.bool_)
+        return cls(xy, phase, claimed, policy.max_neighbour_rms, window, ahead, gone, unsure)
 
-    def _through(self, rows: Ints, row: int) -> _Parabola:
-        """The smoothest path through these rows, or through all but one, which may be an outlier itself."""
-        path = self._path(rows, row)
-        if path.rest < self.max_rms or len(rows) <= MIN_PATH_POSITIONS:
-            return path
-        return min((self._path(np.delete(rows, k), row) for k in range(len(rows))), key=lambda p: p.rest)
-
-    def _path(self, rows: Ints, row: int) -> _Parabola:
-        design, inverse = _parabola(tuple((self.frame[rows] - self.frame[row]).tolist()))
-        fitted = inverse @ self.xy[rows]
-        left = (self.xy[rows] - design @ fitted) / self.claimed[rows, None]
-        std, rest = np.linalg.norm(self.claimed[rows] * inverse[0]), np.sqrt((left**2).sum() / (2 * (len(rows) - 3)))
-        return _Parabola(fitted[0], fitted[1] / NEIGHBOUR_FRAMES, float(std), float(rest))
-
-    def near(self, row: int) -> list[int]:
-        """The rows whose distances an outlier in this row distorts, itself among them."""
-        within = np.abs(self.frame - self.frame[row]) <= ONE_SIDE_FRAMES
-        return np.flatnonzero(within & (self.ball == self.ball[row])).tolist()
-
-    def inner(self, rows: Iterable[int]) -> dict[int, _Offset]:
-        """Distances of these rows from the path through their neighbours, of those with two or more on either side.
+    def inner(self) -> _Offsets:
+        """Distances of positions from the path through their neighbours, of those with two or more on either side.
 
         Neighbours are positions of the same ball and phase. The distance is in units of the total standard deviation,
         the path's included.
         """
-        found: dict[int, _Offset] = {}
-        for row in rows:
-            if row in self.gone or self.phase[row] < 0:
-                continue
-            off = self.frame - self.frame[row]
-            near = self._neighbours(row, self.phase[row], (np.abs(off) <= NEIGHBOUR_FRAMES) & (off != 0))
-            early = int(np.sum(off[near] < 0))
-            if min(early, len(near) - early) >= 2 and len(near) > 4:
-                path = self._through(near, row)
-                std = np.hypot(self.claimed[row], path.std)
-                found[row] = _Offset((self.xy[row] - path.position) / std, path.rest)
-        return found
+        near = self._in_phase(self.phase) & (np.abs(self.ahead) <= NEIGHBOUR_FRAMES) & (self.ahead != 0)
+        sides = [(near & (sign * self.ahead > 0)).sum(axis=1) for sign in (-1, 1)]
+        some = (np.minimum(*sides) >= 2) & (sum(sides) > 4) & ~self.gone & (self.phase >= 0)
+        path = self._fit_smoothest(near & some[:, None])
+        return _Offsets((self.xy - path.position) / np.hypot(self.claimed, path.std)[:, None], path.rest)
 
-    def outer(self, rows: Iterable[int], smooth: float) -> dict[int, _Offset]:
-        """Distances of these rows from the interval between two extrapolations, from the past and from the future.
+    def outer(self, smooth: float) -> _Offsets:
+        """Distances of positions from the interval between two extrapolations, from the past and from the future.
 
         One extrapolation is enough where no event is near. Paths with an rms above `smooth` do not count.
         """
-        found: dict[int, _Offset] = {}
-        for row in rows:
-            if row in self.gone:
-                continue
-            both = (self._extrapolate(row, direction) for direction in (-1, 1))
-            sides = [side for side in both if side and side.rest < smooth]
-            event = self.phase[row] < 0
-            if len(sides) < 1 + event:
-                continue
-            ends = np.array([s.position for s in sides])
-            bent = self.unsure * np.abs(sides[0].velocity - sides[-1].velocity) * event
-            x, std = self.xy[row], np.hypot(self.claimed[row], max(s.std for s in sides))
-            beyond = np.maximum(ends.min(axis=0) - bent - x, x - ends.max(axis=0) - bent)
-            found[row] = _Offset(np.maximum(beyond, 0.0) / std, max(s.rest for s in sides))
-        return found
+        sides = [self._extrapolate(direction) for direction in (-1, 1)]
+        seen, event = np.array([side.rest < smooth for side in sides]), self.phase < 0
+        enough = (seen.sum(axis=0) >= 1 + event) & ~self.gone
+        low = np.where(seen[..., None], [s.position for s in sides], np.inf).min(axis=0)
+        high = np.where(seen[..., None], [s.position for s in sides], -np.inf).max(axis=0)
+        bent = np.where(event[:, None], self.unsure * np.abs(sides[0].velocity - sides[1].velocity), 0.0)
+        std = np.hypot(self.claimed, np.where(seen, [s.std for s in sides], 0.0).max(axis=0))
+        beyond = np.maximum(low - bent - self.xy, self.xy - high - bent)
+        off = np.where(enough[:, None], np.maximum(beyond, 0.0) / std[:, None], np.nan)
+        return _Offsets(off, np.where(enough, np.where(seen, [s.rest for s in sides], 0.0).max(axis=0), np.nan))
 
-    def _extrapolate(self, row: int, direction: int) -> _Parabola | None:
-        """The path through the next five of the ball on one side, in one phase; None where they are too few."""
-        phase = self.phase[row] if self.phase[row] >= 0 else (direction + 1) // 2
-        off = direction * (self.frame - self.frame[row])
-        near = self._neighbours(row, phase, (off > 0) & (off <= ONE_SIDE_FRAMES))
-        kept = near[np.argsort(off[near], kind="stable")][:5]
-        return self._through(kept, row) if len(kept) >= MIN_PATH_POSITIONS else None
+    def _extrapolate(self, direction: int) -> _Parabolas:
+        """The paths through the next five of the ball on one side, in one phase; none where they are too few."""
+        phase = np.where(self.phase >= 0, self.phase, (direction + 1) // 2)
+        off = direction * self.ahead
+        some = self._in_phase(phase) & (off > 0) & (off <= ONE_SIDE_FRAMES)
+        nearest = some & (np.cumsum(some[:, ::direction], axis=1)[:, ::direction] <= 5)
+        return self._fit_smoothest(nearest & (nearest.sum(axis=1) >= MIN_PATH_POSITIONS)[:, None])
 
-    def _neighbours(self, row: int, phase: int, within: NDArray[np.bool_]) -> Ints:
-        """The rows of the same ball in this phase, without those that are removed."""
-        some = np.flatnonzero(within & (self.phase == phase) & (self.ball == self.ball[row]))
-        return np.array([k for k in some.tolist() if k not in self.gone], dtype=np.int64)
+    def _in_phase(self, phase: Ints) -> NDArray[np.bool_]:
+        """Which rows of each window are in this phase (n,) and not removed: (n, w)."""
+        return np.asarray((self.phase[self.window] == phase[:, None]) & ~self.gone[self.window])
+
+    def _fit_smoothest(self, near: NDArray[np.bool_]) -> _Parabolas:
+        """The smoothest paths through these rows of each window, or through all but one, which may be an outlier."""
+        best = self._fit(near)
+        rough = ~(best.rest < self.max_rms) & (near.sum(axis=1) > MIN_PATH_POSITIONS)
+        for column in np.flatnonzero((near & rough[:, None]).any(axis=0)).tolist():
+            fewer = near & (rough & near[:, column])[:, None]
+            fewer[:, column] = False
+            other = self._fit(fewer)
+            best = _Parabolas(np.where((other.rest < best.rest)[:, None], other.values, best.values))
+        return best
+
+    def _fit(self, near: NDArray[np.bool_]) -> _Parabolas:
+        """The paths through these rows of each window; those with the same frames are fitted together."""
+        values = np.full((len(near), 6), np.nan)
+        frames = np.where(near, 1 << np.clip(self.ahead + ONE_SIDE_FRAMES, 0, 31), 0).sum(axis=1)
+        for same in np.unique(frames[frames > 0]).tolist():
+            rows = np.flatnonzero(frames == same)
+            chosen = near[rows]
+            others = self.window[rows][chosen].reshape(len(rows), -1)
+            design, inverse = _parabola(tuple(self.ahead[rows[0]][chosen[0]].tolist()))
+            xy, claimed = self.xy[others], self.claimed[others]
+            fitted = inverse @ xy
+            left = (xy - design @ fitted) / claimed[..., None]
+            values[rows, :2], values[rows, 2:4] = fitted[:, 0], fitted[:, 1] / NEIGHBOUR_FRAMES
+            values[rows, 4] = np.linalg.norm(claimed * inverse[0], axis=1)
+            values[rows, 5] = np.sqrt((left**2).sum(axis=(1, 2)) / (2 * (len(design) - 3)))
+        return _Parabolas(values)

@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 
 from discrepancy.data.launch import T_C
-from discrepancy.data.outlier_points import _Offset, find_outliers, note_removed_points, remove_outliers
+from discrepancy.data.outlier_points import _Offsets, find_outliers, note_removed_points, remove_outliers
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.predict import predict_tracks
@@ -28,7 +28,7 @@ def moved(clip, rows, by):
 @pytest.mark.parametrize("by", [[20, 0], [0, -20], [1e3, 1e3]])
 def test_a_place_far_off_its_path_is_an_outlier(by):
     for clip in CLIPS:
-        rows = [row_of(clip, 0, 6), row_of(clip, 1, 70)]
+        rows = [row_of(clip, 0, 6), row_of(clip, 1, 69), row_of(clip, 1, 71)]
         assert find_outliers(moved(clip, rows, STD * np.array(by))) == set(rows)
 
 
@@ -54,7 +54,8 @@ def test_a_place_is_an_outlier_beyond_eight_sigma(sigma, wrong):
 
 @pytest.mark.parametrize(("rough", "wrong"), [(1.4, True), (2.8, False)])
 def test_places_that_are_twice_as_rough_as_noise_tell_of_no_outlier(rough, wrong):
-    assert _Offset(np.array([0.0, -30.0]), 1.5 * rough).is_outlier(1.5, SearchPolicy()) is wrong
+    offsets = _Offsets(np.array([[0.0, -30.0]]), np.array([1.5 * rough]))
+    assert (offsets.outlier_sizes(1.5, SearchPolicy()) == [30.0 * wrong]).all()
 
 
 @pytest.mark.parametrize(("off", "wrong"), [(7.0, True), (14.0, False)])
