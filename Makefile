@@ -4,6 +4,8 @@ BIN := .venv/bin
 READY := .venv/ready
 DOCS_READY := .venv/ready-docs
 BROWSER_READY := .venv/ready-browser
+# tests start hundreds of processes: each would compile every module again
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: install demo test test-app lint types gate coverage notebooks paper docs docs-links docs-test clean
 

@@ -27,6 +27,7 @@ gc.disable()  # while tests are collected nothing becomes garbage
 def pytest_collection_finish():
     """Modules and collected tests stay: the garbage collector need not look at them again and again."""
     gc.freeze()
+    gc.set_threshold(20_000)  # at the 700 of Python it runs so often that it takes a hundredth of the time
     gc.enable()
 
 

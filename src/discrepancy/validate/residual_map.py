@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,23 +113,29 @@ def examine_phases(
 ) -> Iterator[tuple[Where, PhaseResult]]:
     """Locate disagreements by phase, ball and axis: see `find_disagreements`."""
     amplitudes: dict[Where, list[ClipAmplitudes]] = {}
-    expected = predict_tracks(fit.model, fit.launches, clips)
+    expected, shared = predict_tracks(fit.model, fit.launches, clips), _unit_slopes(fit)
     for k, clip in enumerate(clips):
-        for where, part in _phase_amplitudes(clip, expected[k], fit, k, noise):
+        for where, part in _phase_amplitudes(clip, expected[k], fit, k, shared[k], noise):
             amplitudes.setdefault(where, []).append(part)
     for where, parts in amplitudes.items():
         for result in combine_clips(parts):
             yield where, result
 
 
+def _unit_slopes(fit: ModelFit) -> list[Array]:
+    """Derivatives (2n, S) of each clip by the shared parameters, of unit length over all clips."""
+    size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
+    unit = 1 / np.where(size > 0, size, 1)
+    return [s * unit for s in fit.slopes]
+
+
 def _phase_amplitudes(
-    clip: MeasuredCollision, path: Array, fit: ModelFit, k: int, noise: Noise
+    clip: MeasuredCollision, path: Array, fit: ModelFit, k: int, shared: Array, noise: Noise
 ) -> Iterator[tuple[Where, ClipAmplitudes]]:
     """Yield the amplitudes of one clip in every test."""
     stage, time = stages(clip)
     motion = directions(clip, stage, path)
-    white, size = ClipWhitener.of(clip, noise), np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
-    unit = 1 / np.where(size > 0, size, 1)
+    white = ClipWhitener.of(clip, noise)
     roller = (1, "before 1")  # the launch absorbs a roller's drift
     # The same for a free stretch. Its start absorbs an offset and a drift, so the test has no such terms.
     stretch_tests: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
@@ -144,7 +151,7 @@ def _phase_amplitudes(
         raw = np.stack([_column(t, stage, clip.ball, time, motion) for t in terms], axis=-1)
         if phase == "contact":  # an impact's natural measure
             raw[..., first:] *= fit.launches[k, V0]
-        solved = ClipSolution.of(fit.launch_slopes[k], white(raw), fit.residuals[k], fit.slopes[k] * unit)
+        solved = ClipSolution.of(fit.launch_slopes[k], white(raw), fit.residuals[k], shared)
         for b in range(2):
             rows = np.isin(stage, [s for name in names for s in TERMS[name]]) & (clip.ball == b)
             for a in range(2):
@@ -153,7 +160,7 @@ def _phase_amplitudes(
                 if not kept:
                     continue
                 mine = [wanted[i] for i in kept]
-                pulls, per_metre, shared = solved.group(mine)
+                pulls, per_metre, by_shared = solved.group(mine)
                 full, squares = np.zeros((len(pulls), len(wanted))), np.zeros((len(wanted), len(wanted)))
                 full[:, kept] = per_metre
                 columns = np.einsum("na,nai->ni", motion[rows, a], raw[rows][..., mine])
@@ -164,7 +171,7 @@ def _phase_amplitudes(
                     ClipAmplitudes(
                         pulls=pulls,
                         per_metre=full,
-                        shared=shared,
+                        shared=by_shared,
                         information=solved.information,
                         pull=solved.pull,
                         products=squares,
@@ -223,28 +230,26 @@ def examine_ripples(
     of rolling, before the contact and after the slide. Cubics of time are free beside the ripple.
     """
     found: dict[Where, list[ClipAmplitudes]] = {}
-    expected = predict_tracks(fit.model, fit.launches, clips)
-    size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
-    unit = 1 / np.where(size > 0, size, 1)
+    expected, shared = predict_tracks(fit.model, fit.launches, clips), _unit_slopes(fit)
     for k, clip in enumerate(clips):
         white = ClipWhitener.of(clip, noise)
         for name, times in (("once a turn", 1), ("twice a turn", 2)):
             terms, raw = _ripple_terms(clip, expected[k], times)
             if not terms:
                 continue
-            solved = ClipSolution.of(fit.launch_slopes[k], white(raw), fit.residuals[k], fit.slopes[k] * unit)
+            solved = ClipSolution.of(fit.launch_slopes[k], white(raw), fit.residuals[k], shared[k])
             for which in sorted({term for term in terms if term}):
                 mine = [i for i, term in enumerate(terms) if term == which and solved.kept[i]]
                 if not mine:
                     continue
                 columns = raw[..., mine]
-                pulls, per_metre, shared = solved.group(mine)
+                pulls, per_metre, by_shared = solved.group(mine)
                 rows = (columns != 0).any(axis=(1, 2))
                 found.setdefault((name, *which), []).append(
                     ClipAmplitudes(
                         pulls=pulls,
                         per_metre=per_metre,
-                        shared=shared,
+                        shared=by_shared,
                         information=solved.information,
                         pull=solved.pull,
                         products=np.einsum("nai,naj->ij", columns, columns),
@@ -345,6 +350,16 @@ class ClipAmplitudes:
     # the quantities that the amplitude may change with, and their values in this clip
     features: dict[str, Array]
 
+    @cached_property
+    def metres(self) -> Array:
+        """Metres of each term that a pull makes, (P, m)."""
+        return np.linalg.pinv(self.per_metre)
+
+    @cached_property
+    def noise_squares(self) -> float:
+        """The sum of squares that pulls of unit variance make in the rows, m^2."""
+        return float(np.trace(self.metres.T @ self.products @ self.metres))
+
 
 @dataclass(frozen=True)
 class ClipSolution:
@@ -371,9 +386,11 @@ class ClipSolution:
         length = np.linalg.norm(both, axis=0)
         unit = both / np.where(length > 0, length, 1)
         kept = length > 0
-        left = np.abs(np.diag(np.linalg.qr(unit[:, kept], mode="r"))) > min_share
-        kept[kept] = np.pad(left, (0, int(kept.sum()) - len(left)))
         q, r = np.linalg.qr(unit[:, kept])
+        left = np.pad(np.abs(np.diag(r)) > min_share, (0, int(kept.sum()) - len(r)))
+        if not left.all():
+            kept[kept] = left
+            q, r = np.linalg.qr(unit[:, kept])
         inverse = np.linalg.inv(r)
         at, first = np.flatnonzero(kept), launch.shape[1]
         amplitude, covariance = np.zeros(len(kept)), np.zeros((len(kept),) * 2)
@@ -452,9 +469,8 @@ def _rms_size(parts: Sequence[ClipAmplitudes], pulls: Array, noisy: float) -> fl
     """
     total, rows, first = 0.0, 0, 0
     for g in parts:
-        metres = np.linalg.pinv(g.per_metre)
-        terms = metres @ pulls[first : first + len(g.pulls)]
-        total += float(terms @ g.products @ terms - noisy * np.trace(metres.T @ g.products @ metres))
+        terms = g.metres @ pulls[first : first + len(g.pulls)]
+        total += float(terms @ g.products @ terms) - noisy * g.noise_squares
         rows, first = rows + g.rows, first + len(g.pulls)
     if total > current_policy().max_disagreement_to_residual ** 2 * sum(g.residual_squares for g in parts):
         return float("nan")
