@@ -79,7 +79,8 @@ def refit_noise(
 class RestrictedResiduals:
     """Residuals of clips, with the derivatives that absorb part of them.
 
-    columns: (n, 2, p + S + 1) of each clip, m: derivatives by the launch and the shared parameters, and residuals.
+    columns: (n, 2, p + S + 1) of each clip, in claimed errors: derivatives by the launch and the shared parameters, and
+    residuals.
     """
 
     clips: Sequence[MeasuredCollision]
@@ -96,7 +97,8 @@ class RestrictedResiduals:
         unit, columns = 1 / np.where(size > 0, size, 1), []
         for k in indices:
             both = np.column_stack([fit.launch_slopes[k], fit.slopes[k] * unit, fit.residuals[k]])
-            columns.append(ClipWhitener.of(clips[k], noise).undo(both))
+            white = ClipWhitener.of(clips[k], noise)
+            columns.append(white.scale(white.undo(both)))
         some = tuple(clips[k] for k in indices)
         own = fit.launches.shape[1]
         return cls(some, tuple(columns), own, float(np.log(sum(2 * len(c.frame) - own for c in some))))
@@ -107,7 +109,7 @@ class RestrictedResiduals:
         gram, logs = np.zeros((size, size)), 0.0
         for clip, columns in zip(self.clips, self.columns, strict=True):
             white = ClipWhitener.of(clip, noise)
-            seen = white(columns)
+            seen = white.decorrelate(columns)
             own = seen[:, : self.own]
             q, r = np.linalg.qr(own[:, own.any(axis=0)])
             rest = seen[:, self.own :] - q @ (q.T @ seen[:, self.own :])
@@ -143,7 +145,7 @@ class RestrictedResiduals:
         scores, means, variances = (np.zeros((len(SHARED_NOISE_CORRELATIONS), 2)) for _ in range(3))
         for clip, columns in zip(self.clips, self.columns, strict=True):
             white = ClipWhitener.of(clip, noise)
-            seen = white(columns)
+            seen = white.decorrelate(columns)
             q = orthonormal_basis(seen[:, : self.own])
             left = seen[:, -1] - q @ (q.T @ seen[:, -1])
             rows = [np.flatnonzero(clip.ball == ball) for ball in (0, 1)]

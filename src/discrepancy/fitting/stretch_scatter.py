@@ -117,14 +117,14 @@ def _compare_with_map(
 ) -> float:
     """The log likelihood ratio of displacements that all stretches share at a position to new ones in each stretch.
 
-    columns (n, 2, p) of each clip: what its fit absorbs, and its residuals last. Both kinds of displacement have the
+    columns (n, 2, p) of each clip, in claimed errors: what its fit absorbs, and its residuals last. Both kinds have the
     same size and reach. Neither model contains the other, so the ratio is not a sigma. If the displacements are new in
     each stretch, chance gives a ratio above x with a probability of at most 1 / x.
     """
     whites, left = list[Array](), list[Array]()
     for clip, own in zip(_add_scatter(clips, moves, replace(scatter, displacement_m=0.0)), columns, strict=True):
         white = ClipWhitener.of(clip, noise)
-        seen = white(own)
+        seen = white.decorrelate(own)
         q = orthonormal_basis(seen[:, :-1])
         unit = white(np.eye(2 * len(own)).reshape(len(own), 2, -1))
         whites.append(unit - q @ (q.T @ unit))

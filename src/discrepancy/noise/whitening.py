@@ -50,21 +50,30 @@ class ClipWhitener:
 
     def __call__(self, residuals: Array) -> Array:
         """Residuals (n, 2, ...), m, as white ones (2n, ...) of unit size."""
+        return self.decorrelate(self.scale(residuals))
+
+    def scale(self, residuals: Array) -> Array:
+        """Residuals (n, 2, ...), m, in units of the claimed errors. The noise has no part in it."""
         flat = residuals.reshape(*residuals.shape[:2], -1)
         scaled = np.empty(flat.shape)
         for axis in (0, 1):  # far quicker than a product of many small matrices
             np.multiply(self.roots[:, axis, :1], flat[:, 0], out=scaled[:, axis])
             scaled[:, axis] += self.roots[:, axis, 1:] * flat[:, 1]
+        return scaled.reshape(residuals.shape)
+
+    def decorrelate(self, scaled: Array) -> Array:
+        """Scaled residuals (n, 2, ...) as white ones (2n, ...)."""
+        rest = scaled.shape[2:]
         if self.order is None:
             split = len(self.filters[0])
             parts = (scaled[:split], scaled[split:])
             both = zip(self.filters, parts, strict=True)
             white = [f @ part.reshape(len(part), -1) for f, part in both if len(part)]
-            return np.concatenate(white).reshape(-1, *residuals.shape[2:])
+            return np.concatenate(white).reshape(-1, *rest)
         rows = scaled.reshape(2 * len(scaled), -1)
         out: Array = np.empty_like(rows)
         out[self.order] = self.filters[0] @ rows[self.order]
-        return out.reshape(-1, *residuals.shape[2:])
+        return out.reshape(-1, *rest)
 
     def undo(self, white: Array) -> Array:
         """The residuals (n, 2, ...), m, of white numbers (2n, ...)."""
