@@ -353,7 +353,7 @@ class ClipAmplitudes:
     @cached_property
     def metres(self) -> Array:
         """Metres of each term that a pull makes, (P, m)."""
-        return np.linalg.pinv(self.per_metre)
+        return np.asarray(np.linalg.pinv(self.per_metre))
 
     @cached_property
     def noise_squares(self) -> float:
