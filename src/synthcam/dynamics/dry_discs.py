@@ -32,7 +32,7 @@ GRID = np.concatenate([np.linspace(0, 6, 301), np.linspace(6.1, LAST_LOG, 300)])
 DISC = 0.5  # k
 
 
-class Disc(NamedTuple):
+class DryDisc(NamedTuple):
     """A disc, the offset of its centre from that of mass at the beginning, m, and its height, m."""
 
     x: float
@@ -66,7 +66,7 @@ def friction_of_disc(phi: float) -> tuple[float, float]:
 class DryBody:
     """Discs that move as one. slowing: friction times gravity, m/s^2."""
 
-    discs: Sequence[Disc]
+    discs: Sequence[DryDisc]
     slowing: float
 
     @cached_property
@@ -150,7 +150,7 @@ class DryBody:
         ]
 
 
-def _place(disc: Disc, whole: Array) -> Array:
+def _place(disc: DryDisc, whole: Array) -> Array:
     """Return the states (m, 9) of a disc from those of the whole."""
     x, y, angle, vx, vy, spin = whole
     c, s = np.cos(angle), np.sin(angle)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from synthcam.dynamics.dry_discs import DISC, STOPPED_M_S, Disc, DryBody, friction_of_disc
+from synthcam.dynamics.dry_discs import DISC, STOPPED_M_S, DryBody, DryDisc, friction_of_disc
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.trajectory import Glide, Leg, Rest
 
@@ -89,7 +89,7 @@ class DryPlate(Support):
 
     def leg(self, state: State, radius: float, t: float) -> Leg:
         x, y, z, vx, vy, *_, spin = state
-        return DryBody((Disc(0.0, 0.0, z, 1.0, radius),), self.slowing).legs((x, y, vx, vy, spin), t)[0]
+        return DryBody((DryDisc(0.0, 0.0, z, 1.0, radius),), self.slowing).legs((x, y, vx, vy, spin), t)[0]
 
     def accelerate(self, state: State, radius: float) -> tuple[float, float, float]:
         vx, vy, turn = state[3], state[4], radius * state[8]

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-from synthcam.dynamics.dry_discs import Disc, DryBody
+from synthcam.dynamics.dry_discs import DryBody, DryDisc
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.supports import Air, DryPlate
 from synthcam.dynamics.trajectory import Carried, Leg
@@ -83,7 +83,7 @@ class RigidGroup:
     def slide(self, plate: DryPlate, bodies: Mapping[int, tuple[float, float, float]], t: float) -> dict[int, Leg]:
         """Return the legs of discs of these radii and masses on a dry plate from the time t, s."""
         discs = [
-            Disc(x - self.centre[0], y - self.centre[1], z, bodies[k][1], bodies[k][0])
+            DryDisc(x - self.centre[0], y - self.centre[1], z, bodies[k][1], bodies[k][0])
             for k, (x, y, z) in self.places.items()
         ]
         legs = DryBody(discs, plate.slowing).legs((*self.centre, *self.velocity, self.spin), t)
