@@ -253,6 +253,12 @@ def _disturb(
     return problem.index, *problem(x), disturbed
 
 
+def differentiate_residuals(fit: CollisionFit, tied: bool, camera: Camera) -> Floats | None:
+    """Differentiate the whitened residuals of a fit by the errors of the camera file, per standard error: (m, k)."""
+    errors = camera_errors(camera)
+    return _disturb(fit, tied, errors, camera)[3] if errors else None
+
+
 def differentiate(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
     """Differentiate m values by each of k keys of the camera, per standard error: (m, k).
 

@@ -29,6 +29,7 @@ from tracker.measurement.camera_errors import (
     add_camera_errors,
     add_camera_errors_to_lasting,
     add_contact_errors,
+    differentiate_residuals,
     effects_to_json,
     measure_contact_distance,
 )
@@ -66,6 +67,7 @@ from tracker.measurement.collision.contacts import (
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_frames_within
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
+from tracker.measurement.collision.rolling_losses import compare_losses
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, Stay, find_stays
 from tracker.measurement.crowd.crowd_rows import estimate_contacts
 from tracker.measurement.crowd.track_contacts import find_track_contacts
@@ -302,6 +304,7 @@ def _measure_collision(
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
     row |= {"adequate": read.p_tied, "adequate_free": read.p_free, "agree": read.p_agree}
     flags = [*flags, *([] if again is None else [Flag.TOUCH_AGAIN])]
+    flags += [Flag.LOSSES_DIFFER] * read.shows_unequal_losses
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
     row |= painter_behringer.paper_columns(contact, camera, read.lasting)
     if read.tied_is_straight:  # differences of noise
@@ -392,6 +395,8 @@ def _fit(
             read = replace(read, tied_values=add_contact_errors(tied, tied_values, True, camera, by_tied))
         read = replace(read, free_values=add_contact_errors(free, free_values, False, camera, by_free))
         flags = flag_contact_distance(*by_free, settings)
+        losses = (compare_losses(f, f is tied, differentiate_residuals(f, f is tied, camera)) for f in (tied, free))
+        read = read.with_losses(*losses)
         nearer = max((1 - distance) / std for distance, std in (by_free, by_tied))
     if isinstance(read, str) or _may_last(read, nearer):
         lasting = tries(doubtful_sigma if isinstance(read, str) or read.is_misfit else MIN_SIGNIFICANCE)

@@ -38,6 +38,8 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     Flag.TOGETHER: "the balls do not part in {frames}; r is 0 within its error",
     Flag.ENCODED: "the codec of the video moves what it shows, the likely cause of this misfit; v0, b and r of the "
     "free fit have errors as large as its residuals. Film again without compression, or with less of it",
+    Flag.LOSSES_DIFFER: "one rolling loss for both balls does not fit, though all else does: one ball is dirty or "
+    "dented, or the plate is uneven or slopes. The local estimate needs no common loss",
     Flag.STRAIGHT: "the balls move straight after the hit: r is that of straight lines, and nothing shows friction",
 }
 SAME_BODIES = (

@@ -46,6 +46,7 @@ class Flag(StrEnum):
     STRAIGHT = "no slide seen"
     TOUCH_AGAIN = "touch again"
     ENCODED = "encoded with loss"
+    LOSSES_DIFFER = "rolling losses differ"
 
     @property
     def is_impossible(self) -> bool:

@@ -30,6 +30,7 @@ from tracker.measurement.collision.lasting_contact import (
 from tracker.measurement.collision.least_squares import ROUGH, BallPair, CollisionFit, fit_motion
 from tracker.measurement.collision.motion_test import find_p_of_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
+from tracker.measurement.collision.rolling_losses import LossDifference
 from tracker.measurement.collision.striker import alternative_strikers, is_believable
 from tracker.settings import FitSettings
 
@@ -53,6 +54,8 @@ class CollisionFits:
     flags: tuple[Flag, ...] = ()
     unseen: frozenset[str] | None = None  # quantities that a lasting contact does not show
     fits: LastingFits | None = None  # those of a lasting contact
+    tied_losses: LossDifference | None = None  # by the tied fit
+    free_losses: LossDifference | None = None
 
     @property
     def tied_is_straight(self) -> bool:
@@ -97,13 +100,38 @@ class CollisionFits:
     @property
     def is_free_accepted(self) -> bool:
         """True if the data accept the free fit; they reject nothing if the size of the errors is unknown."""
-        return not self.p_free < self.settings.rejection_level
+        return not self.p_free < self.settings.rejection_level and not self._rejects(self.free_losses)
 
     @property
     def is_tied_accepted(self) -> bool:
         """True if the data accept the tied fit, by itself and compared with the free one."""
         level = self.settings.rejection_level
-        return self.is_free_accepted and not (self.p_tied < level or self.p_agree < level)
+        is_rejected = self.p_tied < level or self.p_agree < level or self._rejects(self.tied_losses)
+        return self.is_free_accepted and not is_rejected
+
+    @property
+    def shows_unequal_losses(self) -> bool:
+        """True if the data accept both fits but for one rolling loss of both balls."""
+        return self._without_losses().is_tied_accepted and not self.is_tied_accepted
+
+    def with_losses(self, tied: LossDifference | None, free: LossDifference | None) -> CollisionFits:
+        """Let the quantities of both fits carry the difference of the rolling losses that either shows.
+
+        The tied fit shows it better. It counts in the free fit too, where the data accept the tied fit otherwise.
+        """
+        if tied is None or free is None:
+            return self
+        shown = tied.significance if self._without_losses().is_tied_accepted else 0.0
+        tied_values = tied.correct(self.tied_values, tied.significance)
+        free_values = free.correct(self.free_values, max(shown, free.significance))
+        return replace(self, tied_losses=tied, free_losses=free, tied_values=tied_values, free_values=free_values)
+
+    def _without_losses(self) -> CollisionFits:
+        return replace(self, tied_losses=None, free_losses=None)
+
+    def _rejects(self, losses: LossDifference | None) -> bool:
+        """Test whether the data reject one rolling loss for both balls."""
+        return losses is not None and self.noise_dof > 0 and losses.p_value < self.settings.rejection_level
 
     @cached_property
     def impossible_values(self) -> list[Flag]:
