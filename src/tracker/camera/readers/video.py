@@ -52,6 +52,7 @@ class VideoContents:
     length: float  # s
     aspect: float
     streams: int
+    coloured: bool = False
 
     @property
     def has_times(self) -> bool:
@@ -73,13 +74,13 @@ def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS, contents: Vid
         raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
     lossless = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
     lossy = found.codec not in lossless
-    grey, deep, coloured = _choose_conversion(first_frame, lossy)
+    grey, deep = _choose_conversion(first_frame, lossy)
     first = grey(first_frame)
     dtype = np.dtype(np.uint16 if deep else np.uint8)
     reader = _VideoReader(path, found, grey)
     frames = make_grey_frames(path, len(found.times), first.shape, dtype, reader)
     frames.fps, frames.lossy, frames.aspect, frames.contents = found.fps, lossy, found.aspect, found
-    if coloured:
+    if found.coloured and not _is_rgb(first_frame):
         frames.colours = _VideoReader(path, found, _make_rgb_reader(first_frame, deep))
     faults = list(_describe_faults(found))
     clock = read_clock(found.times, found.tick, "the time stamps") if found.has_times else None  # type: ignore[arg-type]
@@ -174,6 +175,8 @@ def _scan_video(path: Path) -> tuple[VideoFrame | None, VideoContents | None]:
                 raise InputError(f"{path}: frame {len(times)} is {has}, expected {wants} as frame 0")
             if frame.is_corrupt:
                 damaged.append(len(times))
+            if not found.coloured and len(times) % 8 == 0:  # a ball in colour may come in late
+                found.coloured = _has_colour(frame)
             if frame.key_frame:
                 keys.append(len(times))
             times.append(frame.pts)
@@ -285,13 +288,17 @@ class _VideoReader:
             self.source[0].close()
 
 
-def _choose_conversion(first: VideoFrame, lossy: bool) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, bool]:
-    """How frames become counts (or red, green and blue), whether in 16 bits, and whether chroma is left out."""
+def _is_rgb(frame: VideoFrame) -> bool:
+    return bool(frame.format.is_rgb or frame.format.has_palette or frame.format.is_bayer)
+
+
+def _choose_conversion(first: VideoFrame, lossy: bool) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool]:
+    """How frames become counts (or red, green and blue), and whether in 16 bits."""
     layout, turn = first.format, _quarter_turns(first)
     bits = max(part.bits for part in layout.components)
-    if layout.is_rgb or layout.has_palette or layout.is_bayer:
+    if _is_rgb(first):
         deep = bits > 8 and not lossy
-        return _make_rgb_reader(first, deep), deep, False
+        return _make_rgb_reader(first, deep), deep
     luma_first = re.compile(r"(yuvj?4\d\dp|yuva4\d\dp|gray)(\d+le|8)?|nv(12|16|21|24)")  # the first plane is the luma
     other = "" if luma_first.fullmatch(layout.name) else "yuv444p16le" if bits > 8 else "yuv444p"
     bits = 16 if other == "yuv444p16le" else bits
@@ -309,7 +316,7 @@ def _choose_conversion(first: VideoFrame, lossy: bool) -> tuple[Callable[[VideoF
             counts = plane.copy() if table is None else table[plane]
         return np.ascontiguousarray(np.rot90(counts, turn)) if turn else counts
 
-    return luma, deep, _has_colour(first)
+    return luma, deep
 
 
 def _make_rgb_reader(first: VideoFrame, deep: bool) -> Callable[[VideoFrame], NDArray[Any]]:

@@ -175,10 +175,13 @@ class Discs:
         if tally.refused_area > min_crowd * max(found, 10):
             height, width = self.view.plate.level.shape
             share = tally.refused_area * np.pi * self.radius**2 / (height * width * max(len(self.scene_of), 1))
+            left_out = f"what is left out covers {share:.1%} of each frame"
             yield (
-                f"crowd: what is left out covers {share:.1%} of each frame, as much as {tally.refused_area:.0f} balls "
-                f"in all, and {found} balls are found; balls that touch are not all separated, and a camera that moves "
-                "shows the same"
+                f"crowd: {left_out}, as much as {tally.refused_area:.0f} balls in all, and {found} balls are found; "
+                "balls that touch are not all separated, and a camera that moves shows the same"
+                if found
+                else f"no ball among what moves: {left_out}. A ball in a hand is not round; --colour NAME follows its "
+                "colour alone, --ball X,Y,R@FRAME points at it"
             )
         if tally.cut_frames:
             most = self.settings.max_objects_per_frame

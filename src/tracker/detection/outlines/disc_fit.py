@@ -125,7 +125,7 @@ def _fit_from(scene: DiscScene, start: Array) -> DiscFit | None:
             pull[2] += (scatter / look.radius_std) ** 2 * (look.radius - now[2])
         step = np.linalg.solve(normal, pull)
         now = now + np.clip(step, -limit, limit)
-        now[3] = np.clip(now[3], 0.3, EDGE_PX)
+        now[2:4] = max(now[2], 0.5), np.clip(now[3], 0.3, EDGE_PX)  # px
         if np.abs(step[:2]).max() < 1e-4:
             break
     spread = float(np.sqrt((weight * left**2).sum() / max(weight.sum() - len(now), 1.0)))
