@@ -175,13 +175,15 @@ class Discs:
         if tally.refused_area > min_crowd * max(found, 10):
             height, width = self.view.plate.level.shape
             share = tally.refused_area * np.pi * self.radius**2 / (height * width * max(len(self.scene_of), 1))
-            left_out = f"what is left out covers {share:.1%} of each frame"
-            yield (
-                f"crowd: {left_out}, as much as {tally.refused_area:.0f} balls in all, and {found} balls are found; "
-                "balls that touch are not all separated, and a camera that moves shows the same"
+            much = (
+                f"as much as {tally.refused_area:.0f} balls in all, and {found} balls are found"
                 if found
-                else f"no ball among what moves: {left_out}. A ball in a hand is not round; --colour NAME follows its "
-                "colour alone, --ball X,Y,R@FRAME points at it"
+                else "and no ball is found"
+            )
+            yield (
+                f"crowd: what is left out covers {share:.1%} of each frame, {much}; balls that touch are not all "
+                "separated, and a camera that moves shows the same"
+                + (". A ball in a hand is not round: --colour and --ball X,Y,R@FRAME point at it" if not found else "")
             )
         if tally.cut_frames:
             most = self.settings.max_objects_per_frame

@@ -119,12 +119,14 @@ class CollisionFits:
 
         The tied fit shows it better. It counts in the free fit too, where the data accept the tied fit otherwise.
         """
-        if tied is None or free is None:
-            return self
-        shown = tied.significance if self._without_losses().is_tied_accepted else 0.0
-        tied_values = tied.correct(self.tied_values, tied.significance)
-        free_values = free.correct(self.free_values, max(shown, free.significance))
-        return replace(self, tied_losses=tied, free_losses=free, tied_values=tied_values, free_values=free_values)
+        read, shown = self, 0.0
+        if tied is not None:
+            read = replace(read, tied_losses=tied, tied_values=tied.correct(self.tied_values, tied.significance))
+            shown = tied.significance if self._without_losses().is_tied_accepted else 0.0
+        if free is not None:
+            values = free.correct(self.free_values, max(shown, free.significance))
+            read = replace(read, free_losses=free, free_values=values)
+        return read
 
     def _without_losses(self) -> CollisionFits:
         return replace(self, tied_losses=None, free_losses=None)

@@ -87,6 +87,15 @@ def test_a_film_in_colour_is_its_luma_and_said_to_be_converted(tmp_path):
     assert np.abs(frames[1] - 255 * 0.2126).max() < 1
 
 
+def test_colour_that_comes_in_late_is_seen(tmp_path):
+    """A film of a grey wall, into which a red ball comes in frame 5."""
+    grey = np.stack([np.full((48, 64), code, np.uint8) for code in (63, 128, 128)])
+    red = np.stack([np.full((48, 64), code, np.uint8) for code in (63, 102, 240)])
+    known = [open_frames(encode(tmp_path / f"{k}.mkv", [grey] * 5 + [end] * 9, "ffv1", "yuv444p")) for k, end in
+             enumerate((grey, red))]  # fmt: skip
+    assert [film.colours is not None for film in known] == [False, True]
+
+
 @pytest.mark.parametrize(("curve", "name"), [("bt709", ""), ("smpte2084", "PQ"), ("arib-std-b67", "HLG")])
 def test_a_film_with_a_curve_of_hdr_says_so(tmp_path, curve, name):
     options = {"x264-params": f"transfer={curve}:colorprim=bt2020:colormatrix=bt2020nc"}
