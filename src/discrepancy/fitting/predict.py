@@ -62,7 +62,9 @@ def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCol
     rows = np.array([[0.0], [camera.size[1] - 1.0]])
     extent = model.laws("clock", film[[0, -1]], {"fps": camera.fps, "row": rows}) + np.array([0.0, exposure])
     start = min(float(extent.min()), float(launches[:, T_C].min()))
-    motion = solve_collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips])
+    last = np.array([c.frame.max() for c in clips]) / camera.fps
+    ends = np.max(model.laws("clock", last, {"fps": camera.fps, "row": rows}) + exposure + 0 * rows, axis=0)
+    motion = solve_collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips], ends)
     positions, opens = _average_exposures(model, motion, camera, film, exposure)
     height: Array | float = camera.radius
     if model.laws.has_effect_on("loft"):  # means over the exposures by Simpson's rule

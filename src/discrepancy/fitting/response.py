@@ -101,8 +101,9 @@ def _respond_one_rate(
 ) -> list[Array]:
     fps, exposure = clips[0].fps, clips[0].exposure
     start = min(min(int(c.frame.min()) for c in clips) / fps, float(launches[:, T_C].min()))
-    end = (max(int(c.frame.max()) for c in clips) + 1) / fps + exposure
-    early, slide, roll = _split_motion(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, end)
+    whole = max(int(c.frame.max()) for c in clips)
+    ends = tuple(((int(c.frame.max()) if c.is_stretch else whole) + 1) / fps + exposure for c in clips)
+    early, slide, roll = _split_motion(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, ends)
     contact, over = slide.times[:, 0], roll.times[:, 0]
     parts = -(-len(contact) * POINTS * 2 * size // 250_000)  # numbers that fit into the processor's cache
     cuts = np.linspace(0, len(contact), min(parts, len(contact)) + 1).astype(int).tolist()
@@ -124,17 +125,17 @@ def _respond_one_rate(
 
 @lru_cache(maxsize=16)
 def _split_motion(
-    model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: float, end: float
+    model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: float, ends: tuple[float, ...]
 ) -> tuple[ResponseSegment, ResponseSegment, ResponseSegment]:
     """The segments before the contact, sliding and rolling; cached, since many laws are tried on one motion."""
     places = np.frombuffer(launches).reshape(len(a_strikes), -1)
-    motion = solve_collisions(model, places, start, end, a_strikes)
-    contact = np.tile(places[:, T_C], 2)
+    motion = solve_collisions(model, places, start, max(ends), a_strikes, np.array(ends))
+    contact, end = np.tile(places[:, T_C], 2), np.tile(ends, 2)
     spins = places.shape[1] == WITH_SPIN
     before = np.nextafter(contact, -np.inf) if spins else contact  # with the slip before the contact
-    over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))
-    ends = (before, start * whole), (contact, over), (over, end * whole)
-    early, slide, roll = (ResponseSegment.of(motion, model.ball.radius, *e) for e in ends)
+    over = np.minimum(motion.slide_ends, end)
+    spans = (before, np.full(len(contact), start)), (contact, over), (over, end)
+    early, slide, roll = (ResponseSegment.of(motion, model.ball.radius, *span) for span in spans)
     return early, slide, roll
 
 

@@ -33,13 +33,17 @@ class CoveredRanges:
 
 def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> dict[str, CoveredRanges]:
     """Compute the ranges that the motion of a fit covers, by ball: "" for both together, "a" and "b"."""
-    samples = 300  # instants, evenly spaced over the longest clip
+    samples = 300  # instants, evenly spaced over the longest clip, or over each stretch
     min_speed = 1e-5  # m/s; a ball that is slower rests, and one whose contact point is slower rolls
-    first, last = min(c.frame.min() / c.fps for c in clips), max((c.frame.max() + 1) / c.fps for c in clips)
-    times = np.linspace(min(first, launches[:, T_C].min()), last, samples)
+    free = np.array([c.is_stretch for c in clips])
+    first, last = (np.array([of(c) / c.fps for c in clips]) for of in (_first_frame, _end_frame))
+    first = np.where(free, launches[:, T_C], min(first.min(), launches[:, T_C].min()))
+    last = np.where(free, last, last.max())
+    times = np.linspace(first, last, samples, axis=1)
     a_strikes = np.array([c.striker == "a" for c in clips])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        states = np.nan_to_num(solve_collisions(model, launches, times[0], times[-1], a_strikes).at(times))
+        motion = solve_collisions(model, launches, first.min(), last.max(), a_strikes, last)
+        states = np.nan_to_num(motion.at(np.tile(times, (2, 1))))
     slip = np.hypot(*np.moveaxis(contact_velocity(states, model.ball.radius), -1, 0))
     place, velocity = states[..., :2], states[..., 3:5]
 
@@ -62,6 +66,14 @@ def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     is_a = np.stack([~a_strikes, a_strikes])
     rows = {"": np.ones_like(is_a), "a": is_a, "b": ~is_a}
     return {ball: cover(slip[own], velocity[own], place[own]) for ball, own in rows.items()}
+
+
+def _first_frame(clip: MeasuredCollision) -> int:
+    return int(clip.frame.min())
+
+
+def _end_frame(clip: MeasuredCollision) -> int:
+    return int(clip.frame.max()) + 1
 
 
 def over_range(

@@ -136,13 +136,14 @@ class CollisionBatch:
 
 
 def solve_collisions(
-    model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False
+    model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False, ends: Array | None = None
 ) -> CollisionBatch:
     """Solve many collisions at once. Raises ValueError as `solve` does.
 
     launches: (n, 6) or (n, 9), columns LAUNCH_COLUMNS and, of strikers that do not roll, `SPIN_COLUMNS` of `launch`.
     The x and y of a free striker, |b| > 1, are its own position; ball 1 is then another striker at the same position.
-    start, end: s. striker_is_a: whether the striker is ball a of the experimenter, (n,) or one for all.
+    start, end: s. striker_is_a: whether the striker is ball a of the experimenter, (n,) or one for all. ends: (n,) s,
+    until when each free striker is followed; by default all are followed until `end`.
     """
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))
     one = model.bodies(["b" if a else "a" for a in is_a])
@@ -157,9 +158,9 @@ def solve_collisions(
     striker[free, :2] = launches[free, :2]
     target[free] = striker[free]
 
-    run = _BatchSolver(
-        model, both, CollisionBatch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c])
-    )
+    until = np.full(len(launches), float(end)) if ends is None else np.where(free, np.minimum(ends, end), end)
+    batch = CollisionBatch(float(start), float(end), radius=both.radius)
+    run = _BatchSolver(model, both, batch, np.tile(t_c, 2), np.tile(until, 2))
     if run.mutual and free.any():
         raise ValueError("a ball that meets nothing has no partner to push it")
     target, striker = run.solve_approach(target, striker, free)
@@ -171,7 +172,7 @@ def solve_collisions(
     run.solve_after_impact(np.concatenate(after), hit.n[:, :2])
     run.out.recontact_candidates = np.setdiff1d(run.out.recontact_candidates, np.flatnonzero(free))
     odd = np.array(sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting}), dtype=np.intp)
-    _solve_free_balls(model, striker, t_c, two, run.out, odd[free[odd]])
+    _solve_free_balls(model, striker, (t_c, until), two, run.out, odd[free[odd]])
     return _solve_one_by_one(model, launches, is_a, run.out, odd[~free[odd]])
 
 
@@ -231,19 +232,23 @@ def _solve_one_by_one(
 
 
 def _solve_free_balls(
-    model: Model, states: Array, t_c: Array, bodies: Bodies, out: CollisionBatch, which: Ints
+    model: Model, states: Array, spans: tuple[Array, Array], bodies: Bodies, out: CollisionBatch, which: Ints
 ) -> None:
-    """Replace the motion of some balls that meet nothing, from their states (n, 9) at t_c on, by that of `solve`."""
+    """Replace the motion of some balls that meet nothing, from their states (n, 9) on, by that of `solve`.
+
+    spans: when each ball has that state, and until when it is followed, s.
+    """
+    t_c, ends = spans
     out.segments = [drop_balls(s, np.isin(s.who % out.size, which)) for s in out.segments]
     for k in which:
         rows, time, radius = np.array([k, k + out.size]), np.full(2, t_c[k]), np.full(2, bodies.radius[k])
-        start, until = np.full(2, out.start), np.full(2, out.end)
-        its = solve(model, Launch(t_c[k], states[k][None], bodies[[k]]), t_c[k], out.end, finish_slides=False)
+        start, until = np.full(2, out.start), np.full(2, ends[k])
+        its = solve(model, Launch(t_c[k], states[k][None], bodies[[k]]), t_c[k], ends[k], finish_slides=False)
         if t_c[k] > out.start:
             out.segments.append(RollSegment(rows, start, time, time, np.tile(states[k], (2, 1)), radius, 0.0, 0.0))
         out.segments += [TrajectorySegment(rows[[row]], time[:1], until[:1], its) for row in (0, 1)]
-        ends = [e.t for e in its.events if e.kind == "slide_end"]
-        out.slide_ends[rows] = ends[0] if ends else t_c[k]
+        slid = [e.t for e in its.events if e.kind == "slide_end"]
+        out.slide_ends[rows] = slid[0] if slid else t_c[k]
 
 
 def _group_by_size(who: Ints, size: Array) -> list[Ints]:
@@ -254,8 +259,8 @@ def _group_by_size(who: Ints, size: Array) -> list[Ints]:
 class _BatchSolver:
     """Builds the segments of a batch leg by leg, with all balls in one mode of motion together."""
 
-    def __init__(self, model: Model, bodies: Bodies, out: CollisionBatch, t_c: Array) -> None:
-        self.model, self.bodies, self.out, self.t_c = model, bodies, out, t_c
+    def __init__(self, model: Model, bodies: Bodies, out: CollisionBatch, t_c: Array, ends: Array) -> None:
+        self.model, self.bodies, self.out, self.t_c, self.ends = model, bodies, out, t_c, ends
         self.kinks = [t_c.copy()]
         out.slide_ends = t_c.copy()
         self.rolled = np.zeros(len(t_c), dtype=bool)  # balls whose slide ended as they bounced
@@ -318,7 +323,7 @@ class _BatchSolver:
         """Solve from the impact to the end. n (collisions, 2): normal of the impact, from striker to target."""
         max_legs = 2000  # after an impact
         states, now = states.copy(), self.t_c.copy()
-        end, out = self.out.end, np.concatenate([n, -n])
+        out = np.concatenate([n, -n])
         parting = slowest = (states[:, 3:5] * out).sum(axis=1)  # of each ball from the other, along the normal
         self._set_ending_slips(np.arange(len(now)), states)
         for _ in range(max_legs):
@@ -328,7 +333,7 @@ class _BatchSolver:
             if len(down):
                 self._land(down, states, now)
                 modes[down] = classify_modes(states[down], self.bodies.radius[down])
-            live = now < end
+            live = now < self.ends
             if not live.any():
                 break
             if self.mutual:
@@ -361,7 +366,7 @@ class _BatchSolver:
 
     def _propagate(self, who: Ints, states: Array, now: Array) -> None:
         balls = BallStates(self.model, self.bodies[who], states[who], self.floor[who])
-        for units, step in propagate(balls, self.out.end - now[who]):
+        for units, step in propagate(balls, self.ends[who] - now[who]):
             self._add_step(who[units], step, states, now)
 
     def _propagate_pairs(self, who: Ints, states: Array, now: Array, modes: Ints) -> None:
@@ -369,7 +374,7 @@ class _BatchSolver:
         samples = 24  # within the step, at which a ball at rest is checked for the push that starts it
         n, rows = len(states) // 2, np.concatenate([who, who + len(states) // 2])
         balls = BallStates(self.model, self.bodies[rows], states[rows], self.floor[rows], 2)
-        for units, step in propagate(balls, self.out.end - now[who]):
+        for units, step in propagate(balls, self.ends[who] - now[who]):
             mine = np.concatenate([who[units], who[units] + n])
             still = np.flatnonzero(modes[mine] == REST)
             if len(still):
@@ -383,9 +388,9 @@ class _BatchSolver:
 
     def _add_step(self, who: Ints, step: IntegrationStep, states: Array, now: Array) -> None:
         """Record an integrated step of the balls `who`."""
-        self.out.segments += IntegratedSegment.of(who, step.motion.shift(now[who]), self.out.end)
+        self.out.segments += IntegratedSegment.of(who, step.motion.shift(now[who]), self.ends[who])
         modes = classify_modes(states[who], self.bodies.radius[who])
-        states[who], now[who] = step.final_states, snap_to_goal(now[who] + step.durations, self.out.end)
+        states[who], now[who] = step.final_states, snap_to_goal(now[who] + step.durations, self.ends[who])
         slid, ended = who[step.ended & (modes == SLIDE)], who[step.ended & (modes != FLY)]
         self.out.slide_ends[slid], self.floor[slid] = now[slid], np.inf
         if len(ended):
@@ -393,7 +398,7 @@ class _BatchSolver:
 
     def _stay(self, who: Ints, states: Array, now: Array) -> None:
         self._rest(who, states[who], now, np.full(len(now), np.inf))
-        now[who] = self.out.end
+        now[who] = self.ends[who]
 
     def _rest(self, who: Ints, states: Array, now: Array, until: Array) -> None:
         held = states.copy()
@@ -451,7 +456,7 @@ class _BatchSolver:
 
     def _roll_on(self, who: Ints, states: Array, now: Array) -> None:
         """Roll to the end or to the stop."""
-        end, speed = np.full(len(who), self.out.end), np.hypot(states[who, 3], states[who, 4])
+        end, speed = self.ends[who], np.hypot(states[who, 3], states[who, 4])
         if self.bent[ROLL]:
             for some in _group_by_size(who, speed * (end - now[who])):
                 self._propagate(some, states, now)

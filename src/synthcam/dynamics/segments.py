@@ -143,7 +143,7 @@ class IntegratedSegment(Segment):
     motion: IntegratedMotion
 
     @classmethod
-    def of(cls, who: Ints, motion: IntegratedMotion, goal: float) -> list[IntegratedSegment]:
+    def of(cls, who: Ints, motion: IntegratedMotion, goal: Array | float) -> list[IntegratedSegment]:
         """Make a segment of each piece of a motion towards the time `goal`, which some reach but for rounding."""
         knots, parts = motion.split_pieces()
         knots = snap_to_goal(knots, goal)

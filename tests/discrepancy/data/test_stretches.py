@@ -10,6 +10,7 @@ from discrepancy.data.outlier_points import note_removed_points
 from discrepancy.data.reading import read_collisions
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting.base_fit import fit_base_model
+from discrepancy.free_laws.ranges import compute_ranges
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.preparation import prepare
 from discrepancy.search import search
@@ -108,3 +109,14 @@ def test_recordings_without_a_long_stretch_are_refused_in_one_line():
     short = [c.select(np.flatnonzero(np.abs(c.frame / c.fps - c.launch[2]) < 0.03)) for c in exact(Model(), 8, 3)]
     with pytest.raises(InputError, match="no clip has free stretches that are long enough"):
         prepare([dataclasses.replace(c, xy=c.xy + STD) for c in short], Model(), lambda stage: None, stretches=True)
+
+
+def test_the_ranges_of_free_laws_are_those_that_stretches_cover():
+    """A stretch is short. Its ball would later roll where no position tells of it, and earlier come from there."""
+    clips = cut_stretches(exact(Model(), 4, 2))
+    launches = np.array([clip.launch for clip in clips])
+    places = compute_ranges(Model(), launches, clips)[""].places
+    seen = np.concatenate([clip.xy for clip in clips])
+    step = 0.6 / clips[0].fps  # a fast ball's way in a frame, m
+    assert np.all(np.abs(places.min(axis=0) - seen.min(axis=0)) < step)
+    assert np.all(np.abs(places.max(axis=0) - seen.max(axis=0)) < step)

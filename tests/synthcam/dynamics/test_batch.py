@@ -219,3 +219,17 @@ def test_places_between_knots():
     places = interpolate_hermite(ends, np.diff(knots), shares)
     times = knots[:, :-1, None] + shares * np.diff(knots)[..., None]
     np.testing.assert_allclose(places[0], parabola(np.tile(times.reshape(1, -1), (2, 1)))[0, :, :2].reshape(3, 5, 2))
+
+
+@pytest.mark.parametrize("effects", [{}, {"plate_tilt.x": 3e-4}, {"hop.bounce": 0.0}])
+def test_a_free_ball_is_followed_until_its_own_end(effects):
+    """Until then it moves as one that is followed longer; a pair that meets is followed to the common end."""
+    model, rows = Model().replace(effects), launches(6, 3)
+    rows[:5, 5] = 2.0  # meets nothing
+    ends = np.linspace(0.2, 0.35, 6)
+    times = np.linspace(rows[:, 2], [*ends[:5], END], 20, axis=1)
+    both = (solve_collisions(model, rows, 0.0, END, ends=own).at(np.tile(times, (2, 1))) for own in (ends, None))
+    short, whole = both
+    assert np.allclose(short, whole, rtol=0, atol=1e-12)
+    solved = solve_collisions(model, rows, 0.0, END, ends=ends)
+    assert max(s.ends[s.who % 6 == 0].max(initial=0.0) for s in solved.segments) == pytest.approx(ends[0])
