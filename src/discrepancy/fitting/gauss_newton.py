@@ -51,7 +51,11 @@ def fit_model(
 
 
 def minimise_chi2(
-    whitened: WhitenedClips, fit: ModelFit, progress: Callable[[], None] = lambda: None, rough: bool = False
+    whitened: WhitenedClips,
+    fit: ModelFit,
+    progress: Callable[[], None] = lambda: None,
+    rough: bool = False,
+    useful_chi2: float = np.inf,
 ) -> ModelFit:
     """Minimise chi^2 of all clips by Gauss-Newton steps from a fit.
 
@@ -61,8 +65,11 @@ def minimise_chi2(
 
     rough: stop about 0.1 above the least chi^2, with derivatives of a point nearby, which is enough to rank models.
     Else the tolerance is 1e-3, with derivatives at the minimum.
+
+    useful_chi2: a fit with a larger chi^2 is of no use. The descent ends where a third of the way down to it is more
+    than the last step gained and than the next one promises.
     """
-    damping, tolerance, last = 0.0, 0.1 if rough else 1e-3, False
+    damping, tolerance, last, gained = 0.0, 0.1 if rough else 1e-3, False, np.inf
     held = np.zeros(len(fit.residuals))  # damping of single launches
     for _ in range(40):
         progress()
@@ -71,6 +78,8 @@ def minimise_chi2(
         except STEP_ERRORS:
             break
         predicted = fit.chi2 - _predict_chi2(fit, values, own)
+        if 3 * max(gained, predicted) < fit.chi2 - useful_chi2:
+            break
         if last or predicted < tolerance:
             if fit.is_linearised_here or rough or (here := _relinearise(whitened, fit)) is None:
                 break

@@ -91,9 +91,13 @@ class LibraryFits:
             self.fits[key] = exact
         return self.fits[key]
 
-    def extend(self, key: Key, fit: ModelFit, scored: CandidateScore) -> None:
-        """Fit and keep the model of `key`, which is the model of `fit` with the scored candidate added."""
-        self._keep(key, fit_with_candidate(self.evidence, fit, scored, self.progress))
+    def extend(self, key: Key, fit: ModelFit, scored: CandidateScore, slack: float = 30.0) -> None:
+        """Fit and keep the model of `key`, which is the model of `fit` with the scored candidate added.
+
+        The fit is given up where it cannot come within `slack` in chi^2 of the best model with as many candidates.
+        """
+        useful_chi2 = min((f.chi2 for k, f in self.fits.items() if len(k) == len(key)), default=math.inf) + slack
+        self._keep(key, fit_with_candidate(self.evidence, fit, scored, self.progress, useful_chi2=useful_chi2))
         self.latest[key] = scored.candidate
 
     def offer(self, key: Key, fit: ModelFit) -> None:
@@ -179,31 +183,37 @@ def fit_with_candidate(
     scored: CandidateScore,
     progress: Callable[[], None] = lambda: None,
     min_share: float = 0.5,
+    useful_chi2: float = math.inf,
 ) -> ModelFit:
     """Fit a model of the library with one candidate more: its strengths, then its shape parameters, with all others.
 
     The descent starts where the score test leads. If that gains less than `min_share` of what the test promised, the
     fit starts from realistic sizes as well. For a base parameter held at zero it starts from realistic sizes only.
-    The result is the best of those descents, roughly converged; `fit` itself if none can start.
+    The result is the best of those descents, roughly converged; `fit` itself if none can start. useful_chi2: see
+    `minimise_chi2`.
     """
-    tries = [] if scored.candidate.kind is None else [_descend_from_score(evidence, fit, scored, progress)]
+
+    def descend(start: ModelFit) -> ModelFit:
+        return minimise_chi2(evidence, start, progress, rough=True, useful_chi2=useful_chi2)
+
+    tries = [] if scored.candidate.kind is None else [_descend_from_score(evidence, fit, scored, descend)]
     if not tries or tries[0].chi2 > fit.chi2 - min_share * scored.gain:
-        tries += [minimise_chi2(evidence, s, progress, rough=True) for s in _realistic_starts(evidence, fit, scored)]
+        tries += [descend(start) for start in _realistic_starts(evidence, fit, scored)]
     return min(tries, key=lambda f: f.chi2, default=fit)
 
 
 def _descend_from_score(
-    evidence: WhitenedClips, fit: ModelFit, scored: CandidateScore, progress: Callable[[], None]
+    evidence: WhitenedClips, fit: ModelFit, scored: CandidateScore, descend: Callable[[ModelFit], ModelFit]
 ) -> ModelFit:
     candidate, model = scored.candidate, fit.model.replace(scored.shapes)
-    strong = minimise_chi2(evidence, fit.extend(model, scored.strengths, scored.columns), progress, rough=True)
+    strong = descend(fit.extend(model, scored.strengths, scored.columns))
     if not candidate.shapes or all(strong.model.value(s) == 0 for s in scored.strengths):
         return strong
     here = predict_tracks(strong.model, strong.launches, evidence.clips)
     slopes = differentiate_all(strong.model, strong.launches, evidence.clips, candidate.shapes, here)
     columns = evidence.whiten([np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))])
     columns = zero_unidentifiable_shapes(strong.model, candidate.shapes, columns)
-    return minimise_chi2(evidence, strong.extend(strong.model, candidate.shapes, columns), progress, rough=True)
+    return descend(strong.extend(strong.model, candidate.shapes, columns))
 
 
 def _realistic_starts(

@@ -295,3 +295,18 @@ def test_a_spin_that_no_track_shows_stays_where_it_is(smooth, shown):
     spins = minimise_chi2(evidence, here).launches[:, 6:]
     assert np.abs(spins - [0.1, 0.03, 0.05]).max() < 0.05
     assert np.array_equal(spins, starts[:, 6:]) == (not shown)
+
+
+def test_a_fit_that_cannot_become_useful_is_given_up():
+    """It stops early if no step leads near the chi^2 asked for; a fit that reaches that ends as without the demand."""
+    clips = collisions(TRUTH, 4, 11)
+    evidence, steps = WhitenedClips.of(clips, WHITE), []
+    start = linearise(evidence, Model(), BASE_PARAMETERS, np.array([c.launch for c in clips]))
+    whole = minimise_chi2(evidence, start, lambda: steps.append(1))
+    full, chi2 = len(steps), []
+    for demand in (whole.chi2 + 1, whole.chi2 - 1e6):
+        steps.clear()
+        chi2.append(minimise_chi2(evidence, start, lambda: steps.append(1), useful_chi2=demand).chi2)
+        assert (len(steps) < full) is (demand < 0)
+    assert chi2[0] == pytest.approx(whole.chi2, abs=1e-2)
+    assert chi2[1] > whole.chi2 + 1
