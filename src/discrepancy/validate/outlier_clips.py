@@ -21,7 +21,7 @@ def find_outlier_clips(
 
     A clip is an outlier in one of two cases.
 
-    - Its chi^2 is far above that of the others, both in the base fit and in the best fit.
+    - Its chi^2 is far above that of the others in the best fit, and the base fit predicts it no better.
     - Its shared parameters contradict those of all others, and the others agree without it. This is Chow's test
       (Econometrica 28 (1960) 591).
 
@@ -33,7 +33,8 @@ def find_outlier_clips(
     """
     most = max((len(clips) + removed) // current_policy().outlier_clips_one_in, 1) - removed
     out: dict[int, SearchNote] = {}
-    far = np.minimum(_deviations(base), _deviations(best))
+    typical = _log_chi2(best)
+    far = np.minimum(_deviations(base, typical), _deviations(best, typical))
     for k in np.flatnonzero(far > current_policy().outlier_clip_spreads).tolist():
         chi2 = float(best.residuals[k] @ best.residuals[k]) / len(best.residuals[k])
         out[k] = SearchNote(SearchNoteKind.UNLIKE_OTHERS, clips[k].clip, values={"chi2": chi2, "held_out": ""})
@@ -50,16 +51,19 @@ def find_outlier_clips(
     return {}
 
 
-def _deviations(fit: ModelFit) -> Array:
-    """Deviation of the logarithm of each clip's chi^2 per point from the median, in spreads of the clips or of chance.
+def _log_chi2(fit: ModelFit) -> Array:
+    return np.log([float(r @ r) / len(r) for r in fit.residuals])
 
-    The logarithm is used because a missing effect makes some clips worse than others by factors.
+
+def _deviations(fit: ModelFit, typical: Array) -> Array:
+    """Deviation of the logarithm of each clip's chi^2 per point from the typical median, in spreads or those of chance.
+
+    The logarithm is used because a missing effect makes some clips worse than others by factors. typical: those of the
+    best fit. The base fit lacks what was found, which spreads its own so widely that no clip stands out.
     """
     points = np.array([len(r) for r in fit.residuals])
-    each = np.log([float(r @ r) / len(r) for r in fit.residuals])
-    above = each - np.median(each)
-    spread = 1.4826 * float(np.median(np.abs(above)))
-    return np.asarray(above / np.maximum(spread, np.sqrt(2 / points)))
+    spread = 1.4826 * float(np.median(np.abs(typical - np.median(typical))))
+    return np.asarray((_log_chi2(fit) - np.median(typical)) / np.maximum(spread, np.sqrt(2 / points)))
 
 
 def _information_by_clip(fit: ModelFit) -> tuple[Array, Array]:

@@ -110,3 +110,15 @@ def test_a_claim_that_scatters_from_collision_to_collision_does_not_stand_where_
     # what closes more than it leaves, and a curve held out at its end, which is foretold badly though it is right
     assert judge_predictions(HeldOutTest((648.0, 300.0), 383.0, 362.0), HeldOutTest((496.0, 216.0), 6.6, 8.0)) is None
     assert judge_predictions(HeldOutTest((93.0, 1.04), 212.0, 214.0), HeldOutTest((57.0, 11.6), 7.9, 6.7)) is None
+
+
+@pytest.mark.parametrize(("without", "with_", "worse"), [(30.0, 31.0, False), (1.0, 31.0, True)])
+def test_a_clip_that_no_model_predicts_outweighs_no_other(without, with_, worse):
+    """Four clips support a claim; the fifth is far off with and without it, or the claim spoils it."""
+    rng = np.random.default_rng(3)
+    noise = list(rng.standard_normal((5, 40)))
+    claim = [noise[k] + (1.0 if k < 4 else without) for k in range(5)], [*noise[:4], noise[4] + with_]
+    held = HeldOutTest.of(*claim, np.inf)
+    assert held.is_worse is worse
+    assert held.gap[1] > held.gap[0]  # the gap itself counts every clip in full
+    assert (held.sigma > 5) is not worse

@@ -75,3 +75,12 @@ def test_one_clip_in_ten_may_be_odd_in_all():
     clips[3] = pushed(clips[3], 8e-3)
     both = fits(clips, "rolling_quadratic.K")
     assert [list(find_outlier_clips(clips, *both, gone)) for gone in (0, 1)] == [[3], []]
+
+
+def test_a_clip_that_no_model_predicts_is_found_where_the_base_predicts_none():
+    """The base fit misses the effect, so its own chi^2 spreads too widely for any clip to stand out there."""
+    clips = collisions(Model().replace({"velocity_restitution.e": 0.3}), 12, 7)
+    clips[3] = pushed(clips[3], 2e-2)
+    base, best = fits([c for k, c in enumerate(clips) if k != 3], "velocity_restitution.e")
+    both = (fit_model(clips, fit.model, (), CLAIMED) for fit in (base, best))
+    assert list(find_outlier_clips(clips, *both)) == [3]
