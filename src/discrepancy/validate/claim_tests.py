@@ -119,7 +119,7 @@ def _mean_square(residuals: Residuals) -> float:
     return sum(float(r @ r) for r in residuals) / sum(map(len, residuals))
 
 
-def _weigh_clips(without: Residuals, with_: Residuals, freedom: float = 4.0) -> list[float]:
+def _weigh_clips(without: Residuals, with_: Residuals, freedom: float = 4.0) -> Array:
     """Weigh each clip as in a fit of Student's t to whole clips; return the roots of the weights.
 
     A clip of p points with a scaled chi^2 of D counts by (freedom + p) / (freedom + D), at most by one: Lange, Little &
@@ -130,7 +130,7 @@ def _weigh_clips(without: Residuals, with_: Residuals, freedom: float = 4.0) -> 
     points = np.array([len(r) for r in without])
     chi2 = np.array([min(float(p @ p), float(q @ q)) for p, q in zip(without, with_, strict=True)])
     scale = max(float(np.median(chi2 / points)), 1.0)
-    return np.sqrt(np.minimum((freedom + points) / (freedom + chi2 / scale), 1.0)).tolist()
+    return np.asarray(np.sqrt(np.minimum((freedom + points) / (freedom + chi2 / scale), 1.0)))
 
 
 def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Rejection | None:
