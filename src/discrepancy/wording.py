@@ -51,7 +51,11 @@ def _describe_free_motion(found: SearchOutcome) -> str:
         slow = describe_slow_noise(found.data.noise) if found.data.scatter.is_none else ""
     rejected, remaining = describe_rejections(found.rejected, unit), found.disagreements
     is_left = is_unexplained(remaining, found.policy)
-    worst = f"{describe_disagreement(remaining[0])} ({remaining[0].sigma:.0f} sigma)" if is_left else ""
+    worst = (
+        f"{describe_disagreement(remaining[0], found.base_fit.model)} ({remaining[0].sigma:.0f} sigma)"
+        if is_left
+        else ""
+    )
     if found.interrupted:
         return describe_interruption(found.interrupted, found.base_fit, unit)
     unnamed = "The search names no effect for smoothed tracks"
@@ -183,9 +187,12 @@ def describe_rejections(tests: Sequence[ClaimTest], unit: EvidenceUnit) -> str:
     return f" Rejected: {'; '.join(f'{t.name} ({describe_rejection(t, unit)})' for t in tests)}." if tests else ""
 
 
-def describe_disagreement(disagreement: Disagreement) -> str:
+def describe_disagreement(disagreement: Disagreement, base: Model) -> str:
     """Describe a disagreement in words: "ball 1 sliding, along its motion, changing with the speed"."""
-    phase = {"before": "before the contact", "contact": "at the contact"}.get(disagreement.phase, disagreement.phase)
+    names = {"before": "before the contact", "contact": "at the contact"}
+    if not base.sliding_friction:  # on air
+        names["sliding"] = "gliding"
+    phase = names.get(disagreement.phase, disagreement.phase)
     changing = f", changing with the {disagreement.against}" if disagreement.against else ""
     return f"{disagreement.ball} {phase}, {disagreement.observable} its motion{changing}"
 

@@ -5,7 +5,8 @@ import dataclasses
 from discrepancy.fitting.stretch_scatter import StretchScatter
 from discrepancy.select.contact_effects import ContactClaim, ContactNumber
 from discrepancy.validate.claim_tests import ClaimTest, HeldOutTest, Rejection, StrengthVariation
-from discrepancy.wording import describe_contacts, describe_rejection, describe_scatter
+from discrepancy.validate.residual_map import Disagreement
+from discrepancy.wording import describe_contacts, describe_disagreement, describe_rejection, describe_scatter
 from synthcam.model import Model
 
 RECOIL = ContactClaim(
@@ -20,6 +21,13 @@ RECOIL = ContactClaim(
     rivals=("ball a is heavier by a share",),
     mean=ContactNumber("mean recoil", 0.02, 0.004, "1"),
 )
+
+
+def test_a_body_on_air_glides_and_a_ball_slides():
+    one = Disagreement(phase="sliding", ball="ball 2", observable="along", sigma=6.0)
+    for friction, word in ((0.0, "gliding"), (0.2, "sliding")):
+        text = describe_disagreement(one, Model().replace({"sliding_friction": friction}))
+        assert text == f"ball 2 {word}, along its motion"
 
 
 def test_scatter_is_given_in_the_units_of_the_bench():

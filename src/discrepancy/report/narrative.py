@@ -64,7 +64,7 @@ def _describe_disagreement(found: SearchOutcome) -> str:
     if worst is None or worst.sigma == 0:
         return f"{chi2} and no significant disagreement."
     size = f", {format_number(worst.size, 2)} um rms" if np.isfinite(worst.size) else ""
-    where = describe_disagreement(worst)
+    where = describe_disagreement(worst, base.model)
     return (
         f"{chi2}. Its largest disagreement is {where}: {format_sigma(worst.sigma)} sigma "
         f"after {len(found.base_disagreements)} trials{size}."

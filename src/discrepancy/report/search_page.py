@@ -203,7 +203,7 @@ def _list_disagreements(
         rows = []
         for one in disagreements[:rows_shown]:
             size = format_number(one.size, 2) if np.isfinite(one.size) and one.size else ""
-            rows.append((describe_disagreement(one), format_sigma(one.sigma), size))
+            rows.append((describe_disagreement(one, found.base_fit.model), format_sigma(one.sigma), size))
         note = (
             f"Residuals of the {len(found.data.clips)} fitted {found.data.unit}. The significance is corrected for "
             f"{len(disagreements)} trials."

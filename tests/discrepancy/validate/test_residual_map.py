@@ -118,7 +118,7 @@ def test_looks_are_corrected_and_in_order():
         assert p.against in ("", "speed", "impact parameter", "heading", "position")
         assert p.size >= 0
     assert "ball 1 at the contact, along its motion, changing with the speed" in {
-        describe_disagreement(p) for p in places
+        describe_disagreement(p, Model()) for p in places
     }
 
 
