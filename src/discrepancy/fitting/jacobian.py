@@ -82,7 +82,7 @@ def decouple(
 
 
 def coupling_effects(model: Model, plain: Model) -> set[str]:
-    """Name the effects by which balls push each other, which derivatives need; plain: the model without them."""
+    """Name the effects that couple the derivatives of both balls by a push; plain: the model without them."""
     return {e.name() for e in model.effects} - {e.name() for e in plain.effects}
 
 

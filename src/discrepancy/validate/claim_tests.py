@@ -158,7 +158,7 @@ def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Reje
 
 
 def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> list[Array]:
-    """Test a fit by predicting each clip from all other clips, to first order; return the whitened residuals.
+    """Test a claim's fit by predicting each clip from all others, to first order; return the whitened residuals.
 
     The clip's own launch is fitted to it. Parameters at a limit stay there. The update is that of leave-one-out
     regression (Cook & Weisberg, Residuals and Influence in Regression, 1982).

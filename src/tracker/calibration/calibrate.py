@@ -181,7 +181,7 @@ def _ways(seen: Sequence[BallSighting], diameter: float) -> dict[str, tuple[floa
 
 
 def inverse_variance_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
-    """Average what several contacts or clips give for one value of a calibration, with its error, without strays."""
+    """Average the distances at the contacts of a calibration, with the error, without strays."""
     value, std = np.array(values).T
     off = np.abs(value - np.median(value))
     # contacts more than four deviations from the median are strays; 1.4826 turns a median deviation into a standard one

@@ -136,7 +136,7 @@ def find_repeated(changes: Array, tolerance: float = 0.0) -> Ints:
 
 
 def drop_repeated(frames: Frames, changes: Array) -> Frames:
-    """The film without the frames that repeat the previous one; the others keep their numbers."""
+    """Drop from a film the frames that repeat the previous one; the others keep their numbers."""
     # A copy in video with loss: .02 counts^2 a pixel, a twentieth of what a small moving ball makes in 640 x 480 pixels
     again = find_repeated(changes, 0.02 * frames.shape[1] * frames.shape[2] if frames.lossy else 0.0)
     if not len(again) or len(frames) - len(again) < 2:

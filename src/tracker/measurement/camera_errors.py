@@ -226,7 +226,7 @@ def add_contact_errors(
 
 
 def measure_contact_distance(free: CollisionFit, camera: Camera, tied: bool = False) -> tuple[float, float]:
-    """Measure the distance of the centres at the contact by a fit, to judge the camera file's scale and diameter.
+    """Measure how wrong the camera file's scale or diameter may be: the distance at the contact, by a fit.
 
     The fit assumes that they touch at one diameter. Returns the distance in diameters, and its standard error with
     those of scale and diameter.

@@ -131,7 +131,7 @@ def stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
 def directions(
     heading: NDArray[np.inexact] | float, beta: NDArray[np.inexact] | float
 ) -> tuple[NDArray[np.inexact], NDArray[np.inexact], NDArray[np.inexact]]:
-    """Compute unit vectors (..., 2) of a collision: d (motion of ball 2 against ball 1), n (from 2 to 1), z x n."""
+    """Compute the collision model's unit vectors (..., 2): d (motion of ball 2 against 1), n (from 2 to 1), z x n."""
     d = np.stack([np.cos(heading), np.sin(heading)], -1)
     n = np.stack([np.cos(heading - beta), np.sin(heading - beta)], -1)
     return d, n, np.stack([-n[..., 1], n[..., 0]], -1)
@@ -332,6 +332,6 @@ def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.ine
 
 
 def tied_to_free_jacobian(tied: Floats, spin: float = 0.0) -> Floats:
-    """Compute the derivatives (22, 16) of the model's free parameters by the tied ones, exact to rounding."""
+    """Differentiate the collision model: its free parameters by the tied ones, (22, 16), exact to rounding."""
     steps = tied + 1e-30j * np.eye(len(TIED))
     return np.asarray(tied_to_free(steps, spin).imag.T / 1e-30, dtype=np.float64)
