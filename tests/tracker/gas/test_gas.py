@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 
 from synthcam_shared.errors import InputError
-from tracker.gas.energy import SINKS
+from tracker.gas.energy import SINKS, predict_losses
 from tracker.gas.gas import GasCamera, measure_gas
 from tracker.gas.kinetic_theory import contact_pair_correlation, contact_rate, mean_free_path
 from tracker.gas.pair_correlation import pair_correlation
-from tracker.gas.velocities import find_slide_end, fit_velocities
+from tracker.gas.velocities import FreePath, HalfVelocities, find_slide_end, fit_velocities
 from tracker.measurement.positions import BallTrack
 
 FPS = 250.0
@@ -155,6 +155,29 @@ def test_energies_add_up_and_go_where_they_went():
     last = given.time.iloc[-1]
     assert (last["lost_in_contacts"], last["lost_in_contacts_std"]) == pytest.approx((0.01, 0.001))
     assert last["lost_to_plate"] == pytest.approx(plate + in_contact - 0.01, abs=1e-4)
+
+
+@pytest.mark.parametrize("wall", [False, True])
+def test_kicks_give_the_losses_of_contacts_whose_slides_hide_them(wall):
+    """Contacts along x of a ball that comes at an angle, with r = 0.9 and s = 5/7; a smooth wall."""
+    speeds, across, r = np.linspace(0.1, 0.4, 8), 0.03, 0.9
+    kick = (1 + r) * speeds * (1 if wall else 0.5)
+    rows = [(0.01 * k, 0, -1 if wall else 1, np.nan, np.nan) for k in range(len(speeds))]
+    table = make_contacts(*rows).assign(kick=kick, kick_std=0.01 * kick, nx=-1.0, ny=0.0)
+    one, none, zeros = np.full(1, 1e6), np.zeros(1), np.zeros(1)
+
+    def end_path(ball, velocity, contact):
+        velocities = HalfVelocities(velocity[None], velocity[None], one, one, none)
+        frame = np.zeros(1, dtype=np.int64)
+        return FreePath(ball, frame, zeros, -1, contact, 0.0, 0.01 * contact, velocities, zeros)
+
+    moving, still = [np.array([speed, across]) for speed in speeds], np.zeros(2)
+    paths = [end_path(0, velocity, k) for k, velocity in enumerate(moving)]
+    paths += [] if wall else [end_path(1, still, k) for k in range(len(speeds))]
+    lost, variance = predict_losses(table, paths, 1e-9)
+    true = (1 - r**2) * speeds**2 / 2 if wall else ((1 - r**2) * speeds**2 + (1 - (5 / 7) ** 2) * across**2) / 4
+    np.testing.assert_allclose(lost, true, rtol=1e-6)
+    assert (np.sqrt(variance) < true).all()
 
 
 def test_two_balls_are_no_gas():
