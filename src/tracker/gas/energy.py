@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from tracker.gas.velocities import FreePath, HalfVelocities
 
@@ -60,6 +61,7 @@ def predict_losses(
     along = approach[:, 0] * normal[0] + approach[:, 1] * normal[1]
     across = approach[:, 0] * normal[1] - approach[:, 1] * normal[0]
     lost[wall] = (kick * (along - kick / 2))[wall]
+    lost[wall & _lies_inside(contacts)] = np.nan  # a hit of a ball whose partner is not found
     errors = [(along - kick) * kick_std, across * kick_std, kick * both]
     variance[wall] = sum(error**2 for error in errors)[wall]
     seen = ~wall & (both < 0.1 * along)
@@ -77,6 +79,16 @@ def predict_losses(
         lost[~wall] = (share * kick**2 + (1 - keep**2) * square / 4)[~wall]
         variance[~wall] = sum(error**2 for error in errors)[~wall]
     return lost, variance
+
+
+def _lies_inside(contacts: pd.DataFrame, *, share: float = 0.02) -> NDArray[np.bool_]:
+    """Decide which contacts lie inside the hull of all by more than a share of its smallest width."""
+    if "x" not in contacts or len(contacts) < 4:
+        return np.zeros(len(contacts), dtype=bool)
+    place = contacts[["x", "y"]].to_numpy(dtype=np.float64)
+    hull = ConvexHull(place, qhull_options="QJ")  # also of points on a line
+    depth = -(place @ hull.equations[:, :2].T + hull.equations[:, 2])
+    return np.asarray(depth.min(axis=1) > share * depth.max(axis=0).min())
 
 
 def measure_contact_losses(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float) -> tuple[Floats, Floats]:
