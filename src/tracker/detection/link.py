@@ -184,13 +184,15 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool, s
     track[parts[0]] = np.arange(first)
     live, count = PredictedBalls.start(np.arange(first), int(frames[0]), xy[parts[0]], noise), first
     for k, (frame, rows) in enumerate(zip(frames[1:].tolist(), parts[1:], strict=True), 1):
-        live = live.take(frame - live.seen <= settings.max_gap_frames + 1)
+        recent = frame - live.seen <= settings.max_gap_frames + 1
+        live = live if recent.all() else live.take(recent)
         follows = k + 1 < len(frames)
         coming = (xy[parts[k + 1]], int(frames[k + 1]) - frame) if follows else None
         live, own = link_frame(live, xy[rows], int(frame - frames[k - 1]), frame, coming, noise)
         new = np.flatnonzero(own < 0)
-        own[new] = count + np.arange(len(new))
-        live = live.join(PredictedBalls.start(own[new], frame, xy[rows[new]], noise))
+        if len(new):
+            own[new] = count + np.arange(len(new))
+            live = live.join(PredictedBalls.start(own[new], frame, xy[rows[new]], noise))
         track[rows], count = own, count + len(new)
     ordered = np.lexsort((glints.frame, track))
     return np.split(ordered, np.flatnonzero(np.diff(track[ordered])) + 1)

@@ -13,6 +13,7 @@ The likelihood of a detection is the sum over these. It is compared with that of
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ class PredictedBalls:
 
     def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> PredictedBalls:
         """Some of the balls."""
-        return PredictedBalls(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return PredictedBalls(**{name: value[rows] for name, value in vars(self).items()})
 
     def join(self, other: PredictedBalls) -> PredictedBalls:
         """The balls of both."""
@@ -78,11 +79,11 @@ class PredictedBalls:
 
     def advance(self, frames: int, noise: MotionNoise) -> PredictedBalls:
         """The balls some frames later, if nothing hits them."""
-        t, (xx, xv, vv) = float(frames), self.cov.T
+        t, (xx, xv, vv), cov = float(frames), self.cov.T, np.empty_like(self.cov)
         push = noise.acceleration**2 + noise.bend**2 * (self.v**2).sum(axis=1)
-        cov = np.column_stack(
-            [xx + 2 * t * xv + t * t * vv + push * t**4 / 4, xv + t * vv + push * t**3 / 2, vv + push * t * t]
-        )
+        cov[:, 0] = xx + 2 * t * xv + t * t * vv + push * t**4 / 4
+        cov[:, 1] = xv + t * vv + push * t**3 / 2
+        cov[:, 2] = vv + push * t * t
         return replace(self, xy=self.xy + t * self.v, cov=cov)
 
 
@@ -135,12 +136,18 @@ def find_pairs(balls: PredictedBalls, frames: int, noise: MotionNoise) -> tuple[
     """Predict which pairs of balls, both seen twice, may come within a diameter."""
     rows = np.flatnonzero(balls.count > 1)
     if len(rows) < 2:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
+        return rows[:0], rows[:0]
     xy, speed = balls.xy[rows], np.hypot(*balls.v[rows].T) * frames
     reach = (1 + 3 * noise.distance) * noise.diameter
     if len(rows) <= DENSE:
-        i, j = np.triu_indices(len(rows), 1)
+        i, j = _list_pairs(len(rows))
     else:
         i, j = cKDTree(xy).query_pairs(reach + 2 * float(speed.max()), output_type="ndarray").T.astype(np.int64)
     near = ((xy[i] - xy[j]) ** 2).sum(axis=1) < (reach + speed[i] + speed[j]) ** 2
     return rows[i[near]], rows[j[near]]
+
+
+@cache
+def _list_pairs(count: int) -> tuple[Ints, Ints]:
+    i, j = np.triu_indices(count, 1)
+    return i, j
