@@ -70,7 +70,7 @@ def _with_read_noise(camera: Camera, sensor: SensorSpec, noise: float, level: fl
 def _cut_bright_glints(camera: Camera, plate: EmptyPlate, frames: Sequence[Any]) -> GlintWindows | None:
     """Windows about clear glints; the blur of each follows from its nearest neighbour one frame before."""
     used_frames = 40  # in the middle of the clip
-    max_windows = 400  # a cluttered film has tens of thousands, and 400 show the width to a percent
+    max_windows = 120  # a cluttered film has tens of thousands, and 120 show the width to 2 %
     max_blur_px = 2.5  # glints that move by more during the exposure are not used
     # Share of the frame time up to which whole-pixel positions give the blur well enough. Of longer exposures only
     # glints at rest are used.
