@@ -90,7 +90,7 @@ def pick_representatives(options: list[Any], key: str, where: str, most: int = 1
 
 
 def replace_at(plain: Any, key: tuple[str, ...], value: Any) -> Any:
-    """Replace a distribution: copy nested settings with the value at `key` changed."""
+    """Copy the nested settings of a scene with another value at `key`, such as a number in place of a distribution."""
     if not key:
         return value
     if isinstance(plain, list):
