@@ -116,18 +116,19 @@ def time_trays() -> list[dict[str, float]]:
     return [time_tray(count, 0.05) for count in (10, 30, 100, 300, 1000, 3000, 10_000)]
 
 
-def cool(model: Model, lasts: float, trays: int = 1) -> dict[str, Any]:
-    """Trays of 100 balls: mean square speed and sinks of energy of the first tray, and how long balls slide in all.
-
-    The durations of several trays are means, with standard errors.
-    """
+def cool(model: Model, lasts: float) -> dict[str, Any]:
+    """Trays of 100 balls: sinks of energy of the first, and the means of all with their standard errors: mean square
+    speed, time of Haff's law, and how long balls slide."""
     motions = []
-    for seed in range(1, trays + 1):
+    for seed in range(1, TRAYS + 1):
         launch, side = fill_tray(model, 100, 0.3, seed=seed)
         motions.append(solve(model, launch, 0.0, lasts, False, Table(box(side, side, 1.0, 0.0), (), 1e-5)))
-    times, motion = np.linspace(0, lasts, 41), motions[0]
-    found = {"t": times, "temperature": temperature(motion.at(times)), **share_losses(motion, launch.bodies)}
-    found |= fit_haff(times, np.array(found["temperature"])) | {"t": times.tolist()}
+    times = np.linspace(0, lasts, 41)
+    trays = np.array([temperature(one.at(times)) for one in motions])
+    each = np.array([fit_haff(times, tray)["haff_time"] for tray in trays])
+    found = {"t": times.tolist(), "temperature": trays.mean(axis=0).tolist(), **share_losses(motions[0], launch.bodies)}
+    found |= fit_haff(times, trays.mean(axis=0))
+    found["haff_time_error"] = float(each.std(ddof=1)) / math.sqrt(TRAYS)
     return found | {"sliding": average_rows([compare_slides(one, lasts) for one in motions])}
 
 
@@ -164,14 +165,15 @@ def compare_slides(motion: Trajectory, lasts: float) -> list[dict[str, float]]:
 
 
 def fit_haff(times: NDArray[np.float64], temperature: NDArray[np.float64]) -> dict[str, float]:
-    """Fit T0 (1 + t/t0)^-2: the root mean square of ln T about it, and t0, s."""
+    """Fit T0 (1 + t/t0)^-2: the root mean square of ln T about it, T0, and t0, s."""
 
     def deviate(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(np.log(temperature) - numbers[0] + 2 * np.log1p(times * np.exp(numbers[1])))
 
     times, temperature = times[temperature > 0], temperature[temperature > 0]
     best = least_squares(deviate, [math.log(temperature[0]), 0.0])
-    return {"haff": float(np.sqrt(np.mean(best.fun**2))), "haff_time": float(np.exp(-best.x[1]))}
+    start, time = np.exp(best.x * [1, -1]).tolist()
+    return {"haff": float(np.sqrt(np.mean(best.fun**2))), "haff_start": start, "haff_time": time}
 
 
 def temperature(states: NDArray[np.float64]) -> list[float]:
@@ -224,8 +226,8 @@ def draw_cooling(found: dict[str, Any], path: Path) -> None:
         left.loglog(one["t"][1:], one["temperature"][1:], style, label=name)
     smooth = found[names[1]]
     late = np.array(smooth["t"][1:])
-    t0 = smooth["haff_time"]
-    left.loglog(late, smooth["temperature"][0] * (1 + late / t0) ** -2, "r:", label="Haff's law, no friction")
+    law = smooth["haff_start"] * (1 + late / smooth["haff_time"]) ** -2
+    left.loglog(late, law, "r:", label="Haff's law, no friction")
     left.set(xlabel="time (s)", ylabel="mean square velocity (m²/s²)")
     kinds = {"contact": "contacts", "slide": "sliding", "roll": "rolling"}
     bottom = np.zeros(len(names))
@@ -271,12 +273,13 @@ def main() -> None:
     found["trays"], found["long"] = time_trays(), time_tray(100, 10.0)
     smooth = Model(rolling_drag=0.0, rolling_decel=0.0, sliding_friction=1e-9, spin_transfer=0.0)
     found["cooling"] = {
-        "the paper's plate": cool(Model(effects=(BallFriction(mu=0.15),)), 0.5, TRAYS),
+        "the paper's plate": cool(Model(effects=(BallFriction(mu=0.15),)), 0.5),
         "no friction": cool(smooth, 2.0),
     }
     for name, one in found["cooling"].items():
         shares = ", ".join(f"{k} {v:.1%}" for k, v in one["shares"].items())
-        print(f"{name}: {shares} of the loss; rms of ln T about Haff's law {one['haff']:.3f}")
+        t0 = f"{1e3 * one['haff_time']:.1f} +- {1e3 * one['haff_time_error']:.1f} ms"
+        print(f"{name}: {shares} of the loss; t0 of Haff's law {t0}, rms of ln T about it {one['haff']:.3f}")
     save(args.output / "figures.json", found)
     draw(found, args.output / "many_bodies.png")
     draw_cooling(found["cooling"], args.output / "cooling.png")

@@ -1,6 +1,7 @@
 """Write pooltool_break.json: a nine-ball break and hits on a cushion by pooltool 0.6.0. test_table.py reads it.
 
-See pooltool_shots.py for how to install it. simplepbr, which draws, may be an empty module.
+See pooltool_shots.py for how to install it. simplepbr, which draws, may be a module that has a
+class `Pipeline` alone.
 """
 
 import json
