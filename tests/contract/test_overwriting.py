@@ -86,7 +86,7 @@ def test_preview_replaces_its_own_picture(tmp_path, monkeypatch):
     from synthcam.scene.scene import check_scene
 
     clip = check_scene({"timing": {"frames": 3, "contact_frame": 1}, "camera": {"size": [64, 48]}}, "s").draw()
-    monkeypatch.setattr(type(clip), "pictures", lambda self: iter(np.zeros((3, 48, 64), np.uint8)))
+    monkeypatch.setattr(type(clip), "pictures", lambda self, every=1: iter(np.zeros((3, 48, 64), np.uint8)[::every]))
     for name, write in (
         ("p.png", lambda path: preview.write_preview(clip, path, 0, 0)),
         ("p.gif", lambda path: preview.write_animation(clip, path)),

@@ -116,7 +116,7 @@ def follow_stiff_contact(before, duration, restitution, friction, turns):
 
     parts.terminal, parts.direction = True, -1
     limits = {"rtol": 1e-7, "atol": 1e-13, "max_step": duration / 20}
-    first = [*np.ravel(before), 0.0]
+    first = np.append(before, 0.0)
     last = solve_ivp(law, (0, 20 * duration), first, method="Radau", events=parts, **limits).y[:, -1]
     return last[:18].reshape(2, 9)[:, 3:5], last[18]
 
