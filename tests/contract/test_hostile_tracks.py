@@ -63,10 +63,6 @@ def test_no_step_ends_beyond_a_limit(name, side, share, further):
         assert parameter_limits(Model(), name)[0] <= there.value(name) <= parameter_limits(Model(), name)[1]
 
 
-CLIPS = collisions(Model(), 2, 3, frames=40)
-START = linearise(WhitenedClips.of(CLIPS, NOISE), Model(), BASE_PARAMETERS, np.array([c.launch for c in CLIPS]))
-
-
 @pytest.mark.parametrize("error", [ValueError, np.linalg.LinAlgError, FloatingPointError, OverflowError])
 def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
     """Whatever it is that fails, and wherever on the way."""

@@ -66,20 +66,14 @@ def test_a_bad_scene(command, tmp_path, message):
     assert [p.name for p in tmp_path.iterdir()] == ["bad.yaml"]
 
 
-def test_code_in_a_scene_does_not_run(tmp_path):
+def test_code_in_a_scene_does_not_run(command, tmp_path):
     trap = tmp_path / "trap"
     (tmp_path / "s.yaml").write_text(f"name: !!python/object/apply:pathlib.Path.touch [{trap}]\n")
     (tmp_path / "t.yaml").write_text(f"name: !!python/object/apply:os.system ['touch {trap}']\n")
     for name in ("s.yaml", "t.yaml"):
-        script = "from synthcam.cli import main; main()"
-        run = subprocess.run(
-            [sys.executable, "-c", script, "generate", name, "-o", "d", "--no-video"],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-        )
-        assert run.returncode == 2
-        one_line(run.stderr, name, "line 1: not plain YAML")
+        status, _, err = command("generate", tmp_path / name, "-o", tmp_path / "d", "--no-video")
+        assert status == 2
+        one_line(err, name, "line 1: not plain YAML")
         assert not trap.exists()
 
 

@@ -79,7 +79,7 @@ def test_the_exposure_seen_is_in_the_results_whatever_the_workers(tmp_path):
         frames = film(np.random.default_rng(number), PATHS, exposure_share=share)
         write_clip(tmp_path / f"film/clips/{number:06d}", frames)
     for workers in ("1", "2"):
-        command = ["track", str(tmp_path / "film"), "-o", str(tmp_path / workers), "--workers", workers]
+        command = ["track", str(tmp_path / "film"), "-o", str(tmp_path / workers), "--workers", workers, "--no-pages"]
         done = CliRunner().invoke(cli.app, command)
         assert done.exit_code == 0, done.output
         assert done.stderr.count("motion blur is longer") == 1
