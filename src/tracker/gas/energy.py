@@ -86,7 +86,9 @@ def _lies_inside(contacts: pd.DataFrame, *, share: float = 0.02) -> NDArray[np.b
     if "x" not in contacts or len(contacts) < 4:
         return np.zeros(len(contacts), dtype=bool)
     place = contacts[["x", "y"]].to_numpy(dtype=np.float64)
-    hull = ConvexHull(place, qhull_options="QJ")  # also of points on a line
+    if np.linalg.matrix_rank(place - place.mean(axis=0), tol=1e-9) < 2:  # all on one line
+        return np.zeros(len(contacts), dtype=bool)
+    hull = ConvexHull(place)
     depth = -(place @ hull.equations[:, :2].T + hull.equations[:, 2])
     return np.asarray(depth.min(axis=1) > share * depth.max(axis=0).min())
 

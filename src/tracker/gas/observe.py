@@ -184,6 +184,11 @@ def _limits(
             f"a ball has {between:.1f} frames between contacts; under {min_free_frames} the temperature is "
             "some per cent too low, which its error allows for"
         )
+    if hidden := int(gas.time["unknown"].iloc[0]):
+        notes.append(
+            f"{hidden} ball{'s' * (hidden > 1)} in view in the first frame had no velocity yet; the energies leave out "
+            "what they lost before their first one"
+        )
     if abs(np.log(gas.values["noise_ratio"])) > np.log(1.5):
         notes.append(
             f"the noise of positions is {gas.values['noise_ratio']:.2f} times what the tracks claim; all values here "

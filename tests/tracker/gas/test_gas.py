@@ -178,6 +178,14 @@ def test_kicks_give_the_losses_of_contacts_whose_slides_hide_them(wall):
     true = (1 - r**2) * speeds**2 / 2 if wall else ((1 - r**2) * speeds**2 + (1 - (5 / 7) ** 2) * across**2) / 4
     np.testing.assert_allclose(lost, true, rtol=1e-6)
     assert (np.sqrt(variance) < true).all()
+    if wall:
+        corner = np.arange(len(table)) % 4
+        tray = table.assign(x=0.1 * (corner % 2), y=0.1 * (corner // 2))
+        tray.loc[3, ["x", "y"]] = 0.05  # the ball that it met there was not found
+        in_line = table.assign(x=0.01 * corner, y=0.02 * corner)  # along one wall
+        for places, inside in ((tray, [3]), (in_line, [])):
+            unknown = np.isnan(predict_losses(places, paths, 1e-9)[0])
+            assert np.flatnonzero(unknown).tolist() == inside
 
 
 def test_two_balls_are_no_gas():
