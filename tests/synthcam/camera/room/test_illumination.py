@@ -95,7 +95,7 @@ def test_a_disc_takes_the_light_of_the_rays_that_it_meets():
     away, angle = np.array([0.031, 0.034, 0.04, 0.05, 0.045]), np.array([3.3, 3.7, 3.5, 3.6, 0.4])
     points = np.column_stack([away * np.cos(angle), away * np.sin(angle), 0 * away])
     found = shade.on_plate(points, np.array([[0, 0, height / 2]]))[:, 0]
-    n = 20_000
+    n = 100_000
     turn, share = rng.uniform(0, 2 * np.pi, (2, n)), rng.random((2, n))
     sky = np.stack([np.sqrt(share[0]) * np.cos(turn[0]), np.sqrt(share[0]) * np.sin(turn[0]), np.sqrt(1 - share[0])])
     spots = lamp.position + 0.05 * np.sqrt(share[1])[:, None] * (
@@ -103,11 +103,14 @@ def test_a_disc_takes_the_light_of_the_rays_that_it_meets():
     )
 
     def is_free(point, ways):
-        """Whether rays miss the cylinder: at the steps where they are level with it."""
-        steps = np.linspace(0, 1, 60)[:, None] * height / ways[:, 2]
-        return (np.hypot(*(point[k] + steps * ways[:, k] for k in (0, 1))) > radius).all(axis=0)
+        """Whether rays pass beside the cylinder, or over it where they enter its circle."""
+        way = ways.T / np.hypot(ways[:, 0], ways[:, 1])
+        along = -(point[:2] @ way[:2])
+        square = along**2 - (point[:2] @ point[:2] - radius**2)
+        return (along < 0) | (square < 0) | ((along - np.sqrt(np.maximum(square, 0))) * way[2] > height)
 
-    for point, value in zip(points, found, strict=True):
+    off = [0.002, 0.002, 0.002, 0.015, 0.002]  # the fourth is in the penumbra, of which the edge is taken as straight
+    for point, value, most in zip(points, found, off, strict=True):
         exact = 0.4 * is_free(point, sky.T).mean()
         exact += (shade.bare(point[None])[0] - 0.4) * is_free(point, spots - point).mean()
-        assert value == pytest.approx(exact, abs=0.02)
+        assert value == pytest.approx(exact, abs=most)
