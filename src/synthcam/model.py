@@ -157,6 +157,11 @@ class Bodies:
     of_a: Array
     inertia: Array
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """a or b, for each body."""
+        return tuple("a" if of_a else "b" for of_a in self.of_a)
+
     def __getitem__(self, which: Any) -> Bodies:
         return Bodies(self.radius[which], self.mass[which], self.of_a[which], self.inertia[which])
 

@@ -90,7 +90,8 @@ class LabelledFrame:
 
 def label_frames(clip: Clip, every: int = 1) -> Iterator[LabelledFrame]:
     """Render every n-th frame of a clip, and label it. Raises ValueError if the clip cannot be made."""
-    tracks = ground_truth.tracks(clip.launch.bodies, clip.view, clip.lamp, clip.frames, every=every)
+    bodies = clip.launch.bodies
+    tracks = ground_truth.tracks(bodies, clip.view, clip.lamp, clip.frames, every=every, heights=clip.heights)
     return _label(clip, tracks, clip.pictures(every), every)
 
 

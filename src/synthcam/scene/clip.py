@@ -24,7 +24,7 @@ from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, ca
 from synthcam.scene.bodies import build_table, find_heights, list_kinds
 from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.groups import place_groups
-from synthcam.scene.materials import build_finish, build_varnish, make_discs_matte, screen_colour
+from synthcam.scene.materials import build_finish, build_varnish, list_screen_colours, make_discs_matte
 from synthcam.scene.motion import Motion
 from synthcam.scene.sensor_frames import Counts, OpticalSetup, expose_frames
 from synthcam_shared.errors import InputError
@@ -136,7 +136,7 @@ class Clip:
             self.camera.fps,
             tuple(self.launch.bodies.radius.tolist()),
             self.table.walls,
-            tuple(screen_colour(kind.get("colour")) for kind in list_kinds(self.drawn)),
+            list_screen_colours(self.drawn, self.launch.bodies.labels, list_kinds(self.drawn)),
             self.orientation if self.heights.any() else None,
         )
 
@@ -244,12 +244,14 @@ class Clip:
         """The true tracks: a row for each ball and frame, at mid-exposure.
 
         - frame; t_s: time, s; particle: 0 is ball 1 (the target)
-        - x_px, y_px: centre; glint_x_px, glint_y_px: primary glint; x_mean_px, y_mean_px: mean over the exposure
+        - x_px, y_px: centre; glint_x_px, glint_y_px: primary glint, NaN of discs; x_mean_px, y_mean_px: mean over the
+          exposure
         - x, y, z: m; vx, vy, vz: m/s; wx, wy, wz: rad/s
         - state: rest, roll, slide, fly, glide or push; visible: the whole outline is in the picture
         - qx, qy, qz, qw, of balls with a pattern: the rotation from the ball's axes to the world's
         """
-        return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames, self.orientation)
+        bodies, turning = self.launch.bodies, self.orientation
+        return ground_truth.tracks(bodies, self.view, self.lamp, self.frames, turning, heights=self.heights)
 
     @property
     def energy(self) -> pd.DataFrame:
@@ -293,10 +295,7 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
     else:
         started, table = _build_launch(model, launch, timing["contact_frame"] / timing["fps"]), PLATE
     nominal = build_camera(drawn, model.ball.radius)
-    many = drawn.get("launches")
-    labels = ["a" if of_a else "b" for of_a in started.bodies.of_a]
-    kinds = list_kinds(drawn) if many else ()
-    finish = build_finish(drawn, tuple(labels) if many else _ball_labels(launch), where, kinds)
+    finish = build_finish(drawn, started.bodies.labels, where, list_kinds(drawn))
     sensor = {k: v for k, v in drawn["sensor"].items() if k != "white"}
     if finish:
         sensor["glint_peak"] = drawn["sensor"].get("white", 200.0)

@@ -92,10 +92,12 @@ def tracks(
     frames: int,
     turning: OrientationHistory | None = None,
     every: int = 1,
+    heights: Array | None = None,
 ) -> pd.DataFrame:
     """Make the true tracks, the table `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure.
 
     x_mean_px, y_mean_px are means over the exposure. turning: of balls with a pattern. every: of every n-th frame only.
+    heights: of discs, m, which mirror nothing: their glint is NaN; 0 of balls.
     """
     spans, camera, numbers = view.spans(range(0, frames, every)), view.camera, np.arange(0, frames, every)
     times = view.times(spans.mean(axis=1))
@@ -105,23 +107,26 @@ def tracks(
     balls = []
     for ball in range(len(states)):
         state, radius = states[ball], float(bodies.radius[ball])
+        height = 0.0 if heights is None else float(heights[ball])
         px, glint = camera.project(state[:, :3]), project_glint(camera, lamp, state[:, :3], radius)
+        glint = np.full_like(px, np.nan) if height else glint
         columns: dict[str, Any] = {"frame": numbers, "t_s": times[ball], "particle": np.full(len(numbers), ball)}
         columns |= {"x_px": px[:, 0], "y_px": px[:, 1], "glint_x_px": glint[:, 0], "glint_y_px": glint[:, 1]}
         columns |= dict(zip(STATE_COLUMNS, state.T, strict=True))
         columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
-        columns |= {"state": kinds[ball], "visible": _is_whole(camera, state[:, :3], radius)}
+        columns |= {"state": kinds[ball], "visible": _is_whole(camera, state[:, :3], radius, height)}
         if turning:
             columns |= dict(zip("qx qy qz qw".split(), turning.at(ball, times[ball]).as_quat().T, strict=True))
         balls.append(columns)
     return pd.DataFrame({name: np.concatenate([each[name] for each in balls]) for name in balls[0]})
 
 
-def _is_whole(camera: PinholeCamera, centres: Array, radius: float) -> Any:
-    """Tell whether the ball's whole outline lies in the picture: (n,)."""
+def _is_whole(camera: PinholeCamera, centres: Array, radius: float, height: float) -> Any:
+    """Tell whether the whole outline of a ball, or of a disc of that height, lies in the picture: (n,)."""
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    ring = radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    px = camera.project(centres[:, None] + ring)
+    ring = np.stack([radius * np.cos(angles), radius * np.sin(angles), 0 * angles], axis=1)
+    rims = np.concatenate([ring + np.array([0, 0, side * height / 2]) for side in ((-1, 1) if height else (0,))])
+    px = camera.project(centres[:, None] + rims)
     width, height = camera.size
     inside = (px > -0.5) & (px < np.array([width, height]) - 0.5)
     return inside.all(axis=(1, 2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,25 +62,30 @@ class MaterialSettings(BallFinishSettings):
     plate_contrast: Annotated[NotNegative, Field(le=3)] | None = None
 
 
+class ScreenColours(NamedTuple):
+    """The colours of a matte body on a screen: red, green and blue, 0 to 1."""
+
+    main: tuple[float, ...]
+    second: tuple[float, ...] | None = None  # of its pattern
+
+
 def is_under_room_light(drawn: dict[str, Any]) -> bool:
     """Tell whether a scene is lit by a room: it has matte balls or a plate of some material."""
     return bool(drawn["surface"].get("ball") or drawn["surface"].get("plate"))
 
 
 def build_finish(
-    drawn: dict[str, Any], labels: tuple[str, ...], where: str, kinds: Sequence[dict[str, Any]] = ()
+    drawn: dict[str, Any], labels: Sequence[str], where: str, kinds: Sequence[dict[str, Any]] = ()
 ) -> SurfaceFinish | None:
     """Build the materials of balls with these labels and of their plate; None for mirror balls on a black plate.
 
     kinds: of the bodies of a scene that lists them.
     """
     surface = drawn["surface"]
-    own = [{key: kind[key] for key in BallFinishSettings.model_fields if key in kind} for kind in kinds]
-    for k, keys in enumerate(own):
-        if keys and surface.get("ball") != "matte":
-            raise InputError(
-                f"{where}: bodies: {next(iter(keys))} of body {k}: expected together with surface.ball: matte"
-            )
+    for k, kind in enumerate(kinds):
+        key = next((key for key in BallFinishSettings.model_fields if key in kind), None)
+        if key and surface.get("ball") != "matte":
+            raise InputError(f"{where}: bodies: {key} of body {k}: expected together with surface.ball: matte")
     of_rooms = [key for key in MaterialSettings.model_fields if key in surface]
     if not is_under_room_light(drawn):
         if of_rooms or "ambient" in drawn["lamp"] or "white" in drawn["sensor"]:
@@ -102,10 +107,7 @@ def build_finish(
     }
     albedo, tint = of_plate[plate]
     return SurfaceFinish(
-        balls=tuple(
-            _build_ball_finish(surface | (surface.get("b", {}) if label == "b" else {}) | keys, matte, colour)
-            for label, keys in zip(labels, own or [{}] * len(labels), strict=True)
-        ),
+        balls=tuple(_build_ball_finish(keys, matte, colour) for keys in _list_ball_settings(surface, labels, kinds)),
         plate=_channel_reflectance(
             surface.get("plate_albedo", albedo), _parse_colour(surface.get("plate_colour"), tint), colour
         ),
@@ -125,9 +127,29 @@ def make_discs_matte(drawn: dict[str, Any], heights: NDArray[np.float64], where:
     return drawn | {"surface": surface | {"ball": "matte"}}
 
 
-def screen_colour(given: Any) -> tuple[float, ...] | None:
-    """The colour of a body on a screen, red, green and blue; None where it has none of its own."""
-    return None if given is None else tuple(x ** (1 / 2.2) for x in _parse_colour(given, ()))
+def list_screen_colours(
+    drawn: dict[str, Any], labels: Sequence[str], kinds: Sequence[dict[str, Any]]
+) -> tuple[ScreenColours | None, ...]:
+    """List the colours of bodies on a screen; None of balls of steel. labels, kinds: as of `build_finish`."""
+    if drawn["surface"].get("ball") != "matte":
+        return (None,) * len(labels)
+    out = []
+    for keys in _list_ball_settings(drawn["surface"], labels, kinds):
+        finish = _build_ball_finish(keys, True, True)
+        main, second = (tuple(x ** (1 / 2.2) for x in colour) for colour in (finish.colour, finish.second))
+        out.append(ScreenColours(main, None if finish.pattern == "plain" else second))
+    return tuple(out)
+
+
+def _list_ball_settings(
+    surface: dict[str, Any], labels: Sequence[str], kinds: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """List the settings of each body's surface: the scene's, those of ball b, and its own."""
+    own = [{key: kind[key] for key in BallFinishSettings.model_fields if key in kind} for kind in kinds]
+    return [
+        surface | (surface.get("b", {}) if label == "b" else {}) | keys
+        for label, keys in zip(labels, own or [{}] * len(labels), strict=True)
+    ]
 
 
 def build_varnish(surface: Surface, drawn: dict[str, Any]) -> Surface | None:

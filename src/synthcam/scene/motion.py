@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.trajectory import Trajectory
 from synthcam.scene import ground_truth
+from synthcam.scene.materials import ScreenColours
 from synthcam.scene.table_drawing import DrawnBodies, draw_paths, write_animation
 from synthcam_shared.errors import InputError
 
@@ -39,7 +40,7 @@ class Motion:
     walls : tuple of Wall
         Between which they move.
     colours : tuple
-        Of the bodies on a screen, red, green and blue; None where a body has no colour of its own.
+        Of the bodies on a screen, as the scene's surface gives them; None of balls of steel.
     orientation : OrientationHistory, optional
         Of discs with a pattern, whose axis an animation shows.
 
@@ -62,7 +63,7 @@ class Motion:
     fps: float
     radius: tuple[float, ...] = ()
     walls: tuple[Wall, ...] = ()
-    colours: tuple[tuple[float, ...] | None, ...] = ()
+    colours: tuple[ScreenColours | None, ...] = ()
     orientation: OrientationHistory | None = None
 
     def __repr__(self) -> str:

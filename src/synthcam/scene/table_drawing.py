@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from synthcam.dynamics.contacts.walls import Rim, StraightWall, Wall
 from synthcam.dynamics.trajectory import Trajectory
+from synthcam.scene.materials import ScreenColours
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,25 +20,31 @@ if TYPE_CHECKING:
     from synthcam.dynamics.orientation import OrientationHistory
 
 TWO_BALLS = ("#2166ac", "#b2182b")
-Colours = Sequence[tuple[float, ...] | None]
+Colours = Sequence[ScreenColours | None]
 
 
 class DrawnBodies(NamedTuple):
     """What an animation shows of bodies."""
 
     radius: NDArray[np.float64]  # (N,), m
-    colours: Colours = ()  # of those that have one of their own
+    colours: Colours = ()  # of matte bodies
     orientation: OrientationHistory | None = None  # of discs with a pattern
 
 
 def choose_colours(count: int, own: Colours = ()) -> list[Any]:
-    """Choose a colour for each body in the drawing of a table: its own, or one that distinguishes it."""
+    """Choose the colours of the bodies, main and second, in the drawing of a table.
+
+    Bodies that have colours of their own keep them. Others get one that distinguishes them, and black.
+    """
     usual: list[Any] = list(TWO_BALLS[:count])
     if count > len(TWO_BALLS):
         from matplotlib import colormaps
 
         usual = list(colormaps["tab20"](np.arange(count) % 20))
-    return [theirs or other for theirs, other in zip(own, usual, strict=True)] if own else usual
+    return [
+        (theirs.main, theirs.second or "k") if theirs else (other, "k")
+        for theirs, other in zip(own or [None] * count, usual, strict=True)
+    ]
 
 
 def draw_walls(ax: Axes, walls: Sequence[Wall]) -> None:
@@ -64,17 +71,24 @@ def draw_paths(
 ) -> None:
     """Draw the paths of all bodies, the walls, and the events unless they are too many, in mm.
 
+    Bodies with a pattern have paths in its colour. Matte bodies that all look the same get colours that distinguish
+    them.
     max_marked_events: more would hide the paths.
     """
+    from matplotlib.patheffects import withStroke
+
     breaks = [e.t for e in motion.events]
     times = np.unique(np.concatenate([np.linspace(motion.t0, motion.t1, 400), np.clip(breaks, motion.t0, motion.t1)]))
-    places, shown = 1e3 * motion.at(times)[..., :2], choose_colours(len(motion.legs), colours)
+    places, own = 1e3 * motion.at(times)[..., :2], colours if len(set(colours)) > 1 else ()
+    shown = choose_colours(len(motion.legs), own)
     draw_walls(ax, walls)
     few = len(places) <= max_legend_bodies
-    for ball, (path, colour) in enumerate(zip(places, shown, strict=True)):
-        ax.plot(*path.T, color=colour, label=f"ball {ball + 1}" if few else None, zorder=1)
+    for ball, (path, (main, second)) in enumerate(zip(places, shown, strict=True)):
+        edge: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.2, foreground="0.4")]} if own else {}
+        colour = main if second == "k" else second
+        ax.plot(*path.T, color=colour, label=f"ball {ball + 1}" if few else None, zorder=1, **edge)
         if len(places) > len(TWO_BALLS):
-            ax.plot(*path[-1], "o", color=colour, ms=4, zorder=2)
+            ax.plot(*path[-1], "o", mfc=main, mec=second if own else main, ms=4, zorder=2)
     pair_marks = {"contact": "k*", "together": "kD", "apart": "kd"}
     ball_marks = {"slide_end": "o", "stop": "s", "start": "^", "land": "v", "launch": ">", "release": "<"}
     marks = pair_marks | {"wall": "kx"} | ball_marks
@@ -84,7 +98,7 @@ def draw_paths(
         for ball in {event.i, event.j if event.kind in pair_marks else event.i} - {-1}:
             known = ax.get_legend_handles_labels()[1]
             alone = event.kind in ball_marks
-            style: dict[str, Any] = {"color": shown[ball], "mfc": "white"} if alone else {}
+            style: dict[str, Any] = {"color": shown[ball][0], "mfc": "white"} if alone else {}
             mark = marks[event.kind]
             ax.plot(*places[ball, at], mark, label=None if label in known else label, ms=6, zorder=2, **style)
     ax.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
@@ -132,8 +146,9 @@ def _draw_frames(
         low, high = (places + sign * size.max() * 1.5 for sign in (-1, 1))
         ax.set(xlim=(low[..., 0].min(), high[..., 0].max()), ylim=(low[..., 1].min(), high[..., 1].max()))
     colours = choose_colours(len(size), bodies.colours)
-    circles = PatchCollection([Circle((0, 0), r) for r in size], facecolors=colours, edgecolors="k")
-    axes = LineCollection([], colors="k", linewidths=1)
+    main, second = zip(*colours, strict=True)
+    circles = PatchCollection([Circle((0, 0), r) for r in size], facecolors=main, edgecolors=second, linewidths=1.5)
+    axes = LineCollection([], colors=second, linewidths=1)
     reach = np.zeros_like(places)  # from the centre of each body to its rim, along the axis of its pattern
     if history := bodies.orientation:
         turned = np.array([history.at(k, times).apply([0.0, 0.0, 1.0])[:, :2] for k in range(len(size))])

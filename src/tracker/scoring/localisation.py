@@ -96,7 +96,7 @@ def position_bounds(matched: MatchedDetections, camera: Camera) -> Floats:
     blur = camera.project(there) - camera.project(here)
     glint = truth[["glint_x_px", "glint_y_px"]].to_numpy(float)
     flux = found["flux"].to_numpy(float)
-    known = np.isfinite(flux) & (flux > 0)
+    known = np.isfinite(flux) & (flux > 0) & np.isfinite(glint).all(axis=1)
     out = np.full((n, 2, 2), np.nan)
     if known.any():
         out[known] = localisation_bound(camera, flux[known], glint[known], blur[known])

@@ -4,11 +4,13 @@ import copy
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from synthcam.dynamics.supports import Air
 from synthcam.scene.bodies import MAX_BODIES
 from synthcam.scene.scene import Scene, check_scene
+from synthcam.scene.table_drawing import TWO_BALLS
 from synthcam_shared.errors import InputError
 
 TRAY = {
@@ -187,13 +189,20 @@ def test_each_body_has_its_colour_and_its_height():
     assert clip.finish is not None
     np.testing.assert_allclose([ball.colour for ball in clip.finish.balls], [white, white, red, own, red])
     assert [ball.pattern for ball in clip.finish.balls][1:4] == ["plain", "half", "plain"]
-    shown = clip.solve().colours
-    assert shown[0] is None
-    np.testing.assert_allclose(np.array(shown[3]) ** 2.2, own)
+    motion = clip.solve()
+    shown = [np.array(one.main) ** 2.2 for one in motion.colours]
+    np.testing.assert_allclose(shown, [ball.colour for ball in clip.finish.balls])
+    striped = motion.colours[2]
+    assert [one.second is not None for one in motion.colours] == [False, False, True, False, True]
+    paths = motion.plot(Figure().subplots()).lines[4::2]  # after the walls, each with its end
+    np.testing.assert_allclose([paths[k].get_color() for k in (2, 3)], [striped.second, motion.colours[3].main])
+    steel = check_scene(TRAY, "scene").draw().solve().plot(Figure().subplots())
+    assert [line.get_color() for line in steel.lines[4:6]] == list(TWO_BALLS)
     flat = TRAY | {"bodies": {"shape": "disc", "pattern": "half"}, "support": {"kind": "air"}}
     discs = check_scene(flat, "scene").draw()
     np.testing.assert_allclose(discs.heights, 0.00238 / 4)
-    assert discs.finish is not None  # discs are matte
+    assert discs.finish is not None  # discs are matte, and mirror no lamp
+    assert discs.tracks[["glint_x_px", "glint_y_px"]].isna().to_numpy().all()
     axis = discs.orientation.at(0, np.array([0.0, 0.04])).apply([0, 0, 1])
     np.testing.assert_allclose(axis[:, 2], 0, atol=1e-12)  # in their plane
 

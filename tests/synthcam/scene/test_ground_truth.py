@@ -206,11 +206,19 @@ def test_tracks_columns_and_states():
 
 
 def test_visible_means_the_whole_ball():
-    """By column: a ball of 7.44 px radius is whole between 6.94 and 631.06 px from the left."""
-    for x, seen in ((7.0, True), (6.8, False), (632.0, True), (632.2, False), (-50, False), (900, False)):
+    """By column: a ball of 7.44 px radius is whole between 6.94 and 631.06 px from the left.
+
+    The upper rim of a disc of 2 mm is 1 mm nearer to the camera, and 0.6 px farther out at the edge of the picture.
+    """
+    places = ((7.0, True), (6.8, False), (632.0, True), (632.2, False), (-50, False), (900, False))
+    discs = ((7.7, True), (7.4, False), (631.3, True), (631.6, False))
+    for x, seen, height in [(*one, 0.0) for one in places] + [(*one, 2e-3) for one in discs]:
         position = ((x - 319.5) * 1.6e-4, 0.0)
         motion = solve(Model(rolling_decel=0), Launch.single(ALONE, 0.0, 1e-9, 0, position), 0.0, 0.01)
-        assert ground_truth.tracks(ALONE, FilmedMotion(Model(), camera(), motion), LAMP, 1).visible[0] == seen
+        view = FilmedMotion(Model(), camera(), motion)
+        row = ground_truth.tracks(ALONE, view, LAMP, 1, heights=np.array([height])).iloc[0]
+        assert row.visible == seen
+        assert np.isnan(row.glint_x_px) == np.isnan(row.glint_y_px) == (height > 0)
 
 
 def test_events_table():
