@@ -9,6 +9,7 @@ of rotation, which a film of plain balls does not show.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -33,19 +34,24 @@ def measure_energies(velocities: HalfVelocities, noise: float) -> tuple[Floats, 
 
 
 def predict_losses(
-    contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float, *, least: int = 5, keep_error: float = 0.3
-) -> tuple[Floats, Floats]:
-    """Predict the energy that each contact takes, by its kick K and the velocities before it, and its variance.
+    contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float, *, least: int = 5
+) -> tuple[Floats, Floats, Floats]:
+    """Predict the energy that each contact takes, by its kick K and the velocities before it.
 
     Along the line of centres two balls lose K^2 (1 - r)/(1 + r). The median of all K/v_n of the film gives r. Across it
-    they keep the share s of their relative speed v_t and lose (1 - s^2) v_t^2/4; s is that of surfaces that stick to
-    one another, 5/7. The kick of a wall is the whole change of a velocity, and its energy needs no r.
+    they keep the share s of their relative speed v_t and lose (1 - s^2) v_t^2/4. The kick of a wall is the whole change
+    of a velocity, and its energy needs no r.
 
-    least: contacts with a known r. keep_error: of s. Values are NaN for a table without kicks.
+    Returns the values (n,), the variances (n,) of what is a contact's own, and the effects (n, 2) of one standard error
+    of r and of s, which all contacts share. Values are NaN for a table without kicks. least: contacts with a known r.
     """
-    lost, variance = np.full(len(contacts), np.nan), np.full(len(contacts), np.nan)
+    lost, variance, common = (
+        np.full(len(contacts), np.nan),
+        np.full(len(contacts), np.nan),
+        np.zeros((len(contacts), 2)),
+    )
     if "kick" not in contacts or not len(contacts):
-        return lost, variance
+        return lost, variance, common
     kick, kick_std, *normal = (contacts[name].to_numpy(dtype=np.float64) for name in ("kick", "kick_std", "nx", "ny"))
     balls = contacts[["particle1", "particle2"]].to_numpy()
     wall = balls[:, 1] < 0
@@ -61,43 +67,68 @@ def predict_losses(
     along = approach[:, 0] * normal[0] + approach[:, 1] * normal[1]
     across = approach[:, 0] * normal[1] - approach[:, 1] * normal[0]
     lost[wall] = (kick * (along - kick / 2))[wall]
-    lost[wall & _lies_inside(contacts)] = np.nan  # a hit of a ball whose partner is not found
     errors = [(along - kick) * kick_std, across * kick_std, kick * both]
     variance[wall] = sum(error**2 for error in errors)[wall]
     seen = ~wall & (both < 0.1 * along)
     if seen.sum() >= least:
-        keep, each = 5 / 7, 2 * kick[seen] / along[seen] - 1
+        each, (keep, keep_error) = 2 * kick[seen] / along[seen] - 1, _find_kept_share(contacts, least)
         r = float(np.clip(np.median(each), 0.0, 1.0))
         r_error = 1.86 * float(np.median(np.abs(each - r))) / np.sqrt(seen.sum()) + 0.01  # 1.86: of a median
         share, square = (1 - r) / (1 + r), np.maximum(across**2 - both**2, 0)
-        errors = [
-            2 * share * kick * kick_std,
-            2 / (1 + r) ** 2 * kick**2 * r_error,
-            keep * keep_error / 2 * square,
-            (1 - keep**2) / 2 * np.abs(across) * both,
-        ]
+        errors = [2 * share * kick * kick_std, (1 - keep**2) / 2 * np.abs(across) * both]
+        effects = np.stack([2 / (1 + r) ** 2 * kick**2 * r_error, keep * keep_error / 2 * square], axis=1)
         lost[~wall] = (share * kick**2 + (1 - keep**2) * square / 4)[~wall]
         variance[~wall] = sum(error**2 for error in errors)[~wall]
-    return lost, variance
+        common[~wall] = np.nan_to_num(effects[~wall])
+    return lost, variance, common
+
+
+def _find_kept_share(contacts: pd.DataFrame, least: int, *, max_error: float = 0.15) -> tuple[float, float]:
+    """The share s of a relative speed that bodies keep, and its error, by the contacts that show their friction.
+
+    Otherwise it lies between 1, of smooth bodies, and that of balls that stick to one another, 5/7.
+
+    least: contacts that are needed. max_error: of the s of a contact that counts.
+    """
+    if {"mu_bb", "mu_bb_std", "r", "v_n", "v_t"} <= set(contacts):
+        friction, std, r, along, across = (
+            contacts[name].to_numpy(dtype=np.float64) for name in ("mu_bb", "mu_bb_std", "r", "v_n", "v_t")
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            lever = (1 + r) * along / across
+        known = (std * lever < max_error) & ~contacts["misfit"].to_numpy(dtype=bool)
+        if known.sum() >= least:
+            each = 1 - (friction * lever)[known]
+            keep = float(np.median(each))
+            error = 1.86 * float(np.median(np.abs(each - keep))) / np.sqrt(known.sum()) + 0.02
+            return float(np.clip(keep, 0.0, 1.0)), error
+    return 6 / 7, 1 / 7
 
 
 def _lies_inside(contacts: pd.DataFrame, *, share: float = 0.02) -> NDArray[np.bool_]:
     """Decide which contacts lie inside the hull of all by more than a share of its smallest width."""
-    if "x" not in contacts or len(contacts) < 4:
-        return np.zeros(len(contacts), dtype=bool)
+    out = np.zeros(len(contacts), dtype=bool)
+    if "x" not in contacts:
+        return out
     place = contacts[["x", "y"]].to_numpy(dtype=np.float64)
-    if np.linalg.matrix_rank(place - place.mean(axis=0), tol=1e-9) < 2:  # all on one line
-        return np.zeros(len(contacts), dtype=bool)
+    known = np.isfinite(place).all(axis=1)
+    place = place[known]
+    if len(place) < 4 or np.linalg.matrix_rank(place - place.mean(axis=0), tol=1e-9) < 2:  # all on one line
+        return out
     hull = ConvexHull(place)
     depth = -(place @ hull.equations[:, :2].T + hull.equations[:, 2])
-    return np.asarray(depth.min(axis=1) > share * depth.max(axis=0).min())
+    out[known] = depth.min(axis=1) > share * depth.max(axis=0).min()
+    return out
 
 
-def measure_contact_losses(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float) -> tuple[Floats, Floats]:
-    """Energy that both balls lose in each contact (n,), and its variance; NaN where it is not known.
+def measure_contact_losses(
+    contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float
+) -> tuple[Floats, Floats, Floats]:
+    """Energy that both balls lose in each contact (n,), its variance, and the effects (n, 2) of errors that all share.
 
     Contacts with an energy_lost and no misfit keep it. Others have the difference of the free paths, continued to the
-    contact, if both are known, or what their kick predicts.
+    contact, if both are known, or what their kick predicts. The loss is NaN where it is not known. A kink inside the
+    hull of all contacts is a hit of a ball that was not found, and its loss is not known.
     """
     balls = contacts[["particle1", "particle2"]].to_numpy()
     value, variance = np.full((len(contacts), 2, 2), np.nan), np.full((len(contacts), 2, 2), np.nan)
@@ -110,14 +141,45 @@ def measure_contact_losses(contacts: pd.DataFrame, paths: Sequence[FreePath], no
                 which = int(balls[row, 0] != path.ball)
                 value[row, which, after], variance[row, which, after] = own[k], error[k]
     lost, spread = (value[:, :, 0] - value[:, :, 1]).sum(axis=1), variance.sum(axis=(1, 2))
-    predicted, error = predict_losses(contacts, paths, noise)
-    better = np.isfinite(predicted) & ~(spread < error)
+    predicted, error, common = predict_losses(contacts, paths, noise)
+    better = np.isfinite(predicted) & ~(spread < error + (common**2).sum(axis=1))
     lost[better], spread[better] = predicted[better], error[better]
     measured = np.isfinite(contacts["energy_lost"]) & np.isfinite(contacts["energy_lost_std"]) & ~contacts["misfit"]
     given = measured.to_numpy(dtype=bool)
     lost[given] = contacts["energy_lost"][given]
     spread[given] = contacts["energy_lost_std"][given] ** 2
-    return lost, spread
+    common[given | ~better] = 0.0
+    lost[(balls[:, 1] < 0) & _lies_inside(contacts)] = np.nan
+    return lost, spread, common
+
+
+class _Step(NamedTuple):
+    """A ball from its last velocity before contacts to the first one after them."""
+
+    row: int  # of the frames, at the end
+    loss: float
+    variance: float
+    contacts: NDArray[np.int64]
+    whole: bool  # whether it begins and ends with a contact
+
+
+def _find_resolved(steps: Sequence[_Step], taken: Floats, bodies: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Decide which contacts are resolved: their losses are known, and so are the steps of all their balls.
+
+    A step is known if all its contacts are resolved. Otherwise what one ball gives to another would count as lost.
+
+    bodies: balls of each contact.
+    """
+    resolved = np.isfinite(taken)
+    while True:
+        seen = np.zeros(len(taken), dtype=np.int64)
+        for step in steps:
+            if step.whole and resolved[step.contacts].all():
+                seen[step.contacts] += 1
+        kept = resolved & (seen >= bodies)
+        if (kept == resolved).all():
+            return kept
+        resolved = kept
 
 
 def measure_losses(
@@ -127,17 +189,18 @@ def measure_losses(
 
     Columns: energy, lost_in_contacts, lost_at_walls, lost_to_plate, lost_unresolved, each with NAME_std, m^2/s^2. From
     the last velocity before a contact to the first one after it, balls lose what the contact takes, and the rest to the
-    plate. This is unresolved where the loss of the contact is not known, where a path is too short for a velocity, and
-    where nobody saw the ball.
+    plate. This is unresolved where the loss of the contact is not known, where a path of either ball is too short for a
+    velocity, and where nobody saw the ball.
 
     frames: (n,) ascending. noise: of a coordinate, m.
     """
     seen, smoothed = _Sums(len(frames)), _Sums(len(frames))  # by how much all may err in the same direction
     lost = {name: _Sums(len(frames)) for name in SINKS}
-    taken, variances = measure_contact_losses(contacts, paths, noise)
+    taken, variances, common = measure_contact_losses(contacts, paths, noise)
     balls, at = contacts[["particle1", "particle2"]].to_numpy(), contacts["t_s"].to_numpy(dtype=np.float64)
     in_view: dict[int, list[tuple[NDArray[np.int64], Floats, Floats]]] = {}  # by ball: rows of frames, energy, variance
     before: dict[int, tuple[FreePath, float, float]] = {}  # by ball: its last path, and its energy at its last frame
+    steps = list[_Step]()
     for path in sorted(paths, key=lambda path: (path.ball, path.start_time)):
         value, error = measure_energies(path.velocities.take(slice(None, -2)), noise)
         rows, known = np.searchsorted(frames, path.frame), np.isfinite(value)
@@ -152,24 +215,32 @@ def measure_losses(
         lost["plate"].add(rows[-1], 0.0, error[0] + error[-1])
         if path.ball in before:
             earlier, energy, variance = before[path.ball]
-            row, loss, unsure = int(rows[0]), energy - float(value[0]), variance + float(error[0])
             own = (at >= earlier.end_time) & (at <= path.start_time) & (balls == path.ball).any(axis=1)
-            if min(path.start, earlier.end) < 0 or not np.isfinite(taken[own]).all():
-                lost["unresolved"].add(row, loss, unsure)
-            else:
-                for contact in np.flatnonzero(own):
-                    sharers = 1 + (balls[contact, 1] >= 0)
-                    share, error_of_share = taken[contact] / sharers, variances[contact] / sharers
-                    lost["contacts" if sharers > 1 else "walls"].add(row, share, error_of_share)
-                    loss, unsure = loss - share, unsure + error_of_share
-                lost["plate"].add(row, loss, unsure)
+            loss, unsure, whole = (
+                energy - float(value[0]),
+                variance + float(error[0]),
+                min(path.start, earlier.end) >= 0,
+            )
+            steps.append(_Step(int(rows[0]), loss, unsure, np.flatnonzero(own), whole))
         before[path.ball] = path, float(value[-1]), float(error[-1])
+    bodies = 1 + (balls[:, 1] >= 0)
+    resolved = _find_resolved(steps, taken, bodies)
+    for step in steps:
+        if not (step.whole and resolved[step.contacts].all()):
+            lost["unresolved"].add(step.row, step.loss, step.variance)
+            continue
+        lost["plate"].add(step.row, step.loss, step.variance)
+        for contact in step.contacts:
+            part = np.array([taken[contact], variances[contact], *common[contact]]) / bodies[contact]
+            lost["contacts" if bodies[contact] > 1 else "walls"].add(step.row, part[0], part[1], part[2:])
+            lost["plate"].add(step.row, -part[0], part[1], -part[2:])
     for parts in in_view.values():
         _add_held(seen, *(np.concatenate(part) for part in zip(*parts, strict=True)))
     columns = {"energy": seen.value[:-1], "energy_std": np.hypot(np.sqrt(seen.variance), smoothed.value)[:-1]}
     for name, column in SINKS.items():
         columns[column] = lost[name].value[:-1].cumsum()
-        columns[f"{column}_std"] = np.sqrt(lost[name].variance[:-1].cumsum())
+        shared = (lost[name].common[:-1].cumsum(axis=0) ** 2).sum(axis=1)
+        columns[f"{column}_std"] = np.sqrt(lost[name].variance[:-1].cumsum() + shared)
     return pd.DataFrame(columns)
 
 
@@ -186,13 +257,23 @@ def _add_held(sums: _Sums, rows: NDArray[np.int64], value: Floats, variance: Flo
 
 
 class _Sums:
-    """Sums of values and of their variances by frame; what comes after the last frame goes into one further entry."""
+    """Sums by frame of values, their variances, and the effects of errors that all share.
+
+    What comes after the last frame goes into one further entry.
+    """
 
     def __init__(self, frames: int) -> None:
-        self.value, self.variance = np.zeros(frames + 1), np.zeros(frames + 1)
+        self.value, self.variance, self.common = np.zeros(frames + 1), np.zeros(frames + 1), np.zeros((frames + 1, 2))
 
-    def add(self, rows: NDArray[np.int64] | int, value: Floats | float, variance: Floats | float) -> None:
+    def add(
+        self,
+        rows: NDArray[np.int64] | int,
+        value: Floats | float,
+        variance: Floats | float,
+        common: Floats | float = 0.0,
+    ) -> None:
         """Add to those frames."""
         rows = np.minimum(rows, len(self.value) - 1)
         np.add.at(self.value, rows, value)
         np.add.at(self.variance, rows, variance)
+        np.add.at(self.common, rows, common)
