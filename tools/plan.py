@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import sys
 import textwrap
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -34,6 +35,7 @@ PLUGINS = ("effects", "exports", "formats", "detectors", "linkers", "laws")
 WIDTH = 140
 
 
+@cache
 def summary(path: Path) -> str:
     """The first sentence of a module's docstring, without its full stop; empty where there is none."""
     docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""

@@ -267,7 +267,7 @@ SMALL = {"clips": 6, "size": (320, 240), "filmed": True}
 @pytest.mark.parametrize(
     "study",
     [
-        Study("nothing", {"none": 1}, 1, **TINY, integrated=0),
+        Study("nothing", {"none": 1}, 1, **TINY | {"clips": 6, "frames": 40}, integrated=0),
         *(
             pytest.param(study, marks=pytest.mark.gate)
             for study in (

@@ -17,7 +17,7 @@ from synthcam.scene.scene import Scene
 
 FILE = "launch: {v0: {uniform: [0.1, 0.6]}, b: {uniform: [-0.6, 0.6]}, heading: {uniform: [0, 6.2832]}}\n"
 FILE += "timing: {frames: 60, contact_frame: 20}\n"
-FLAGS = ["--clips", "8", "--effects", "rolling_quadratic", "--limit", "rolling_quadratic=0.5"]
+FLAGS = ["--clips", "6", "--effects", "rolling_quadratic", "--limit", "rolling_quadratic=0.5"]
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def test_the_command_writes_what_python_gives(tmp_path, monkeypatch, capsys):
     assert command(path, *FLAGS, "-o", tmp_path / "plan", "--json") == 0
     said = json.loads(capsys.readouterr().out)
     written = json.loads((tmp_path / "plan/plan.json").read_text())
-    same = discrepancy.plan(path, ["rolling_quadratic"], 8, limits={"rolling_quadratic": 0.5}, changes=False).document()
+    same = discrepancy.plan(path, ["rolling_quadratic"], 6, limits={"rolling_quadratic": 0.5}, changes=False).document()
     assert written["wanted"] == json.loads(json.dumps(same["wanted"]))
     assert written["effects"][0]["limit"] == same["effects"][0]["limit"]
     assert {k: v for k, v in said.items() if k != "seconds"} == written

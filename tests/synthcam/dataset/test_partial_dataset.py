@@ -17,7 +17,7 @@ import pytest
 from synthcam_stub import make, plan, quiet, sums
 from typer.testing import CliRunner
 
-from synthcam.cli import app
+from synthcam.cli import app, main
 from synthcam.dataset import generate, partial_dataset
 from synthcam.dataset.files import clip_folders, verify
 from synthcam.dataset.generate import generate_dataset
@@ -119,11 +119,13 @@ def test_a_disk_that_is_really_full(scene, small_disk):
     assert verify(small_disk / "d").problems == ()
 
 
-def test_a_read_only_disk(scene, small_disk):
+def test_a_read_only_disk(scene, small_disk, monkeypatch, capsys):
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
-    said = subprocess.run(command(scene, small_disk / "d", 3), capture_output=True, text=True)
-    assert said.returncode == 2
-    assert said.stderr == f"synthcam: {small_disk / 'd.partial'}: Read-only file system\n"
+    monkeypatch.setattr(sys, "argv", ["synthcam", *command(scene, small_disk / "d", 3)[len(COMMAND) :]])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert capsys.readouterr().err == f"synthcam: {small_disk / 'd.partial'}: Read-only file system\n"
 
 
 def test_files_that_may_not_grow(scene, tmp_path):

@@ -21,7 +21,7 @@ SNOOKER = {
     "ball": {"diameter": 0.0525},
     "launch": {"v0": 0.8, "b": 0.3, "heading": 0.4, "contact": [0.0, 0.0]},
     "timing": {"fps": 60, "frames": 4, "exposure": 2e-3, "contact_frame": 1.5},
-    "camera": {"size": [128, 96], "scale": 4e-3, "height": 2.4, "colour": True},
+    "camera": {"size": [96, 72], "scale": 4e-3, "height": 2.4, "colour": True},
     "lamp": {"position": [0.9, 0.3, 2.2], "radius": 0.2},
     "surface": {"ball": "matte", "colour": "red", "b": {"colour": "white", "pattern": "half"}, "plate": "cloth"},
 }
@@ -46,7 +46,7 @@ def test_frames_in_colour_for_every_reader(dataset):
     assert not verify(dataset).problems
     path = dataset / "clips/000000/frames.tif"
     frames = tifffile.imread(path)
-    assert (frames.shape, frames.dtype) == ((4, 96, 128, 3), np.uint8)
+    assert (frames.shape, frames.dtype) == ((4, 72, 96, 3), np.uint8)
     again = np.array(cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED)[1])[..., ::-1]
     np.testing.assert_array_equal(frames, again)
     red, green, blue = np.median(frames.astype(float), axis=(0, 1, 2))
@@ -116,7 +116,7 @@ def test_exports_in_colour(dataset, tmp_path, kind):
 def test_a_grey_camera_sees_the_same_scene(dataset):
     grey = check_scene(SNOOKER | {"camera": SNOOKER["camera"] | {"colour": False}}, "s").draw(0, 3).film()
     frames = tifffile.imread(dataset / "clips/000000/frames.tif")
-    assert grey.shape == (4, 96, 128)
+    assert grey.shape == (4, 72, 96)
     mixed = (frames - 8.0) @ [0.299, 0.587, 0.114] + 8
     assert np.abs(np.median(mixed - grey)) < 1
     smooth = [cv2.blur(frame.astype(float), (5, 5)).ravel() for frame in (mixed[1], grey[1])]

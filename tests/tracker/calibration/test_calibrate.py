@@ -110,7 +110,7 @@ def test_clips_count_alike_in_whatever_order_they_are_looked_at(tmp_path, monkey
     for k, angle in enumerate((0.4, 2.0, 3.9)):
         home = tmp_path / "films" / "clips" / f"{k:06d}"
         home.mkdir(parents=True)
-        paths = collision(16, contact=7.3, speed=2.5, angle=angle, centre=(95, 80))
+        paths = collision(12, contact=5.3, speed=2.5, angle=angle, centre=(95, 80))
         tifffile.imwrite(
             home / "frames.tif", film(np.random.default_rng(k), paths, sigma=1.2, profile=0.0), imagej=True
         )
@@ -196,7 +196,7 @@ def test_no_outline_under_the_glint_or_in_the_dark(radius, body):
 
 
 def test_no_contact_and_no_outline_is_no_scale(tmp_path):
-    paths = np.stack([np.column_stack([20 + 3.0 * np.arange(40), np.full(40, 80.3)])], axis=1)
+    paths = np.stack([np.column_stack([20 + 3.0 * np.arange(20), np.full(20, 80.3)])], axis=1)
     write_clip(tmp_path / "clip", film(np.random.default_rng(1), paths, profile=0.0))
     result = calibrate(tmp_path / "clip", DIAMETER, 250.0)
     assert result.scale_from == ""
