@@ -38,6 +38,7 @@ from tracker.detection.diagnose import (
     explain_no_glints,
     warn_of_loose_ends,
     warn_of_missed_examples,
+    warn_of_moving_camera,
 )
 from tracker.detection.link import Tracks, link, to_centres
 from tracker.edits import EditsSource, TrackEdits
@@ -497,7 +498,9 @@ def track_clip(
         why = explain_no_glints(clip.frames, view, found.glints)
     notes = note_all(NoteKind.DETECTOR, found.notes, clip.number)
     notes += note_all(NoteKind.DETECTOR, warn_of_missed_examples(tracks, clip.balls, view), clip.number)
-    notes += note_all(NoteKind.LINKING, warn_of_loose_ends(tracks, view.camera.size, spans), clip.number)
+    loose = warn_of_loose_ends(tracks, view.camera.size, spans)
+    moving = warn_of_moving_camera(clip.frames) if loose else ()
+    notes += note_all(NoteKind.LINKING, (*loose, *moving), clip.number)
     return tracks, view.camera, why, notes
 
 

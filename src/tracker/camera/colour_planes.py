@@ -36,9 +36,13 @@ def find_shares(picture: Colours, white: float, *, dark: float = 0.03) -> Shares
 
     dark: of white, added to each colour; so small that shadows do not reach it.
     """
-    light = picture[..., :3].astype(np.float32)
-    total = light.sum(axis=2) + np.float32(3 * dark * white)
-    return np.asarray(light / total[..., None], np.float32)
+    light = np.ascontiguousarray(picture[..., :3], dtype=np.float32)
+    return light / (_add_colours(light) + np.float32(3 * dark * white))[..., None]
+
+
+def _add_colours(values: Shares) -> NDArray[np.float32]:
+    """Sums (h, w) over the three colours, in a fifth of the time that numpy takes."""
+    return np.asarray(cv2.transform(values, np.ones((1, 3), np.float32)), np.float32).reshape(values.shape[:2])
 
 
 def read_plane(
@@ -81,15 +85,18 @@ def read_plane(
         scale = 1 / (saturation_spreads * np.clip(calm, least_spread, 4 * least_spread)) ** 2
 
         def distance(picture: Colours) -> Any:
-            far = ((find_shares(picture, white) - usual) ** 2).sum(axis=2) * scale
-            return np.rint(top * (1 - np.exp(-far / 2))).astype(np.uint8)
+            off = find_shares(picture, white)
+            off -= usual
+            far = _add_colours(np.multiply(off, off, out=off))
+            far *= -scale / 2
+            return np.rint(top - top * np.asarray(cv2.exp(far, dst=far))).astype(np.uint8)
 
         return distance
     wanted = find_shares(hex_to_rgb(name)[None, None] * (white / 255), white)[0, 0]
     reach = max(float(np.sqrt(((wanted - np.median(usual, axis=(0, 1))) ** 2).sum())), 3 * least_spread)
 
     def nearness(picture: Colours) -> Any:
-        far = np.sqrt(((find_shares(picture, white) - wanted) ** 2).sum(axis=2))
+        far = np.sqrt(_add_colours((find_shares(picture, white) - wanted) ** 2))
         return np.rint(top * np.clip(1 - far / reach, 0, 1)).astype(np.uint8)
 
     return nearness

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -17,6 +18,7 @@ from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks
 
 MIN_DETECTIONS = 6  # in a clip; with fewer there is a reason to explain
+STILL_CAMERA = "balls are found before a still background: --frames A:B takes a part in which the camera stands still"
 
 
 def explain_no_glints(frames: Sequence[Any], view: View, glints: Glints) -> str:
@@ -55,11 +57,10 @@ def explain_no_discs(frames: Sequence[Any], view: View) -> str:
     level = np.median(np.array(sample), axis=0).astype(np.float32)
     least = view.settings.detection.disc_contrast_counts
     apart = [(cv2.absdiff(s, level) > max(4.0 * view.plate.noise, least)).view(np.uint8) for s in sample]
-    shifts = np.array([cv2.phaseCorrelate(sample[0], s)[0] for s in sample[1:]])
-    shift = float(np.median(np.hypot(shifts[:, 0], shifts[:, 1])))
+    shift = measure_camera_motion(sample)
     share = float(np.median(np.array([float(a.mean()) for a in apart])))
     if share > 0.03 and shift > 1.0:  # px, while balls alone change less than 3 % of the pixels
-        return f"no still background: the camera moves, by {shift:.0f} px and more"
+        return f"no still background: the camera moves, by up to {shift:.0f} px; {STILL_CAMERA}"
     if share > 0.3:
         return "no still background: the light changes, or most of the picture moves"
     areas = [cv2.connectedComponentsWithStats(a, connectivity=4)[2][1:, cv2.CC_STAT_AREA] for a in apart]
@@ -72,6 +73,55 @@ def explain_no_discs(frames: Sequence[Any], view: View) -> str:
     if np.median([np.sum(a > smallest) for a in areas]) > most:
         return f"too many: over {most} things differ from the background in most frames"
     return "nothing round moves on a still background"
+
+
+def measure_camera_motion(
+    pictures: Sequence[NDArray[Any]], *, min_features: int = 20, min_share: float = 0.5, min_spread: float = 0.12
+) -> float:
+    """Measure the largest motion of the background from the first of these pictures, px; 0 where none is seen.
+
+    Features of each picture are followed into the next one. Most of them, and all over the picture, must agree on one
+    shift, turn and change of size, because balls, hands and shadows move too.
+
+    min_share: of the features that are followed, which must agree within 1 px.
+    min_spread: of the picture's width and height, over which four fifths of those must be spread.
+    """
+    shown = [_to_bytes(picture) for picture in pictures]
+    height, width = shown[0].shape
+    first: Any = None
+    here: Any = None
+    largest = 0.0
+    for one, other in pairwise(shown):
+        points = cv2.goodFeaturesToTrack(one, maxCorners=300, qualityLevel=0.01, minDistance=8)
+        if points is None or len(points) < min_features:
+            break
+        moved, seen, _ = cv2.calcOpticalFlowPyrLK(one, other, points, np.empty_like(points), maxLevel=4)
+        kept = seen[:, 0] == 1
+        if kept.sum() < min_features:
+            break
+        change, agree = cv2.estimateAffinePartial2D(points[kept], moved[kept], ransacReprojThreshold=1.0)
+        if change is None or agree.mean() < min_share:
+            break
+        low, high = np.quantile(points[kept][agree[:, 0] == 1, 0], (0.1, 0.9), axis=0)
+        if (high - low < min_spread * np.array([width, height])).any():
+            break
+        if first is None:
+            first = here = np.array([[(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])]])
+        here = cv2.transform(here, change)
+        largest = max(largest, float(np.median(np.hypot(*(here - first)[0].T))))
+    return largest
+
+
+def _to_bytes(picture: NDArray[Any]) -> NDArray[np.uint8]:
+    """A picture with its range spread over 8 bits."""
+    low, high = float(np.min(picture)), float(np.max(picture))
+    return np.asarray((np.asarray(picture, np.float32) - low) * (255.0 / max(high - low, 1.0))).astype(np.uint8)
+
+
+def warn_of_moving_camera(frames: Sequence[Any], *, min_motion_px: float = 3.0) -> tuple[str, ...]:
+    """Warn where the background moves by `min_motion_px` or more between frames spread over a film."""
+    shift = measure_camera_motion([np.asarray(frames[k]) for k in spread_frames(frames, 25)])
+    return (f"the camera moves, by up to {shift:.0f} px: {STILL_CAMERA}",) if shift >= min_motion_px else ()
 
 
 def warn_of_missed_examples(tracks: Tracks, examples: Sequence[BallExample], view: View) -> tuple[str, ...]:

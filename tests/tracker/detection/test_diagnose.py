@@ -1,9 +1,10 @@
 """Warnings from how tracks lie in a film."""
 
+import cv2
 import numpy as np
 import pytest
 
-from tracker.detection.diagnose import warn_of_loose_ends
+from tracker.detection.diagnose import measure_camera_motion, warn_of_loose_ends, warn_of_moving_camera
 from tracker.detection.link import Tracks
 
 SIZE, LAST = (400, 300), 99
@@ -56,3 +57,29 @@ def test_pieces_of_one_ball_are_no_reflections(ways, said):
 def test_nothing_is_said_of_nothing():
     none = Tracks(*(values[:0] for values in vars(tracks(BALLS[0])).values()))
     assert warn_of_loose_ends(none, SIZE, [(0, LAST)]) == ()
+
+
+def walk(step, turn=0.0):
+    """Pictures of a textured ground by a camera that moves, px and degrees a picture, before which a body crosses."""
+    rng, size = np.random.default_rng(2), (240, 320)
+    ground = cv2.GaussianBlur(rng.normal(0, 1, (480, 640)), (0, 0), 6.0)
+    ground = 120 + 30 * ground / ground.std()
+    pictures = []
+    for k in range(6):
+        change = cv2.getRotationMatrix2D((320, 240), turn * k, 1.0) - [[0, 0, 160 + step * k], [0, 0, 120]]
+        picture = cv2.warpAffine(ground, change, size[::-1])
+        cv2.circle(picture, (40 + 45 * k, 120), 30, 120, -1)
+        pictures.append(picture)
+    return pictures
+
+
+@pytest.mark.parametrize(("step", "turn", "moved"), [(0, 0, 0), (4, 0, 20), (0, 1.5, 21), (25, 0, 125)])
+def test_the_motion_of_a_camera_is_measured_past_a_body_that_crosses(step, turn, moved):
+    """A turn by 7.5 degrees moves the corners of the middle four fifths, 160 px from the middle, by 21 px."""
+    assert measure_camera_motion(walk(step, turn)) == pytest.approx(moved, rel=0.05, abs=0.5)
+    assert bool(warn_of_moving_camera(walk(step, turn))) == bool(moved)
+
+
+def test_a_body_on_a_bare_ground_is_no_moving_camera():
+    pictures = [cv2.circle(np.full((240, 320), 90, np.uint8), (40 + 20 * k, 120), 30, 200, -1) for k in range(6)]
+    assert measure_camera_motion(pictures) == 0
