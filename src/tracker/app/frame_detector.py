@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tracker.camera.frames import Frames
 from tracker.camera.recordings import Recording
 from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import (
@@ -86,7 +87,11 @@ def prepare_detector(clip: Recording, channel: str | None) -> PreparedDetector:
         surveyed = replace(clip, frames=clip.frames.take(rows), balls=())
     view = make_view(surveyed, name)
     notes = tuple(note for note in (chosen, why) if note)
-    return PreparedDetector(clip, view, detector_name(name), load_detector(name)(view), notes, rows)
+    detector = load_detector(name)(view)
+    for frames in (clip.frames, view.frames):
+        if isinstance(frames, Frames):
+            frames.forget()  # up to 600 MB, of a survey that is over
+    return PreparedDetector(clip, view, detector_name(name), detector, notes, rows)
 
 
 def list_balls(found: Glints) -> list[dict[str, Any]]:

@@ -63,7 +63,12 @@ class Frames(Sequence[Any]):
         if self._kept.keys() >= set(wanted):
             return
         if len(wanted) * math.prod(self.shape[1:]) * self.dtype.itemsize <= most_bytes:
+            self._kept = {k: self._kept[k] for k in wanted if k in self._kept}  # the others are released first
             self._kept = {k: self[k] for k in wanted}
+
+    def forget(self) -> None:
+        """Release the frames that are kept."""
+        self._kept = {}
 
     def __iter__(self) -> Iterator[Frame]:
         return (self._fetch(k) for k in range(len(self)))

@@ -37,24 +37,28 @@ class StillBackground:
         return self._blurred[key]
 
 
-def estimate_still_background(frames: Sequence[Any], noise: float) -> StillBackground:
+def estimate_still_background(frames: Sequence[Any], noise: float, box: tuple[int, int] = (1, 1)) -> StillBackground:
     """Estimate the still background of a film, the picture without balls, from 31 frames spread over it.
 
     A pixel's level is the median of its samples. The exception is a pixel that differs from it in more than a tenth of
     the samples: a ball rested there. The level is then the cluster of samples that is most like the surroundings. If
-    the ball was there in all samples, it is the level of the surroundings. `noise` is the standard deviation of one
-    pixel in one frame, counts.
+    the ball was there in all samples, it is the level of the surroundings.
+
+    noise: standard deviation of one pixel in one frame, counts; box: width and height, px, over which each frame is
+    averaged first. It works in strips of rows, so that a large film takes little memory beside its frames.
     """
     pictures = [np.asarray(frames[k]) for k in sorted({*spread_frames(frames, 31)})]
     count = len(pictures)
     step = max(6.0 * noise, 3.0)  # counts between a pixel with and without a ball, at least
     level = np.empty(pictures[0].shape, np.float32)
     often = np.empty(level.shape, np.uint8)
-    for at, (low, high) in sort_strips(pictures, ((count - 1) // 2, count // 2)):
+    for at in cut_strips(level.shape):
+        sheets = [_blur_rows(picture, at, box) for picture in pictures]
+        low, high = sort_sheets(sheets, ((count - 1) // 2, count // 2))
         level[at] = (low + high) / 2
         away: NDArray[np.uint8] = np.zeros(low.shape, np.uint8)
-        for picture in pictures:
-            away += np.abs(picture[at] - level[at]) > step
+        for sheet in sheets:
+            away += np.abs(sheet - level[at]) > step
         often[at] = away / count > 0.1
     rested = np.asarray(cv2.morphologyEx(often, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), dtype=np.uint8)
     outlines, _ = cv2.findContours(rested, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -62,20 +66,30 @@ def estimate_still_background(frames: Sequence[Any], noise: float) -> StillBackg
     known = np.ones(level.shape, bool)
     error = np.full(level.shape, np.sqrt(np.pi / 2 / count) * noise, np.float32)  # of a median
     if rested.any():
-        box = _find_box(rested)
-        _fill_rested([picture[box] for picture in pictures], rested[box], noise, level[box], error[box], known[box])
+        rows, columns = part = _find_box(rested)
+        where = np.nonzero(rested[part])
+        samples = np.stack([_blur_rows(picture, rows, box)[:, columns][where] for picture in pictures]).astype(float)
+        _fill_rested(samples, rested[part], noise, level[part], error[part], known[part])
     return StillBackground(level, error, known)
 
 
+def _blur_rows(picture: NDArray[Any], at: slice, box: tuple[int, int]) -> NDArray[Any]:
+    """Means over boxes (width, height) at these rows of a picture, as of the whole picture."""
+    if box == (1, 1):
+        return picture[at]
+    above = min(at.start, box[1] // 2)
+    return np.asarray(cv2.blur(picture[at.start - above : at.stop + box[1] // 2], box))[above:][: at.stop - at.start]
+
+
 def _fill_rested(
-    pictures: list[NDArray[Any]],
+    samples: Array,
     rested: NDArray[np.uint8],
     noise: float,
     level: NDArray[np.float32],
     error: NDArray[np.float32],
     known: NDArray[np.bool_],
 ) -> None:
-    """Set level, error and `known` where a ball rested."""
+    """Set level, error and `known` where a ball rested, from the samples (k, n) of these n pixels."""
     step = max(6.0 * noise, 3.0)
     where = np.nonzero(rested)
     smooth = _average_surroundings(level, rested)
@@ -83,37 +97,44 @@ def _fill_rested(
     # a pixel that differs from its surroundings by more than 6 times the usual shows part of a ball
     texture = step + 6.0 * float(np.median(np.abs(level - smooth)[near_by])) if near_by.any() else step
     around = smooth[where].astype(float)
-    samples = np.stack([picture[where] for picture in pictures]).astype(float)
     seen = _most_like_surroundings(samples, around, step, texture)
     level[where], known[where] = np.where(np.isnan(seen), around, seen), ~np.isnan(seen)
     error[where] = noise  # with any number of samples: a ball's rim may be in all of them
     error[~known] = max(_texture(level, rested), noise)
 
 
-def average_uncovered(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]], noise: float) -> StillBackground:
-    """As `estimate_still_background`, where the pixels that balls cover are known: by the mean of the middle half."""
+def average_uncovered(
+    frames: Sequence[Any], covered: Sequence[NDArray[np.uint8]], noise: float, changes: Sequence[float] = ()
+) -> StillBackground:
+    """As `estimate_still_background`, where the pixels that balls cover are known: by the mean of the middle half.
+
+    covered: a mask of each frame, packed along its rows (`np.packbits`); changes: counts by which each frame is
+    brighter than the background.
+    """
     shown, total = [np.asarray(frame) for frame in frames], len(frames)
-    if len({picture.dtype for picture in shown}) > 1:
-        shown = [picture.astype(np.float32) for picture in shown]
     level = np.empty(shown[0].shape, np.float32)
+    width = level.shape[1]
     count = np.full(level.shape, total, np.int16)
-    for own in covered:
-        count -= own
     middle = range(total // 4, total - total // 4)
-    for at, values in sort_strips(shown, middle):
-        level[at] = np.add.reduce(values) / np.float32(len(middle))
-    partly = np.flatnonzero(count < total)
-    free = [
-        np.where(own.ravel()[partly], np.float32(np.inf), picture.ravel()[partly])[:, None].astype(np.float32)
-        for picture, own in zip(shown, covered, strict=True)
-    ]
-    few = count.ravel()[partly]
-    for at, values in sort_strips(free, range(total)):
-        n, sums = few[at], np.zeros(len(values[0]), np.float32)
-        for rank, value in enumerate(values):
-            used = (rank >= n // 4) & (rank < n - n // 4)
-            sums[used] += value[used, 0]
-        level.ravel()[partly[at]] = sums / np.maximum(n - 2 * (n // 4), 1)
+    for at in cut_strips(level.shape):
+        sheets = [picture[at] for picture in shown]
+        if any(changes):
+            sheets = [sheet.astype(np.float32) - np.float32(c) for sheet, c in zip(sheets, changes, strict=True)]
+        level[at] = np.add.reduce(sort_sheets(sheets, middle)) / np.float32(len(middle))
+        masks = [np.unpackbits(own[at], axis=1, count=width).view(np.bool_) for own in covered]
+        count[at] -= np.add.reduce(masks, dtype=np.int16)
+        partly = count[at] < total
+        if partly.any():
+            free = [
+                np.where(own[partly], np.float32(np.inf), sheet[partly])[None].astype(np.float32)
+                for sheet, own in zip(sheets, masks, strict=True)
+            ]
+            n = count[at][partly]
+            sums = np.zeros(len(n), np.float32)
+            for rank, value in enumerate(sort_sheets(free, range(total))):
+                used = (rank >= n // 4) & (rank < n - n // 4)
+                sums[used] += value[0, used]
+            level[at][partly] = sums / np.maximum(n - 2 * (n // 4), 1)
     # variance of the mean of the middle half, over that of the mean of all, of normal errors: 1.2
     error = (np.sqrt(1.2 / np.maximum(np.arange(total + 1), 1)) * noise).astype(np.float32)[count]
     never = (count == 0).view(np.uint8)
@@ -173,27 +194,24 @@ def _average_surroundings(middle: NDArray[np.float32], rested: NDArray[np.uint8]
     return out
 
 
-def sort_strips(
-    pictures: Sequence[NDArray[Any]], ranks: Sequence[int], *, strip_pixels: int = 1 << 15
-) -> Iterator[tuple[slice, list[NDArray[np.float32]]]]:
-    """Sort the pictures (h, w) of a film pixel by pixel for its background; yield strips of rows with these ranks.
+def cut_strips(shape: tuple[int, ...], strip_pixels: int = 1 << 15) -> Iterator[slice]:
+    """Cut a picture into strips of whole rows: 31 of one strip fit into a cache of 1 to 2 MB."""
+    rows = max(strip_pixels // shape[1], 1)
+    return (slice(top, min(top + rows, shape[0])) for top in range(0, shape[0], rows))
 
-    Rank 0 is the least value. Pixels are uint8, uint16 or float32.
 
-    strip_pixels: of each picture; all strips of 31 pictures fit into a cache of 1 to 2 MB.
+def sort_sheets(sheets: Sequence[NDArray[Any]], ranks: Sequence[int]) -> list[NDArray[np.float32]]:
+    """Sort equal parts (h, w) of the pictures of a film pixel by pixel; return those with these ranks, 0 the least.
+
+    Pixels are uint8, uint16 or float32.
     """
-    height, width = pictures[0].shape
-    network = _make_network(len(pictures), tuple(ranks))
-    rows = max(strip_pixels // width, 1)
-    for top in range(0, height, rows):
-        at = slice(top, top + rows)
-        sheets = [np.array(picture[at]) for picture in pictures]
-        spare = np.empty_like(sheets[0])
-        for low, high in network:
-            one, two = sheets[low], sheets[high]
-            sheets[low], spare = np.asarray(cv2.min(one, two, dst=spare)), one
-            sheets[high] = np.asarray(cv2.max(one, two, dst=two))
-        yield at, [sheets[rank].astype(np.float32) for rank in ranks]
+    sheets = [np.array(sheet) for sheet in sheets]
+    spare = np.empty_like(sheets[0])
+    for low, high in _make_network(len(sheets), tuple(ranks)):
+        one, two = sheets[low], sheets[high]
+        sheets[low], spare = np.asarray(cv2.min(one, two, dst=spare)), one
+        sheets[high] = np.asarray(cv2.max(one, two, dst=two))
+    return [sheets[rank].astype(np.float32) for rank in ranks]
 
 
 @cache

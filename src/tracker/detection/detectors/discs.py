@@ -74,7 +74,7 @@ class Discs:
             view.frames.remember([*itertools.chain(*samples.values()), *survey])
         self.scenes = {
             scene: estimate_still_background(
-                [cv2.blur(np.asarray(view.frames[k]), self.box) for k in numbers], self.noise * 1.5 / self.box[0]
+                [view.frames[k] for k in numbers], self.noise * 1.5 / self.box[0], self.box
             )
             for scene, numbers in samples.items()
         }
@@ -226,8 +226,9 @@ class Discs:
     def _average_uncovered(self, sample: list[NDArray[Any]], ground: StillBackground, tally: _Tally) -> StillBackground:
         """The same, from objects found over a background that may be wrong where balls rest."""
         rim_px = 4  # around an object, which it may still affect
-        frames, covered = [], []
+        covered, changes = [], []
         for frame in sample:
+            changes.append(_measure_change(frame, ground.level))
             light = _match_brightness(frame, ground.level)
             parts = self._split(self._find_areas(light, ground, tally))
             differs = self._smooth_difference(light, ground) > self.low
@@ -238,9 +239,9 @@ class Discs:
             for part in parts:
                 if any(casts_shadow(ball, part) for ball in balls):
                     part.fill(mask)
-            frames.append(light)
-            covered.append(cv2.dilate(mask, np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)).view(np.bool_))
-        return average_uncovered(frames, covered, self.noise)
+            near = cv2.dilate(mask, np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8))
+            covered.append(np.packbits(near, axis=1))
+        return average_uncovered(sample, covered, self.noise, changes)
 
     def _in_frame(self, frame: NDArray[Any], ground: StillBackground, tally: _Tally) -> Glints:
         """Discs of one frame; the tally counts what it shows besides."""
@@ -469,11 +470,17 @@ class Discs:
         )
 
 
-def _match_brightness(frame: NDArray[Any], level: NDArray[np.float32]) -> NDArray[Any]:
-    """A frame with the brightness of the background, where the camera has adapted its exposure by over a count."""
+def _measure_change(frame: NDArray[Any], level: NDArray[np.float32]) -> float:
+    """Counts by which a frame is brighter than the background; 0 unless the camera has adapted by over a count."""
     step = max(1, int(np.sqrt(frame.size / 16_000)))
     change = float(np.median(frame[::step, ::step] - level[::step, ::step]))
-    return frame.astype(np.float32) - np.float32(change) if abs(change) > 1 else frame
+    return change if abs(change) > 1 else 0.0
+
+
+def _match_brightness(frame: NDArray[Any], level: NDArray[np.float32]) -> NDArray[Any]:
+    """A frame with the brightness of the background."""
+    change = _measure_change(frame, level)
+    return frame.astype(np.float32) - np.float32(change) if change else frame
 
 
 def _find_rays(centres: list[tuple[float, float]], radius: float, shape: tuple[int, ...]) -> Index:

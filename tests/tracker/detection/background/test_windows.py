@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tracker.detection.background.still_background import average_uncovered, estimate_still_background, sort_strips
+from tracker.detection.background.still_background import (
+    average_uncovered,
+    cut_strips,
+    estimate_still_background,
+    sort_sheets,
+)
 from tracker.detection.background.windows import find_regions
 
 
@@ -50,8 +55,8 @@ def test_sorted_strips_are_those_of_numpy(count, dtype):
     pictures = [rng.integers(0, 60, (40, 1000)).astype(dtype) for _ in range(count)]
     expected = np.sort(pictures, axis=0)[list(ranks)]
     out = np.full(expected.shape, -1.0)
-    for at, values in sort_strips(pictures, ranks):
-        out[:, at] = values
+    for at in cut_strips(pictures[0].shape):
+        out[:, at] = sort_sheets([picture[at] for picture in pictures], ranks)
     assert np.array_equal(out, expected)
 
 
@@ -68,7 +73,9 @@ def test_a_background_that_is_never_covered_is_the_median(count):
 def test_the_mean_of_the_middle_half_leaves_covered_pixels_out(dtype):
     rng = np.random.default_rng(0)
     pictures, covered = rng.integers(0, 250, (9, 20, 30)).astype(dtype), rng.random((9, 20, 30)) < 0.3
-    found = average_uncovered(list(pictures), list(covered), 2.0)
+    changes = rng.integers(-3, 4, 9) * (dtype == np.float32)  # of brightness
+    brighter = pictures + changes[:, None, None].astype(dtype)
+    found = average_uncovered(list(brighter), list(np.packbits(covered, axis=2)), 2.0, list(changes))
     for row, column in np.argwhere(~covered.all(axis=0)):
         free = np.sort(pictures[~covered[:, row, column], row, column].astype(float))
         middle = free[len(free) // 4 : len(free) - len(free) // 4]
