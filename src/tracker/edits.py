@@ -189,18 +189,30 @@ class TrackEdits:
             if edit.clip is not None and edit.clip not in numbers:
                 raise InputError(f"{self.where}: edits.{k}.clip: there is no clip {edit.clip}")
 
+    def of_clip(self, clip: int) -> list[tuple[int, AnyEdit]]:
+        """The edits of one clip, each with its position in the file."""
+        return [(k, edit) for k, edit in enumerate(self.edits) if edit.clip in (None, clip)]
+
+    def check_frames(self, clip: int, film: NDArray[np.int64]) -> None:
+        """Raise InputError for an edit of a frame outside the film of its clip, before anything is tracked."""
+        for k, edit in self.of_clip(clip):
+            self._check_frame(k, getattr(edit, "frame", int(film[0])), film)
+
+    def _check_frame(self, k: int, frame: int, film: NDArray[np.int64]) -> None:
+        first, last = (int(film.min()), int(film.max())) if len(film) else (0, 0)
+        if not first <= frame <= last:
+            raise InputError(f"{self.where}: edits.{k}.frame: expected {first} to {last}, found {frame}")
+
     def apply(self, tracks: Tracks, clip: int, film: NDArray[np.int64] | None = None) -> EditedTracks:
         """Apply the edits of one clip. Raises InputError for one that does not fit the tracks.
 
         film: numbers of its frames, to which positions may be added; None: from the first to the last of the tracks.
         """
-        own = [(k, edit) for k, edit in enumerate(self.edits) if edit.clip in (None, clip)]
+        own = self.of_clip(clip)
         marks = [(k, edit) for k, edit in own if isinstance(edit, MarkContact)]
-        frames = tracks.frame if film is None else film
-        first, last = (int(frames.min()), int(frames.max())) if len(frames) else (0, 0)
         for k, edit in own:
-            if isinstance(edit, AddPoint) and not first <= edit.frame <= last:
-                raise InputError(f"{self.where}: edits.{k}.frame: expected {first} to {last}, found {edit.frame}")
+            if isinstance(edit, AddPoint):
+                self._check_frame(k, edit.frame, tracks.frame if film is None else film)
         for k, edit in (*own, *marks):  # a later edit may have taken out a ball of a contact
             try:
                 tracks = edit.change(tracks)

@@ -27,7 +27,7 @@ from tracker.detection.detect import detector_name, load_detector, load_linker
 from tracker.detection.own_detector import digest, is_outside
 from tracker.edits import EditsSource, TrackEdits
 from tracker.notes import Note, NoteKind, note_all
-from tracker.recording import Result, measure_tracks, track_and_measure
+from tracker.recording import Result, check_edits, measure_tracks, track_and_measure
 from tracker.report.misfits import MISFITS, draw_misfit, is_misfit
 from tracker.report.refusals import REFUSALS, NotedPicture, draw_refusals, is_failure
 from tracker.settings import SettingsSource, TrackerSettings
@@ -80,6 +80,7 @@ def run(
         first, why = select_channel(first, None)
     if detector is not None:
         load_linker(detector, first.camera)
+    edited.check_frames(first.number, first.frames.numbers)
     films, said = replace(films, channel=first.channel), note_all(NoteKind.CHANNEL, [why])
     if films.camera is None and (films.path.is_file() or is_zarr(films.path)):
         said += note_all(NoteKind.ASSUMED, [f"camera: {file}; --camera takes another" for file in films.camera_files()])
@@ -96,6 +97,8 @@ def run(
         notes.update(dict.fromkeys(said, clips))
         if opened is None:
             progress(clips - len(todo), clips)
+        # An edit that fits no track ends the run before the clips without edits are tracked.
+        todo = sorted(todo, key=lambda i: not edited.of_clip(films.clips[i][0]))
         sent = _resolve_paths(films) if scheduler else films
         job = functools.partial(_track_clip, sent, partial=partial, name=detector)
         work = functools.partial(job, settings=chosen, edits=edited, opened=opened)
@@ -132,6 +135,7 @@ def measure_tables(
     edited.check_clips(numbers)
 
     def measure(partial: Path, todo: list[int]) -> None:
+        check_edits(given, options.point, edited)
         said = (*given.notes, *describe_camera_gaps(given.camera))
         notes.update({note: len(numbers) for note in said if note.kind is not NoteKind.ASSUMED})
         for number in (numbers[i] for i in todo):

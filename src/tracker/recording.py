@@ -46,7 +46,7 @@ from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.contacts import MarkedContact
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.local.recommendation import recommended_suffix
-from tracker.measurement.track_repair import repair_tracks
+from tracker.measurement.track_repair import RepairedTracks, repair_tracks
 from tracker.notes import Note, NoteKind, note_all
 from tracker.settings import FitSettings, SettingsSource, TrackerSettings
 from tracker.tables.read import ClipTracks, read_frame, read_tracks
@@ -390,6 +390,7 @@ def _measure_given(
 
     fit, edited, found = TrackerSettings.of(settings).fit, TrackEdits.of(edits), []
     edited.check_clips(given.clips.keys())
+    check_edits(given, point, edited)
     for number, (tracks, striker) in sorted(given.clips.items()):
         known = given.camera if striker is None else replace(given.camera, striker=striker)
         result = measure_tracks(tracks, known, number, point, fit, edited)
@@ -451,14 +452,24 @@ def measure_tracks(
     check_particles(
         tracks, number, settings, "For all write `fit: {{max_particles: {}}}` into a file of settings (--settings FILE)"
     )
-    if point == "glint":
-        tracks = to_centres(tracks, camera)
-    repaired = repair_tracks(tracks, camera, number)
+    repaired = _repair(tracks, camera, number, point)
     edited = (edits or TrackEdits()).apply(repaired.tracks, number)
     rows, motion = measure_clip(edited.tracks, camera, settings, edited.contacts)
     gaps = (note for note in describe_camera_gaps(camera) if note.kind is not NoteKind.ASSUMED)
     notes = (*repaired.notes, *edited.notes, *gaps)
     return Result(number, camera, edited.tracks, tuple(rows), motion, notes)
+
+
+def check_edits(given: ClipTracks, point: str, edits: TrackEdits) -> None:
+    """Raise InputError for an edit that does not fit the tracks of its clip, before any clip is measured."""
+    for number, (tracks, striker) in sorted(given.clips.items()):
+        if edits.of_clip(number):
+            camera = given.camera if striker is None else replace(given.camera, striker=striker)
+            edits.apply(_repair(tracks, camera, number, point).tracks, number)
+
+
+def _repair(tracks: Tracks, camera: Camera, number: int, point: str) -> RepairedTracks:
+    return repair_tracks(to_centres(tracks, camera) if point == "glint" else tracks, camera, number)
 
 
 def check_particles(tracks: Tracks, number: int, settings: FitSettings, advice: str) -> None:

@@ -1,21 +1,24 @@
 """Corrections by hand: each action on small tracks, files that are wrong, and what a run makes of them."""
 
 import json
+import shutil
 
 import numpy as np
 import pandas as pd
 import pytest
+import tifffile
 import yaml
 from repository import ROOT
 from tracker_film import CAMERA
 
 from synthcam_shared.errors import InputError
+from tracker import results
 from tracker.camera.camera import Camera
 from tracker.edits import BY_HAND, TrackEdits
 from tracker.measurement.estimate import measure
 from tracker.notes import NoteKind
-from tracker.pipeline import measure_tables
-from tracker.results import read_clip
+from tracker.pipeline import measure_tables, run
+from tracker.recording import measure_all
 from tracker.tables.rows import to_tracks
 
 POINT = {"action": "remove_point", "ball": 1, "frame": 2}
@@ -176,13 +179,50 @@ def test_a_run_applies_a_file_and_notes_it(tmp_path):
         tmp_path / "tracks.csv", tmp_path / "out", tmp_path / "camera.json", edits=tmp_path / "edits.yaml"
     )
     assert any("1 track removed" in str(note) for note in made.notes)
-    assert set(read_clip(tmp_path / "out", 0)[0].particle) == {1}
+    assert set(results.read_clip(tmp_path / "out", 0)[0].particle) == {1}
     assert json.loads((tmp_path / "out/run.json").read_text())["edits"] == [TRACK]
     with pytest.raises(InputError, match=r"another run \(edits\)"):
         measure_tables(tmp_path / "tracks.csv", tmp_path / "out", tmp_path / "camera.json")
 
 
-def test_an_interrupted_run_takes_other_edits_of_the_clips_that_it_lacks(tmp_path):
+def test_all_edits_are_checked_before_anything_is_measured(tmp_path, monkeypatch):
+    tables = pd.concat([glancing_balls().assign(clip=clip) for clip in (1, 2)])
+    edits = {"edits": [TRACK | {"clip": 1}, POINT | {"clip": 2, "frame": 99}]}
+    monkeypatch.setattr("tracker.recording.measure_clip", pytest.fail)
+    with pytest.raises(InputError, match=r"edits\.1 \(remove_point\): ball 1 has no position in frame 99"):
+        measure_all(tables, CAMERA, edits=edits)
+    tables.to_csv(tmp_path / "tracks.csv", index=False)
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
+    with pytest.raises(InputError, match=r"edits\.1 \(remove_point\)"):
+        measure_tables(tmp_path / "tracks.csv", tmp_path / "out", tmp_path / "camera.json", edits=edits)
+
+
+def test_a_film_is_searched_in_the_clips_with_edits_first(tmp_path, monkeypatch):
+    """An edit outside the film is found before; one that fits no track, before the clips without edits."""
+    for clip in range(3):
+        folder = tmp_path / f"films/clips/{clip:06d}"
+        folder.mkdir(parents=True)
+        tifffile.imwrite(folder / "frames.tif", np.zeros((9, 160, 200), np.uint8))
+        (folder / "camera.json").write_text(json.dumps(CAMERA))
+    tracked = []
+
+    def note(clip, *_):
+        tracked.append(clip.number)
+        raise InputError("enough")
+
+    monkeypatch.setattr("tracker.pipeline.track_and_measure", note)
+    for edit, order, said in (
+        (POINT | {"clip": 2}, [2], "enough"),
+        (POINT | {"clip": 0, "frame": 9}, [], r"edits\.0\.frame: expected 0 to 8, found 9"),
+    ):
+        with pytest.raises(InputError, match=said):
+            run(tmp_path / "films", tmp_path / "out", "discs", 1, edits={"edits": [edit]})
+        assert tracked == order
+        tracked.clear()
+        shutil.rmtree(tmp_path / "out.partial", ignore_errors=True)
+
+
+def test_an_interrupted_run_takes_other_edits_of_the_clips_that_it_lacks(tmp_path, monkeypatch):
     table, out = glancing_balls(), tmp_path / "out"
     pd.concat([table.assign(clip=1), table.assign(clip=2)]).to_csv(tmp_path / "tracks.csv", index=False)
     (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
@@ -190,9 +230,17 @@ def test_an_interrupted_run_takes_other_edits_of_the_clips_that_it_lacks(tmp_pat
     def measure_with(*edits):
         return measure_tables(tmp_path / "tracks.csv", out, tmp_path / "camera.json", edits={"edits": list(edits)})
 
-    track, wrong, good = TRACK | {"clip": 1}, POINT | {"clip": 2, "frame": 99}, POINT | {"clip": 2}
-    with pytest.raises(InputError, match="has no position in frame 99"):
-        measure_with(track, wrong)
+    track, good, write = TRACK | {"clip": 1}, POINT | {"clip": 2}, results.write_clip
+
+    def write_one(partial, number, *values):
+        if number == 2:
+            raise KeyboardInterrupt
+        write(partial, number, *values)
+
+    monkeypatch.setattr(results, "write_clip", write_one)
+    with pytest.raises(KeyboardInterrupt):
+        measure_with(track)
+    monkeypatch.setattr(results, "write_clip", write)
     with pytest.raises(InputError, match=r"of other options or files \(edits\)"):
         measure_with(good)  # clip 1 is measured with an edit
     measure_with(track, good)
