@@ -112,8 +112,7 @@ def average_uncovered(
     brighter than the background.
     """
     shown, total = [np.asarray(frame) for frame in frames], len(frames)
-    level = np.empty(shown[0].shape, np.float32)
-    width = level.shape[1]
+    level, width = np.empty(shown[0].shape, np.float32), shown[0].shape[1]
     count = np.full(level.shape, total, np.int16)
     middle = range(total // 4, total - total // 4)
     for at in cut_strips(level.shape):

@@ -240,7 +240,7 @@ class Discs:
                 if any(casts_shadow(ball, part) for ball in balls):
                     part.fill(mask)
             near = cv2.dilate(mask, np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8))
-            covered.append(np.packbits(near, axis=1))
+            covered.append(np.packbits(np.asarray(near, np.uint8), axis=1))
         return average_uncovered(sample, covered, self.noise, changes)
 
     def _in_frame(self, frame: NDArray[Any], ground: StillBackground, tally: _Tally) -> Glints:

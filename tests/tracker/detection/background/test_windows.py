@@ -1,5 +1,6 @@
 """The coarse search and the sorting network give what scipy and numpy find in whole pictures."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -67,6 +68,16 @@ def test_a_background_that_is_never_covered_is_the_median(count):
     found = estimate_still_background(pictures, 3.0)
     assert np.array_equal(found.level, np.median(pictures, axis=0))
     assert found.known.all()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_background_over_boxes_is_that_of_averaged_frames_also_where_strips_meet(dtype):
+    pictures = [np.random.default_rng(k).integers(90, 96, (70, 1000)).astype(dtype) for k in range(9)]
+    pictures[4][:, :30] += 50  # what rests there is seen in one frame of nine
+    whole = estimate_still_background([cv2.blur(p, (5, 5)) for p in pictures], 0.5)
+    own = estimate_still_background(pictures, 0.5, (5, 5))
+    for name in ("level", "error", "known"):
+        assert np.array_equal(getattr(own, name), getattr(whole, name))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
