@@ -7,7 +7,6 @@ import json
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any
 
 import cv2
@@ -48,7 +47,9 @@ def answer_requests(lines: Iterable[str], write: Callable[[str], None]) -> None:
     for line in lines:
         try:
             answer = answer_request(json.loads(line))
-        except (InputError, NoGL, ValueError) as error:
+        except RecursionError:
+            answer = {"error": "preview: nested too deeply"}
+        except (InputError, NoGL, ValueError, OverflowError, MemoryError) as error:
             answer = {"error": " ".join(f"{error}".split())}
         write(json.dumps(answer))
 
@@ -61,8 +62,10 @@ def answer_request(values: Any) -> dict[str, Any]:
     request = build_settings(values, PreviewRequest, "preview")
     if not request.scene:
         return {"scenes": [path.stem for path in sorted(SCENES.glob("*.yaml"))]}
-    began = time.perf_counter()
-    scene = read_scene(Path(request.scene))
+    began, path = time.perf_counter(), SCENES / f"{request.scene}.yaml"
+    if not path.is_file():
+        raise InputError(f"{request.scene}: no such file among the scenes of synthcam")
+    scene = read_scene(path)
     start = scene.draw(seed=request.seed).drawn
     moved = check_scene(move_sliders(scene, start, request.values), request.scene)
     clip = moved.draw(seed=request.seed)

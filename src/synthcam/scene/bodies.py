@@ -277,7 +277,16 @@ def find_heights(drawn: dict[str, Any], where: str) -> NDArray[np.float64]:
     if len(given) > 1 or (given and not flat.all() and usual not in given):
         wanted = "one height for all" if flat.all() else f"that of the balls beside it, {usual:g} m"
         raise InputError(f"{where}: bodies: disc {max(given.values())} is {max(given):g} m high; expected {wanted}")
-    return np.where(flat, next(iter(given), usual), 0.0)
+    height = next(iter(given), usual)
+    for k in np.flatnonzero(flat).tolist():
+        most = 2 * (kinds[k].get("diameter") or drawn["ball"]["diameter"])
+        most = min(most, drawn["camera"]["height"] / 2, drawn["lamp"]["position"][2] / 2)
+        if height > most:
+            raise InputError(
+                f"{where}: bodies: disc {k} is {height:g} m high; expected at most {most:g} m: two diameters, "
+                "and half as high as camera and lamp"
+            )
+    return np.where(flat, height, 0.0)
 
 
 def _starts_later(launch: dict[str, Any]) -> bool:

@@ -109,7 +109,7 @@ class Clip:
         return float(self.drawn["lamp"]["room"])
 
     @property
-    def plate_level(self) -> float:
+    def plate_z(self) -> float:
         """z of the plate, m: 0, or half a height below discs, whose centres are as high as those of balls."""
         return self.model.ball.radius - float(self.heights.max()) / 2 if self.heights.any() else 0.0
 
@@ -178,8 +178,8 @@ class Clip:
     def _expose(self, frames: range, *, by_tables: bool = True) -> Iterator[Counts]:
         varnish = build_varnish(self.surface, self.drawn) if self.finish else None
         radii = self.launch.bodies.radius.tolist()
-        tall, level = self.heights.tolist(), self.plate_level
-        setup = OpticalSetup(self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish, tall, level)
+        optics = self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish
+        setup = OpticalSetup(*optics, self.heights.tolist(), self.plate_z)
         colour = bool(self.drawn["camera"].get("colour"))
         key, view = (self.seed, self.number), self.view
         return expose_frames(view, setup, self.sensor, frames, key, self.orientation, colour, by_tables=by_tables)

@@ -36,7 +36,7 @@ class OpticalSetup(NamedTuple):
     finish: SurfaceFinish | None = None  # of matte balls, or of a plate with texture
     varnish: Surface | None = None  # the mirror on the balls of a `finish`; None: they are dull
     heights: Sequence[float] = ()  # of discs, m; 0 of balls
-    level: float = 0.0  # z of the plate, m
+    plate_z: float = 0.0  # m
     faintest: float = FAINTEST  # what many mirror balls leave out of a picture, over the peak of a glint
 
 
@@ -67,7 +67,7 @@ def expose_frames(
     motion = motion.as_drawn()
 
     def centres(t: Array) -> Array:
-        return motion.at(t)[:, :, :3].transpose(1, 0, 2) - [0, 0, setup.level]
+        return motion.at(t)[:, :, :3].transpose(1, 0, 2) - [0, 0, setup.plate_z]
 
     def rotations(t: Array) -> Array:
         times = motion.times(t)
@@ -92,20 +92,21 @@ def _renderer(setup: bytes) -> Any:
 
     setup: pickled, because arrays have no hash.
     """
-    camera, lamp, radii, room, surface, finish, varnish, heights, level, faintest = pickle.loads(setup)
+    camera, lamp, radii, room, surface, finish, varnish, heights, plate_z, faintest = pickle.loads(setup)
     if finish:
         from synthcam.camera.room.room_renderer import RoomRenderer
 
-        raised = replace(camera, t=camera.t + level * camera.R[:, 2]) if level else camera  # above a plate at z = 0
-        return RoomRenderer(raised, _lower(lamp, level) if level else lamp, radii, finish, varnish, heights)
+        if plate_z:  # the renderer's plate is at z = 0
+            camera, lamp = replace(camera, t=camera.t + plate_z * camera.R[:, 2]), _lower(lamp, plate_z)
+        return RoomRenderer(camera, lamp, radii, finish, varnish, heights)
     from synthcam.camera.render import MirrorRenderer  # here alone: everything else works without OpenGL
 
     return MirrorRenderer(camera, lamp, radii, room, surface, faintest)
 
 
-def _lower(lamp: Lamp, level: float) -> Lamp:
-    second = _lower(lamp.second, level) if lamp.second else None
-    return replace(lamp, position=lamp.position - [0, 0, level], second=second)
+def _lower(lamp: Lamp, by: float) -> Lamp:
+    second = _lower(lamp.second, by) if lamp.second else None
+    return replace(lamp, position=lamp.position - [0, 0, by], second=second)
 
 
 _chip = lru_cache(maxsize=6)(Chip)  # of all clips of a camera: its fixed pattern takes as long to draw as many frames

@@ -3,7 +3,6 @@
 import base64
 import io
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -76,7 +75,7 @@ def test_a_request_is_answered_in_a_line_and_a_wrong_one_by_a_sentence(monkeypat
     monkeypatch.setattr(Clip, "sketch", lambda clip, k: np.full(clip.camera.size[::-1], 8 + k, np.uint8))
     asked = [{}, {"scene": "oblique", "values": {"offset": 0.5}, "frame": 3}, {"scene": "none"}, {"scene": "../x"}]
     asked += [{"scene": "oblique", "values": {"offset": 2}}, {"scene": "oblique", "values": {"mass": 2}}, 3]
-    lines, out = [*map(json.dumps, asked), "{"], io.StringIO()
+    lines, out = [*map(json.dumps, asked), "{", "[" * 100_000], io.StringIO()
     answer_requests(lines, lambda text: print(text, file=out))
     names, drawn, *refused = map(json.loads, out.getvalue().splitlines())
     assert {"oblique", "tray"} < set(names["scenes"])
@@ -93,12 +92,12 @@ def test_a_request_is_answered_in_a_line_and_a_wrong_one_by_a_sentence(monkeypat
         "expected one of speed, offset",
         "preview",
     ]
-    for answer, words in zip(refused, [*said, ""], strict=True):
+    for answer, words in zip(refused, [*said, "", "nested too deeply"], strict=True):
         assert [*answer] == ["error"]
         assert words in answer["error"]
 
 
-def test_a_matte_scene_is_drawn_small_and_sharp_on_demand(monkeypatch):
+def test_a_matte_scene_is_drawn_small_and_sharp_on_demand(monkeypatch, tmp_path):
     sizes = []
     monkeypatch.setattr(
         Clip, "sketch", lambda clip, k: sizes.append(clip.camera.size) or np.zeros(clip.camera.size[::-1], np.uint8)
@@ -107,6 +106,7 @@ def test_a_matte_scene_is_drawn_small_and_sharp_on_demand(monkeypatch):
     assert sizes == [(160, 120), (640, 480)]
     assert small["paths"] == sharp["paths"]
     assert small["size"] == sharp["size"] == [640, 480]
-    with pytest.raises(InputError, match="no such file"):
+    (tmp_path / "elsewhere").write_text("launch: {v0: secret}")  # only scenes of the package are read
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="elsewhere: no such file among"):
         answer_request({"scene": "elsewhere"})
-    assert not Path("elsewhere.yaml").exists()

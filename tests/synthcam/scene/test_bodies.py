@@ -106,6 +106,10 @@ def test_a_ball_starts_in_the_air_or_without_rolling():
             lambda s: s.update(bodies=[{"shape": "disc", "height": h} for h in (1e-3, 2e-3)], support={"kind": "air"}),
             "bodies: disc 1 is 0.002 m high; expected one height for all",
         ),
+        (
+            lambda s: s.update(bodies={"shape": "disc", "height": 5e-3}, support={"kind": "air"}),
+            "bodies: disc 0 is 0.005 m high; expected at most 0.00476 m: two diameters, and half",
+        ),
         (lambda s: s.update(bodies={"height": 1e-3}), "bodies: body 0 is a ball; expected no height, or shape: disc"),
         (
             lambda s: s.update(bodies={"shape": "disc"}, support={"kind": "air"}, surface={"ball": "steel"}),

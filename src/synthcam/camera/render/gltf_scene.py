@@ -42,12 +42,12 @@ def glb(
     roughness: float,
     plate: float | tuple[float, ...],
     dull: bool,
-    level: float = 0.0,
+    plate_z: float = 0.0,
 ) -> bytes:
     """A binary glTF file of one clip.
 
     camera: the keys of camera.json; glTF has no lens distortion. lamps: each with its candela. steel, plate: base
-    colours of metals; a `dull` plate is not a metal. roughness: glTF's, of the balls. level: z of the plate, m.
+    colours of metals; a `dull` plate is not a metal. roughness: glTF's, of the balls. plate_z: m.
     """
     colours = {"plate": plate, "steel": steel}
     lights = {f"light{k or ''}": each for k, each in enumerate(lamps)}
@@ -92,7 +92,7 @@ def glb(
             surface = {"metallicFactor": 0.0, "roughnessFactor": roughness}
             tree["materials"].append({"name": f"matte{k}", "pbrMetallicRoughness": surface})
 
-    scene = _scene(camera, balls, lights, roughness, level)
+    scene = _scene(camera, balls, lights, roughness, plate_z)
     export = untyped.exchange.gltf.export_glb
     return bytes(export(scene, include_normals=True, buffer_postprocessor=animate, tree_postprocessor=complete))
 
@@ -102,7 +102,7 @@ def _scene(
     balls: list[BallMotion],
     lights: dict[str, tuple[Lamp, float]],
     roughness: float,
-    level: float,
+    plate_z: float,
 ) -> Any:
     """Plate, balls, lamps and camera as trimesh's scene."""
     scene = untyped.Scene(base_frame="scene")
@@ -125,7 +125,7 @@ def _scene(
         material(name=name, metallicFactor=1.0, roughnessFactor=rough)
         for name, rough in (("plate", 1.0), ("steel", roughness))
     )
-    add("plate", plate, [0.0, 0.0, level - thickness / 2], black)
+    add("plate", plate, [0.0, 0.0, plate_z - thickness / 2], black)
     for k, ball in enumerate(balls):
         body = _body(ball)
         if ball.paint:  # as colours of the corners, which glTF takes as linear; its material is set later

@@ -56,9 +56,9 @@ class RoomRenderer(Renderer):
     ) -> None:
         super().__init__(camera, lamp, np.array(radii, float))
         self.finish = finish
-        tall = np.array(heights or np.zeros(len(self.radii)), float)
-        self.extents = self.radii + tall / 2  # of balls that enclose the bodies
-        self.shade = Illumination(lamp, finish, self.radii, mirror, tall)
+        disc_heights = np.array(heights or np.zeros(len(self.radii)), float)
+        self.extents = self.radii + disc_heights / 2  # of balls that enclose the bodies
+        self.shade = Illumination(lamp, finish, self.radii, mirror, disc_heights)
         self.reach = self.shade.reaches
         self._points = self._meet_plate(*(np.arange(n, dtype=float) for n in camera.size))
         self._bare = self.shade.bare(self._points.reshape(-1, 3)).reshape(self._points.shape[:2])

@@ -51,7 +51,7 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             balls.append(BallMotion(radius, height, times, positions, *_turns(times, spins, first), paint))
         look = _light_room(drawn) if finish else _light_mirrors(drawn)
         (folder / f"{clip.number:06d}.glb").write_bytes(
-            glb(clip.camera_json, balls, steel=drawn.surface.head_on, level=drawn.plate_level, **look)
+            glb(clip.camera_json, balls, steel=drawn.surface.head_on, plate_z=drawn.plate_z, **look)
         )
 
 
