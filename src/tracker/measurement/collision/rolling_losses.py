@@ -1,4 +1,4 @@
-"""Tests the law that both balls lose speed alike in rolling, and lets the quantities carry what is left open.
+"""Tests the law that both balls have one rolling loss, and corrects the quantities for a difference.
 
 The fits have one rolling loss. The struck ball shows it after its slide, the striker also before the hit. If the two
 differ, the common loss shifts v0 and all that follows from it. Chi^2 of all positions hardly shows this.
