@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
 
 MU_K = LOCAL_NAMES.index("mu_k")
+SHORT_SLIDE = "other contacts of the film show the friction better"
 BOTH_SLIDE = "both balls still slide from an earlier contact"
 
 
@@ -31,6 +32,7 @@ def estimate_contacts(
     *,
     median_error: float = 1.2533,
     min_frictions: int = 5,
+    most_frictions: int = 30,
     max_friction_error: float = 0.2,
     film_friction_factor: float = 0.1,
 ) -> list[tuple[Contact | None, LocalEstimate | str]]:
@@ -40,6 +42,7 @@ def estimate_contacts(
     which the contacts with long slides show; the others take it as known.
     median_error: of a median of normal values, over that of their mean.
     min_frictions: contacts that show the friction of the plate, from which on the others take it.
+    most_frictions: contacts that are asked for it, those with the longest slides.
     max_friction_error: relative, of a contact that counts.
     film_friction_factor: error of the logarithm of the friction that a film shows.
     """
@@ -48,19 +51,21 @@ def estimate_contacts(
     if not camera.support and camera.body == BODIES["ball"]:
         known = replace(camera, support="cloth")  # contacts of slow balls hide that they slide
     pairs = [contact for contact in found if len(contact.balls) == 2]
-    first = [_estimate(c, found, tracks, known, settings) for c in pairs]
-    seen = [(each.value[MU_K], each.std[MU_K]) for _, each in first if isinstance(each, LocalEstimate)]
+    longest = np.argsort([-_seen_slide(c, found, settings) for c in pairs], kind="stable")[:most_frictions]
+    first = {int(k): _estimate(pairs[k], found, tracks, known, settings) for k in longest}
+    seen = [(each.value[MU_K], each.std[MU_K]) for _, each in first.values() if isinstance(each, LocalEstimate)]
     friction = [mu for mu, std in seen if mu > 0 and 0 < std < max_friction_error * mu]
-    second, used, error = first, settings, settings.local_friction_factor
+    used, error, done = settings, settings.local_friction_factor, first
     if len(friction) >= min_frictions:
         common = {"local_friction": float(np.median(friction)), "local_friction_factor": film_friction_factor}
-        used = settings.model_copy(update=common)
-        second = [_estimate(c, found, tracks, known, used) for c in pairs]
+        used, done = settings.model_copy(update=common), {}
         error = min(float(np.std(np.log(friction))) / np.sqrt(len(friction)) * median_error, film_friction_factor)
-    return [
-        (contact, _share_friction(each, own, used, error))
-        for (contact, each), (_, own) in zip(second, first, strict=True)
-    ]
+    out = list[tuple[Contact | None, LocalEstimate | str]]()
+    for k, pair in enumerate(pairs):
+        contact, each = done[k] if k in done else _estimate(pair, found, tracks, known, used)
+        own = first[k][1] if k in first else each if used is settings else SHORT_SLIDE
+        out.append((contact, _share_friction(each, own, used, error)))
+    return out
 
 
 def _share_friction(
@@ -138,6 +143,15 @@ def _estimate(
 def _slide_duration(contact: TrackContact, settings: FitSettings) -> float:
     """How long a ball slides after a contact, s, by the change of its velocity."""
     return 2 * contact.kick / (7 * settings.local_friction * GRAVITY)
+
+
+def _seen_slide(contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> float:
+    """How long a ball slides after a contact before it has another, s."""
+    later = [
+        min((c.time for c in found if ball in c.balls and c.time > contact.time), default=np.inf)
+        for ball in contact.balls
+    ]
+    return min(_slide_duration(contact, settings), max(later) - contact.time)
 
 
 def _still_slides(

@@ -13,6 +13,11 @@ from tracker.measurement.crowd.contact_table import (
     summarise_contacts,
     tabulate_contacts,
 )
+from tracker.measurement.crowd.crowd_rows import estimate_contacts
+from tracker.measurement.crowd.track_contacts import find_track_contacts
+from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate
+from tracker.measurement.positions import to_ball_tracks
+from tracker.settings import FitSettings
 from tracker.tables.read import to_pixels
 from tracker.tables.table import TrackTable
 
@@ -129,6 +134,27 @@ def test_the_friction_of_the_film_makes_slides_known_at_low_noise():
     assert np.median(np.abs(late[:, 0])) < 6e-5
     for off, std in (kicks.T, late.T):
         assert np.mean(np.abs(off) < 2 * std) > 0.8
+
+
+def test_the_contacts_with_the_longest_slides_give_the_friction_of_the_film():
+    clip = synthcam.Scene.read("crowd", timing={"frames": 24}).draw(seed=1)
+    read = to_pixels(TrackTable(add_noise(clip, 0.02)), "truth", clip.camera_json)
+    balls = to_ball_tracks(read.clips[0][0], read.camera)
+    found = find_track_contacts(balls, read.camera.ball_diameter)
+    estimates = estimate_contacts(
+        found, balls, read.camera, FitSettings(), min_frictions=1, most_frictions=2, max_friction_error=0.5
+    )
+    measured = [estimate for _, estimate in estimates if isinstance(estimate, LocalEstimate)]
+    own = [estimate for estimate in measured if "mu_k" not in estimate.unseen]
+    assert 1 <= len(own) <= 2 < len(measured)
+    kicks = [contact.kick for contact in found if len(contact.balls) == 2]
+    asked = [k for k, (_, each) in enumerate(estimates) if any(each is one for one in own)]
+    assert min(kicks[k] for k in asked) > np.median(kicks)
+    friction, r = (LOCAL_NAMES.index(name) for name in ("mu_k", "r"))
+    common = {estimate.shared["friction"][0] for estimate in measured}
+    assert common == {np.median([estimate.value[friction] for estimate in own])}
+    z = [(estimate.value[r] - clip.model.restitution) / estimate.std[r] for estimate in measured]
+    assert np.median(np.abs(z)) < 2
 
 
 def test_errors_of_derived_values_are_those_of_draws():
