@@ -204,7 +204,8 @@ def describe_gap(gap: Gap, unit: EvidenceUnit) -> str:
         moved = f"stays at {before}"
     else:
         moved = f"{'falls' if gap.after < gap.before else 'does not fall but rises'} from {before} to {after}"
-    return f"On held-out {unit} chi^2 per point {moved}; noise alone leaves {gap.floor:.3g}."
+    less = f" Clips that count less, as neither model predicts them: {gap.outliers}." if gap.outliers else ""
+    return f"On held-out {unit} chi^2 per point {moved}; noise alone leaves {gap.floor:.3g}.{less}"
 
 
 def describe_small_closure(gap: Gap, unit: EvidenceUnit, most: float = 0.5) -> str:

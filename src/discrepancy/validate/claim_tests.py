@@ -28,6 +28,7 @@ from discrepancy.select.law_fit import compare_scatter, fit_unseen_clips, fit_wi
 from discrepancy.select.library_fits import LibraryFits
 from discrepancy.select.library_search import Selection, describe_claims, exchange_effect, make_selection
 from discrepancy.select.model_cost import cost_of
+from discrepancy.validate.gap import weigh_clips
 from discrepancy.validate.residual_map import find_disagreements, is_unexplained
 
 Residuals = Sequence[Array]  # whitened, of each clip
@@ -60,10 +61,9 @@ class Rejection(Enum):
 class HeldOutTest:
     """The support that held-out collisions give to a claim."""
 
-    gap: tuple[float, float]  # chi^2 per point, without the claim and with it
+    gap: tuple[float, float]  # chi^2 per point, without the claim and with it; outlier clips count less
     sigma: float  # the significance of the claim in these collisions
     promised: float  # the significance that the claim predicts for them
-    weighted: tuple[float, float] | None = None  # the gap if clips that neither model predicts count less
 
     @classmethod
     def of(
@@ -79,20 +79,21 @@ class HeldOutTest:
         Let r be the whitened residuals without the claim, and d the whitened difference of the two predictions. The
         clips support the claim with r d / |d| sigma; the claim promised |d|. Noise changes that number by about one;
         the uncertainty of the claim changes it by |d| over its sigma. If the clips scatter about the claim more than
-        noise does, sigma decreases by the same factor. Clips that neither model predicts count less (`_weigh_clips`).
+        noise does, sigma decreases by the same factor. Clips that neither model predicts count less (`weigh_clips`).
 
         without, with_: whitened residuals (2n,) of each clip, by the model without the claim and with it. known: sigma
         of the claim in the fitted clips; inf if these clips are among the fitted ones. there: the fit with the claim in
         these clips, for its derivatives. covariance: that of its shared parameters from the fitted clips; held-out
         clips may depend on directions that the fitted clips do not determine.
         """
-        gap, weights = (_mean_square(without), _mean_square(with_)), _weigh_clips(without, with_)
+        weights = np.sqrt(weigh_clips(without, with_))
+        points = float(sum(w**2 * len(r) for w, r in zip(weights, without, strict=True)))
         without, with_ = ([w * r for w, r in zip(weights, each, strict=True)] for each in (without, with_))
-        weighted = _mean_square(without), _mean_square(with_)
+        gap = sum(float(r @ r) for r in without) / points, sum(float(r @ r) for r in with_) / points
         apart = [p - q for p, q in zip(without, with_, strict=True)]
         size = sum(float(d @ d) for d in apart)
         if not size > 0:
-            return cls(gap, 0.0, 0.0, weighted)
+            return cls(gap, 0.0, 0.0)
         asked = sum(float(p @ d) for p, d in zip(without, apart, strict=True)) / size**0.5
         scatter = sum(float(q @ d) ** 2 for q, d in zip(with_, apart, strict=True)) / size
         uncertain = size / max(known, 1.0) ** 2
@@ -101,36 +102,13 @@ class HeldOutTest:
             pull = np.asarray(sum(w * (project_out(a, s).T @ d) for a, s, d, w in own))
             uncertain = max(uncertain, float(pull @ covariance @ pull) / size)
         noise = max(1 + uncertain, scatter if np.isinf(known) else 0.0) ** 0.5
-        return cls(gap, asked / noise, size**0.5 / noise, weighted)
+        return cls(gap, asked / noise, size**0.5 / noise)
 
     @property
     def is_worse(self) -> bool:
         """True if the claim does not improve the prediction."""
-        without, with_ = self.judged_gap
+        without, with_ = self.gap
         return with_ >= without
-
-    @property
-    def judged_gap(self) -> tuple[float, float]:
-        """The gap that decides: the weighted one, if there is one."""
-        return self.weighted or self.gap
-
-
-def _mean_square(residuals: Residuals) -> float:
-    return sum(float(r @ r) for r in residuals) / sum(map(len, residuals))
-
-
-def _weigh_clips(without: Residuals, with_: Residuals, freedom: float = 4.0) -> Array:
-    """Weigh each clip as in a fit of Student's t to whole clips; return the roots of the weights.
-
-    A clip of p points with a scaled chi^2 of D counts by (freedom + p) / (freedom + D), at most by one: Lange, Little &
-    Taylor, J. Am. Stat. Assoc. 84 (1989) 881, who propose 4 degrees of freedom. Its chi^2 is that of the model that
-    predicts it better, so a claim that spoils a clip pays in full. The scale is the median chi^2 per point: one that
-    fits no clip at all makes none of them an outlier.
-    """
-    points = np.array([len(r) for r in without])
-    chi2 = np.array([min(float(p @ p), float(q @ q)) for p, q in zip(without, with_, strict=True)])
-    scale = max(float(np.median(chi2 / points)), 1.0)
-    return np.asarray(np.sqrt(np.minimum((freedom + points) / (freedom + chi2 / scale), 1.0)))
 
 
 def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Rejection | None:
@@ -149,7 +127,7 @@ def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Reje
         return Rejection.LEFT_OUT_NOT_SIGNIFICANT
 
     def both_close_less_than(share: float) -> bool:
-        return all(closes_too_little(*test.judged_gap, share) for test in (held_out, leave_one_out))
+        return all(closes_too_little(*test.gap, share) for test in (held_out, leave_one_out))
 
     weak = leave_one_out.sigma < policy.beside_free_law_sigma
     if weak and both_close_less_than(policy.min_closed_share_of_weak_claim):

@@ -36,6 +36,7 @@ class Gap(GapPhase):
 
     closure: float  # the share of the gap between before and floor that is closed; NaN if that gap is within chance
     by_phase: dict[str, GapPhase]  # the gap in the phases before, sliding and rolling
+    outliers: int = 0  # clips that count less, because neither model predicts them
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def measure_gap(
 
     base, best: the fits of the other clips, without and with all claims. Their shared parameters are fixed. fit_law
     makes the second fit of these clips from the first, if no model can hold the free law. If the best model has no
-    motion for one of the clips, it closes nothing.
+    motion for one of the clips, it closes nothing. Clips that neither model predicts count less (`weigh_clips`).
     """
     before = fit_model(clips, base.model, (), noise, progress=progress)
     try:
@@ -77,10 +78,35 @@ def measure_gap(
     every = zip(clips, before.residuals, after.residuals, before.launch_slopes, strict=True)
     squares = np.concatenate([_mean_squares(*each, noise) for each in every])
     phase = np.concatenate([c.phases() for c in clips])
-    whole = _average(squares)
+    by_clip = weigh_clips(before.residuals, after.residuals)
+    weights = np.repeat(by_clip, [len(c.frame) for c in clips])
+
+    def average(rows: Array) -> GapPhase:
+        means = np.average(squares[rows], axis=0, weights=weights[rows])
+        return GapPhase(*means[:3].tolist(), *(1e6 * np.sqrt(means[3:])).tolist())
+
+    whole = average(phase == phase)
     names = ("before", "sliding", "rolling")
-    by_phase = {name: _average(squares[phase == k]) for k, name in enumerate(names) if np.any(phase == k)}
-    return GapFits(Gap(**vars(whole), closure=closed_share(whole, before.points), by_phase=by_phase), before, after)
+    by_phase = {name: average(phase == k) for k, name in enumerate(names) if np.any(phase == k)}
+    closure, outliers = closed_share(whole, before.points), int(np.sum(by_clip < 1))
+    return GapFits(Gap(**vars(whole), closure=closure, by_phase=by_phase, outliers=outliers), before, after)
+
+
+def weigh_clips(without: Sequence[Array], with_: Sequence[Array], freedom: float = 4.0, in_full: float = 0.5) -> Array:
+    """Weigh each clip as in a fit of Student's t to whole clips: one that no model predicts must not decide alone.
+
+    A clip of p points with a scaled chi^2 of D has the weight (freedom + p) / (freedom + D): Lange, Little & Taylor,
+    J. Am. Stat. Assoc. 84 (1989) 881, who propose 4 degrees of freedom. A weight above `in_full` counts as one, so
+    noise alone changes nothing. D is that of the model that predicts the clip better, so a claim that spoils a clip
+    pays in full. The scale is the median chi^2 per point: a model that fits no clip makes none of them an outlier.
+
+    without, with_: whitened residuals of each clip, by two models.
+    """
+    points = np.array([len(r) for r in without])
+    chi2 = np.array([min(float(p @ p), float(q @ q)) for p, q in zip(without, with_, strict=True)])
+    scale = max(float(np.median(chi2 / points)), 1.0)
+    weights = (freedom + points) / (freedom + chi2 / scale)
+    return np.asarray(np.where(weights > in_full, 1.0, weights))
 
 
 def closed_share(whole: GapPhase, points: int) -> float:
@@ -101,8 +127,3 @@ def _mean_squares(clip: MeasuredCollision, before: Array, after: Array, launch: 
     chi2 = (before**2, after**2, np.diag(left))
     metres = (white.undo_noise(before) ** 2, white.undo_noise(after) ** 2, (white.undo_noise(left) ** 2).sum(axis=2))
     return np.stack([np.mean(np.reshape(x, (-1, 2)), axis=1) for x in (*chi2, *metres)], axis=1)
-
-
-def _average(squares: Array) -> GapPhase:
-    means = squares.mean(axis=0)
-    return GapPhase(*means[:3].tolist(), *(1e6 * np.sqrt(means[3:])).tolist())

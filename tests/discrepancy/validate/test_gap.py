@@ -11,6 +11,7 @@ from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.noise.whitening import ClipWhitener
+from discrepancy.validate.claim_tests import HeldOutTest
 from discrepancy.validate.gap import measure_gap
 from synthcam.model import Model
 
@@ -94,6 +95,21 @@ def test_the_gap_lies_in_the_phases_of_what_is_hidden():
         assert parts[name].before_um > parts[name].after_um
     for part in parts.values():
         assert part.after == pytest.approx(part.floor, rel=0.25)
+
+
+def test_the_gap_counts_a_clip_that_no_model_predicts_as_the_tests_of_claims_do():
+    """One of five clips is shaken by 1 mm, so both models miss it; the true model predicts the others."""
+    rng, white = np.random.default_rng(4), Noise(NoiseComponent(1e-5))
+    true = Model().replace({"rolling_quadratic.K": 0.3})
+    clips = [dataclasses.replace(c, xy=c.xy + 1e-5 * rng.standard_normal(c.xy.shape)) for c in exact(true, 5, 5)]
+    plain = fit_model(clips, Model(), (), white)
+    clean = measure_gap(clips, plain, dataclasses.replace(plain, model=true), white).gap
+    clips[3].xy[::2] += 1e-3
+    shown = measure_gap(clips, plain, dataclasses.replace(plain, model=true), white)
+    held = HeldOutTest.of(shown.before.residuals, shown.after.residuals, np.inf)
+    assert (clean.outliers, shown.gap.outliers) == (0, 1)
+    assert held.gap == pytest.approx((shown.gap.before, shown.gap.after))
+    assert shown.gap.after < 0.1 * shown.after.chi2 / shown.after.points
 
 
 def test_a_model_without_a_motion_closes_nothing():
