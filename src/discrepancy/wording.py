@@ -84,7 +84,15 @@ def _describe_free_motion(found: SearchOutcome) -> str:
     elif found.verdict is Verdict.OUTSIDE_LIBRARY:
         where = f": {worst}" if worst else ""
         parts.append(f"Something else is missing that no effect of the library and no free law explains{where}.")
-    return " ".join([*parts, describe_gap(found.gap, unit)]) + rejected + slow
+    parts += filter(None, [describe_error_source(found), describe_gap(found.gap, unit)])
+    return " ".join(parts) + rejected + slow
+
+
+def describe_error_source(found: SearchOutcome) -> str:
+    """Describe where the errors of claims come from if more is missing; empty if they come from noise or are absent."""
+    if found.is_complete or not any(math.isfinite(std) for c in found.claims for std in c.std.values()):
+        return ""
+    return "Errors count how the stretches scatter; a cause that moves all stretches alike may add to them."
 
 
 def describe_law_in_model(free_law: FittedLaw, model_holds_law: bool) -> str:

@@ -16,7 +16,7 @@ from discrepancy.report.narrative import format_chi2, format_sigma, write_story
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
-from discrepancy.wording import describe_disagreement, describe_rejection, describe_search
+from discrepancy.wording import describe_disagreement, describe_error_source, describe_rejection, describe_search
 from synthcam.model import Model, write_model
 from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number, round_to_error
@@ -94,7 +94,7 @@ def _named_table(found: SearchOutcome) -> PageTable | None:
         aliases = ", ".join(claim.aliases[1:]) or "none"
         once = claim.effect, format_sigma(claim.sigma), aliases  # on the first line of an effect
         for name, value in (claim.values | claim.shapes).items():
-            text, own = _format_parameter(found, claim, name, value)
+            text, own = _format_parameter(claim, name, value)
             effect, joint, similar = once
             rows.append((effect, name.rpartition(".")[2], text, _unit(name), own, joint, similar))
             once = "", "", ""
@@ -107,10 +107,10 @@ def _named_table(found: SearchOutcome) -> PageTable | None:
         "its value over its standard error. The significance of the effect is that of all its strengths together. A "
         "95 % interval is 1.96 standard errors wide on either side."
     )
-    return PageTable(heads, rows, note=note)
+    return PageTable(heads, rows, note=f"{note} {describe_error_source(found)}".rstrip())
 
 
-def _format_parameter(found: SearchOutcome, claim: EffectClaim, name: str, value: float) -> tuple[str, str]:
+def _format_parameter(claim: EffectClaim, name: str, value: float) -> tuple[str, str]:
     """Value with its error, or the reason why it has none; and its own significance."""
     std = (claim.std | claim.shape_std)[name]
     if name in claim.shapes and not np.isfinite(std):
@@ -118,7 +118,7 @@ def _format_parameter(found: SearchOutcome, claim: EffectClaim, name: str, value
     number = round_to_error(value, std, 2)
     if claim.at_limit(name):
         return f"{number}, at the limit of its range", ""
-    if not (np.isfinite(std) and std > 0) or not found.is_complete:
+    if not (np.isfinite(std) and std > 0):
         return f"{number}, without an error: more is missing", ""
     return f"{number} ± {std:.2g}", format_sigma(abs(value) / std) if name in claim.values else ""
 

@@ -48,13 +48,17 @@ class EffectClaim:
         own, bent = {k: std.get(k, np.inf) for k in values}, {k: shape_error(fit, k, std.get(k, 0.0)) for k in shapes}
         return cls(candidate.name, values, own, sigma, (candidate.name,), shapes, bent)
 
-    def without_errors(self, sigma: float) -> EffectClaim:
-        """Remove the standard deviations, which are valid only if nothing else is missing.
+    def judge_by_scatter(self, sigma: float, std: Mapping[str, float]) -> EffectClaim:
+        """Replace the standard deviations, which are valid only if nothing else is missing.
 
-        sigma: from the scatter of the strength between collisions. The claim gets the smaller of both sigmas.
+        sigma, std: from the scatter of the parameters between collisions. The claim gets the smaller of both sigmas and
+        the larger of both standard deviations. A parameter that `std` lacks gets none.
         """
-        none = dict.fromkeys(self.std, np.nan), dict.fromkeys(self.shape_std, np.nan)
-        return replace(self, std=none[0], shape_std=none[1], sigma=min(self.sigma, sigma))
+        own, bent = (
+            {k: float(np.maximum(error, std.get(k, np.nan))) for k, error in errors.items()}
+            for errors in (self.std, self.shape_std)
+        )
+        return replace(self, std=own, shape_std=bent, sigma=min(self.sigma, sigma))
 
     def at_limit(self, name: str) -> bool:
         """True if a strength is at an end of its range: the best value may lie beyond, so it has no error."""

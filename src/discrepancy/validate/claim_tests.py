@@ -136,12 +136,18 @@ def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Reje
 
 
 def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> list[Array]:
-    """Test a claim's fit by predicting each clip from all others, to first order; return the whitened residuals.
+    """Test a claim's fit by predicting each clip from all others; return the whitened residuals: `leave_each_out`."""
+    return leave_each_out(fit, precision)[0]
 
-    The clip's own launch is fitted to it. Parameters at a limit stay there. The update is that of leave-one-out
-    regression (Cook & Weisberg, Residuals and Influence in Regression, 1982).
 
-    precision (J, J): the prior precision of the last J parameters, which are a free law's coefficients.
+def leave_each_out(fit: ModelFit, precision: Array | None = None) -> tuple[list[Array], Array]:
+    """Leave each clip out of a fit in turn, to first order: its whitened residuals, and how the parameters change.
+
+    The clip's own launch is fitted to it. Parameters at a limit stay there; their changes are NaN. The update is that
+    of leave-one-out regression (Cook & Weisberg, Residuals and Influence in Regression, 1982).
+
+    precision (J, J): the prior precision of the last J parameters, which are a free law's coefficients. Returns the
+    residuals of each clip, and the changes (clips, S).
     """
 
     def is_free(name: str) -> bool:  # a name with a space is a coefficient of a free law, which has no limits
@@ -151,8 +157,9 @@ def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> li
     own = fit.linearisation.launch_bases
     slopes = [s[:, free] - q @ (q.T @ s[:, free]) for q, s in zip(own, fit.slopes, strict=True)]
     left = [r - q @ (q.T @ r) for q, r in zip(own, fit.residuals, strict=True)]
+    changes = np.full((len(left), len(free)), np.nan)
     if not free.any():
-        return left
+        return left, changes
     prior = np.zeros((len(free), len(free)))
     if precision is not None:
         prior[-len(precision) :, -len(precision) :] = precision
@@ -160,10 +167,22 @@ def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> li
     whole = information.sum(axis=0) + prior[np.ix_(free, free)]
     scale = np.sqrt(np.where(np.diag(whole) > 0, np.diag(whole), 1.0))
     out = []
-    for s, r, own_information in zip(slopes, left, information, strict=True):
+    for k, (s, r, own_information) in enumerate(zip(slopes, left, information, strict=True)):
         inverse = np.linalg.pinv((whole - own_information) / np.outer(scale, scale), rcond=1e-10, hermitian=True)
-        out.append(r + s @ (inverse @ (s.T @ r / scale) / scale))
-    return out
+        changes[k, free] = -inverse @ (s.T @ r / scale) / scale
+        out.append(r - s @ changes[k, free])
+    return out, changes
+
+
+def compute_jackknife_errors(fit: ModelFit, precision: Array | None = None) -> dict[str, float]:
+    """Compute standard deviations of the shared parameters from their changes as each clip is left out in turn.
+
+    They count how the clips scatter, whatever the noise model says: the jackknife of MacKinnon & White, J.
+    Econometrics 29 (1985) 305, with clips in place of points. A cause that moves all clips alike does not enter.
+    """
+    changes = leave_each_out(fit, precision)[1]
+    std = np.sqrt((len(changes) - 1) * changes.var(axis=0))
+    return dict(zip(fit.names, std.tolist(), strict=True))
 
 
 def leave_one_out_with_law(fitted_law: FittedLaw) -> list[Array]:
@@ -273,10 +292,17 @@ class ValidatedSelection:
     accepted: tuple[ClaimTest, ...] = ()
     rejected: tuple[ClaimTest, ...] = ()
 
-    def claims_without_errors(self) -> tuple[EffectClaim, ...]:
-        """The claims without errors, which are valid only if nothing more is missing."""
+    def claims_by_scatter(self, is_cut: bool) -> tuple[EffectClaim, ...]:
+        """The claims where more is missing, so that errors from noise are too small.
+
+        Free stretches (is_cut) scatter, and get errors by that. In whole collisions the missing physics may move all
+        alike, so no error is given.
+        """
+        law, std = self.selection.free_law, dict[str, float]()
+        if is_cut and self.claims:
+            std = compute_jackknife_errors(self.selection.joint_fit, law.prior.precision if law else None)
         sigma = {test.name: test.leave_one_out.sigma for test in self.accepted}
-        return tuple(claim.without_errors(sigma.get(claim.effect, claim.sigma)) for claim in self.claims)
+        return tuple(claim.judge_by_scatter(sigma.get(claim.effect, claim.sigma), std) for claim in self.claims)
 
 
 @dataclass(frozen=True)

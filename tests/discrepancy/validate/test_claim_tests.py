@@ -8,10 +8,17 @@ from discrepancy_clips import HIDDEN, collisions, only, searched
 
 from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.model_fit import Linearisation, ModelFit
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import search
-from discrepancy.validate.claim_tests import HeldOutTest, Rejection, judge_predictions, leave_one_out_residuals
+from discrepancy.validate.claim_tests import (
+    HeldOutTest,
+    Rejection,
+    compute_jackknife_errors,
+    judge_predictions,
+    leave_each_out,
+)
 from synthcam.model import Model
 
 NOISE = Noise(NoiseComponent(1.0))
@@ -22,13 +29,32 @@ def test_each_clip_is_foretold_as_a_fit_to_all_others_foretells_it():
     """The fit itself done again without it, and its launch alone to it."""
     clips = collisions(Model().replace({E: 0.02}), 6, 3)
     fit = fit_model(clips, Model(), (*BASE_PARAMETERS, E), NOISE)
-    turned = leave_one_out_residuals(fit)
+    turned, changes = leave_each_out(fit)
     for k in (0, 4):
         others = fit_model([c for c in clips if c is not clips[k]], fit.model, fit.names, NOISE)
         alone = fit_model([clips[k]], others.model, (), NOISE)
         paid = alone.chi2 - fit.residuals[k] @ fit.residuals[k]
         assert turned[k] @ turned[k] == pytest.approx(alone.chi2, abs=0.02 * paid + 0.05)
+        moved, std = others.values() - fit.values(), np.sqrt(np.diag(fit.covariance))
+        assert changes[k] / std == pytest.approx(moved / std, rel=0.1, abs=0.1)
     assert sum(float(t @ t) for t in turned) > fit.chi2 + len(fit.names) / 2
+
+
+def test_jackknife_errors_count_how_clips_scatter():
+    """Straight lines through the origin: their slopes scatter by 1 about the mean, noise alone moves each by 0.14."""
+    rng, found, errors = np.random.default_rng(6), [], []
+    for _ in range(300):
+        x, launch = rng.standard_normal((20, 50)), np.ones((20, 50, 1))
+        x -= x.mean(axis=1, keepdims=True)  # no launch absorbs any of it
+        y = rng.standard_normal((20, 1)) * x + rng.standard_normal(x.shape)
+        found.append(float((x * y).sum() / (x**2).sum()))
+        model = Model().replace({E: 0.01})
+        lines = Linearisation(model, (E,), np.zeros((20, 1)), tuple(x[..., None]), tuple(launch))
+        fit = ModelFit(model, (E,), lines.launches, tuple(y - found[-1] * x), lines)
+        errors.append((compute_jackknife_errors(fit)[E], fit.std[E]))
+    by_scatter, by_noise = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert by_scatter == pytest.approx(np.std(found), rel=0.1)
+    assert by_noise < 0.2 * np.std(found)
 
 
 @pytest.mark.parametrize("true", [0.0, 1.0])
@@ -87,10 +113,15 @@ def test_what_the_clips_kept_out_do_not_bear_is_withdrawn(monkeypatch):
 
 def test_no_error_is_given_of_a_strength_where_more_is_missing():
     (named,) = searched("velocity_restitution").named
-    found = dataclasses.replace(searched("velocity_restitution"), claims=(named.without_errors(7.0),))
+    found = dataclasses.replace(searched("velocity_restitution"), claims=(named.judge_by_scatter(7.0, {}),))
     assert found.document()["named"][0]["std"][E] is None
     assert "e +0.05 without an error (7 sigma)" in found.sentence()
     assert "+-" not in found.sentence()
+    law = dataclasses.replace(found.accepted[0], is_free_law=True, rejection=Rejection.ABSORBED)
+    of_stretches = named.judge_by_scatter(7.0, {E: 1.0})
+    assert (of_stretches.std, of_stretches.sigma) == ({E: 1.0}, 7.0)
+    found = dataclasses.replace(found, claims=(of_stretches,), rejected=(law,))
+    assert "Errors count how the stretches scatter" in found.sentence()
 
 
 def test_a_claim_that_closes_little_of_what_is_missing_does_not_stand():
