@@ -205,7 +205,7 @@ def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[LibraryF
 def measure_held_out_gap(data: SearchData, selection: Selection, progress: Progress) -> tuple[SearchData, GapFits]:
     """Run the stage that measures the gap on held-out clips, without clips that deviate from all others."""
     gap = _measure_gap(data, selection, progress)
-    outliers = find_outlier_clips(data.held_out, gap.before, gap.after)
+    outliers = find_outlier_clips(data.held_out, gap.before, gap.after, are_held_out=True)
     if not outliers:
         return data, gap
     kept = tuple(c for k, c in enumerate(data.held_out) if k not in outliers)

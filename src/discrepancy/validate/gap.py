@@ -98,13 +98,15 @@ def weigh_clips(without: Sequence[Array], with_: Sequence[Array], freedom: float
     A clip of p points with a scaled chi^2 of D has the weight (freedom + p) / (freedom + D): Lange, Little & Taylor,
     J. Am. Stat. Assoc. 84 (1989) 881, who propose 4 degrees of freedom. A weight above `in_full` counts as one, so
     noise alone changes nothing. D is that of the model that predicts the clip better, so a claim that spoils a clip
-    pays in full. The scale is the median chi^2 per point: a model that fits no clip makes none of them an outlier.
+    pays in full. The scale is the chi^2 per point of the worst clip but one in ten, so no more count less. If
+    more stand out, the model lacks something.
 
     without, with_: whitened residuals of each clip, by two models.
     """
     points = np.array([len(r) for r in without])
     chi2 = np.array([min(float(p @ p), float(q @ q)) for p, q in zip(without, with_, strict=True)])
-    scale = max(float(np.median(chi2 / points)), 1.0)
+    most = max(len(points) // current_policy().outlier_clips_one_in, 1)
+    scale = max(float(np.sort(chi2 / points)[-min(most + 1, len(points))]), 1.0)
     weights = (freedom + points) / (freedom + chi2 / scale)
     return np.asarray(np.where(weights > in_full, 1.0, weights))
 

@@ -15,26 +15,28 @@ from discrepancy.policy import current_policy
 
 
 def find_outlier_clips(
-    clips: Sequence[MeasuredCollision], base: ModelFit, best: ModelFit, removed: int = 0
+    clips: Sequence[MeasuredCollision], base: ModelFit, best: ModelFit, removed: int = 0, are_held_out: bool = False
 ) -> dict[int, SearchNote]:
     """Find outlier clips, which deviate from all others, to leave out before a search is repeated.
 
     A clip is an outlier in one of two cases.
 
-    - Its chi^2 is far above that of the others in the best fit, and the base fit predicts it no better.
+    - Its chi^2 is far above that of the others, both in the base fit and in the best fit. The base fit may miss all
+      clips: then it is enough that the claims change the clip's chi^2 little. For held-out clips, which are to refute
+      claims, it is not enough.
     - Its shared parameters contradict those of all others, and the others agree without it. This is Chow's test
       (Econometrica 28 (1960) 591).
 
     If the others do not agree, or if more than one clip in ten is an outlier, the model lacks something. Then no
     clip is removed.
 
-    base, best: the fits of these clips, without and with all claims; removed: the number of clips that were left out
+    base, best: the fits of these clips, without and with all claims. removed: the number of clips that were left out
     earlier. Returns notes that say why, by the clip's index in `clips`.
     """
     most = max((len(clips) + removed) // current_policy().outlier_clips_one_in, 1) - removed
     out: dict[int, SearchNote] = {}
-    typical = _log_chi2(best)
-    far = np.minimum(_deviations(base, typical), _deviations(best, typical))
+    is_unchanged = np.abs(_log_chi2(best) - _log_chi2(base)) < 1  # to within a factor of e
+    far = np.minimum(_deviations(best), np.where(is_unchanged & (not are_held_out), np.inf, _deviations(base)))
     for k in np.flatnonzero(far > current_policy().outlier_clip_spreads).tolist():
         chi2 = float(best.residuals[k] @ best.residuals[k]) / len(best.residuals[k])
         out[k] = SearchNote(SearchNoteKind.UNLIKE_OTHERS, clips[k].clip, values={"chi2": chi2, "held_out": ""})
@@ -55,15 +57,15 @@ def _log_chi2(fit: ModelFit) -> Array:
     return np.log([float(r @ r) / len(r) for r in fit.residuals])
 
 
-def _deviations(fit: ModelFit, typical: Array) -> Array:
-    """Deviation of the logarithm of each clip's chi^2 per point from the typical median, in spreads or those of chance.
+def _deviations(fit: ModelFit) -> Array:
+    """Deviation of the logarithm of each clip's chi^2 per point from the median, in spreads of the clips or of chance.
 
-    The logarithm is used because a missing effect makes some clips worse than others by factors. typical: those of the
-    best fit. The base fit lacks what was found, which spreads its own so widely that no clip stands out.
+    The logarithm is used because a missing effect makes some clips worse than others by factors.
     """
-    points = np.array([len(r) for r in fit.residuals])
-    spread = 1.4826 * float(np.median(np.abs(typical - np.median(typical))))
-    return np.asarray((_log_chi2(fit) - np.median(typical)) / np.maximum(spread, np.sqrt(2 / points)))
+    points, above = np.array([len(r) for r in fit.residuals]), _log_chi2(fit)
+    above -= np.median(above)
+    spread = 1.4826 * float(np.median(np.abs(above)))
+    return np.asarray(above / np.maximum(spread, np.sqrt(2 / points)))
 
 
 def _information_by_clip(fit: ModelFit) -> tuple[Array, Array]:

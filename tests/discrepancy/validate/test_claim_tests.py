@@ -43,7 +43,7 @@ def test_each_clip_is_foretold_as_a_fit_to_all_others_foretells_it():
 def test_jackknife_errors_count_how_clips_scatter():
     """Straight lines through the origin: their slopes scatter by 1 about the mean, noise alone moves each by 0.14."""
     rng, found, errors = np.random.default_rng(6), [], []
-    for _ in range(300):
+    for _ in range(100):
         x, launch = rng.standard_normal((20, 50)), np.ones((20, 50, 1))
         x -= x.mean(axis=1, keepdims=True)  # no launch absorbs any of it
         y = rng.standard_normal((20, 1)) * x + rng.standard_normal(x.shape)
@@ -53,7 +53,7 @@ def test_jackknife_errors_count_how_clips_scatter():
         fit = ModelFit(model, (E,), lines.launches, tuple(y - found[-1] * x), lines)
         errors.append((compute_jackknife_errors(fit)[E], fit.std[E]))
     by_scatter, by_noise = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert by_scatter == pytest.approx(np.std(found), rel=0.1)
+    assert by_scatter == pytest.approx(np.std(found), rel=0.15)
     assert by_noise < 0.2 * np.std(found)
 
 
@@ -153,3 +153,12 @@ def test_a_clip_that_no_model_predicts_outweighs_no_other(without, with_, worse)
     assert held.is_worse is worse
     assert (held.gap[1] >= held.gap[0]) is worse
     assert (held.sigma > 5) is not worse
+
+
+@pytest.mark.parametrize(("clips", "bad", "worse"), [(10, 4, True), (20, 2, False)])
+def test_clips_count_less_only_if_they_are_few(clips, bad, worse):
+    """A claim improves most clips a little and spoils bad ones a little, which fit badly anyway."""
+    noise = np.random.default_rng(3).standard_normal((clips, 40))
+    without = [r + (10.0 if k < bad else 0.7) for k, r in enumerate(noise)]
+    with_ = [r + (11.0 if k < bad else 0.0) for k, r in enumerate(noise)]
+    assert HeldOutTest.of(without, with_, np.inf).is_worse is worse

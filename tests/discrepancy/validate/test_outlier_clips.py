@@ -82,5 +82,19 @@ def test_a_clip_that_no_model_predicts_is_found_where_the_base_predicts_none():
     clips = collisions(Model().replace({"velocity_restitution.e": 0.3}), 12, 7)
     clips[3] = pushed(clips[3], 2e-2)
     base, best = fits([c for k, c in enumerate(clips) if k != 3], "velocity_restitution.e")
-    both = (fit_model(clips, fit.model, (), CLAIMED) for fit in (base, best))
+    both = [fit_model(clips, fit.model, (), CLAIMED) for fit in (base, best)]
     assert list(find_outlier_clips(clips, *both)) == [3]
+    assert not find_outlier_clips(clips, *both, are_held_out=True)
+
+
+@pytest.mark.parametrize(("without", "outliers"), [(2.0, []), (12.0, [11]), (320.0, [])])
+def test_a_clip_that_the_claims_improve_or_spoil_is_no_outlier(without, outliers):
+    """The base fit misses all clips, in one of which the claims leave chi^2 per point 12."""
+    clips = collisions(Model(), 12, 7)
+    fit, signs = fit_model(clips, Model(), (), CLAIMED), [np.ones(2 * len(c.frame)) for c in clips]
+    chi2 = ([*np.geomspace(2, 300, 11), without], [*np.linspace(0.9, 1.2, 11), 12.0])
+    both = (
+        dataclasses.replace(fit, residuals=tuple(np.sqrt(c) * s for c, s in zip(each, signs, strict=True)))
+        for each in chi2
+    )
+    assert list(find_outlier_clips(clips, *both)) == outliers
