@@ -128,7 +128,7 @@ def test_score_and_search_hold_their_keys(made: Path) -> None:
     assert keys <= set(search)
     assert (search["verdict"], [named["effect"] for named in search["named"]]) == ("named", ["plate_tilt"])
     part = {"before", "after", "floor", "before_um", "after_um", "floor_um"}
-    assert set(search["gap"]) == part | {"closure", "by_phase", "by_claim"}
+    assert set(search["gap"]) == part | {"closure", "by_phase", "by_claim", "outliers"}
     assert all(set(p) == part for p in search["gap"]["by_phase"].values())
     for page in ("score/index.html", "search/index.html"):
         assert "http" not in re.sub(r"http://www.w3.org\S*", "", (made / page).read_text())
