@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 
 from discrepancy.data.launch import T_C
-from discrepancy.data.outlier_points import _Offsets, find_outliers, note_removed_points, remove_outliers
+from discrepancy.data.outlier_points import _Offsets, _Paths, find_outliers, note_removed_points, remove_outliers
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.predict import predict_tracks
@@ -50,6 +50,43 @@ def test_a_place_is_an_outlier_beyond_eight_sigma(sigma, wrong):
         xy = clip.xy.copy()
         xy[row] = true.xy[row] + [sigma * np.sqrt(1 + 708 / 2064) * STD, 0]
         assert find_outliers(dataclasses.replace(clip, xy=xy)) == ({row} if wrong else set())
+
+
+@pytest.mark.parametrize(("last", "wrong"), [(70, False), (71, True)])
+def test_a_place_is_tested_beside_five_others_or_more(last, wrong):
+    """Two on either side leave one degree of freedom, which chance makes smooth."""
+    clip, row = CLIPS[0], row_of(CLIPS[0], 1, 68)
+    some = (clip.ball == 0) | ((clip.frame >= 66) & (clip.frame <= last))
+    few = moved(clip, [row], 40 * STD).select(np.flatnonzero(some))
+    assert find_outliers(few) == ({row_of(few, 1, 68)} if wrong else set())
+
+
+def test_an_extrapolation_is_the_parabola_through_the_next_five():
+    """Of numpy, with its error at the position beside them, and the rms about it."""
+    row, others = row_of(CLIPS[0], 1, 60), [row_of(CLIPS[0], 1, f) for f in range(61, 66)]
+    design, xy = np.vander(np.arange(1.0, 6.0), 3), CLIPS[0].xy[others]
+    fitted = np.polyfit(np.arange(1.0, 6.0), xy, 2)
+    rms = np.sqrt(((xy - design @ fitted) ** 2).sum() / (2 * (5 - 3))) / STD
+    std = STD * np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
+    found = _Paths.of(CLIPS[0], None)._extrapolate(1).values[row]
+    assert found == pytest.approx([*fitted[2], *fitted[1], std, rms])
+
+
+def test_a_contact_needs_smooth_paths_on_both_sides():
+    """One of them tells nothing of a position in the exposure of the contact; elsewhere it is enough."""
+    paths = _Paths.of(CLIPS[0], exact(Model(), 8, 3)[0].xy)
+    rests = np.array([paths._extrapolate(direction).rest for direction in (-1, 1)])
+    hit, free = np.flatnonzero(paths.phase < 0)[0], row_of(CLIPS[0], 0, 70)
+    for row in (hit, free):
+        known = [np.isfinite(paths.outer(smooth).off[row]).all() for smooth in (rests[:, row].mean(), np.inf)]
+        assert known == [row == free, True]
+
+
+def test_the_worst_goes_first_because_others_are_measured_from_it():
+    """Beside the three that are wrong, frame 1 is far off the path through the rest of them."""
+    rows = [row_of(CLIPS[4], 1, frame) for frame in (0, 3, 4)]
+    clip = moved(CLIPS[4], rows, STD * np.array([[9, 0], [-40, 0], [-40, 0]]))
+    assert find_outliers(clip, exact(Model(), 8, 3)[4].xy) == set(rows)
 
 
 @pytest.mark.parametrize(("rough", "wrong"), [(1.4, True), (2.8, False)])
