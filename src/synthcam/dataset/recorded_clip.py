@@ -85,6 +85,11 @@ class RecordedClip:
         """Contacts and ends of slides, with the columns of ``truth/events.parquet``."""
         return self._read_table("events")
 
+    @cached_property
+    def energy(self) -> pd.DataFrame:
+        """Energies of many bodies, a row for each frame, with the columns of ``truth/energy.parquet``."""
+        return self._read_table("energy")
+
     @property
     def scene(self) -> str:
         """Name of its scene."""

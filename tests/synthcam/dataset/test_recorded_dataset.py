@@ -1,5 +1,6 @@
 """Reading a dataset in Python: lengths, frames one at a time, camera and truth, and what is refused."""
 
+import dataclasses
 import json
 import shutil
 
@@ -75,6 +76,15 @@ def test_a_clip_goes_straight_into_the_tracker(folder):
     true = clip.tracks[clip.tracks["frame"] == 5][["x_px", "y_px"]].to_numpy()
     near = np.hypot(*(found[found["frame"] == 5][["glint_x", "glint_y"]].to_numpy()[:, None] - true).T).min(axis=1)
     assert (near < 1).all()
+
+
+def test_many_bodies_have_energies_and_two_have_none(folder, tmp_path):
+    clip = synthcam.open_dataset(folder / "d")[0]
+    with pytest.raises(InputError, match=r"energy\.parquet: missing"):
+        _ = clip.energy
+    table = pd.DataFrame({"frame": [0, 1], "energy": [2.0, 1.0]})
+    table.to_parquet(tmp_path / "energy.parquet")
+    pd.testing.assert_frame_equal(dataclasses.replace(clip, secret=tmp_path).energy, table)
 
 
 def test_withheld_truth_is_asked_for(folder):
