@@ -8,7 +8,7 @@ import pytest
 from discrepancy_clips import FRAMES, STD, collisions, correlated, exact, noise_of_pair
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.noise_refit import refit_noise
+from discrepancy.fitting.noise_refit import RestrictedResiduals, refit_noise
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent, estimate_noise
 from synthcam.model import Model
@@ -33,7 +33,10 @@ def slow(component):
 def test_noise_that_is_known_already_stays():
     clips = measured(1)
     noise = estimate_noise(clips)
-    assert refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise) is None
+    fit = fit_model(clips, Model(), BASE_PARAMETERS, noise)
+    assert refit_noise(clips, fit, noise) is None
+    residuals = RestrictedResiduals.of(clips, fit, noise, range(len(clips)))
+    assert abs(residuals.common_mode_score(noise)[0]) < 4  # the largest of several normal scores
 
 
 def test_slow_noise_is_known_better_from_whole_clips():
