@@ -247,7 +247,7 @@ def summarise(
     if not selection.is_empty:
         left = find_disagreements(selection.explained_clips(data.clips), selection.joint_fit, data.noise)
     more = more_is_missing(left, validated.rejected, policy)
-    claims = validated.claims_by_scatter(data.is_cut) if more else validated.claims
+    claims = validated.claims_by_scatter(data.is_cut) if more or data.is_cut else validated.claims
     verdict = decide_verdict(claims, law is not None, left, validated.rejected, policy)
     if selection.interrupted and any(c.sigma > library.required_sigma for c in library.ranking[:1]):
         verdict = Verdict.INADEQUATE

@@ -89,8 +89,9 @@ def _describe_free_motion(found: SearchOutcome) -> str:
 
 
 def describe_error_source(found: SearchOutcome) -> str:
-    """Describe where the errors of claims come from if more is missing; empty if they come from noise or are absent."""
-    if found.is_complete or not any(math.isfinite(std) for c in found.claims for std in c.std.values()):
+    """Describe where the errors of claims come from; empty if they come from noise or are absent."""
+    by_scatter = found.data.is_cut or not found.is_complete
+    if not by_scatter or not any(math.isfinite(std) for c in found.claims for std in c.std.values()):
         return ""
     return "Errors count how the stretches scatter; a cause that moves all stretches alike may add to them."
 

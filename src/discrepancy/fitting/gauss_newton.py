@@ -67,7 +67,7 @@ def minimise_chi2(
     Else the tolerance is 1e-3, with derivatives at the minimum.
 
     useful_chi2: a fit with a larger chi^2 is of no use. The descent ends where a third of the way down to it is more
-    than the last step gained and than the next one promises.
+    than the last step gained and than the next one promises; a step that failed does not count.
     """
     damping, tolerance, last, gained = 0.0, 0.1 if rough else 1e-3, False, np.inf
     held = np.zeros(len(fit.residuals))  # damping of single launches
@@ -91,6 +91,7 @@ def minimise_chi2(
             if gained > 0 or (few := _find_failing_clips(fit, moved, held)).any():
                 break
         if moved is None or not gained > 0:
+            gained = np.inf  # a step that failed says nothing of how far the fit can descend
             if fit.is_linearised_here and few.any():
                 held[few] = np.maximum(10 * held[few], 1e-3)
             elif fit.is_linearised_here:

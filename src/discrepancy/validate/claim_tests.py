@@ -293,10 +293,10 @@ class ValidatedSelection:
     rejected: tuple[ClaimTest, ...] = ()
 
     def claims_by_scatter(self, is_cut: bool) -> tuple[EffectClaim, ...]:
-        """The claims where more is missing, so that errors from noise are too small.
+        """The claims where errors from noise are too small: of free stretches (is_cut), or if more is missing.
 
-        Free stretches (is_cut) scatter, and get errors by that. In whole collisions the missing physics may move all
-        alike, so no error is given.
+        Free stretches scatter, and get errors by that. In whole collisions the missing physics may move all alike, so
+        no error is given.
         """
         law, std = self.selection.free_law, dict[str, float]()
         if is_cut and self.claims:
