@@ -14,13 +14,14 @@ from typing import Any
 from synthcam_shared.errors import InputError
 
 SERVER = (sys.executable, "-m", "synthcam", "serve")
+MAX_DRAWING_S = 60.0  # for one picture; then the process ends, so that the page does not wait for ever
 
 
 class ScenePreviews:
     """One process that draws scenes, started at the first request. `ask` may be called from any thread."""
 
-    def __init__(self, program: Sequence[str] = SERVER) -> None:
-        self._program = program
+    def __init__(self, program: Sequence[str] = SERVER, patience_s: float = MAX_DRAWING_S) -> None:
+        self._program, self._patience_s = program, patience_s
         self._child: subprocess.Popen[str] | None = None
         self._lock = threading.Lock()
         self._closed = False
@@ -56,23 +57,31 @@ class ScenePreviews:
         assert self._child is not None
         assert self._child.stdin is not None
         assert self._child.stdout is not None
+        watch = threading.Timer(self._patience_s, self._child.kill)
+        watch.start()
         try:
             self._child.stdin.write(f"{line}\n")
             self._child.stdin.flush()
             return self._child.stdout.readline()
         except OSError:
             return ""
+        finally:
+            watch.cancel()
 
     def _end(self) -> str:
         """Wait for the child's end, and explain it."""
         assert self._child is not None
+        killed, last = False, "no message"
         with self._messages, suppress(BrokenPipeError):
             self._child.communicate()
+            killed = self._child.returncode < 0 and not self._closed
             self._messages.seek(0)
             last = (self._messages.read().strip().splitlines() or ["no message"])[-1]
         self._child = None
         if "No module named" in last:
             return "make: synthcam, which draws scenes, is not installed here; type: pip install synthcam"
+        if killed:
+            return f"make: synthcam serve was ended, after {self._patience_s:g} s for one picture or from outside"
         return f"make: synthcam serve has ended ({last})"
 
     def close(self) -> None:

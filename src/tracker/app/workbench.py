@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import secrets
+import shutil
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -122,6 +123,9 @@ class Workbench:
             self._take_camera(self._calibrated(status.number))
         if (status.command, status.state) == ("generate", "done"):
             self._open_source(self._made(status.number))
+        if status.command == "generate" and status.state in ("cancelled", "failed"):
+            made = self._made(status.number)  # the page cannot continue it
+            shutil.rmtree(made.with_name(f"{made.name}.partial"), ignore_errors=True)
         self._note_change()
 
     # --- the film
@@ -361,6 +365,8 @@ class Workbench:
         clips, seed = asked.pop("clips", 1), asked.get("seed", 0)
         if not isinstance(clips, int) or isinstance(clips, bool) or not 1 <= clips <= MAX_MADE_CLIPS:
             raise InputError(f"make: expected 1 to {MAX_MADE_CLIPS} clips")
+        if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+            raise InputError(f"make: seed: expected a whole number, 0 or more, not {seed!r}")
         scene = self.previews.ask({**asked, "sharp": False}).get("yaml")
         if scene is None:
             raise InputError("make: expected the name of a scene")

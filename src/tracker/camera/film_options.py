@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 
+MAX_CORNER_PX = 1e6  # of a region, left or right of the origin
 NUMBER = r"\d+(?:\.\d+)?"
 BALL = re.compile(rf"({NUMBER}),({NUMBER})(?:,({NUMBER}))?@(\d+)")
 
@@ -51,11 +52,13 @@ class RegionPart:
         if len(self.corners) == 2:
             (left, top), (right, bottom) = self.corners
             return np.asarray((x >= left) & (x <= right) & (y >= top) & (y <= bottom))
-        inside = np.zeros(shape, bool)
+        crossed = np.zeros((shape[0], shape[1] + 1), np.uint8)  # 1 where the sides cross a row an odd number of times
         for (x0, y0), (x1, y1) in zip(self.corners, (*self.corners[1:], self.corners[0]), strict=True):
-            crosses = (y0 <= y) != (y1 <= y)  # a ray to the right crosses this side
-            inside ^= crosses & (x < x0 + (x1 - x0) * (y - y0) / ((y1 - y0) or 1.0))
-        return inside
+            rows = np.flatnonzero((y0 <= y) != (y1 <= y))
+            at = x0 + (x1 - x0) * (rows - y0) / ((y1 - y0) or 1.0)
+            crossed[rows, np.clip(np.ceil(at), 0, shape[1]).astype(np.intp)] ^= 1
+        # a pixel is inside where a ray to the right crosses an odd number of sides
+        return np.bitwise_xor.accumulate(crossed[:, :0:-1], axis=1)[:, ::-1].view(np.bool_)
 
 
 def parse_region(text: str) -> tuple[RegionPart, ...]:
@@ -78,7 +81,7 @@ def parse_region(text: str) -> tuple[RegionPart, ...]:
         else:
             corners = [(point[0], point[1]) for point in points if len(point) == 2]
             is_valid = len(corners) == len(points) > 2
-        if not is_valid or not np.isfinite(corners).all():
+        if not is_valid or not np.all(np.abs(corners) <= MAX_CORNER_PX):
             raise InputError(
                 f"--region {text!r}: expected X0,Y0,X1,Y1 in px, left and upper before right and lower, "
                 "or the corners X,Y X,Y X,Y ... of a polygon"

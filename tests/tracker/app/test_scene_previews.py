@@ -55,6 +55,12 @@ def test_one_process_answers_all_requests_and_a_new_one_those_after_its_end(prev
         previews.ask(2)
 
 
+def test_a_picture_that_takes_too_long_ends_the_process():
+    slow = ScenePreviews((sys.executable, "-c", "import time; time.sleep(60)"), patience_s=0.1)
+    with pytest.raises(InputError, match=r"after 0\.1 s for one picture"):
+        slow.ask({})
+
+
 def test_without_synthcam_that_is_said():
     with pytest.raises(InputError, match="is not installed here; type: pip install synthcam"):
         ScenePreviews((sys.executable, "-m", "synthcam_of_nobody")).ask({})
@@ -72,12 +78,21 @@ def test_a_dataset_that_is_made_is_opened_with_a_folder_of_its_own(previews, tmp
                 bench.start_generation(wrong)
         bench.start_generation({"scene": "x", "clips": 2, "seed": 7})
         home = tmp_path / "film_workbench"
-        assert until(lambda: bench.folder == home / "made_1_workbench")  # the dataset opens after its process has ended
+        # the dataset opens after its process has ended
+        assert until(lambda: bench.folder == home / "made_1_workbench" and bench.describe()["size"] == (30, 20))
         assert (home / "scene_1.yaml").read_text() == "a: 1"
         assert (home / "command_1.txt").read_text().split()[-4:] == ["--clips", "2", "--seed", "7"]
         about = json.loads(json.dumps(bench.describe()))
         assert (about["film"], about["size"]) == (f"{home / 'made_1/clips/000000'}", [30, 20])
+        with pytest.raises(InputError, match=r"seed: expected a whole number, 0 or more, not 5\.0"):
+            bench.start_generation({"scene": "x", "seed": 5.0})
+        broken = (
+            "import pathlib, sys; pathlib.Path(sys.argv[sys.argv.index('-o') + 1] + '.partial').mkdir(); sys.exit(3)"
+        )
+        bench.process = TrackProcess(bench._hear_process, (sys.executable, "-c", broken))
         bench.start_generation({"scene": "x"})
-        assert until(lambda: bench.folder == home / "made_2_workbench")
+        assert until(lambda: bench.process.status.state == "failed")
+        assert (home / "scene_2.yaml").exists()
+        assert until(lambda: not (home / "made_2.partial").exists())
     finally:
         bench.close()
