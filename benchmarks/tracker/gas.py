@@ -207,7 +207,8 @@ def cool_by_haff(film: Film, restitution: float) -> Floats:
 
 def draw(figures: dict[str, Any], cooled: list[Film], trays: list[Film], path: Path) -> None:
     """Temperature by Haff's law, the ratio of temperatures by frame rate, and energies of a tray, beside the truth."""
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+    figure, parts = plt.subplot_mosaic("lur;ldr", figsize=(12, 3.6), layout="constrained")
+    left, upper, lower, right = (parts[name] for name in "ludr")
     film = cooled[0]
     time = film.gas.time
     t = time["t_s"] - time["t_s"].iloc[0]
@@ -219,13 +220,14 @@ def draw(figures: dict[str, Any], cooled: list[Film], trays: list[Film], path: P
     left.set(xlabel="t / s", ylabel="T / (m²/s²)", yscale="log", title="60 discs on air, r = 0.9")
     left.legend(frameon=False)
     ratios = [figures[f"discs, {k} frames"]["temperature"] for k in FRAMES_BETWEEN]
-    middle.plot(FRAMES_BETWEEN, [each["ratio"] for each in ratios], "o-", label="temperature")
-    middle.plot(FRAMES_BETWEEN, [each["z_rms"] for each in ratios], "s--", label="rms of z")
-    middle.axhline(1, color="0.6", lw=0.8)
-    middle.set(xlabel="frames between contacts", ylabel="measured / truth, rms of z", xscale="log", ylim=(0, None))
-    middle.minorticks_off()
-    middle.set_xticks(FRAMES_BETWEEN, [str(count) for count in FRAMES_BETWEEN])
-    middle.legend(frameon=False)
+    for axes, name, label, low in ((upper, "ratio", "T over truth", 0.95), (lower, "z_rms", "rms of z", 0.0)):
+        axes.plot(FRAMES_BETWEEN, [each[name] for each in ratios], "o-")
+        axes.axhline(1, color="0.6", lw=0.8)
+        axes.set(ylabel=label, xscale="log", ylim=(low, None), xlim=(3.5, 46))
+        axes.minorticks_off()
+        axes.set_xticks(FRAMES_BETWEEN, [str(count) for count in FRAMES_BETWEEN])
+    upper.tick_params(labelbottom=False)
+    lower.set_xlabel("frames between contacts")
     film = trays[0]
     time = film.gas.time
     for name in CURVES[2:-1]:
