@@ -415,7 +415,7 @@ def test_it_is_counted_how_many_clips_are_gone(monkeypatch):
     only(monkeypatch)
     asked = []
 
-    def first(clips, base, best, gone=0):
+    def first(clips, base, best, gone=0, **_):
         asked.append((len(clips), gone))
         return {0: "one"} if (len(clips), gone) == (6, 0) else {}
 
