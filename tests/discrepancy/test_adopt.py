@@ -143,8 +143,8 @@ def test_the_model_with_the_effect_foretells_collisions_kept_out_as_the_true_law
     assert [e.name() for e in model.effects] == ["slick_patch"]
     assert bool(new.formula) == (law != "friction_place")
     there = fit_model(found.data.held_out, model, (), found.data.noise, found.gap_fits.before.launches)
-    gap = found.gap
-    assert gap.before - there.chi2 / there.points > 0.97 * (gap.before - gap.after)
+    before, after = found.gap_fits.before, found.gap_fits.after
+    assert before.chi2 - there.chi2 > 0.97 * (before.chi2 - after.chi2)
     assert read_scene(new.model).draw().model.laws.has_effect_on(TABLE_KINDS[law].law)
 
 

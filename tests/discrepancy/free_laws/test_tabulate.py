@@ -44,11 +44,13 @@ def test_on_collisions_kept_out_the_model_is_as_good_as_the_true_law(law):
     found = outsider(law)
     truth = dataclasses.replace(Model(), effects=(OUTSIDERS[law],))
     best = fit_model(found.data.held_out, truth, (), found.data.noise, found.gap_fits.before.launches)
-    gap, least = found.gap, best.chi2 / best.points
-    assert gap.after == pytest.approx(found.gap_fits.after.chi2 / found.gap_fits.after.points)
+    before, after, least = (f.chi2 / f.points for f in (found.gap_fits.before, found.gap_fits.after, best))
+    # a clip beyond the places that the other clips cover counts less in the gap that is reported
+    assert (found.gap.outliers > 0) == (law == "friction_place")
+    assert found.gap.after < 1.01 * after if found.gap.outliers else found.gap.after == pytest.approx(after)
     assert found.gap_fits.after.model == found.model
     share = 0.85 if law == "friction_place" else 0.98  # ten collisions leave much of the plate unseen
-    assert (gap.before - gap.after) > share * (gap.before - least)
+    assert (before - after) > share * (before - least)
 
 
 @pytest.mark.parametrize(
