@@ -30,7 +30,6 @@ def estimate_contacts(
     camera: Camera,
     settings: FitSettings,
     *,
-    median_error: float = 1.2533,
     min_frictions: int = 5,
     most_frictions: int = 30,
     max_friction_error: float = 0.2,
@@ -40,7 +39,6 @@ def estimate_contacts(
 
     found: all contacts of the film; those with walls end the stretches of a ball. The friction of the plate is that
     which the contacts with long slides show; the others take it as known.
-    median_error: of a median of normal values, over that of their mean.
     min_frictions: contacts that show the friction of the plate, from which on the others take it.
     most_frictions: contacts that are asked for it, those with the longest slides.
     max_friction_error: relative, of a contact that counts.
@@ -59,6 +57,7 @@ def estimate_contacts(
     if len(friction) >= min_frictions:
         common = {"local_friction": float(np.median(friction)), "local_friction_factor": film_friction_factor}
         used, done = settings.model_copy(update=common), {}
+        median_error = np.sqrt(np.pi / 2)  # of a median of normal values, over that of their mean
         error = min(float(np.std(np.log(friction))) / np.sqrt(len(friction)) * median_error, film_friction_factor)
     out = list[tuple[Contact | None, LocalEstimate | str]]()
     for k, pair in enumerate(pairs):
