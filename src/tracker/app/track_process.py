@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import IO, Any, Literal
 
 from synthcam_shared.application import PROGRESS_INTERVAL
+from synthcam_shared.errors import InputError
 
 State = Literal["idle", "running", "done", "failed", "cancelled"]
 PROGRESS = re.compile(r"(\w+): (\d+) of (\d+) after ")
@@ -39,22 +40,27 @@ class RunStatus:
 
 
 class TrackProcess:
-    """One child process at a time. `changed` is called, from another thread, when the status changes."""
+    """One child process at a time. Its callbacks come from another thread.
+
+    changed: called when the status changes. take: called with the status of a run that has ended, before it is shown,
+    to take what the run made; the run fails if that fails.
+    """
 
     def __init__(
         self,
         changed: Callable[[], None] = lambda: None,
         program: Sequence[str] = (),
+        take: Callable[[RunStatus], None] = lambda status: None,
     ) -> None:
         self.status = RunStatus()
-        self._changed, self._program = changed, program
+        self._changed, self._program, self._take = changed, program, take
         self._child: subprocess.Popen[str] | None = None
         self._reader: threading.Thread | None = None
         self._cancelled = False
 
     @property
     def is_running(self) -> bool:
-        """True until the child has ended and its output is read."""
+        """True until the child has ended, its output is read, and what it made is taken."""
         return self.status.state == "running"
 
     def start(self, number: int, words: list[str]) -> None:
@@ -117,13 +123,22 @@ class TrackProcess:
             text = printed.read()
         summary = _read_summary(text)
         if code == 0 and summary is not None:
-            self._set(replace(self.status, state="done", summary=summary))
+            self._finish(replace(self.status, state="done", summary=summary))
         elif self._cancelled:
-            self._set(replace(self.status, state="cancelled"))
+            self._finish(replace(self.status, state="cancelled"))
         else:
             last = self.status.lines[-1] if self.status.lines else f"tracker {self.status.command}"
             ended = f"ended by signal {-code}" if code < 0 else f"exit status {code}"
-            self._set(replace(self.status, state="failed", error=f"{last} ({ended})"))
+            self._finish(replace(self.status, state="failed", error=f"{last} ({ended})"))
+
+    def _finish(self, status: RunStatus) -> None:
+        """Show that the run has ended, when what it made is taken."""
+        try:
+            self._take(status)
+        except Exception as error:  # a run that never ends would block all others
+            said = f"{error}" if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+            status = replace(status, state="failed", error=said)
+        self._set(status)
 
 
 def _read_summary(text: str) -> Any:

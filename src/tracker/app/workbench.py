@@ -34,7 +34,7 @@ from tracker.app.run_settings import (
     read_run_settings,
 )
 from tracker.app.scene_previews import ScenePreviews
-from tracker.app.track_process import TrackProcess
+from tracker.app.track_process import RunStatus, TrackProcess
 from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource, open_source
@@ -91,7 +91,7 @@ class Workbench:
         if beside.is_dir() and beside in (self.folder, *self.folder.parents):
             raise InputError(f"{self.folder}: lies in {shown}, expected a folder outside it")
         self.home = self.folder  # of the datasets that the page makes
-        self.process = TrackProcess(self._hear_process)
+        self.process = TrackProcess(self._note_change, take=self._take_result)
         self.previews = ScenePreviews()
         self.report_key = secrets.token_urlsafe(24)  # part of the addresses of reports
         self.version = 0  # grows with every change of detector and run
@@ -99,6 +99,7 @@ class Workbench:
         self.detector_status = DetectorStatus()
         self._mark = ""  # what the detector depends on
         self._lock = threading.RLock()
+        self._opening = threading.Lock()  # taken before the other: opening a film takes seconds
         self._wake = threading.Event()
         self._closed = self._prepared_before = False
         self.open_clip(0)
@@ -117,8 +118,8 @@ class Workbench:
     def _note_change(self) -> None:
         self.version += 1
 
-    def _hear_process(self) -> None:
-        status = self.process.status
+    def _take_result(self, status: RunStatus) -> None:
+        """Take what a run made that has ended. Raises InputError."""
         if (status.command, status.state) == ("calibrate", "done"):
             self._take_camera(self._calibrated(status.number))
         if (status.command, status.state) == ("generate", "done"):
@@ -126,36 +127,49 @@ class Workbench:
         if status.command == "generate" and status.state in ("cancelled", "failed"):
             made = self._made(status.number)  # the page cannot continue it
             shutil.rmtree(made.with_name(f"{made.name}.partial"), ignore_errors=True)
-        self._note_change()
 
     # --- the film
 
     def open_clip(self, index: int) -> None:
         """Show another clip of the source, without settings. Raises InputError."""
-        if not 0 <= index < len(self.source):
-            raise InputError(f"clip: expected 0 to {len(self.source) - 1}, not {index}")
+        with self._opening:
+            if not 0 <= index < len(self.source):
+                raise InputError(f"clip: expected 0 to {len(self.source) - 1}, not {index}")
+            self._check_idle()
+            shown = _open_film(self.source, index, self._start)
+            with self._lock:
+                self._check_idle()  # a run may have started meanwhile
+                self._show(
+                    *shown, self._read_edits(shown[0], self.source, self.folder, self._list_finished(shown[0].number))
+                )
+
+    def _check_idle(self) -> None:
         if self.process.is_running:
             raise InputError("clip: a run is under way; wait for it, or cancel it")
-        view = FilmView(self.source, index)
-        file = replace(self.source, clips=(self.source.clips[index],)).camera_files()
-        given: Mapping[str, Any] | None = read_source(file[0]) if file else None
-        plan = make_plan(self._start, view, given, where=f"{file[0]}" if file else "")
-        edits_file = self.folder / (EDITS if len(self.source) == 1 else f"edits_clip_{view.number:06d}.yaml")
-        applied = [self._list_applied(number, view.number) for number in self.results]
-        with self._lock:
-            if "view" in vars(self):
-                self.view.close()
-            self.view, self.given = view, given
-            self.mending = Mending(edits_file, max(applied, key=len, default=[]))
-            self._take(plan)
 
     def _open_source(self, dataset: Path) -> None:
-        """Show a dataset in place of the source, with a folder of its own."""
-        with self._lock:
-            self.source, self.has_film, self._start = open_source(dataset), True, RunSettings()
-            self.folder = dataset.with_name(f"{dataset.name}_workbench")
-            self.results, self.others, self.pages = {}, [], {}
-            self.open_clip(0)
+        """Show a dataset in place of the source, with a folder of its own. Raises InputError."""
+        with self._opening:
+            source, start, folder = open_source(dataset), RunSettings(), dataset.with_name(f"{dataset.name}_workbench")
+            shown = _open_film(source, 0, start)
+            mending = self._read_edits(shown[0], source, folder, ())
+            with self._lock:  # all of it, or nothing
+                self.source, self.has_film, self._start, self.folder = source, True, start, folder
+                self.results, self.others, self.pages = {}, [], {}
+                self._show(*shown, mending)
+
+    def _read_edits(self, view: FilmView, source: RecordingSource, folder: Path, runs: Sequence[int]) -> Mending:
+        """The edits of a clip: those of its file, else those of the results that have the most."""
+        file = folder / (EDITS if len(source) == 1 else f"edits_clip_{view.number:06d}.yaml")
+        applied = [self._list_applied(number, view.number) for number in runs]
+        return Mending(file, max(applied, key=len, default=[]))
+
+    def _show(self, view: FilmView, given: Mapping[str, Any] | None, plan: RunPlan, mending: Mending) -> None:
+        """Put a clip in place of the one in view."""
+        if "view" in vars(self):
+            self.view.close()
+        self.view, self.given, self.mending = view, given, mending
+        self._take(plan)
 
     @property
     def film(self) -> Path:
@@ -166,6 +180,10 @@ class Workbench:
 
     def describe(self) -> dict[str, Any]:
         """All that the page needs when it is loaded."""
+        with self._lock:
+            return self._describe()
+
+    def _describe(self) -> dict[str, Any]:
         frames, view = self.view.clip.frames, self.view
         even = bool((frames.numbers == np.arange(len(frames))).all())
         return {
@@ -213,7 +231,7 @@ class Workbench:
     def _take(self, plan: RunPlan) -> None:
         """Use a plan from now on, and prepare its detector if that may differ."""
         self.plan = plan
-        mark = json.dumps([plan.keys, *vars(plan.settings.options).values(), plan.channel, self.view.index])
+        mark = json.dumps([plan.keys, *vars(plan.settings.options).values(), plan.channel, self.view.mark])
         if not self.has_film:
             self.detector_status = DetectorStatus("failed", error="The film of these results is not here.")
         elif mark != self._mark:
@@ -261,13 +279,14 @@ class Workbench:
     def find_balls(self, index: int) -> dict[str, Any] | None:
         """The balls of a frame of the film; None while the detector is prepared. Raises InputError."""
         with self._lock:
-            detector, numbers = self.detector, self.view.clip.frames.numbers
+            detector, view = self.detector, self.view
+        numbers = view.clip.frames.numbers
         if not 0 <= index < len(numbers):
             raise InputError(f"frame {index}: expected 0 to {len(numbers) - 1}")
         if detector is None:
             return None
         if detector.clip.channel == GREY:
-            self.view.read(index)  # the page asks for it, too: it is decoded once
+            view.read(index)  # the page asks for it, too: it is decoded once
         began, own = time.monotonic(), detector.clip.frames.numbers
         row = int(np.searchsorted(own, numbers[index]))
         inside = row < len(own) and bool(own[row] == numbers[index])
@@ -508,23 +527,23 @@ class Workbench:
     def _find_base(self, edits: list[dict[str, Any]] | None = None) -> int | None:
         """The results of the clip in view that have the most of the edits, and no others; the latest of equal ones."""
         wanted, best = self.mending.edits if edits is None else edits, None
-        for number in self._list_finished():
+        for number in self._list_finished(self.view.number):
             applied = self._list_applied(number, self.view.number)
             if applied == wanted[: len(applied)] and (best is None or len(applied) >= best[0]):
                 best = len(applied), number
         return None if best is None else best[1]
 
-    def _list_finished(self) -> list[int]:
-        """The numbers of the results that have the clip in view."""
+    def _list_finished(self, clip: int) -> list[int]:
+        """The numbers of the results that have a clip."""
         out = []
         for number in self.results:
             with suppress(InputError):
-                if self.view.number in self.find_results(number).numbers:
+                if clip in self.find_results(number).numbers:
                     out.append(number)
         return out
 
     def _find_latest(self) -> int | None:
-        return max(self._list_finished(), default=None)
+        return max(self._list_finished(self.view.number), default=None)
 
     def _find_clip(self, number: int) -> int:
         if self.view.number not in self.find_results(number).numbers:
@@ -537,3 +556,13 @@ class Workbench:
         if found is None or not (found.folder / "estimates.parquet").is_file():
             raise InputError(f"run {number}: not one of this page")
         return found
+
+
+def _open_film(
+    source: RecordingSource, index: int, start: RunSettings
+) -> tuple[FilmView, Mapping[str, Any] | None, RunPlan]:
+    """Open a clip: its view, the keys of its camera file, and the plan of a run with these settings."""
+    view = FilmView(source, index)
+    file = replace(source, clips=(source.clips[index],)).camera_files()
+    given: Mapping[str, Any] | None = read_source(file[0]) if file else None
+    return view, given, make_plan(start, view, given, where=f"{file[0]}" if file else "")

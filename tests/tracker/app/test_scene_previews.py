@@ -72,14 +72,14 @@ def test_a_dataset_that_is_made_is_opened_with_a_folder_of_its_own(previews, tmp
     bench = Workbench(open_source(tmp_path / "film.tif"))
     try:
         bench.previews = previews
-        bench.process = TrackProcess(bench._hear_process, (sys.executable, "-c", MAKER))
+        bench.process = TrackProcess(bench._note_change, (sys.executable, "-c", MAKER), bench._take_result)
         for wrong in ({"scene": "x", "clips": 0}, {"scene": "x", "clips": True}, {"scene": "x", "clips": 10**9}):
             with pytest.raises(InputError, match="expected 1 to 1000 clips"):
                 bench.start_generation(wrong)
         bench.start_generation({"scene": "x", "clips": 2, "seed": 7})
         home = tmp_path / "film_workbench"
-        # the dataset opens after its process has ended
-        assert until(lambda: bench.folder == home / "made_1_workbench" and bench.describe()["size"] == (30, 20))
+        assert until(lambda: bench.process.status.state == "done")
+        assert (bench.folder, bench.describe()["size"]) == (home / "made_1_workbench", (30, 20))
         assert (home / "scene_1.yaml").read_text() == "a: 1"
         assert (home / "command_1.txt").read_text().split()[-4:] == ["--clips", "2", "--seed", "7"]
         about = json.loads(json.dumps(bench.describe()))
@@ -89,10 +89,10 @@ def test_a_dataset_that_is_made_is_opened_with_a_folder_of_its_own(previews, tmp
         broken = (
             "import pathlib, sys; pathlib.Path(sys.argv[sys.argv.index('-o') + 1] + '.partial').mkdir(); sys.exit(3)"
         )
-        bench.process = TrackProcess(bench._hear_process, (sys.executable, "-c", broken))
+        bench.process = TrackProcess(bench._note_change, (sys.executable, "-c", broken), bench._take_result)
         bench.start_generation({"scene": "x"})
         assert until(lambda: bench.process.status.state == "failed")
         assert (home / "scene_2.yaml").exists()
-        assert until(lambda: not (home / "made_2.partial").exists())
+        assert not (home / "made_2.partial").exists()
     finally:
         bench.close()

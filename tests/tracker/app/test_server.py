@@ -241,7 +241,7 @@ def test_a_calibration_gives_the_film_its_camera_file(tmp_path, pictures, monkey
     film = ["tracker", "calibrate", f"{tmp_path / 'film.tif'}", "-o", f"{file}"]
     assert words == [*film, "--diameter", "0.00238", "--fps", "250"]
     file.write_text(json.dumps(CAMERA))
-    bench.process._set(RunStatus(command="calibrate", number=number, state="done"))
+    bench.process._finish(RunStatus(command="calibrate", number=number, state="done"))
     about = client.get("/api/film").json()
     assert (about["given"]["scale"], about["settings"]["region"]) == (CAMERA["scale"], "0,0,150,90")
     assert f"--camera {file}" in about["plan"]["command"]
