@@ -18,6 +18,9 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
+MAX_ENTRIES = 20_000  # of one list or mapping in a YAML file
+MAX_VALUES = 2_000_000  # of a YAML file in all
+
 
 class Settings(BaseModel):
     """Base of all settings: frozen; unknown keys are refused, numbers must be finite, text is no number."""
@@ -54,6 +57,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except OSError as e:
         raise InputError(f"{path}: cannot be read ({e.strerror})") from None
     try:
+        _check_size(text, str(path))
         loaded = parse_yaml(text)
     except yaml.YAMLError as e:
         mark = getattr(e, "problem_mark", None)
@@ -64,6 +68,35 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(loaded, dict):
         raise InputError(f"{path}: expected keys and values, found {type(loaded).__name__}")
     return loaded
+
+
+def _check_size(text: str, where: str) -> None:
+    """Raises InputError at the first list or mapping with too many entries, before the file is read into memory.
+
+    libyaml, where it is there, needs a thirtieth of the time of reading. Raises YAMLError.
+    """
+    if len(text) < 2 * MAX_ENTRIES:  # an entry and what parts it from the next
+        return
+    inside, counts, key, values = list[bool](), list[int](), "", 0  # whether it is a list, and its values so far
+    for event in yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+        if isinstance(event, yaml.CollectionEndEvent):
+            inside.pop()
+            counts.pop()
+        if not isinstance(event, yaml.NodeEvent):
+            continue
+        values += 1
+        if counts:
+            if len(counts) == 1 and counts[0] % 2 == 0 and isinstance(event, yaml.ScalarEvent):
+                key = event.value
+            counts[-1] += 1
+            most = MAX_ENTRIES * (1 if inside[-1] else 2)
+            if counts[-1] > most or values > MAX_VALUES:
+                limit = f"{MAX_ENTRIES} entries" if counts[-1] > most else f"{MAX_VALUES} values in all"
+                line = f", line {event.start_mark.line + 1}" if event.start_mark else ""
+                raise InputError(f"{where}{line}: {key or 'the whole'}: expected at most {limit}")
+        if isinstance(event, yaml.CollectionStartEvent):
+            inside.append(isinstance(event, yaml.SequenceStartEvent))
+            counts.append(0)
 
 
 def parse_yaml(text: str) -> Any:

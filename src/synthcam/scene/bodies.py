@@ -21,7 +21,7 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings
 
 INERTIA = {"solid": 2 / 5, "shell": 2 / 3, "disc": 1 / 2}  # I/(m R^2)
-MAX_BODIES = 20_000
+MAX_BODIES, MAX_WALLS = 20_000, 1000
 # m, or m/s
 Point = Annotated[list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)]
 
@@ -191,7 +191,7 @@ class ManyBodiesSettings(Settings):
 
     bodies: BodySettings | Annotated[list[BodySettings], Field(min_length=1)] = BodySettings()
     launches: Annotated[list[BodyLaunchSettings], Field(min_length=1, max_length=MAX_BODIES)] | None = None
-    walls: Annotated[list[WallSettings], Field(max_length=1000)] = Field([])
+    walls: Annotated[list[WallSettings], Field(max_length=MAX_WALLS)] = Field([])
     support: SupportSettings = SupportSettings()
     scatter: ScatterSettings = ScatterSettings()
     contact_duration: Annotated[float, Field(ge=0, le=1e-2)] = 1e-5  # s; bounds sequences of impacts without end
@@ -339,19 +339,16 @@ def _state(launch: dict[str, Any], radius: float, inertia: float) -> NDArray[np.
 
 def _check_places(states: NDArray[np.float64], bodies: Bodies, walls: tuple[Wall, ...], where: str) -> None:
     """Raises InputError where bodies overlap, or are in a wall or on the wrong side of closed walls."""
-    from scipy.spatial import cKDTree
-
     tolerance, radius = 1e-9 * bodies.radius.min(), bodies.radius
-    tree = cKDTree(states[:, :3])
-    for i, j in sorted(tree.query_pairs(2 * radius.max(), output_type="set")):
+    if found := _find_overlap(states[:, :3], radius, tolerance):
+        i, j = found
         depth = radius[i] + radius[j] - np.linalg.norm(states[i, :3] - states[j, :3])
-        if depth > tolerance:
-            raise InputError(
-                f"{where}: launches: bodies {i} and {j} overlap by {depth:.3g} m; expected none to overlap"
-            )
+        raise InputError(f"{where}: launches: bodies {i} and {j} overlap by {depth:.3g} m; expected none to overlap")
     loop = _closed_loop(walls)
+    near = _list_walls_near(states[:, :2], radius, walls)
     for k, (x, y) in enumerate(states[:, :2].tolist()):
-        for number, wall in enumerate(walls):
+        for number in near.get(k, ()):
+            wall = walls[number]
             far, _, _ = wall.distance(x, y)
             if abs(wall.rise(radius[k])) >= 1:
                 raise InputError(
@@ -364,6 +361,60 @@ def _check_places(states: NDArray[np.float64], bodies: Bodies, walls: tuple[Wall
                 )
         if loop is not None and not _is_inside(x, y, loop):
             raise InputError(f"{where}: launches.{k}: the body is outside the walls; expected it inside")
+
+
+def _list_walls_near(
+    places: NDArray[np.float64], radius: NDArray[np.float64], walls: tuple[Wall, ...]
+) -> dict[int, list[int]]:
+    """List by body the numbers of the walls whose box it touches, and of those whose height no wall may have."""
+    near: dict[int, list[int]] = {}
+    for number, wall in enumerate(walls):
+        left, low, right, high = wall.box
+        apart = np.maximum([left, low] - places, places - [right, high]).max(axis=1)
+        touches = apart < radius * (1 + 1e-9)
+        if wall.height is not None:
+            touches |= np.abs(wall.height / radius - 1) >= 1
+        for k in np.flatnonzero(touches).tolist():
+            near.setdefault(k, []).append(number)
+    return near
+
+
+def _find_overlap(
+    centres: NDArray[np.float64], radius: NDArray[np.float64], tolerance: float
+) -> tuple[int, int] | None:
+    """Find two bodies of centres (N, 3), m, that overlap by more than the tolerance; None if no two do.
+
+    Bodies are compared in classes of radii within a factor of 2, so that few are near one of a class that is free of
+    overlaps. A heap of bodies at one place ends the search at once.
+    """
+    from scipy.spatial import cKDTree
+
+    def check(i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[int, int] | None:
+        depth = radius[i] + radius[j] - np.linalg.norm(centres[i] - centres[j], axis=1)
+        pairs = np.sort(np.column_stack([i, j])[depth > tolerance], axis=1)
+        return tuple(pairs[np.lexsort(pairs.T[::-1])[0]].tolist()) if len(pairs) else None
+
+    kinds = np.floor(np.log2(radius.max() / radius))
+    classes = [np.flatnonzero(kinds == kind) for kind in np.unique(kinds)]
+    for rank, own in enumerate(classes):  # the largest first
+        tree, widest = cKDTree(centres[own]), radius[own].max()
+        if len(own) > 1:
+            nearest = np.asarray(tree.query(centres[own], k=2)[1])
+            others = np.where(nearest[:, 0] == np.arange(len(own)), nearest[:, 1], nearest[:, 0])
+            if found := check(own, own[others]):
+                return found
+            pairs = tree.query_pairs(2 * widest, output_type="ndarray")
+            if found := check(own[pairs[:, 0]], own[pairs[:, 1]]):
+                return found
+        for smaller in classes[rank + 1 :]:
+            for first in range(0, len(smaller), 1000):  # a large body among all others has them all near
+                some = smaller[first : first + 1000]
+                near = tree.query_ball_point(centres[some], widest + radius[some])
+                i = np.repeat(some, [len(one) for one in near])
+                j = own[np.concatenate([np.array(one, np.intp) for one in near])]
+                if found := check(i, j):
+                    return found
+    return None
 
 
 def _closed_loop(walls: tuple[Wall, ...]) -> NDArray[np.float64] | None:

@@ -26,7 +26,7 @@ from synthcam.model import (
     table_settings,
 )
 from synthcam.scene.apparatus import CameraSettings, SceneLampSettings, SensorSettings, SurfaceSettings, VideoSettings
-from synthcam.scene.bodies import ManyBodiesSettings
+from synthcam.scene.bodies import MAX_BODIES, MAX_WALLS, ManyBodiesSettings
 from synthcam.scene.clip import Clip, build_clip
 from synthcam.scene.distribution import (
     draw,
@@ -40,6 +40,8 @@ from synthcam.scene.groups import GroupSettings
 from synthcam.settings import InputError, read_yaml
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.settings import NotNegative, Positive, Settings, parse_yaml, to_input_error
+
+MAX_GROUPS = 100
 
 Position = Annotated[
     list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)
@@ -99,7 +101,7 @@ def scene_file() -> type[Settings]:
     }
     fields: dict[str, Any] = {k: (v, v()) for k, v in sections.items()}
     fields |= {k: (f.annotation, f) for k, f in ManyBodiesSettings.model_fields.items()}
-    fields["groups"] = (Annotated[list[GroupSettings], Field(min_length=1, max_length=100)] | None, None)
+    fields["groups"] = (Annotated[list[GroupSettings], Field(min_length=1, max_length=MAX_GROUPS)] | None, None)
     fields["free_laws"] = (table_settings() | None, None)
     return create_model(
         "Scene",
@@ -267,6 +269,7 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
 
     where: name of the file, for messages. overrides: as "launch.v0=0.2".
     """
+    _refuse_long_tables(loaded, where)
     settings = resolve_symbols(copy.deepcopy(loaded), where)
     for many in ("launches", "groups"):
         if many in settings and "launch" in settings:
@@ -282,6 +285,19 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
             _validate(replace_at(low, key, option), where)
     check_free(settings.get("free") or (), where)
     return Scene(str(settings.get("name", "scene")), settings, where)
+
+
+def _refuse_long_tables(loaded: dict[str, Any], where: str) -> None:
+    """Raises InputError for more entries than any table of a scene may have, before they are copied and checked."""
+    limits = {"launches": MAX_BODIES, "bodies": MAX_BODIES, "walls": MAX_WALLS, "groups": MAX_GROUPS}
+    tables = [(key, loaded.get(key), limit) for key, limit in limits.items()]
+    groups = loaded.get("groups")
+    if isinstance(groups, list):
+        dicts = ((k, group) for k, group in enumerate(groups[:MAX_GROUPS]) if isinstance(group, dict))
+        tables += [(f"groups.{k}.body", group.get("body"), MAX_BODIES) for k, group in dicts]
+    for key, table, limit in tables:
+        if isinstance(table, list) and len(table) > limit:
+            raise InputError(f"{where}: {key}: expected {limit} values or fewer, found {len(table)}")
 
 
 def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:

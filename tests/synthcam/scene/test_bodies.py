@@ -1,6 +1,7 @@
 """Scenes of many bodies: what they become, and one line for each that cannot be."""
 
 import copy
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from synthcam.dynamics.supports import Air
-from synthcam.scene.bodies import MAX_BODIES
+from synthcam.scene.bodies import MAX_BODIES, _find_overlap
 from synthcam.scene.scene import Scene, check_scene
 from synthcam.scene.table_drawing import TWO_BALLS
 from synthcam_shared.errors import InputError
@@ -135,7 +136,17 @@ def test_a_ball_starts_in_the_air_or_without_rolling():
         (lambda s: s.update(launches=[]), "launches: expected 1 or more values"),
         (
             lambda s: s.update(launches=[{"position": [0, 0]}] * (MAX_BODIES + 1)),
-            f"launches: expected {MAX_BODIES} values or fewer",
+            f"launches: expected {MAX_BODIES} values or fewer, found {MAX_BODIES + 1}",
+        ),
+        (lambda s: s.update(bodies=[{}] * 1_000_000), "bodies: expected 20000 values or fewer, found 1000000"),
+        (lambda s: s.update(walls=s["walls"] * 1000), "walls: expected 1000 values or fewer, found 4000"),
+        (
+            lambda s: s.update(groups=[{"count": 1, "size": [1.0, 1.0]}] * 101),
+            "groups: expected 100 values or fewer, found 101",
+        ),
+        (
+            lambda s: s.update(groups=[{"count": 1, "size": [1.0, 1.0], "body": [{}] * (MAX_BODIES + 1)}]),
+            "groups.0.body: expected 20000 values or fewer",
         ),
         (lambda s: s["launches"][0].update(velocity=[{"uniform": [0.3, 0.1]}, 0]), "launches.0.velocity.0.uniform"),
         (lambda s: s["launches"][0].update(position=["left", 0]), "launches.0.position.0"),
@@ -181,6 +192,40 @@ def test_what_cannot_be_is_one_line(change, line):
         check_scene(changed(change), "scene.yaml")
     assert "\n" not in str(refused.value)
     assert str(refused.value).startswith("scene.yaml")
+
+
+def test_overlaps_of_bodies_of_any_size():
+    """The first pair, or none, is that of all pairs."""
+    rng = np.random.default_rng(3)
+    for count, size in ((2, 0.01), (40, 0.1), (40, 0.4), (40, 1.0)) * 10:
+        radius = 10 ** rng.uniform(-4, -1, count)
+        centres = np.column_stack([rng.uniform(0, 2 * size, (count, 2)), np.full(count, 0.01)])
+        gaps = np.linalg.norm(centres[:, None] - centres, axis=-1) - radius - radius[:, None] + np.eye(count)
+        found = _find_overlap(centres, radius, 0.0)
+        assert (found is None) == bool((gaps + np.diag(np.full(count, np.inf)) >= 0).all())
+        assert found is None or (gaps[found] < 0 and found[0] < found[1])
+
+
+def test_a_heap_of_bodies_at_one_place_takes_little_memory():
+    heap = {"launches": [{"position": [0.0, 0.0]}] * 2000}
+    check_scene(TRAY, "scene")
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=r"bodies 0 and .* overlap by 0\.00238 m"):
+            check_scene(heap, "scene")
+        assert tracemalloc.get_traced_memory()[1] < 30e6  # 300 MB for a list of all two million pairs
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_body_in_one_of_many_walls():
+    """Each end of a wall, its middle, and a place beside it."""
+    walls = [{"start": [0.01 * k, -0.02], "end": [0.01 * k, 0.02]} for k in range(300)]
+    beside = [{"position": [0.01 * k + 0.005, 0.001 * (k % 20)]} for k in range(299)]
+    check_scene({"launches": beside, "walls": walls}, "scene")
+    for place in ([1.0, -0.021], [1.0, 0.021], [1.0011, 0.0], [0.9989, 0.01]):
+        with pytest.raises(InputError, match=r"launches\.299: the body is in wall 100;"):
+            check_scene({"launches": [*beside, {"position": place}], "walls": walls}, "scene")
 
 
 def test_each_body_has_its_colour_and_its_height():
