@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from scipy.special import expit
 
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import find_near_pairs
+from tracker.measurement.crowd.gap_fits import GapFits, Gaps, TouchDistance, TrackRows, fit_gaps, gather_gaps
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import StretchCutter, measure_noise
 
@@ -28,7 +28,6 @@ Ints = NDArray[np.int64]
 NO_BALL = -1  # in place of a second ball: a wall, or something unseen
 CUTTER = StretchCutter(kink_positions=3, max_acceleration=2.4, kink_sigma=4.0)  # candidates only
 MAX_SPIN_TRANSFER = 5 / 14  # of balls whose surfaces stick to one another
-_NOTHING = np.full(2, np.nan)
 
 
 @dataclass(frozen=True)
@@ -104,189 +103,53 @@ class TrackContact:
         return (self.one,) if self.other == NO_BALL else (self.one, self.other)
 
 
-class _Slide(NamedTuple):
-    """A ball that slides against its slip, the speed of its lowest point, until two sevenths of it are lost."""
-
-    start: float  # s
-    slip: Floats  # (2,) there
-    decel: float
-
-    @property
-    def duration(self) -> float:
-        return 2 * float(np.hypot(*self.slip)) / (7 * self.decel)
-
-    @property
-    def direction(self) -> Floats:
-        return self.slip / max(float(np.hypot(*self.slip)), 1e-12)
-
-    def shape(self, time: Floats) -> Floats:
-        """The way (m,) that the ball lost since the start."""
-        since = np.maximum(time - self.start, 0.0)
-        lasts = np.minimum(since, self.duration)
-        return np.asarray(self.decel * lasts * (since - lasts / 2))
-
-    def rate(self, time: float) -> float:
-        """The speed that the ball lost since the start."""
-        return self.decel * min(max(time - self.start, 0.0), self.duration)
-
-    def left(self, time: float) -> Floats:
-        """Compute the slip (2,) at a later instant."""
-        return self.slip * max(1 - (time - self.start) / max(self.duration, 1e-12), 0.0)
-
-
-class _Path(NamedTuple):
-    """A parabola: position, velocity and half the acceleration at its origin of time, with their covariance.
-
-    A slide from before adds the way that the ball lost, times a vector near minus its direction.
-    """
-
-    value: Floats  # (3 or 4, 2)
-    cov: Floats
-    chi2: float
-    slide: _Slide | None = None
-
-    def at(self, time: Floats) -> tuple[Floats, Floats]:
-        """Positions (m, 2) and their variances (m,)."""
-        basis = _make_basis(time, self.slide)
-        return basis @ self.value, ((basis @ self.cov) * basis).sum(axis=1)
-
-    def velocity(self, time: float) -> tuple[Floats, float]:
-        """Velocity (2,) and its variance."""
-        basis = np.array([0.0, 1.0, 2 * time, *([] if self.slide is None else [self.slide.rate(time)])])
-        return basis @ self.value, float(basis @ self.cov @ basis)
-
-
-def _make_basis(time: Floats, slide: _Slide | None) -> Floats:
-    basis = np.empty((len(time), 3 if slide is None else 4))
-    basis[:, 0], basis[:, 1], basis[:, 2] = 1.0, time, time * time
-    if slide is not None:
-        basis[:, 3] = slide.shape(time)
-    return basis
-
-
-def _fit_path(
-    time: Floats,
-    position: Floats,
-    variance: float,
-    curvature: float,
-    slide: _Slide | None = None,
-    *,
-    slide_error: float = 0.2,
-) -> _Path:
-    """Fit a parabola whose acceleration is `curvature` or so; slide_error: relative, of either component of its way."""
-    basis = _make_basis(time, slide)
-    square, right = basis.T @ basis / variance, basis.T @ position / variance
-    square[2, 2] += 4 / curvature**2
-    if slide is not None:
-        square[3, 3] += 1 / slide_error**2
-        right[3] -= slide.direction / slide_error**2
-    cov = np.asarray(np.linalg.inv(square), dtype=np.float64)
-    value = cov @ right
-    left, bend = position - basis @ value, value[2]
-    chi2 = np.vdot(left, left) / variance + np.vdot(bend, bend) * 4 / curvature**2
-    if slide is not None:
-        away = value[3] + slide.direction
-        chi2 += np.vdot(away, away) / slide_error**2
-    return _Path(value, cov, float(chi2), slide)
-
-
-def _fit_slides(
-    parts: Sequence[BallTrack],
-    late: Sequence[NDArray[np.bool_]],
-    zero: float,
-    start: float,
-    variances: Sequence[float],
-    ways: list[list[_Path | None]],
-    settings: FinderSettings,
-    *,
-    turns: int = 2,
-) -> list[Floats]:
-    """Fit the paths after a contact again, as if no ball slid there; returns the slips.
-
-    late: rows after the contact. start: of the slides, s after the instant `zero`.
-    """
-    slips = list[Floats]()
-    for _ in range(turns):  # the kick and the slide depend on one another
-        slips = _predict_slips(ways, start, settings)
-        for way, slip, part, rows, variance in zip(ways, slips, parts, late, variances, strict=True):
-            if np.isfinite(slip).all():
-                time = part.time[rows] - zero
-                slide = _Slide(start, slip, settings.friction * GRAVITY)
-                position = part.position[rows] + np.outer(slide.shape(time), slide.direction)
-                way[1] = _fit_path(time, position, variance, settings.curvature)
-    return slips
-
-
-def _predict_slips(ways: Sequence[Sequence[_Path | None]], start: float, settings: FinderSettings) -> list[Floats]:
-    """Predict how fast the lowest point of each ball slides after a contact; NaN where a path is not known.
-
-    The kick adds to what is left of the slip of an earlier contact. The surfaces of balls that roll also drag one
-    another upwards or downwards, and change the spins. A wall does that twice as much as a ball at rest.
-    """
-    before, after = (
-        [_NOTHING if side is None else side.velocity(start)[0] for side in sides] for sides in zip(*ways, strict=True)
-    )
-    left = [np.zeros(2) if way[0] is None or way[0].slide is None else way[0].slide.left(start) for way in ways]
-    kicks = [new - old for old, new in zip(before, after, strict=True)]
-    rolled = [velocity - slip for velocity, slip in zip(before, left, strict=True)]
-    if len(ways) == 1:
-        normal, share = kicks[0], 2 * settings.spin_transfer
-    else:
-        places = [next(side for side in way if side is not None).at(np.array([start]))[0][0] for way in ways]
-        normal, share = places[0] - places[1], settings.spin_transfer
-    normal = normal / max(float(np.hypot(*normal)), 1e-12)
-    speeds = [float(velocity @ normal) for velocity in rolled]
-    dragged = share * sum(speed for speed in speeds if np.isfinite(speed)) * normal
-    return [slip + kick + dragged for slip, kick in zip(left, kicks, strict=True)]
-
-
-class _Found(NamedTuple):
-    """The best instant of a contact, and what is known there."""
-
-    time: float
-    time_std: float
-    chi2: float
-    smooth: float  # chi^2 without a contact
-    excess: float  # chi^2 over its degrees of freedom, at least 1
-    places: Floats  # (balls, 2)
-    before: Floats  # (balls, 2) velocities; NaN where too few positions show one
-    after: Floats
-    velocity_std: Floats  # (balls,) of the change
-    slips: Floats  # (balls, 2)
-
-
 @dataclass
 class _Film:
     """A recording of balls, and what is known of their contacts so far."""
 
+    rows: dict[int, TrackRows]  # by ball
+    exposure: float  # s
     frame_s: float
     diameter: float
     settings: FinderSettings
     events: dict[int, list[float]]  # of each ball, frames at which something may have happened to it
-    slides: dict[int, list[_Slide]] = field(default_factory=dict)  # of each ball, in order of time
+    slides: dict[int, list[tuple[float, Floats]]] = field(default_factory=dict)  # of each ball: instants and slips
 
     def note_slides(self, found: Sequence[TrackContact]) -> None:
         """Keep the slides after these contacts."""
-        self.slides, decel = {}, self.settings.friction * GRAVITY
-        if not decel:
-            return
-        for contact in sorted(found, key=lambda contact: contact.time):
+        self.slides = {}
+        for contact in sorted(found if self.settings.friction else (), key=lambda contact: contact.time):
             for ball, slip in zip(contact.balls, contact.slips, strict=True):
                 if np.isfinite(slip).all():
-                    self.slides.setdefault(ball, []).append(_Slide(contact.time, slip, decel))
+                    self.slides.setdefault(ball, []).append((contact.time, slip))
 
-    def fit_path(self, part: BallTrack, zero: float, variance: float) -> _Path:
-        """Fit a part of a track, with the slide of the last contact before it if that fits better.
+    def cut(self, ball: int, frame: float, away: float) -> TrackRows:
+        """The positions of a ball about a frame, up to its next event on either side.
 
-        zero: the instant from which times count.
+        away: frames within which an event of a ball is the one at this frame.
         """
-        time, curvature = part.time - zero, self.settings.curvature
-        before = [slide for slide in self.slides.get(part.particle, ()) if slide.start < part.time[0]]
-        rolls = _fit_path(time, part.position, variance, curvature)
-        if not before or before[-1].start + before[-1].duration < part.time[0]:
-            return rolls
-        slide = before[-1]._replace(start=before[-1].start - zero)
-        return min(rolls, _fit_path(time, part.position, variance, curvature, slide), key=lambda path: path.chi2)
+        settings, events = self.settings, self.events[ball]
+        low = max((at for at in events if at < frame - away), default=-np.inf) + settings.event_frames
+        high = min((at for at in events if at > frame + away), default=np.inf) - settings.event_frames
+        first, last = frame - settings.positions - 2, frame + settings.positions_after + 2
+        return self.rows[ball].between(max(low, np.nextafter(first, -np.inf)), min(high, np.nextafter(last, np.inf)))
+
+    def gather(self, candidates: Sequence[Sequence[TrackRows]], gaps: Sequence[Sequence[tuple[int, int]]]) -> Gaps:
+        """The gaps of candidates, each with the positions of its balls."""
+        last = [[self._find_last_slide(part) for part in parts] for parts in candidates]
+        return gather_gaps(candidates, gaps, last, self.settings.friction * GRAVITY, self.frame_s)
+
+    def fit(self, gaps: Gaps) -> GapFits:
+        """Fit a contact in each gap."""
+        touch = TouchDistance(self.diameter, self.settings.distance_share * self.diameter)
+        return fit_gaps(gaps, self.settings, touch, self.exposure)
+
+    def _find_last_slide(self, part: TrackRows) -> tuple[float, Floats] | None:
+        """The last slide of a ball that starts before its positions."""
+        if not len(part.time):
+            return None
+        slides = self.slides.get(part.particle, ())
+        return next((slide for slide in reversed(slides) if slide[0] < part.time[0]), None)
 
 
 def find_track_contacts(
@@ -301,20 +164,19 @@ def find_track_contacts(
     noise = measure_noise([(ball.frame, ball.position) for ball in balls])
     kinks = {ball.particle: _find_kinks(ball, noise) for ball in balls}
     by_number = {ball.particle: ball for ball in balls}
-    frame_s = _frame_duration(balls)
+    frame_s, same = _frame_duration(balls), settings.same_frames
     pairs = [
         (one, other, frame)
         for one, other in find_near_pairs(list(balls), diameter, 1.0)
         for frame in _find_approaches(one, other, diameter, settings)
     ]
     events = {n: [*at.tolist(), *(f for a, b, f in pairs if n in (a.particle, b.particle))] for n, at in kinks.items()}
-    film = _Film(frame_s, diameter, settings, events)
+    rows = {ball.particle: _to_rows(ball) for ball in balls}
+    film = _Film(rows, balls[0].exposure if balls else 0.0, frame_s, diameter, settings, events)
     found = list[TrackContact]()
     for turn in range(settings.turns):  # each with better instants of the contacts before and after
         away = settings.other_frames if turn else settings.vague_frames
-        tried = [
-            contact for one, other, frame in pairs if (contact := _examine((one, other), frame, away, film)) is not None
-        ]
+        tried = _examine([((one.particle, other.particle), frame) for one, other, frame in pairs], away, film)
         found = list[TrackContact]()
         for contact in sorted(tried, key=lambda contact: -contact.gain):
             if not _is_explained(contact, found, frame_s, settings):
@@ -325,13 +187,12 @@ def find_track_contacts(
         film.note_slides(found)
         centres = {(c.one, c.other): c for c in found}
         pairs = [(one, other, _refine(one, other, frame, centres, settings)) for one, other, frame in pairs]
+    walls = list[tuple[tuple[int, ...], float]]()
     for ball in balls:
         own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
-        for frame in kinks[ball.particle].tolist():
-            if min((abs(at - frame) for at in own), default=np.inf) > settings.same_frames:
-                contact = _examine((ball,), frame, settings.other_frames, film)
-                if contact is not None:
-                    found.append(contact)
+        free = (f for f in kinks[ball.particle].tolist() if min((abs(at - f) for at in own), default=np.inf) > same)
+        walls += [((ball.particle,), frame) for frame in free]
+    found += _examine(walls, settings.other_frames, film)
     return _widen_errors(_find_partners(found, balls, diameter, frame_s, settings), frame_s, settings)
 
 
@@ -344,18 +205,18 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
     best = sorted((c for c in found if len(c.balls) == 2), key=lambda contact: -contact.gain)[: settings.most_slides]
     if len(best) < settings.least_slides:
         return settings
-    places = list[tuple[list[BallTrack], int]]()
+    parts, gaps = list[list[TrackRows]](), list[list[tuple[int, int]]]()
     for contact in best:
         frame = float(np.interp(contact.time, balls[contact.one].time, balls[contact.one].frame))
-        parts = [_cut(balls[n], frame, film.events[n], settings.other_frames, settings) for n in contact.balls]
-        places.append((parts, int(np.floor(frame))))
+        parts.append([film.cut(n, frame, settings.other_frames) for n in contact.balls])
+        gaps.append([(int(np.floor(frame)), int(np.floor(frame)) + 1)])
 
     def misfit(friction: float, spin_transfer: float, curvature: float = settings.known_curvature) -> float:
         """Minus the log-likelihood, with heavy tails because events are missed."""
         tried = replace(settings, friction=friction, spin_transfer=spin_transfer, curvature=curvature)
-        fits = [_fit_gap(parts, left, left + 1, replace(film, settings=tried)) for parts, left in places]
-        dof = 2 * (settings.positions + settings.positions_after)
-        return float(sum(dof / 2 * np.log1p(fit.chi2 / dof) for fit in fits if fit is not None))
+        own = replace(film, settings=tried)
+        chi2, dof = own.fit(own.gather(parts, gaps)).chi2, 2 * (settings.positions + settings.positions_after)
+        return float((dof / 2 * np.log1p(chi2 / dof)).sum())
 
     start = FinderSettings()
     friction = float(
@@ -492,161 +353,51 @@ def _find_approaches(one: BallTrack, other: BallTrack, diameter: float, settings
     return [float(f) for f in frames[least & (apart < diameter * (1 + settings.near_share) + 1.5 * reach)]]
 
 
-def _examine(
-    pair: tuple[BallTrack, ...],
-    frame: float,
-    away: float,
-    film: _Film,
-) -> TrackContact | None:
-    """The contact of two balls, or of one with a wall, at about a frame; None if there is none.
+def _examine(candidates: Sequence[tuple[tuple[int, ...], float]], away: float, film: _Film) -> list[TrackContact]:
+    """The contacts of two balls, or of one with a wall, at about a frame, of the candidates that are one.
 
-    away: frames within which an event of a ball is this contact.
+    candidates: as many balls each, and the frame. away: frames within which an event of a ball is this contact.
     """
-    fits, settings = list[_Found](), film.settings
-    parts = [_cut(ball, frame, film.events[ball.particle], away, settings) for ball in pair]
-    if max(len(part) for part in parts) < 2 * settings.least_positions:
-        return None
-    gaps = np.unique(np.concatenate([part.frame for part in parts]))
-    reach = min(away, 1.5) + 1.0
-    gaps = gaps[(gaps >= frame - reach) & (gaps <= frame + reach)]
-    for left, right in pairwise(gaps):
-        here = _fit_gap(parts, int(left), int(right), film)
-        if here is not None:
-            fits.append(here)
-    return _judge(pair, _weigh_gaps(fits), film.diameter, settings) if fits else None
+    reach, chosen = min(away, 1.5) + 1.0, list[tuple[int, ...]]()
+    parts, gaps = list[list[TrackRows]](), list[list[tuple[int, int]]]()
+    for balls, frame in candidates:
+        own = [film.cut(ball, frame, away) for ball in balls]
+        if not 2 * film.settings.least_positions <= max(len(part.frame) for part in own):
+            continue
+        seen = np.unique(np.concatenate([part.frame for part in own]))
+        seen = seen[(seen >= frame - reach) & (seen <= frame + reach)]
+        chosen.append(balls)
+        parts.append(own)
+        gaps.append(list(pairwise(seen.tolist())))
+    if not any(gaps):
+        return []
+    fits = film.fit(film.gather(parts, gaps))
+    first, last = (np.searchsorted(fits.candidate, np.arange(len(chosen)), side=side) for side in ("left", "right"))
+    out = list[TrackContact]()
+    for balls, start, end in zip(chosen, first.tolist(), last.tolist(), strict=True):
+        if start < end:
+            contact = _judge(balls, _weigh_gaps(fits.take(np.arange(start, end))), film.diameter, film.settings)
+            out += [] if contact is None else [contact]
+    return out
 
 
-def _weigh_gaps(fits: Sequence[_Found]) -> _Found:
+def _to_rows(ball: BallTrack) -> TrackRows:
+    variance = np.asarray(np.trace(ball.cov, axis1=1, axis2=2) / 2)
+    return TrackRows(ball.particle, ball.frame, ball.time, ball.position, variance)
+
+
+def _weigh_gaps(fits: GapFits) -> GapFits:
     """The best of the fits of several gaps, with the error of an instant that may lie in another of them."""
-    best = min(fits, key=lambda fit: fit.chi2)
-    time, std, chi2 = np.array([(fit.time, fit.time_std, fit.chi2) for fit in fits]).T
-    weight = std * np.exp((best.chi2 - chi2) / (2 * best.excess))
-    return best._replace(time_std=float(np.sqrt(weight @ (std**2 + (time - best.time) ** 2) / weight.sum())))
+    best = fits.take(int(np.argmin(fits.chi2)))
+    weight = fits.time_std * np.exp((best.chi2 - fits.chi2) / (2 * best.excess))
+    variance = weight @ (fits.time_std**2 + (fits.time - best.time) ** 2) / weight.sum()
+    return best._replace(time_std=np.sqrt(variance))
 
 
-def _cut(ball: BallTrack, frame: float, events: list[float], away: float, settings: FinderSettings) -> BallTrack:
-    """The positions of a ball about a frame, up to its next event on either side."""
-    low = max((at for at in events if at < frame - away), default=-np.inf)
-    high = min((at for at in events if at > frame + away), default=np.inf)
-    rows = (ball.frame > low + settings.event_frames) & (ball.frame < high - settings.event_frames)
-    rows &= (ball.frame >= frame - settings.positions - 2) & (ball.frame <= frame + settings.positions_after + 2)
-    return ball.where(rows)
-
-
-def _fit_gap(
-    parts: Sequence[BallTrack], left: int, right: int, film: _Film, *, steps_in_gap: int = 8, turns: int = 2
-) -> _Found | None:
-    """The best instant between two frames; None where a ball has too few positions before or after.
-
-    steps_in_gap: instants between two frames that are tried. turns: each with slides from the instant of the last.
-    """
-    if min(map(len, parts)) == 0:
-        return None
-    settings, frame_s = film.settings, film.frame_s
-    zero = float(np.mean([_time_of((left + right) / 2, part, frame_s) for part in parts]))
-    low, high = (
-        max(_time_of(left, part, frame_s) for part in parts) - zero,
-        min(_time_of(right, part, frame_s) for part in parts) - zero,
-    )
-    if not low < high:
-        return None
-    variances = [float(np.median(np.trace(part.cov, axis1=1, axis2=2))) / 2 for part in parts]
-    ways = list[list[_Path | None]]()
-    for part, variance in zip(parts, variances, strict=True):
-        halves = part.frame <= left, part.frame >= right
-        seen = [rows.sum() >= settings.least_positions for rows in halves]
-        if not any(seen) or not (all(seen) or len(parts) == 2):
-            return None
-        before, after = (part.where(rows) for rows in halves)
-        ways.append(
-            [
-                film.fit_path(before, zero, variance) if seen[0] else None,
-                _fit_path(after.time - zero, after.position, variance, settings.curvature) if seen[1] else None,
-            ]
-        )
-    if not any(None not in way for way in ways):
-        return None
-    times, at, slips = np.linspace(low, high, steps_in_gap + 1), 0.0, [np.zeros(2)] * len(parts)
-    for _ in range(turns if settings.friction else 1):
-        if settings.friction:
-            late = [part.frame >= right for part in parts]
-            slips = _fit_slides(parts, late, zero, at, variances, ways, settings)
-        cost, places = _compare_paths(ways, times, film)
-        at, bend = _find_least(times, cost)
-    smooth, dof = 0.0, 1
-    for part, variance, way in zip(parts, variances, ways, strict=True):
-        known = [side for side in way if side is not None]
-        dof += max(2 * len(part) - 4 * len(known), 0)
-        smooth += film.fit_path(part, zero, variance).chi2 if len(known) == 2 else known[0].chi2
-    k = int(np.argmin(cost))
-    excess = max(float(cost[k]) / dof, 1.0)
-    exposed = min(at - low, high - at) < parts[0].exposure / 2  # a frame shows both paths
-    blur = parts[0].exposure / 2 if exposed else 0.0
-    velocities = [[None if side is None else side.velocity(at) for side in way] for way in ways]
-    return _Found(
-        time=zero + at,
-        time_std=min(float(np.hypot(np.sqrt(2 / bend * excess), blur)), float(high - low)),
-        chi2=float(cost[k]),
-        smooth=smooth,
-        excess=excess,
-        places=np.array([place[k] for place in places]),
-        before=np.array([_NOTHING if first is None else first[0] for first, _ in velocities]),
-        after=np.array([_NOTHING if second is None else second[0] for _, second in velocities]),
-        velocity_std=np.sqrt(
-            [np.nan if None in way else excess * sum(side[1] for side in way if side) for way in velocities]
-        ),
-        slips=np.array(slips),
-    )
-
-
-def _compare_paths(ways: Sequence[Sequence[_Path | None]], times: Floats, film: _Film) -> tuple[Floats, list[Floats]]:
-    """The chi^2 (m,) of a contact at each of m instants, and the places (m, 2) of each ball there.
-
-    The paths before and after meet there, and two balls are a diameter apart.
-    """
-    cost, places, spread = np.zeros(len(times)), list[Floats](), list[Floats]()
-    for way in ways:
-        known = [(side.chi2, *side.at(times)) for side in way if side is not None]
-        cost += sum(side[0] for side in known)
-        place, var = known[0][1:]
-        if len(known) == 2:
-            other, other_var = known[1][1:]
-            cost += ((place - other) ** 2).sum(axis=1) / (var + other_var)
-            weight = (other_var / (var + other_var))[:, None]
-            place, var = place * weight + other * (1 - weight), var * weight[:, 0]
-        places.append(place)
-        spread.append(var)
-    if len(ways) == 2:
-        apart = np.hypot(*(places[0] - places[1]).T)
-        variance = (film.settings.distance_share * film.diameter) ** 2 + spread[0] + spread[1]
-        cost += (apart - film.diameter) ** 2 / variance
-    return cost, places
-
-
-def _find_least(times: Floats, cost: Floats) -> tuple[float, float]:
-    """The instant of the least cost, by a parabola about the least of those tried, and the cost's second derivative."""
-    k = int(np.argmin(cost))
-    inner = min(max(k, 1), len(times) - 2)
-    step = times[1] - times[0]
-    bend = max(float(cost[inner + 1] - 2 * cost[inner] + cost[inner - 1]) / step**2, 1e-300)
-    slope = (cost[inner + 1] - cost[inner - 1]) / (2 * step)
-    if 0 < k < len(times) - 1:
-        return float(np.clip(times[inner] - slope / bend, times[0], times[-1])), bend
-    return float(times[k]), bend
-
-
-def _time_of(frame: float, part: BallTrack, frame_s: float) -> float:
-    """The instant, s, of a frame that a track may lack."""
-    k = int(np.argmin(np.abs(part.frame - frame)))
-    return float(part.time[k] + (frame - part.frame[k]) * frame_s)
-
-
-def _judge(
-    pair: tuple[BallTrack, ...], found: _Found, diameter: float, settings: FinderSettings
-) -> TrackContact | None:
-    """The contact, if the paths show one."""
+def _judge(pair: tuple[int, ...], found: GapFits, diameter: float, settings: FinderSettings) -> TrackContact | None:
+    """The contact of balls by the best of its gaps, if the paths show one."""
     turn = found.after - found.before
-    gain = found.smooth - found.chi2
+    gain = float(found.smooth - found.chi2)
     confidence = float(expit(gain / 2 + settings.prior_log_odds))
     if not confidence >= settings.least_confidence:
         return None
@@ -669,11 +420,11 @@ def _judge(
             return None
     if settings.friction:
         error = float(np.hypot(error, settings.slide_share * kick))
-    other = pair[1].particle if len(pair) == 2 else NO_BALL
+    other = pair[1] if len(pair) == 2 else NO_BALL
     return TrackContact(
-        found.time,
-        found.time_std,
-        pair[0].particle,
+        float(found.time),
+        float(found.time_std),
+        pair[0],
         other,
         place,
         normal,
