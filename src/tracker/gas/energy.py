@@ -79,7 +79,7 @@ def predict_losses(
         effects = np.stack([2 / (1 + r) ** 2 * kick**2 * r_error, keep * keep_error / 2 * square], axis=1)
         lost[~wall] = (share * kick**2 + (1 - keep**2) * square / 4)[~wall]
         variance[~wall] = sum(error**2 for error in errors)[~wall]
-        common[~wall] = np.nan_to_num(effects[~wall])
+        common[~wall] = effects[~wall]
     return lost, variance, common
 
 

@@ -200,6 +200,22 @@ def test_kicks_give_the_losses_of_contacts_whose_slides_hide_them(kept):
     assert std < 0.02 * (before**2).sum() / 2
 
 
+def test_balls_without_a_velocity_leave_energies_and_their_errors_known():
+    """One ball hits a wall after its first position, another is seen in a single frame; three others move on."""
+    noise, speed = 1e-7, 0.2
+    balls = make_gas([[0.1, 0.0], [0.0, speed], [-0.1, 0.1]], 30, noise)
+    x = np.append(0.0, -speed * np.arange(29) / FPS)
+    balls.append(make_ball(3, np.column_stack([x, np.full(30, 3.0)]), noise))
+    balls.append(make_ball(4, np.array([[5.0, 5.0]]), noise))
+    nan = float("nan")
+    gas = measure_gas(balls, make_contacts((0.5 / FPS, 3, -1, nan, nan)), GasCamera(0.01, FPS, on_air=True))
+    energies = gas.time[["energy", "energy_std", *(f"{c}{end}" for c in SINKS.values() for end in ("", "_std"))]]
+    assert np.isfinite(energies.to_numpy()).all()
+    of_others = (0.1**2 + speed**2 + 0.1**2 + 0.1**2) / 2
+    assert gas.time["energy"].iloc[-1] == pytest.approx(of_others + speed**2 / 2, rel=1e-3)
+    assert gas.time["energy_std"].iloc[-1] < 1e-3 * of_others
+
+
 def test_kicks_give_the_losses_at_walls_but_not_inside_the_hull():
     """A wall with r = 0.5 along x takes 3/8 of the square of a velocity across it."""
     paths = [make_path(k, range(10), (0.4, 0.1), end=k) for k in range(5)]
