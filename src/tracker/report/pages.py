@@ -85,7 +85,8 @@ class RecordingPage:
     """The content of the page of one recording.
 
     rows: of estimates, one for each collision. motion: the table of motion.parquet. frames: None for tracks that came
-    without a film. notes: assumptions and conversions.
+    without a film. notes: assumptions and conversions. found_contacts: those of contacts.parquet; None: those of the
+    tracks.
     """
 
     name: str
@@ -96,6 +97,7 @@ class RecordingPage:
     frames: Frames | None = None
     notes: Sequence[Note] = ()
     refusals: bytes = b""  # a picture as PNG, of a film that failed
+    found_contacts: pd.DataFrame | None = None
 
     @property
     def collisions(self) -> list[Mapping[str, Any]]:
@@ -127,7 +129,8 @@ class RecordingPage:
     @cached_property
     def contacts(self) -> pd.DataFrame:
         """All contacts of a film of more than two balls."""
-        return tabulate_contacts(self.tracks, self.camera, self.rows)
+        found = self.found_contacts
+        return tabulate_contacts(self.tracks, self.camera, self.rows) if found is None else found
 
     def _contacts(self) -> list[Block]:
         """The physics that the contacts share, and a table of them."""
@@ -316,7 +319,8 @@ class ResultPages:
         name = self.name if self.is_single else f"{self.name}, clip {number}"
         with as_input_error(self.output):
             refusals = (folder / REFUSALS).read_bytes() if (folder / REFUSALS).is_file() else b""
-            page = RecordingPage(name, camera, tracks, rows, motion, frames, self.notes, refusals)
+            contacts = results.read_contacts(self.output, number)
+            page = RecordingPage(name, camera, tracks, rows, motion, frames, self.notes, refusals, contacts)
             page.write(self._folder(index), self.command)
 
     def write_overview(self, estimates: pd.DataFrame) -> None:
