@@ -226,7 +226,9 @@ def preview(
     clip: Annotated[int, typer.Option(min=0, help="Number of the clip.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     frame: Annotated[int | None, typer.Option(min=0, help="Number of the frame; default: before contact.")] = None,
-    magnify: Annotated[int, typer.Option(min=0, help="Magnification of the balls below the frame; 0: without.")] = 12,
+    magnify: Annotated[
+        int, typer.Option(min=0, help="Magnification of the balls below the frame, at most; 0: none.")
+    ] = 12,
     from_above: Annotated[
         bool, typer.Option("--from-above", help="Draw the motion from above, with walls and events, not as filmed.")
     ] = False,

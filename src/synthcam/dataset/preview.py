@@ -18,6 +18,7 @@ from skimage.exposure import adjust_gamma, rescale_intensity
 from synthcam.dataset.picture_mark import check_picture_output, mark_picture
 from synthcam.dataset.video import check_video
 from synthcam.scene.clip import Clip
+from synthcam.scene.outlines import find_boxes
 from synthcam.scene.scene import check_scene
 from synthcam.scene.sensor_frames import Counts
 from synthcam_shared.errors import InputError
@@ -29,8 +30,8 @@ ANIMATION_FPS = 20  # GIF counts in hundredths of a second
 def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> None:
     """Preview one frame of a clip as a PNG.
 
-    frame: its number; None: the last frame before the contact. magnify: above 0, the balls so many times larger are
-    shown below the frame, with dark parts brightened.
+    frame: its number; None: the last frame before the contact. magnify: above 0, the balls that hit first are shown
+    below the frame, at most so many times larger, with dark parts brightened.
     """
     check_picture_output(path, "synthcam preview")
     view = clip.view
@@ -43,9 +44,7 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     counts = next(itertools.islice(clip.pictures(max(k, 1)), min(k, 1), None))
     picture = _eight_bits(counts, clip)
     if magnify:
-        places = clip.camera.project(view.at(np.array([k / clip.camera.fps]))[:, 0, :3])
-        middle = places.mean(axis=0) if len(places) <= 2 else places[0]
-        picture = _with_inset(picture, middle, magnify, clip)
+        picture = _with_inset(picture, _list_outlines(clip, k), magnify, clip)
     ok, data = cv2.imencode(".png", picture[..., ::-1] if picture.ndim == 3 else picture)
     if not ok:
         raise OSError(f"{path}: could not be encoded as PNG")
@@ -180,18 +179,43 @@ def _enlarge(picture: NDArray[np.uint8], times: int) -> NDArray[np.uint8]:
     return picture.repeat(times, axis=0).repeat(times, axis=1)
 
 
-def _with_inset(picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify: int, clip: Clip) -> NDArray[np.uint8]:
-    """Add a strip below the frame: the surroundings of `middle`, magnified, on a black plate brightened."""
-    width = picture.shape[1]
-    across, down = width // magnify, max(width // magnify // 2, 1)
-    left = int(np.clip(round(middle[0]) - across // 2, 0, picture.shape[1] - across))
-    top = int(np.clip(round(middle[1]) - down // 2, 0, max(picture.shape[0] - down, 0)))
+def _list_outlines(clip: Clip, k: int) -> NDArray[np.float64]:
+    """Boxes (n, 4) of the outlines, px, of the bodies in frame k: the two that hit first, then all others."""
+    centres, hit = clip.view.at(np.array([k / clip.camera.fps]))[:, 0, :3], clip.view.motion.first("contact")
+    boxes = find_boxes(clip.camera, centres, clip.launch.bodies.radius, clip.heights)
+    order = sorted(range(len(boxes)), key=lambda body: hit is None or body not in (hit.i, hit.j))
+    return np.array([boxes[body] for body in order if (boxes[body, 2:] - boxes[body, :2] > 0.5).all()]).reshape(-1, 4)
+
+
+def _with_inset(
+    picture: NDArray[np.uint8], outlines: NDArray[np.float64], magnify: int, clip: Clip
+) -> NDArray[np.uint8]:
+    """Add a strip below the frame: a magnified part, on a black plate brightened.
+
+    outlines: as of `_list_outlines`. The part has the first two bodies with their surroundings where they are near each
+    other, or else the first, whole. There is no strip if a body has no room in it at twice its size.
+    """
+    height, width = picture.shape[:2]
+    room = np.array([width, max(width // 2, 1)])
+
+    def find_part(bodies: NDArray[np.float64]) -> tuple[int, NDArray[np.float64]]:
+        """Find how many times larger bodies fit into the strip with half a body around them, and their middle."""
+        low, high = bodies[:, :2].min(axis=0), bodies[:, 2:].max(axis=0)
+        around = 0.5 * (bodies[:, 2:] - bodies[:, :2]).max()
+        return int(min(magnify, *(room // (high - low + 2 * around)))), (low + high) / 2
+
+    times, middle = find_part(outlines[:1]) if len(outlines) else (magnify, np.array([width, height]) / 2)
+    if len(outlines) > 1:
+        of_both = find_part(outlines[:2])
+        times, middle = of_both if 2 * of_both[0] >= times else (times, middle)
+    if times < min(magnify, 2):
+        return picture
+    across, down = (min(n, size) for n, size in zip((-(-room // times)).tolist(), (width, height), strict=True))
+    left = int(np.clip(round(middle[0] + 0.5 - across / 2), 0, width - across))
+    top = int(np.clip(round(middle[1] + 0.5 - down / 2), 0, height - down))
     part = picture[top : top + down, left : left + across]
-    large = _enlarge(part if clip.finish else _brighten(part, _black(clip)), magnify)
-    strip = np.zeros((large.shape[0] + 4, *picture.shape[1:]), np.uint8)
-    strip[:4] = 90
-    strip[4:, : large.shape[1]] = large
-    return np.vstack([picture, strip])
+    large = _enlarge(part if clip.finish else _brighten(part, _black(clip)), times)[: room[1], :width]
+    return np.vstack([picture, np.full((4, *picture.shape[1:]), 90, np.uint8), large])
 
 
 def measure_speed(frames: int = 40) -> float:

@@ -11,6 +11,7 @@ from synthcam_stub import film, plan
 
 from synthcam.dataset import preview
 from synthcam.scene.clip import Clip
+from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
 
@@ -91,6 +92,40 @@ def test_the_crop_holds_the_balls_and_no_more_than_the_picture(clip):
     room = 1.5 * 2.38e-3 / 3e-4  # px round each centre, where the picture has it
     assert (px - [columns.start, rows.start] >= np.minimum(px, room)).all()
     assert ([columns.stop, rows.stop] - px >= np.minimum([128, 64] - px, room) - 1).all()
+
+
+@pytest.mark.parametrize(
+    ("diameter", "apart", "magnify", "times"),
+    [
+        (0.006, 0.0061, 12, 8),  # 20 px each, side by side: with half a ball around them, 40 px eight times into 333
+        (0.006, 0.0061, 3, 3),
+        (0.012, 0.1, 12, 4),  # too far apart: one alone
+        (0.03, 0.09, 12, 0),  # 100 px: no room at twice its size
+    ],
+)
+def test_the_magnified_bodies_are_whole(monkeypatch, tmp_path, diameter, apart, magnify, times):
+    """The magnified part has every pixel of the bodies, and fills the width of the frame."""
+    launches = [{"position": [-0.04, 0.01], "velocity": [1.0, 0.0]}, {"position": [-0.04 + apart, 0.01]}]
+    away = {"position": [-0.09, -0.04], "velocity": [-1e-3, 0.0]}
+    settings = {
+        "launches": [away, *launches],
+        "ball": {"diameter": diameter},
+        "camera": {"size": [667, 400], "scale": 3e-4},
+        "timing": {"frames": 40},
+    }
+    scene = check_scene(settings | {"surface": {"ball": "matte"}}, "scene").draw()
+    low, high = np.moveaxis(preview._list_outlines(scene, 0)[:2].reshape(2, 2, 2), 1, 0).round().astype(int)
+    shown = np.full((400, 667), 50, np.uint8)
+    for (left, top), (right, bottom) in list(zip(low, high, strict=True))[: 2 if apart < 2 * diameter else 1]:
+        shown[top:bottom, left:right] = 255
+    monkeypatch.setattr(Clip, "pictures", lambda clip, every=1: iter([shown, shown]))
+    preview.write_preview(scene, tmp_path / "f.png", 0, magnify)
+    picture = iio.imread(tmp_path / "f.png")
+    assert picture.shape == (400 + bool(times) * (4 + 333), 667)
+    inset = picture[404:]
+    bright = picture[:400].max()
+    assert (inset == bright).sum() == times**2 * (shown == 255).sum()
+    assert not (inset == 0).any()
 
 
 def test_a_film_that_fails_leaves_nothing(clip, tmp_path, monkeypatch):
