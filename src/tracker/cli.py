@@ -205,7 +205,8 @@ def measure(
     from tracker.tables.table_options import TableOptions
 
     options = TableOptions(point, columns, unit, decimal)
-    outcome = measure_tables(tracks, output, camera, options, settings, edits)
+    with progress_bar("clips") as progress:
+        outcome = measure_tables(tracks, output, camera, options, settings, edits, progress)
     extra = dict[str, Any]()
     if _wants_pages(pages, outcome, output):
         extra["page"] = _pages(outcome, output, tracks, 0)

@@ -120,11 +120,13 @@ def measure_tables(
     options: TableOptions = DEFAULT_TABLE_OPTIONS,
     settings: SettingsSource | None = None,
     edits: EditsSource | None = None,
+    progress: Progress = lambda done, of: None,
 ) -> ClipOutcome:
     """Measure tracks that any program made into RESULTS, as `run` does its own. Raises InputError.
 
     path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program; output: RESULTS; camera: the
-    camera file of the tracks; edits: corrections by hand of the tracks as they are written without edits.
+    camera file of the tracks; edits: corrections by hand of the tracks as they are written without edits; progress:
+    takes clips done and clips in all.
     """
     check_utf8(output)
     chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)
@@ -138,7 +140,8 @@ def measure_tables(
         check_edits(given, options.point, edited)
         said = (*given.notes, *describe_camera_gaps(given.camera))
         notes.update({note: len(numbers) for note in said if note.kind is not NoteKind.ASSUMED})
-        for number in (numbers[i] for i in todo):
+        for done, number in enumerate(numbers[i] for i in todo):
+            progress(len(numbers) - len(todo) + done, len(numbers))
             tracks, striker = given.clips[number]
             own = replace(given.camera, striker=striker or given.camera.striker)
             result = measure_tracks(tracks, own, number, options.point, chosen.fit, edited)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import KDTree
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import did_you_mean
@@ -168,7 +169,8 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
     if up:
         clips = {number: (_project(tracks, known), striker) for number, (tracks, striker) in clips.items()}
     if not given:
-        _refuse_wrong_unit([tracks for tracks, _ in clips.values()], known, where)
+        notes += _check_unit([tracks for tracks, _ in clips.values()], known, where)
+    notes += [text for n, (tracks, _) in clips.items() if (text := _describe_overlaps(tracks, known, f"clip {n}"))]
     said = note_all(NoteKind.TABLE, notes)
     if len(clips) > 1 and "striker" not in table.rows and not _names_striker(camera):
         clips, note = _infer_strikers(clips, table.balls, known.striker)
@@ -207,7 +209,7 @@ def find_first_mover(tracks: Tracks) -> int | None:
     pair = _common_frames(tracks)
     if pair is None:
         return None
-    particles, one, two = pair
+    particles, one, two, _ = pair
     nearest = int(np.argmin(np.hypot(*(one - two).T)))
     moved = [float(np.hypot(*np.ptp(xy[:nearest], axis=0))) for xy in (one, two)] if nearest > 1 else [0.0, 0.0]
     # a ball at rest scatters by its errors alone; two balls that both move leave it open
@@ -224,28 +226,30 @@ def _names_striker(camera: CameraSource) -> bool:
     return isinstance(keys, Mapping) and "striker" in keys
 
 
-def _refuse_wrong_unit(clips: list[Tracks], camera: Camera, where: str) -> None:
-    """Raises InputError for positions in px that no two balls can have: in another unit, or with wrong decimals.
+def _check_unit(clips: list[Tracks], camera: Camera, where: str) -> list[str]:
+    """Notes about positions that are hardly px; raises InputError for those that no two balls can have.
 
     Two balls are never nearer than a diameter, and hardly any track lies outside the picture.
     """
-    pairs = [pair[1:] for tracks in clips if (pair := _common_frames(tracks)) is not None]
+    pairs = [pair for tracks in clips if (pair := _common_frames(tracks)) is not None]
     if not pairs or not camera.metric or not camera.knows_diameter:
-        return
+        return []
     touching, diameter = camera.diameter_px, camera.ball_diameter
-    spread = [float(np.ptp(np.concatenate(pair), axis=0).max()) for pair in pairs]
-    least = float(np.quantile([np.hypot(*(one - two).T).min() for one, two in pairs], 0.25))
-    far = float(np.median([np.median(np.abs(np.concatenate(pair)).max(axis=1)) for pair in pairs])) / max(camera.size)
-    units = {name: metre for name, (metre, _) in LENGTH_UNITS.items() if name in ("m", "cm", "mm", "um")}
-    # the least distance is a diameter in the right unit, as far as pixels and frames resolve it
-    fit = [name for name, metre in units.items() if abs(math.log(max(least, 1e-300) * metre / diameter)) < 0.25]
+    spread = [float(np.ptp(np.concatenate((one, two)), axis=0).max()) for _, one, two, _ in pairs]
+    approaches = sorted(_closest_approach(*pair) for pair in pairs)
+    least, step = approaches[(len(pairs) - 1) // 4]
+    both = [np.abs(np.concatenate((one, two))).max(axis=1) for _, one, two, _ in pairs]
+    far = float(np.median([np.median(reach) for reach in both])) / max(camera.size)
+    # the least distance is a diameter in the right unit, as far as the frames resolve it
+    off = {u: math.log(max(least, 1e-300) * LENGTH_UNITS[u][0] / diameter) for u in ("m", "cm", "mm", "um")}
+    unit = min(off, key=lambda name: abs(off[name]))
+    unresolved = min(math.log(least / (least - step)), 0.7) if step < least else 0.7
     # no two balls come nearer than this, whatever the errors of a scale
     too_near = least < 0.6 * touching
     message = f"the balls come as near as {least:.3g}; expected px, and {touching:.3g} of them, a diameter"
-    if fit and (too_near or far > 2):
-        raise InputError(
-            f"{where}: x, y: positions look like {fit[0]}: {message}; `tracker measure --unit {fit[0]}` reads them"
-        )
+    refusal = f"{where}: x, y: positions look like {unit}: {message}; `tracker measure --unit {unit}` reads them"
+    if abs(off[unit]) < 0.25 and (too_near or far > 2):
+        raise InputError(refusal)
     if far > 2:
         side = max(camera.size)
         raise InputError(
@@ -256,17 +260,66 @@ def _refuse_wrong_unit(clips: list[Tracks], camera: Camera, where: str) -> None:
             f"{where}: x, y: all balls lie within {max(spread):.3g} px and come as near as {least:.2g} px, expected"
             f" {touching:.3g} px, a diameter; --unit says the unit, --decimal the decimal mark"
         )
+    if least == 0:  # the same ball, or lost positions, twice
+        return []
+    fits, fit_in_px = (-0.1 < ratio < max(0.1, unresolved) for ratio in (off[unit], math.log(least / touching)))
+    if fits and too_near:
+        raise InputError(refusal)
+    # an error of the scale may do the same
+    if (abs(off[unit]) < 0.1 and abs(math.log(least / touching)) > 0.1) or (fits and not fit_in_px):
+        return [f"{message}. Positions in {unit} would fit: `tracker measure --unit {unit}` reads them"]
+    if too_near:
+        return [f"{message}; check scale and ball_diameter, or say the unit of x and y by --unit"]
+    return []
 
 
-def _common_frames(tracks: Tracks) -> tuple[Any, Any, Any] | None:
-    """The numbers of the two balls seen most often, and their positions (k, 2) in the frames that both are in."""
+def _describe_overlaps(
+    tracks: Tracks, camera: Camera, where: str, *, min_share: float = 0.2, min_particles: int = 6, frames: int = 20
+) -> str:
+    """A sentence where many balls lie within one another, as they do in a wrong scale or unit; else empty.
+
+    min_share: of positions with another ball within 0.8 diameters; frames: so many are looked at.
+    """
+    if not camera.metric or not camera.knows_diameter or len(np.unique(tracks.particle)) < min_particles:
+        return ""
+    numbers = np.unique(tracks.frame)
+    seen = [tracks.xy[tracks.frame == n] for n in numbers[:: -(-len(numbers) // frames)]]
+    nearest = [np.asarray(KDTree(xy).query(xy, k=2)[0])[:, 1] for xy in seen if len(xy) > 1]
+    share = float(np.mean(np.concatenate(nearest) < 0.8 * camera.diameter_px)) if nearest else 0.0
+    if share < min_share:
+        return ""
+    return (
+        f"{where}: balls overlap: {100 * share:.0f} % of positions have another within 0.8 ball_diameter; check scale,"
+        " ball_diameter and the unit of x and y (--unit)"
+    )
+
+
+def _closest_approach(particles: Any, one: Any, two: Any, frame: Any) -> tuple[float, float]:
+    """The least distance of two balls, and how far they move relative to each other in a frame there, px.
+
+    Between two frames their relative path is straight.
+    """
+    apart = one - two
+    start, step = apart[:-1], np.diff(apart, axis=0)
+    step[np.diff(frame) > 1] = 0.0  # where frames are missing, nothing is known between
+    square = (step**2).sum(axis=1)
+    share = np.clip(-(start * step).sum(axis=1) / np.where(square > 0, square, 1.0), 0.0, 1.0)
+    between = np.hypot(*(start + share[:, None] * step).T)
+    distance = np.append(between, np.hypot(*apart[-1]))
+    nearest = int(np.argmin(distance))
+    steps = np.sqrt(square[max(nearest - 1, 0) : nearest + 2])
+    return float(distance[nearest]), float(steps.max(initial=0.0))
+
+
+def _common_frames(tracks: Tracks) -> tuple[Any, Any, Any, Any] | None:
+    """The numbers of the two balls seen most often, their positions (k, 2) in the frames of both, and these frames."""
     particles, counts = np.unique(tracks.particle, return_counts=True)
     if len(particles) < 2:
         return None
     often = particles[np.argsort(-counts, kind="stable")[:2]]
     first, second = (np.flatnonzero(tracks.particle == p) for p in often)
     frame, one, two = np.intersect1d(tracks.frame[first], tracks.frame[second], return_indices=True)
-    return (often, tracks.xy[first[one]], tracks.xy[second[two]]) if len(frame) else None
+    return (often, tracks.xy[first[one]], tracks.xy[second[two]], frame) if len(frame) else None
 
 
 def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camera:

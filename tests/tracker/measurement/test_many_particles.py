@@ -11,7 +11,7 @@ from tracker_film import CAMERA
 
 import tracker
 from synthcam_shared.errors import InputError
-from tracker import cli
+from tracker import cli, pipeline
 from tracker.measurement.collision import contacts
 from tracker.measurement.positions import to_ball_tracks
 from tracker.tables.read import to_pixels
@@ -84,3 +84,15 @@ def test_a_long_recording_has_a_page_if_asked(most, written, tmp_path, monkeypat
     assert ended.value.code == 0
     assert (tmp_path / "new/index.html").exists() == written
     assert ("--pages writes it" in capsys.readouterr().err) != written
+
+
+def test_measuring_clips_of_a_table_counts_them(tmp_path):
+    wander(1, 9, 500, np.random.default_rng(0)).to_csv(tmp_path / "one.csv", index=False)
+    one = pd.read_csv(tmp_path / "one.csv")
+    pd.concat([one.assign(clip=clip) for clip in (3, 4, 7)]).to_csv(tmp_path / "tracks.csv", index=False)
+    (tmp_path / "camera.json").write_text(json.dumps(PLAIN | {"size": [500, 500]}))
+    said = []
+    pipeline.measure_tables(
+        tmp_path / "tracks.csv", tmp_path / "new", tmp_path / "camera.json", progress=lambda *done: said.append(done)
+    )
+    assert said == [(0, 3), (1, 3), (2, 3)]

@@ -7,7 +7,7 @@ import pytest
 import tracker
 from synthcam_shared.errors import InputError
 from tracker.notes import NoteKind
-from tracker.tables.read import read_tracks
+from tracker.tables.read import read_frame, read_tracks
 from tracker.tables.table_options import TableOptions
 
 SCALE, DIAMETER = 1.6e-4, 2.4e-3  # m/px; m: 15 px
@@ -43,11 +43,49 @@ def test_other_units_are_named_at_once(unit, metre, tmp_path):
 @pytest.mark.parametrize("nearest", [15.2, 13.0, 60.0, 200.0])
 def test_pixels_are_pixels(nearest, tmp_path):
     """At a hit, with a scale that is a little wrong, and of balls that pass far from each other."""
-    assert len(read_tracks(written(table(nearest=nearest), tmp_path), CAMERA).clips[0][0]) == 80
+    read = read_tracks(written(table(nearest=nearest), tmp_path), CAMERA)
+    assert len(read.clips[0][0]) == 80
+    assert read.notes == ()
 
 
-def test_one_ball_found_twice_is_no_wrong_unit(tmp_path):
-    assert len(read_tracks(written(table(nearest=1.0), tmp_path), CAMERA).clips[0][0]) == 80
+def test_millimetres_are_named_if_few_frames_show_the_hit(tmp_path):
+    """The balls move by three diameters in a frame, so that no frame shows them as near as one."""
+    rows = table(SCALE / 1e-3, nearest=20.0)
+    rows = rows[rows.frame % 5 == 0].assign(frame=lambda t: t.frame // 5)
+    with pytest.raises(InputError, match=r"look like mm: the balls come as near as 3\.2;"):
+        tracker.measure(rows, CAMERA)
+
+
+@pytest.mark.parametrize("scale", [0.7e-3, 0.8e-3, 1.2e-3, 1.5e-3, 3e-3])
+def test_millimetres_of_about_a_pixel_are_noted(scale, tmp_path):
+    """A number in mm is then possible as one in px, too; the note names the unit in which the balls would touch."""
+    rows, camera = table(SCALE / 1e-3), CAMERA | {"scale": scale}
+    (note,) = read_tracks(written(rows, tmp_path), camera).notes
+    assert f"as near as 2.43; expected px, and {DIAMETER / scale:.3g} of them" in str(note)
+    assert "Positions in mm would fit: `tracker measure --unit mm` reads them" in str(note)
+    assert read_tracks(tmp_path / "t.csv", camera, TableOptions(unit="px")).notes == ()
+
+
+def test_balls_that_overlap_are_noted_with_what_to_check(tmp_path):
+    """One ball found twice, or a wrong scale: no unit explains it."""
+    read = read_tracks(written(table(nearest=1.0), tmp_path), CAMERA)
+    assert len(read.clips[0][0]) == 80
+    (note,) = read.notes
+    assert "as near as 1; expected px, and 15 of them, a diameter; check scale and ball_diameter" in str(note)
+
+
+@pytest.mark.parametrize(("side", "overlap"), [(100.0, True), (600.0, False)])
+def test_a_crowd_of_balls_that_overlap_is_noted(side, overlap):
+    """Forty balls in 100 px x 100 px, where six times six have room; the scale is too small."""
+    rng = np.random.default_rng(0)
+    start = rng.uniform(0, side, (40, 2)) if overlap else 40 + 80 * np.stack(np.divmod(np.arange(40), 7), 1)
+    xy = np.concatenate([start + k * rng.normal(0, 0.1, (40, 2)) for k in range(5)])
+    rows = pd.DataFrame(
+        {"frame": np.repeat(range(5), 40), "particle": np.tile(range(40), 5), "x": xy.T[0], "y": xy.T[1]}
+    )
+    notes = [str(note) for note in read_frame(rows, CAMERA, TableOptions(unit="px")).notes]
+    assert len(notes) == overlap
+    assert not overlap or "balls overlap: 8" in notes[0]
 
 
 def test_thousands_beside_whole_numbers_are_thousands(tmp_path):

@@ -16,7 +16,9 @@ from tracker.settings import FitSettings
 MISFIT = "misfit"
 TOGETHER = "stay_together"
 CROWD = "crowd"
-HIDDEN_SLIDE = "the contact lasts as long as the balls may slide: it hides how they part"
+HIDDEN_SLIDE = (
+    "the contact lasts as long as the balls may slide: it hides how they part; check the unit of positions, scale, fps"
+)
 SHORT_SLIDE = "the balls move straight after the hit: they slide without friction, or roll at once"
 TOO_FEW = "too few frames outside the contact"
 NO_SCALE = "no scale: lengths need a camera file, which tracker calibrate makes"
