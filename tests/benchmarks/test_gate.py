@@ -117,6 +117,19 @@ def test_accepting_is_recorded(gate):
     assert gate.CHANGELOG.read_text() == f"{log}{line}\n## 0.1\n\n- first\n"
 
 
+def test_a_median_of_few_seeds_is_accepted_with_at_least_its_sampling_error(gate):
+    seeds = [{"r.std": 1.0, "r.std_error": 0.03}, {"r.std": 1.001, "r.std_error": 0.05}]
+    gate.accept(seeds, "ten seeds may agree by chance")
+    assert json.loads(gate.BASELINE.read_text()) == {"r.std": {"mean": 1.0005, "scatter": 0.04}}
+
+
+def test_the_error_of_a_median_is_its_scatter(gate):
+    rng = np.random.default_rng(5)
+    draws = rng.lognormal(size=(4000, 200))
+    claimed = np.mean([gate.error_of_median(draw) for draw in draws[:400]])
+    assert claimed == pytest.approx(np.std(np.median(draws, axis=1)), rel=0.1)
+
+
 def test_no_reason_no_acceptance(gate, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["gate.py", "--accept", " "])
     with pytest.raises(SystemExit) as stop:
