@@ -122,6 +122,11 @@ class FitSettings(Settings):
     max_outlier_share: Fraction = 0.05
     """Most positions, as a share of all, that may be left out. If more are far off, the model is wrong."""
 
+    rolling_loss_difference: NotNegative = 0.1
+    """Typical difference of the rolling losses of two balls, relative to their loss, if they are not equal.
+    Half of such pairs are expected to differ by less than a tenth. Losses on real plates scatter more, those of new
+    balls on an even plate less. With 0 the losses count as equal, unless the tracks reject that."""
+
     slide_end_chi2: Positive = 25.0
     """Rise of chi^2 without the end of a slide from which on the tracks show that end: five standard errors."""
 

@@ -115,17 +115,19 @@ class CollisionFits:
         return self._without_losses().is_tied_accepted and not self.is_tied_accepted
 
     def with_losses(self, tied: LossDifference | None, free: LossDifference | None) -> CollisionFits:
-        """Let the quantities of both fits carry the difference of the rolling losses that either shows.
+        """Let the quantities of both fits carry a possible difference of the rolling losses, as either fit shows it.
 
-        The tied fit shows it better. It counts in the free fit too, where the data accept the tied fit otherwise.
+        The tied fit shows it better. Its difference counts for the free fit too, where the data accept the tied fit
+        otherwise.
         """
-        read, shown = self, 0.0
+        read, share = self, self.settings.rolling_loss_difference
         if tied is not None:
-            read = replace(read, tied_losses=tied, tied_values=tied.correct(self.tied_values, tied.significance))
-            shown = tied.significance if self._without_losses().is_tied_accepted else 0.0
-        if free is not None:
-            values = free.correct(self.free_values, max(shown, free.significance))
+            read = replace(read, tied_losses=tied, tied_values=tied.correct(self.tied_values, tied.weigh(share)))
+        if free is not None and tied is not None and self._without_losses().is_tied_accepted:
+            values = tied.correct(free.replace_by(tied, self.free_values), tied.weigh(share))
             read = replace(read, free_losses=free, free_values=values)
+        elif free is not None:
+            read = replace(read, free_losses=free, free_values=free.correct(self.free_values, free.weigh(share)))
         return read
 
     def _without_losses(self) -> CollisionFits:

@@ -1,7 +1,11 @@
-"""Tests the law that both balls have one rolling loss, and corrects the quantities for a difference.
+"""Tests the law that both balls have one rolling loss, and lets the quantities carry a possible difference.
 
 The fits have one rolling loss. The struck ball shows it after its slide, the striker also before the hit. If the two
 differ, the common loss shifts v0 and all that follows from it. Chi^2 of all positions hardly shows this.
+
+The quantities are averaged over two models (Bayesian model averaging; Hoeting et al., Statist. Sci. 14 (1999) 382): the
+losses are equal, or they differ by an amount with a Cauchy prior. Such a prior (Jeffreys, Theory of Probability, 3rd
+ed. (1961), 5.2) leaves a large difference as it was measured, unlike a normal one. All depends smoothly on the tracks.
 """
 
 from __future__ import annotations
@@ -10,9 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
+from scipy.special import chdtrc, expit, wofz
 
-from tracker.measurement.collision.derived import DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.derived import (
+    QUANTITY_NAMES,
+    DerivedValues,
+    derive_from_free,
+    derive_from_tied,
+)
 from tracker.measurement.collision.least_squares import CollisionFit, WhitenedResiduals
 
 Floats = NDArray[np.float64]
@@ -22,11 +31,15 @@ Floats = NDArray[np.float64]
 class LossDifference:
     """By how much the struck ball's deceleration in rolling exceeds that of the striker, m/s^2.
 
-    effect (20,): on the quantities of the fit, per m/s^2.
+    noise_std: the part of `std` that the noise of the positions has, without the errors of the camera file.
+    loss: the deceleration of the fit, at the speed with which the struck ball begins to roll.
+    effect (20,): by how much the quantities of the fit are too low, per m/s^2.
     """
 
     value: float
     std: float
+    noise_std: float
+    loss: float
     effect: Floats
 
     @property
@@ -39,17 +52,67 @@ class LossDifference:
         """The probability of so large a difference if the losses are equal."""
         return float(chdtrc(1, self.significance**2))
 
-    def correct(self, values: DerivedValues, significance: float, *, corrected_sigma: float = 2.0) -> DerivedValues:
-        """Let the quantities of the fit carry the difference; `significance` is that of the fit which shows it best.
+    def weigh(self, typical_share: float) -> ModelWeight:
+        """Compare equal losses with losses that differ, typically by a share of the loss."""
+        return weigh_shift(self.value / self.std, typical_share * abs(self.loss) / self.std)
 
-        From `corrected_sigma` standard errors on, the values are those of a fit in which each ball has its own loss,
-        with their errors. Below, the values stay, and the variance that the difference has beyond its own error widens
-        the errors. A difference below its error changes nothing.
+    def correct(self, values: DerivedValues, weight: ModelWeight) -> DerivedValues:
+        """Average quantities over both models; the covariance gets the variance of the difference."""
+        mean, wider = self.effect * self.std * weight.mean, self.effect * self.std * np.sqrt(weight.variance)
+        return replace(values, value=values.value + mean, cov=values.cov + np.outer(wider, wider))
+
+    def replace_by(self, tied: LossDifference, values: DerivedValues) -> DerivedValues:
+        """Let the quantities of the free fit depend on the difference of the tied fit, as those of that fit do.
+
+        If the laws of the tied fit hold, its estimates have the least variance. The difference of two estimates of one
+        thing is then independent of the better one (Hausman, Econometrica 46 (1978) 1251). It follows that the noise
+        of the tied difference shifts the free quantities by the difference of both effects.
         """
-        corrected = significance > corrected_sigma
-        size = self.std * (1.0 if corrected else np.sqrt(max(significance**2 - 1, 0.0)))
-        shift, wider = self.effect * self.value * corrected, self.effect * size
-        return replace(values, value=values.value + shift, cov=values.cov + np.outer(wider, wider))
+        apart = self.effect - tied.effect
+        shared = apart * tied.noise_std
+        return replace(values, value=values.value + apart * tied.value, cov=values.cov - np.outer(shared, shared))
+
+
+@dataclass(frozen=True)
+class ModelWeight:
+    """What one measurement says about a parameter that is zero or has a Cauchy prior, in its standard errors.
+
+    probability: that the parameter is not zero, given 1/2 before. shifted, shifted_variance: mean and variance if so.
+    """
+
+    probability: float
+    shifted: float
+    shifted_variance: float
+
+    @property
+    def mean(self) -> float:
+        """The mean over both models."""
+        return self.probability * self.shifted
+
+    @property
+    def variance(self) -> float:
+        """The variance within the models and between them."""
+        between = self.probability * (1 - self.probability) * self.shifted**2
+        return self.probability * self.shifted_variance + between
+
+
+def weigh_shift(z: float, scale: float) -> ModelWeight:
+    """Compare a zero parameter with one of a Cauchy prior, from a measurement with a normal error.
+
+    z: the measured value; scale: half of the prior is nearer to zero. Both are in standard errors.
+
+    The measured value then has a Voigt profile, the real part of Faddeeva's function w. The derivatives of its
+    logarithm give mean and variance (Tweedie's formula; Efron, J. Am. Stat. Assoc. 106 (2011) 1602).
+    """
+    if scale == 0:
+        return ModelWeight(0.5, 0.0, 0.0)
+    at = (z + 1j * scale) / np.sqrt(2)
+    w = wofz(at)
+    first = 2j / np.sqrt(np.pi) - 2 * at * w
+    second = -2 * (w + at * first)
+    slope, bend = first.real / w.real / np.sqrt(2), second.real / w.real / 2
+    probability = float(expit(np.log(w.real) + z**2 / 2))
+    return ModelWeight(probability, float(z + slope), float(max(1 + bend - slope**2, 0.0)))
 
 
 def compare_losses(
@@ -68,6 +131,7 @@ def compare_losses(
     shift = -cov @ rows.T @ by
     left = by + rows @ shift
     square, pull = float(left @ left), float(left @ residual)
+    noise_square = square
     if known is not None:  # the camera's errors are parameters with a prior
         rest = known - rows @ (cov @ (rows.T @ known))
         inverse = np.linalg.inv(np.eye(known.shape[1]) + rest.T @ rest)
@@ -87,4 +151,11 @@ def compare_losses(
 
     small = 0.01  # of a standard error
     effect = np.nan_to_num((derive(small) - derive(-small)) / (2 * small * std))
-    return LossDifference(-pull / square, float(std), effect)
+    drag, decel, speed = (derive(0.0)[QUANTITY_NAMES.index(name)] for name in ("drag", "decel", "v1f"))
+    return LossDifference(
+        value=-pull / square,
+        std=float(std),
+        noise_std=float(1.0 / np.sqrt(noise_square)),
+        loss=float(np.nan_to_num(drag * speed + decel)),
+        effect=effect,
+    )
