@@ -15,6 +15,7 @@ import xml.etree.ElementTree
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from logging.handlers import BufferingHandler
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -48,10 +49,12 @@ class _Layout:
 
 def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
     """Frames of a TIFF stack. Raises InputError if it is damaged."""
-    unreadable = RuntimeError, ValueError, TypeError, AttributeError  # that tifffile raises at damaged tags
+    # that tifffile raises at damaged tags
+    unreadable = RuntimeError, ValueError, TypeError, AttributeError, AssertionError
     try:
         with _raise_logged_errors(path), tifffile.TiffFile(path) as tif:
             layout = _read_layout(path, tif, options)
+            doubts = _check_file(path, tif, layout)
             order = tif.byteorder
             paint, notes = choose_colours(tif.series[0].keyframe)
             clock = _read_times(tif, layout) if options.times != "even" else None
@@ -84,7 +87,7 @@ def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
 
     first = fetch(0)
     frames = make_grey_frames(path, len(layout.pages), first.shape, first.dtype, fetch)
-    frames.faults = (*layout.notes, *notes)
+    frames.faults = (*layout.notes, *notes, *doubts)
     if clock is not None:
         frames.numbers, frames.seconds, frames.fps = clock.numbers, clock.seconds, clock.fps
         frames.faults += clock.notes
@@ -161,6 +164,64 @@ def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _L
         notes=tuple(notes),
         sample=sample,
     )
+
+
+def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout) -> tuple[str, ...]:
+    """Raise InputError for a file whose tags contradict it: pixels where tags or other pixels lie, or too few frames.
+
+    A damaged tag, such as an offset, else gives other pixels without an error. Notes say what is doubtful: pages with
+    the pixels of others, and bytes for frames that no page refers to.
+    """
+    pages: Any = tif.pages if len(tif.series) > 1 else tif.series[0].pages
+    every, bilevel = [each for each in pages if each is not None], (2, 3, 4)
+    for each in every:
+        if int(each.compression) in bilevel and int(each.bitspersample) != 1:
+            raise InputError(f"{path}: damaged, pixels of {each.bitspersample} bits, compressed as black and white")
+    page: Any = tif.series[0].keyframe
+    if (size := page.tags.get("BitsPerSample")) is not None and size.count not in (1, page.samplesperpixel):
+        raise InputError(f"{path}: damaged, the bits of {size.count} samples, but {page.samplesperpixel} in a pixel")
+    if len(tif.pages) > layout.total:
+        raise InputError(
+            f"{path}: truncated or damaged, {len(tif.pages)} pages, but its metadata declare {layout.total}"
+        )
+    if layout.offset is None:
+        parts = [(at, at + n) for each in every for at, n in zip(each.dataoffsets, each.databytecounts, strict=True)]
+    else:
+        size = layout.total * math.prod(layout.plane) * layout.dtype.itemsize
+        parts = [(layout.offset, layout.offset + size)]
+    data = set(parts)
+    about = {(0, 16 if tif.is_bigtiff else 8)}
+    for each in tif.pages:
+        about |= _list_tags(tif, int(each.offset))
+    spans = sorted((first, last, name) for name, some in (("pixels", data), ("tags", about)) for first, last in some)
+    for before, after in pairwise(spans):
+        if after[0] < before[1] and "pixels" in (before[2], after[2]):
+            raise InputError(f"{path}: damaged, {before[2]} and {after[2]} lie at the same bytes, from {after[0]} on")
+    notes = list[str]()
+    if len(data) < len(parts):
+        notes.append(f"{len(parts) - len(data)} pages have the pixels of another page; is the file damaged?")
+    ends, starts = (0, *(last for _, last, _ in spans)), (*(first for first, _, _ in spans), path.stat().st_size)
+    gap = max(start - end for start, end in zip(starts, np.maximum.accumulate(ends).tolist(), strict=True))
+    if gap >= sum(last - first for first, last in data) / max(layout.total, 1) > 0:
+        notes.append(f"{gap} bytes in a row belong to no page: are frames lost?")
+    return tuple(notes)
+
+
+def _list_tags(tif: tifffile.TiffFile, offset: int) -> set[tuple[int, int]]:
+    """The bytes of the tags of a page, and of the values that lie apart from them."""
+    tiff: Any = tif.tiff
+    file, order, inline = tif.filehandle, tiff.byteorder, tiff.offsetsize
+    file.seek(offset)
+    (count,) = struct.unpack(tiff.tagnoformat, file.read(tiff.tagnosize))
+    tags = file.read(count * tiff.tagsize)
+    found = {(offset, offset + tiff.tagnosize + len(tags) + inline)}
+    for each in struct.iter_unpack(f"{order}HH{'Q' if inline == 8 else 'I'}{inline}s", tags):
+        _, kind, values, where = each
+        size = values * struct.calcsize(f"={tifffile.TIFF.DATA_FORMATS.get(kind, '')}")
+        if size > inline:
+            first = int.from_bytes(where, "little" if order == "<" else "big")
+            found.add((first, first + size))
+    return found
 
 
 def _read_by_offset(path: Path, layout: _Layout, dtype: np.dtype[Any]) -> Callable[[int], Any]:

@@ -1,0 +1,80 @@
+"""A TIFF stack whose header is damaged gives the frames that were written, or says that it is damaged."""
+
+import struct
+
+import numpy as np
+import pytest
+import tifffile
+
+from synthcam_shared.errors import InputError
+from tracker.camera.readers.tiff_stack import read_tiff_stack
+
+RNG = np.random.default_rng(0)
+MOVIE = RNG.integers(0, 200, (6, 24, 32)).astype(np.uint16)
+KINDS = {
+    "ImageJ": {"imagej": True},
+    "plain": {},
+    "OME": {"ome": True, "metadata": {"axes": "TYX"}},
+    "packed": {"compression": "zlib"},
+    "large": {"bigtiff": True},
+    "big-endian": {"byteorder": ">"},
+}
+
+
+def write(path, kind):
+    tifffile.imwrite(path, MOVIE, photometric="minisblack", **KINDS[kind])
+    with tifffile.TiffFile(path) as tif:
+        whole = tif.series[0].dataoffset is not None
+        parts = [part for page in tif.pages for part in zip(page.dataoffsets, page.databytecounts, strict=True)]
+        return [(tif.series[0].dataoffset, MOVIE.nbytes)] if whole else parts
+
+
+def read(path):
+    frames = read_tiff_stack(path)
+    return np.stack([frames[k] for k in range(len(frames))]), frames.faults
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_damaged_byte_beside_the_pixels_gives_other_frames_without_a_word(kind, tmp_path):
+    """Every byte of the header, of the first tags and of some others is set to zero, inverted and raised by one."""
+    path = tmp_path / "stack.tif"
+    pixels = write(path, kind)
+    whole = bytearray(path.read_bytes())
+    assert np.array_equal(read(path)[0], MOVIE)
+    assert read(path)[1] == ()
+    beside = np.ones(len(whole), dtype=bool)
+    for first, count in pixels:
+        beside[first : first + count] = False
+    places = np.flatnonzero(beside)
+    refused = 0
+    for at in [*places[:100], *RNG.choice(places[100:], 20)]:
+        for value in {0, whole[at] ^ 0xFF, (whole[at] + 1) % 256} - {whole[at]}:
+            path.write_bytes(whole[:at] + bytes([value]) + whole[at + 1 :])
+            try:
+                film, notes = read(path)
+            except InputError:
+                refused += 1
+                continue
+            assert notes or np.array_equal(film, MOVIE), f"byte {at}: {whole[at]} became {value}"
+    assert refused > 50
+
+
+def test_a_stack_that_declares_fewer_frames_than_it_has_pages_is_refused(tmp_path):
+    path = tmp_path / "stack.tif"
+    write(path, "ImageJ")
+    path.write_bytes(path.read_bytes().replace(b"images=6", b"images=4").replace(b"channels=6", b"channels=4"))
+    with pytest.raises(InputError, match="6 pages, but its metadata declare 4"):
+        read(path)
+
+
+def test_a_stack_that_lost_its_last_pages_says_so(tmp_path):
+    """The chain of pages ends after the first, where the description declares one; all pixels still lie in the file."""
+    path = tmp_path / "stack.tif"
+    write(path, "plain")
+    whole = bytearray(path.read_bytes().replace(b"[6, 24, 32]", b"[1, 24, 32]"))
+    (tags,) = struct.unpack_from("<H", whole, 8)
+    struct.pack_into("<I", whole, 10 + 12 * tags, 0)
+    path.write_bytes(whole)
+    film, notes = read(path)
+    assert len(film) == 1
+    assert "bytes in a row belong to no page: are frames lost?" in "".join(notes)
