@@ -10,6 +10,7 @@ import sys
 from contextlib import contextmanager
 
 import numpy as np
+import pandas as pd
 import pytest
 import tifffile
 from processes import until
@@ -96,6 +97,12 @@ def at(page, x, y):
 def shown(page, frame):
     page.wait_for_selector(f"#stage[data-frame='{frame}'][data-balls]")
     return int(page.get_attribute("#stage", "data-balls"))
+
+
+def keep_picture(page, name, full_page=True):
+    """A picture of the page in the folder SCREENSHOTS, if there is one."""
+    if folder := os.environ.get("SCREENSHOTS"):
+        page.screenshot(path=f"{folder}/workbench_{name}.png", full_page=full_page)
 
 
 def says(page, selector, text):
@@ -210,6 +217,49 @@ def test_results_without_their_film_are_mended_and_measured_again(browser, tmp_p
         page.wait_for_selector("#edits:empty", state="attached")
 
 
+def measured(folder, clips=6):
+    """Results of collisions on a plate that is tilted by 1 mrad: as many as a search needs."""
+    scene, noise, tables = (
+        Scene.read("painter_behringer", effects={"plate_tilt": {"x": 1e-3}}),
+        np.random.default_rng(0),
+        [],
+    )
+    for number in range(clips):
+        clip = scene.draw(number, seed=1)
+        off = noise.normal(0, 0.05, (2, len(clip.tracks)))
+        table = clip.tracks[["frame", "particle"]].assign(clip=number, x_std=0.05, y_std=0.05)
+        tables.append(table.assign(x=clip.tracks.x_mean_px + off[0], y=clip.tracks.y_mean_px + off[1]))
+    pd.concat(tables).to_csv(folder / "tracks.csv", index=False)
+    (folder / "camera.json").write_text(json.dumps(clip.camera_json))
+    measure_tables(folder / "tracks.csv", folder / "out", folder / "camera.json")
+    return folder / "out"
+
+
+def test_a_search_is_drawn_over_the_film_before_and_after(browser, tmp_path):
+    with workbench(measured(tmp_path), tmp_path / "bench") as (_, address), browser.new_page() as page:
+        page.goto(address)
+        says(page, "#arrows-legend", "No fit|tied fit")
+        assert page.is_hidden("#residuals-of")
+        page.click("#search")
+        page.wait_for_selector("#residuals-of:not([hidden])", timeout=90_000)
+        assert page.input_value("#residuals-of") == "before and after"
+        says(page, "#arrows-legend", r"base model: rms \d.*with plate_tilt: rms \d.*The longest arrow is \d+ µm")
+        sizes = [float(text) for text in re.findall(r"rms ([\d.]+)", page.text_content("#arrows-legend"))]
+        pixel_um = json.loads((tmp_path / "camera.json").read_text())["scale"] * 1e6
+        assert sizes[0] > 2 * sizes[1]
+        assert abs(sizes[1] / (0.05 * pixel_um) - 1) < 0.25  # the noise that was put in
+        keep_picture(page, "search", full_page=False)
+        page.select_option("#residuals-of", "with plate_tilt")
+        says(page, "#residuals-note", r"Residuals \(with plate_tilt\) up to")
+        page.uncheck("#show-arrows")
+        page.wait_for_selector("#arrows-legend[hidden]", state="attached")
+        page.reload()
+        page.wait_for_selector("#residuals-of:not([hidden])")
+        page.select_option("#clip", index=3)
+        says(page, "#arrows-legend", "base model: rms")
+        assert page.evaluate("document.documentElement.scrollWidth") <= page.viewport_size["width"]
+
+
 def test_everything_by_keyboard(address, browser):
     with opened(browser, address) as page:
         page.focus("#stage")
@@ -298,8 +348,7 @@ def test_nothing_is_wider_than_the_screen(address, browser, width, scheme):
     with opened(browser, address, color_scheme=scheme) as page:
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth") <= width
-        if folder := os.environ.get("SCREENSHOTS"):
-            page.screenshot(path=f"{folder}/workbench_{width}_{scheme}.png", full_page=True)
+        keep_picture(page, f"{width}_{scheme}")
 
 
 def test_a_scene_is_moved_by_sliders_made_and_opened(films, browser, tmp_path):
@@ -316,8 +365,7 @@ def test_a_scene_is_moved_by_sliders_made_and_opened(films, browser, tmp_path):
         page.fill("[data-name=offset] input[type=number]", "0.4")
         says(page, "#yaml", "b: 0.4")
         says(page, "#make-error", "^$")
-        if folder := os.environ.get("SCREENSHOTS"):
-            page.screenshot(path=f"{folder}/workbench_make.png")
+        keep_picture(page, "make", full_page=False)
         page.fill("[data-name=balls] input[type=number]", "1")
         page.wait_for_selector("[data-name=offset].unused")
         page.click("#generate")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from discrepancy.outcome import SearchOutcome
+from discrepancy.report.figures import list_models
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.wording import describe_rejection
 
@@ -18,6 +19,7 @@ def to_document(found: SearchOutcome) -> dict[str, Any]:
     document: dict[str, Any] = to_json_values(
         {
             "verdict": str(found.verdict),
+            "models": list_models(found),
             "named": [_claim_document(c) for c in found.claims],
             "aliases": [list(c.aliases) for c in found.claims if len(c.aliases) > 1],
             "outside": [law.document() | {"in_model": found.model_holds_law}] if law else [],

@@ -1,4 +1,4 @@
-"""REPORT of a search: discrepancy.json, model.yaml and a self-contained index.html."""
+"""REPORT of a search: discrepancy.json, model.yaml, residuals.parquet and a self-contained index.html."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from discrepancy.outcome import SearchOutcome
 from discrepancy.report.document import to_document
 from discrepancy.report.figures import draw_figures, list_models, name_of_best
 from discrepancy.report.narrative import format_chi2, format_sigma, write_story
+from discrepancy.report.residual_table import tabulate_residuals
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
@@ -22,15 +23,16 @@ from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number, round_to_error
 from synthcam_shared.report.page import Block, PageList, PageTable, Section, write_page
 
-FILES = ("discrepancy.json", "index.html", "model.yaml")
+FILES = ("discrepancy.json", "index.html", "model.yaml", "residuals.parquet")
 
 
 def write(found: SearchOutcome, folder: Path) -> None:
-    """Write the report of a search into a folder: its page, discrepancy.json and model.yaml."""
+    """Write the report of a search into a folder: its page, discrepancy.json, model.yaml and residuals.parquet."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "discrepancy.json").write_text(json.dumps(to_document(found), indent=1, allow_nan=False) + "\n")
     left_out, unit = list(map(str, found.left_out)), found.data.unit
     write_model(found.model, folder / "model.yaml")
+    tabulate_residuals(found).to_parquet(folder / "residuals.parquet")
     figures = draw_figures(found)
     named, base = _named_table(found), found.base_disagreements
     definitions = (

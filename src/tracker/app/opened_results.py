@@ -121,7 +121,14 @@ class OpenedResults:
 
 def _list_tracks(tracks: Tracks, camera: Camera, residuals: Mapping[Any, tuple[float, float]]) -> list[dict[str, Any]]:
     keys = zip(tracks.frame.tolist(), tracks.x.tolist(), strict=True)
-    metres = np.array([residuals.get(key, (np.nan, np.nan)) for key in keys]).reshape(-1, 2)
+    return list_columns(tracks, camera, np.array([residuals.get(key, (np.nan, np.nan)) for key in keys]).reshape(-1, 2))
+
+
+def list_columns(tracks: Tracks, camera: Camera, metres: NDArray[Any]) -> list[dict[str, Any]]:
+    """The columns of each track for the page: positions and errors, px, residuals, px and um, and flags.
+
+    metres: the residuals (n, 2); NaN where there is none.
+    """
     pixels = metres
     if camera.metric and len(tracks):
         slopes = camera.unproject(tracks.xy)[1]

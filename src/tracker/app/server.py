@@ -82,6 +82,7 @@ class SessionAddresses:
             Route("/api/balls/{index:int}", self.find_balls),
             Route("/api/results/{number:int}", self.describe_results),
             Route("/api/tracks", self.describe_tracks),
+            Route("/api/searched/{number:int}", self.describe_search),
             Route("/api/clip", self.open_clip, methods=["POST"]),
             Route("/api/settings", self.apply, methods=["POST"]),
             Route("/api/run", self.start_run, methods=["POST"]),
@@ -145,6 +146,10 @@ class SessionAddresses:
     def describe_tracks(self, request: Request) -> Response:
         """The tracks of the clip in view, and their edits."""
         return JSONResponse(self.bench.describe_tracks())
+
+    def describe_search(self, request: Request) -> Response:
+        """The residuals of the clip in view before and after a search."""
+        return JSONResponse(self.bench.describe_search(request.path_params["number"]))
 
     async def open_clip(self, request: Request) -> Response:
         """Show another clip of the film."""

@@ -34,6 +34,7 @@ from tracker.app.run_settings import (
     read_run_settings,
 )
 from tracker.app.scene_previews import ScenePreviews
+from tracker.app.searched_residuals import SearchedResiduals
 from tracker.app.track_process import RunStatus, TrackProcess
 from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY
@@ -84,6 +85,7 @@ class Workbench:
         self.results = {} if opened is None else {OPENED: opened}  # by number; runs of this session alone
         self.others = [path.absolute() for path in others]
         self.pages: dict[int, Path] = {}  # by number: what this session has made of results
+        self.searches: dict[int, SearchedResiduals] = {}  # by number
         self._start = RunSettings() if opened is None else read_run_settings(opened.run)
         self.folder = (folder or beside.with_name(f"{beside.stem}_workbench")).absolute()
         if self.folder.exists() and not self.folder.is_dir():
@@ -155,7 +157,7 @@ class Workbench:
             mending = self._read_edits(shown[0], source, folder, ())
             with self._lock:  # all of it, or nothing
                 self.source, self.has_film, self._start, self.folder = source, True, start, folder
-                self.results, self.others, self.pages = {}, [], {}
+                self.results, self.others, self.pages, self.searches = {}, [], {}, {}
                 self._show(*shown, mending)
 
     def _read_edits(self, view: FilmView, source: RecordingSource, folder: Path, runs: Sequence[int]) -> Mending:
@@ -202,6 +204,7 @@ class Workbench:
             "has_film": self.has_film,
             "opened": self.results[OPENED].describe_clips() if OPENED in self.results else [],
             "results": self._find_latest(),
+            "search": max((number for number, one in self.searches.items() if one.is_there), default=None),
             "settings": self.plan.settings.model_dump(),
             "plan": self.describe_plan(),
             "status": self.describe_status(),
@@ -434,7 +437,7 @@ class Workbench:
     def start_combination(self) -> dict[str, Any]:
         """Start `tracker combine`, for the results that were opened, or for the latest run of each clip."""
         with self._lock:
-            folders = self._list_set()
+            folders = [found.folder for found in self._list_set()]
             if not folders:
                 raise InputError("combine: expected results, track a film first")
             number = self._claim_number()
@@ -450,26 +453,34 @@ class Workbench:
         if name and not (self.folder / name).is_file():
             raise InputError(f"search: there is no file {self.folder / name}")
         with self._lock:
-            folders = self._list_set()
-            if len(folders) != 1:
-                raise InputError(f"search: expected one folder of results, there are {len(folders)}")
+            found = self._list_set()
+            if len(found) != 1:
+                raise InputError(f"search: expected one folder of results, there are {len(found)}")
             number = self._claim_number()
             model = self.folder / (name or f"model_{number}.yaml")
             if not name:
                 write_atomically(model, "model: {}  # all defaults\n")
             self.pages[number] = self.folder / f"search_{number}"
-            words = ["discrepancy", "find", name_as_argument(folders[0]), "--model", f"{model}"]
+            self.searches[number] = SearchedResiduals(self.pages[number], found[0])
+            words = ["discrepancy", "find", name_as_argument(found[0].folder), "--model", f"{model}"]
             self._start_process(number, [*words, "-o", f"{self.pages[number]}"])
             return self.describe_status()
 
-    def _list_set(self) -> list[Path]:
+    def _list_set(self) -> list[OpenedResults]:
         if OPENED in self.results:
-            return [self.results[OPENED].folder, *self.others]
-        latest: dict[tuple[int, ...], Path] = {}
+            return [self.results[OPENED], *map(OpenedResults, self.others)]
+        latest: dict[tuple[int, ...], OpenedResults] = {}
         for number, found in self.results.items():
             with suppress(InputError):
-                latest[tuple(self.find_results(number).numbers)] = found.folder
+                latest[tuple(self.find_results(number).numbers)] = found
         return list(latest.values())
+
+    def describe_search(self, number: int) -> dict[str, Any]:
+        """The residuals of the clip in view that a search of this session has left. Raises InputError."""
+        search = self.searches.get(number)
+        if search is None or not search.is_there:
+            raise InputError(f"search {number}: not one of this page")
+        return {"number": number, **search.describe(self.view.number)}
 
     def _find_made_page(self, number: int) -> str:
         made = number in self.pages and (self.pages[number] / "index.html").is_file()

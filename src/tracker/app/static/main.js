@@ -1,6 +1,7 @@
 // The page: puts its parts together, hears the keys, and follows the state of the server.
 
 import { get, newestOnly, post } from "/static/api.js";
+import { Arrows } from "/static/arrows.js";
 import { Inspector } from "/static/ball.js";
 import { Make } from "/static/make.js";
 import { Mending } from "/static/mending.js";
@@ -22,9 +23,10 @@ async function begin() {
   let film = await get("/api/film");
   const stage = new Stage(element("stage")), player = new Player(stage, film, tell);
   const inspector = new Inspector(stage, player), pointing = new Pointing(stage, player, inspector);
-  const plot = new ResidualPlot(player), mending = new Mending(stage, player, pointing, inspector, plot);
+  const plot = new ResidualPlot(player), arrows = new Arrows(stage, plot);
+  const mending = new Mending(stage, player, pointing, inspector, plot, arrows);
   const make = new Make();
-  const run = new Run(pointing, mending, tell, {
+  const run = new Run(pointing, mending, arrows, tell, {
     calibrate: async () => { takeSettings(await get("/api/film")); },
     generate: async () => { change(await get("/api/film")); show("measure"); },
   });

@@ -12,8 +12,8 @@ const WORDS = {
 };
 
 export class Mending {
-  constructor(stage, player, pointing, inspector, plot) {
-    Object.assign(this, { stage, player, pointing, plot, tracks: [] });
+  constructor(stage, player, pointing, inspector, plot, arrows) {
+    Object.assign(this, { stage, player, pointing, arrows, tracks: [] });
     inspector.findTracked = (place) => this.find(place);
     const frame = () => player.number, ball = () => Number(element("mend-ball").value);
     const other = () => this.read("mend-other", "Type the number of the other ball.");
@@ -33,9 +33,7 @@ export class Mending {
     }
     for (const step of ["undo", "redo"]) element(step).addEventListener("click", () => this.send(() => ({ step })));
     element("mend-ball").addEventListener("change", () => this.mark());
-    for (const [id, name] of [["show-tracks", "showTracks"], ["show-arrows", "showArrows"]]) {
-      element(id).addEventListener("change", () => { stage.marks[name] = element(id).checked; stage.draw(); });
-    }
+    element("show-tracks").addEventListener("change", () => { stage.marks.showTracks = element("show-tracks").checked; stage.draw(); });
     stage.addEventListener("mend", (event) => this.click(event.detail));
     player.addEventListener("frame", () => this.mark());
     plot.addEventListener("choose", ({ detail }) => {
@@ -71,7 +69,6 @@ export class Mending {
 
   show({ tracks, edits, can_redo: canRedo, pending }) {
     this.tracks = this.stage.marks.tracks = tracks;
-    this.stage.marks.longest = Math.max(0, ...tracks.flatMap((t) => t.x_off.map((v, k) => (v == null ? 0 : Math.hypot(v, t.y_off[k])))));
     for (const choice of document.querySelectorAll(".tracks-choice")) choice.hidden = false;
     element("mend-box").hidden = false;
     const before = element("mend-ball").value, numbers = tracks.map((track) => track.particle);
@@ -86,7 +83,7 @@ export class Mending {
     element("edits").replaceChildren(...edits.map((edit) => {
       return Object.assign(document.createElement("li"), { textContent: WORDS[edit.action](edit) });
     }));
-    this.plot.show(tracks);
+    this.arrows.take(tracks);
     this.mark();
   }
 
@@ -94,6 +91,7 @@ export class Mending {
   clear() {
     this.tracks = this.stage.marks.tracks = [];
     this.stage.marks.chosen = null;
+    this.arrows.clear();
     for (const choice of document.querySelectorAll(".tracks-choice")) choice.hidden = true;
     element("mend-box").hidden = true;
     this.stage.draw();

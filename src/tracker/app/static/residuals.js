@@ -1,4 +1,4 @@
-// The residuals of the tied fit by frame, to be clicked: dots along x, squares along y, one colour for each ball.
+// The residuals by frame, to be clicked: dots along x, squares along y, one colour for each ball.
 
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00"];
 const MARGIN = 8;
@@ -16,7 +16,7 @@ export class ResidualPlot extends EventTarget {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.paint());
   }
 
-  show(tracks) {
+  show(tracks, name) {
     this.tracks = tracks;
     const all = tracks.flatMap((track) => [...track.x_off_um, ...track.y_off_um]).filter((v) => v != null);
     this.most = Math.max(...all.map(Math.abs), 1e-9);
@@ -25,7 +25,7 @@ export class ResidualPlot extends EventTarget {
     const frames = tracks.flatMap((track) => track.frame);
     this.span = [Math.min(...frames), Math.max(...frames, 1)];
     this.note.textContent = all.length
-      ? `Residuals of the tied fit up to ${Number(this.most.toPrecision(2))} µm, dots along x, squares along y. A click shows the frame.`
+      ? `Residuals (${name}) up to ${Number(this.most.toPrecision(2))} µm, dots along x, squares along y. A click shows the frame.`
       : "No fit, so that there are no residuals.";
     this.paint();
   }

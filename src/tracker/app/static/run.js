@@ -9,8 +9,8 @@ const DOING = { calibrate: "Measuring the scale", measure: "Measuring", combine:
 const STARTERS = ["run", "calibrate", "perspective", "combine", "search"];
 
 export class Run {
-  constructor(pointing, mending, tell, whenDone) {
-    Object.assign(this, { pointing, mending, tell, whenDone, shown: "" });
+  constructor(pointing, mending, arrows, tell, whenDone) {
+    Object.assign(this, { pointing, mending, arrows, tell, whenDone, shown: "" });
     element("run").addEventListener("click", () => this.start("/api/run"));
     element("calibrate").addEventListener("click", () => this.start("/api/calibrate"));
     element("perspective").addEventListener("click", () => {
@@ -34,11 +34,12 @@ export class Run {
   disable(disabled) { for (const id of STARTERS) element(id).disabled = disabled; }
 
   // After the page is loaded again: what has ended is part of the film's description.
-  open({ results, has_film: hasFilm, status: { run } }) {
+  open({ results, search, has_film: hasFilm, status: { run } }) {
     if (run.state === "done") this.shown = `${run.command} ${run.number}`;
     element("run").textContent = hasFilm ? "Track" : "Measure again";
     element("settings").hidden = !hasFilm;
     if (results != null) this.showResults(results);
+    if (search != null) this.arrows.load(search);
   }
 
   show({ run, page }) {
@@ -61,6 +62,7 @@ export class Run {
     element("log").replaceChildren(...run.lines.map((line) => cell("li", line)));
     if (run.state === "done" && this.shown !== `${run.command} ${run.number}`) {
       this.shown = `${run.command} ${run.number}`;
+      if (run.command === "find") this.arrows.load(run.number);
       if (this.whenDone[run.command]) this.whenDone[run.command]();
       else if (page) this.showReport(page, DOING[run.command]);
       else this.showResults(run.number);

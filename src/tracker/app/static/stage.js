@@ -2,6 +2,7 @@
 
 const BALL = "#E69F00", HINT = "#56B4E9", SCALE = "#009E73", REGION = "#F0E442", LEFT_OUT = "#D55E00", CROSS = "#CC79A7";
 const TRACKS = ["#56B4E9", "#F0E442", "#009E73", "#D55E00", "#CC79A7"], DASHES = [[], [8, 4], [2, 3]];
+const ARROWS = { fit: { colour: CROSS, head: true }, before: { colour: "#D55E00", head: true }, after: { colour: "#FFF", head: false } };
 
 export const cornersOfBox = ([x0, y0], [x1, y1]) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
 
@@ -14,7 +15,7 @@ export class Stage extends EventTarget {
     this.at = [0, 0]; // film position in the upper left corner
     this.fitted = true;
     this.picture = null;
-    this.marks = { balls: [], radius: 8, hints: [], scale: [], regions: [], polygon: [], pending: null, points: [], tracks: [], showTracks: true, showArrows: false, chosen: null };
+    this.marks = { balls: [], radius: 8, hints: [], scale: [], regions: [], polygon: [], pending: null, points: [], tracks: [], showTracks: true, showArrows: false, arrows: [], chosen: null };
     this.frame = 0; // number of the frame in view
     this.cross = null;
     this.tool = "look";
@@ -161,7 +162,7 @@ export class Stage extends EventTarget {
     if (this.picture) pen.drawImage(this.picture, left, top, this.size[0] * this.zoom, this.size[1] * this.zoom);
     const { balls, radius, hints, scale, regions, polygon, pending } = this.marks;
     if (this.marks.showTracks) this.marks.tracks.forEach((track, k) => this.drawTrack(pen, track, k));
-    if (this.marks.showArrows) this.marks.tracks.forEach((track) => this.drawArrows(pen, track));
+    if (this.marks.showArrows) for (const { tracks, look } of this.marks.arrows) for (const track of tracks) this.drawArrows(pen, track, look);
     if (this.marks.chosen) this.drawChosen(pen, this.marks.chosen);
     for (const ball of balls) this.ring(pen, ball, radius, BALL, []);
     for (const hint of hints) this.ring(pen, hint, hint.radius ?? radius, HINT, [6, 4]);
@@ -202,16 +203,30 @@ export class Stage extends EventTarget {
     pen.fillText(particle, left + away, top - away / 2);
   }
 
-  // The residuals of a track: the longest of all tracks is as long as three radii.
-  drawArrows(pen, { x, y, x_off: right, y_off: down }) {
+  // The residuals of a track, from its positions: the longest of all arrows is as long as three radii.
+  drawArrows(pen, { x, y, x_off: right, y_off: down }, look) {
     const longest = this.marks.longest || 1, scale = (3 * Math.max(this.marks.radius, 5)) / longest;
-    this.stroke(pen, CROSS, () => {
+    const { colour, head } = ARROWS[look];
+    this.stroke(pen, colour, () => {
       x.forEach((_, row) => {
         if (right[row] == null) return;
-        pen.moveTo(...this.toScreen([x[row], y[row]]));
-        pen.lineTo(...this.toScreen([x[row] + scale * right[row], y[row] + scale * down[row]]));
+        const from = this.toScreen([x[row], y[row]]), to = this.toScreen([x[row] + scale * right[row], y[row] + scale * down[row]]);
+        pen.moveTo(...from);
+        pen.lineTo(...to);
+        if (head) this.addHead(pen, from, to);
+        if (Math.hypot(to[0] - from[0], to[1] - from[1]) < 3) pen.rect(from[0] - 0.5, from[1] - 0.5, 1, 1); // still seen
       });
     });
+  }
+
+  // The head of an arrow that is long enough to have one.
+  addHead(pen, from, to) {
+    const [right, down] = [to[0] - from[0], to[1] - from[1]], length = Math.hypot(right, down), size = Math.min(length / 3, 7);
+    if (length < 8) return;
+    const [a, b] = [(size * right) / length, (size * down) / length];
+    pen.moveTo(to[0] - a + b / 2, to[1] - b - a / 2);
+    pen.lineTo(...to);
+    pen.lineTo(to[0] - a - b / 2, to[1] - b + a / 2);
   }
 
   // The position that a correction is about: a square.
