@@ -6,7 +6,7 @@ import functools
 import inspect
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from numbers import Integral, Real
 from typing import Any, ParamSpec, TypeVar
 
@@ -40,6 +40,13 @@ def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Retu
             raise type(error)(text) from None
 
     return checked
+
+
+def check_keywords(given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    """Raise InputError for a keyword that is none of the known ones, the keys of a TypedDict."""
+    for name in given:
+        if name not in known:
+            raise InputError(f"{name}: unknown, expected one of {', '.join(sorted(known))}")
 
 
 def name_arguments(text: str) -> str:

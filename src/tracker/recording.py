@@ -334,7 +334,12 @@ def measure(
     options = TableOptions.of(reading)
     given = _read_given(tracks, camera, options)
     if len(given.clips) > 1:
-        raise InputError(f"tracks: {len(given.clips)} clips, expected 1; tracker.measure_all takes them all")
+        numbers = sorted(given.clips)
+        few = ", ".join(map(str, numbers[:5])) + ", ..." * (len(numbers) > 5)
+        raise InputError(
+            f"tracks: {len(numbers)} clips ({few}), expected 1; tracker.measure_all(tracks, camera) takes them all and"
+            " returns a list, one Result for each"
+        )
     (result,) = _measure_given(given, options.point, settings, edits)
     return result if number is None else replace(result, number=number)
 

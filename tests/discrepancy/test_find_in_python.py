@@ -52,7 +52,7 @@ def test_measure_all_keeps_the_numbers_of_clips(made):
 
 def test_measure_names_the_function_for_several(made):
     table, camera, _ = made
-    with pytest.raises(InputError, match=r"tracks: 3 clips, expected 1; tracker\.measure_all takes them all"):
+    with pytest.raises(InputError, match=r"3 clips \(2, 5, 9\), expected 1; tracker\.measure_all\(tracks, camera\)"):
         tracker.measure(table, camera)
 
 

@@ -162,7 +162,7 @@ def test_bad_cameras_tables_and_detectors_are_one_line(clip, result):
         tracker.track("nowhere.tif", detector="eye")
     with pytest.raises(tracker.InputError, match="tracks: no column x, y"):
         tracker.measure(result.tracks[["frame", "particle"]], clip.camera_json)
-    with pytest.raises(tracker.InputError, match=r"tracks: 2 clips, expected 1; tracker\.measure_all"):
+    with pytest.raises(tracker.InputError, match=r"2 clips \(0, 4\), expected 1; tracker\.measure_all"):
         tracker.measure(pd.concat([result.tracks.assign(clip=k) for k in (0, 4)]), clip.camera_json)
     with pytest.raises(tracker.InputError, match="point: expected centre or glint"):
         tracker.measure(result.tracks, clip.camera_json, point="middle")

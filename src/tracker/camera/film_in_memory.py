@@ -22,6 +22,8 @@ def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     An object with a length and an index is read frame by frame, when needed. The pictures of an iterator are kept.
     Raises InputError, naming the frame, for what is no film.
     """
+    if hasattr(film, "columns"):  # a table of pandas, polars or pyarrow
+        raise InputError(f"{FILM}: a table, expected a film; tracker.measure(tracks, camera) measures tracks")
     indexed = hasattr(film, "__len__") and hasattr(film, "__getitem__")
     if not indexed and not isinstance(film, Iterable):
         raise InputError(

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arguments import check_keywords
 from synthcam_shared.errors import InputError
 
 MAX_CORNER_PX = 1e6  # of a region, left or right of the origin
@@ -178,7 +179,8 @@ class FilmOptions:
 
     @staticmethod
     def of(given: FilmKeywords) -> FilmOptions:
-        """Make the options of keywords. Raises InputError for a value of another type."""
+        """Make the options of keywords. Raises InputError for an unknown one, and for a value of another type."""
+        check_keywords(given, FilmKeywords.__annotations__)
         for name, value in given.items():
             wanted = {"ball": ("Sequence[str]", (list, tuple)), "mask": ("str | Path", (str, Path))}
             expected, kinds = wanted.get(name, ("str", str))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypedDict
 
+from synthcam_shared.arguments import check_keywords
 from synthcam_shared.errors import InputError
 
 POINTS = ("centre", "glint")
@@ -42,7 +43,8 @@ class TableOptions:
 
     @staticmethod
     def of(given: TableKeywords) -> TableOptions:
-        """Make the options of keywords. Raises InputError for a value of another type."""
+        """Make the options of keywords. Raises InputError for an unknown one, and for a value of another type."""
+        check_keywords(given, TableKeywords.__annotations__)
         for name, value in given.items():
             if not isinstance(value, str):
                 raise InputError(f"{name}: of type {type(value).__name__}, expected str")

@@ -127,6 +127,15 @@ def test_a_clip_keeps_its_number_in_python():
         (lambda t: tracker.measure(t.drop(columns="x"), CAMERA), "argument columns x=NAME,y=NAME,... names others"),
         (lambda t: tracker.measure_all(t, CAMERA, columns="x=no"), "no column no, as argument columns says"),
         (lambda t: tracker.track(np.zeros((3, 9, 9), np.uint8), CAMERA, select=3), "select: of type int, expected str"),
+        (
+            lambda t: tracker.measure(t, CAMERA, units="mm"),
+            "^units: unknown, expected one of columns, decimal, point, u",
+        ),
+        (
+            lambda t: tracker.track(np.zeros((3, 9, 9), np.uint8), CAMERA, balls="x"),
+            "^balls: unknown, expected one of b",
+        ),
+        (lambda t: tracker.track(t, CAMERA), r"^film: a table, expected a film; tracker.measure\(tracks, camera\)"),
         (lambda t: tracker.track(np.zeros((3, 9, 9), np.uint8), CAMERA, times="x"), "^times: expected one of auto"),
         (lambda t: synthcam.Scene.read(3), "path: of type int, expected str | Path"),
         (lambda t: synthcam.Scene.build().draw(-1), "number: expected 0 or more, not -1"),
