@@ -297,11 +297,11 @@ def _describe_overlaps(
 def _closest_approach(particles: Any, one: Any, two: Any, frame: Any) -> tuple[float, float]:
     """The least distance of two balls, and how far they move relative to each other in a frame there, px.
 
-    Between two frames their relative path is straight.
+    Between two frames their relative path is straight, unless they exchange sides: then their numbers may be exchanged.
     """
     apart = one - two
     start, step = apart[:-1], np.diff(apart, axis=0)
-    step[np.diff(frame) > 1] = 0.0  # where frames are missing, nothing is known between
+    step[(np.diff(frame) > 1) | ((apart[1:] * start).sum(axis=1) < 0)] = 0.0
     square = (step**2).sum(axis=1)
     share = np.clip(-(start * step).sum(axis=1) / np.where(square > 0, square, 1.0), 0.0, 1.0)
     between = np.hypot(*(start + share[:, None] * step).T)

@@ -49,9 +49,9 @@ def test_pixels_are_pixels(nearest, tmp_path):
 
 
 def test_millimetres_are_named_if_few_frames_show_the_hit(tmp_path):
-    """The balls move by three diameters in a frame, so that no frame shows them as near as one."""
+    """The balls move by two diameters in a frame, so that no frame shows them as near as one."""
     rows = table(SCALE / 1e-3, nearest=20.0)
-    rows = rows[rows.frame % 5 == 0].assign(frame=lambda t: t.frame // 5)
+    rows = rows[rows.frame % 3 == 1].assign(frame=lambda t: t.frame // 3)
     with pytest.raises(InputError, match=r"look like mm: the balls come as near as 3\.2;"):
         tracker.measure(rows, CAMERA)
 
@@ -64,6 +64,15 @@ def test_millimetres_of_about_a_pixel_are_noted(scale, tmp_path):
     assert f"as near as 2.43; expected px, and {DIAMETER / scale:.3g} of them" in str(note)
     assert "Positions in mm would fit: `tracker measure --unit mm` reads them" in str(note)
     assert read_tracks(tmp_path / "t.csv", camera, TableOptions(unit="px")).notes == ()
+
+
+@pytest.mark.parametrize("last", [20, 39])
+def test_exchanged_numbers_are_no_wrong_unit(last):
+    """Numbers jump to the other ball in some frames, or from the contact on: in between the balls do not pass."""
+    rows = table()
+    exchanged = rows.frame.between(20, last)
+    rows.loc[exchanged, "particle"] = 1 - rows.particle[exchanged]
+    assert read_frame(rows, CAMERA).notes == ()
 
 
 def test_balls_that_overlap_are_noted_with_what_to_check(tmp_path):
