@@ -104,7 +104,7 @@ def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> 
     area_drag = square * run * (speed * (2 * p3 - p2) - decel * run * (3 * p4 - p3))
     area_decel = -square * run * p3
     rest = t - run
-    if rest.any():  # it stands still from then on
+    if np.count_nonzero(rest):  # it stands still from then on
         distance_drag = square * (speed * (p2 - p1) - decel * run * (2 * p3 - p2))  # phi_k' = k phi_(k+1) - phi_k
         area += distance * rest
         area_speed += run * p1 * rest
@@ -132,9 +132,21 @@ def directions(
     heading: NDArray[np.inexact] | float, beta: NDArray[np.inexact] | float
 ) -> tuple[NDArray[np.inexact], NDArray[np.inexact], NDArray[np.inexact]]:
     """Compute the collision model's unit vectors (..., 2): d (motion of ball 2 against 1), n (from 2 to 1), z x n."""
-    d = np.stack([np.cos(heading), np.sin(heading)], -1)
-    n = np.stack([np.cos(heading - beta), np.sin(heading - beta)], -1)
-    return d, n, np.stack([-n[..., 1], n[..., 0]], -1)
+    x, y = np.cos(heading - beta), np.sin(heading - beta)
+    return _vectors(np.cos(heading), np.sin(heading)), _vectors(x, y), _vectors(-y, x)
+
+
+def _vectors(x: NDArray[np.inexact], y: NDArray[np.inexact]) -> NDArray[np.inexact]:
+    """Vectors (..., 2) from their components (...,), as np.stack makes them in several times the time."""
+    out = np.empty((*x.shape, 2), x.dtype)
+    out[..., 0], out[..., 1] = x, y
+    return out
+
+
+def _scalar_product(a: NDArray[np.inexact], b: NDArray[np.inexact]) -> NDArray[np.inexact]:
+    """Scalar product of vectors (..., 2), quicker than a sum over an axis of two."""
+    product = a * b
+    return np.asarray(product[..., 0] + product[..., 1])
 
 
 def mean_positions(
@@ -189,7 +201,7 @@ def _areas(free: Floats, second: NDArray[np.int64], since: Floats) -> tuple[Floa
     """
     area, slope = np.zeros((len(since), 2)), np.zeros((len(FREE), len(since), 2))
     came = since < 0
-    rows = np.flatnonzero(came & (second > 0) if not free[-2:].any() else came)
+    rows = np.flatnonzero(came & (second > 0) if not (free[-2] or free[-1]) else came)
     if len(rows):
         area[rows], slope[:, rows] = _approach(free, second[rows], since[rows])
     rows = np.flatnonzero(~came)
@@ -214,7 +226,7 @@ def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Float
     part[3] = v0 * (launched[1] * d[0] - launched[0] * d[1])
     part[5] = launched[0] * d[0] + launched[1] * d[1]
     area = roll.area[:, None] * along
-    if free[_SLIDING : _SLIDING + 2].any():
+    if free[_SLIDING] or free[_SLIDING + 1]:
         rows = np.flatnonzero(second)
         area[rows], part[:, rows] = _sliding_approach(free, s[rows])
     return area, part
@@ -319,15 +331,15 @@ def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.ine
     slips, side = tied[..., _SPIN : _SPIN + 2], tied[..., _SPIN + 2, None]
     d, n, t = directions(heading, beta)
     normal, tangent = (v0 * np.cos(beta))[..., None] * n, (v0 * np.sin(beta))[..., None] * t
-    surfaces = 2 * (target * n).sum(-1) - (slips * n).sum(-1)
+    surfaces = 2 * _scalar_product(target, n) - _scalar_product(slips, n)
     twist = c * (normal + surfaces[..., None] * n)  # C S n
     kick = (1 + r) / 2 * normal + 0.4 * c * (tangent + (spin + side) * t)  # ball 1's change of velocity
     parts = [tied[..., :8]]
     for v, change, before in ((target, kick, 0.0), (target + v0[..., None] * d, -kick, slips)):
         u = change + twist + before
-        slip = np.sqrt((u**2).sum(-1) + 1e-30)  # keeps the logarithm when there is no slip at all
+        slip = np.sqrt(_scalar_product(u, u) + 1e-30)  # keeps the logarithm when there is no slip at all
         parts += [v + change, v + change - 2 * u / 7, np.log(slip / (SLIP_RATE * mu * GRAVITY))[..., None]]
-    pull = -(mu * GRAVITY)[..., None] * slips / np.sqrt((slips**2).sum(-1) + 1e-30)[..., None]
+    pull = -(mu * GRAVITY)[..., None] * slips / np.sqrt(_scalar_product(slips, slips) + 1e-30)[..., None]
     return np.concatenate([*parts, pull, target], -1)
 
 

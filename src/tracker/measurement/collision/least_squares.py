@@ -105,6 +105,7 @@ class WhitenedResiduals:
         self.size = len(every)
         centres = np.array([BROAD_PRIORS.get(name, (0.0, np.inf)) for name in self.names])
         self.prior, self.prior_weight = centres[:, 0], 1.0 / centres[:, 1]
+        self.prior_slopes = np.diag(self.prior_weight)
         self._last: tuple[bytes, Floats, Floats] | None = None
         ball_tracks = [track for _, track in pair.balls]
         self.ball = np.repeat([1, 2], [len(track) for track in ball_tracks])
@@ -142,7 +143,7 @@ class WhitenedResiduals:
     def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
         full = self.whole(x)
         position, slope = self._path(full)
-        slopes = np.moveaxis(slope, -1, 0)
+        slopes = slope.transpose(2, 0, 1)
         if self.tied:
             by = tied_to_free_jacobian(full, self.pair.spin)[:, self.index]
             slopes = (by.T @ slopes.reshape(len(slopes), -1)).reshape(-1, *position.shape)
@@ -151,7 +152,7 @@ class WhitenedResiduals:
         rows = np.concatenate([(position - self.seen)[None], slopes])
         white = self.whiten(rows)
         residual = np.concatenate([white[0], (x - self.prior) * self.prior_weight])
-        columns = np.concatenate([white[1:], np.diag(self.prior_weight)], axis=1)
+        columns = np.concatenate([white[1:], self.prior_slopes], axis=1)
         if not (np.isfinite(residual).all() and np.isfinite(columns).all()):
             residual, columns = np.nan_to_num(residual, nan=1e9), np.nan_to_num(columns)
         return np.clip(residual, -1e9, 1e9), columns.T
