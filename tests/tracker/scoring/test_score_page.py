@@ -14,7 +14,7 @@ from tracker.scoring.score_page import choose_clip, draw_figures, make_quantity_
 
 FIGURE_NAMES = {"frame", "tracks", "separation", "energy", "tied", "free", "local", "paper", "honesty"}
 
-CLIPS = 4
+CLIPS = 2
 
 
 @pytest.fixture(scope="module")

@@ -42,7 +42,7 @@ def trace(camera, centres, pixels, radii):
         nearest, ball = np.full(len(ray), np.inf), np.full(len(ray), -1)
         for k, (centre, radius) in enumerate(zip(centres, radii, strict=True)):
             offset = point[ray] - centre
-            b, c = (offset * way[ray]).sum(1), (offset * offset).sum(1) - radius**2
+            b, c = np.einsum("ij,ij->i", offset, way[ray]), np.einsum("ij,ij->i", offset, offset) - radius**2
             root = b * b - c
             far = np.where((root > 0) & (b < 0) & (last[ray] != k), -b - np.sqrt(np.maximum(root, 0)), np.inf)
             closer = far < nearest
@@ -103,12 +103,12 @@ def zoom(camera, centres, radii, order, middle):
         half *= 1.5
         bounces, _, miss, _ = trace(camera, centres, square(middle, np.linspace(-half, half, 41)), radii)
         lit = (bounces == order) & (miss < LAMP.radius)
-    side = (np.arange(240) + 0.5) / 120 * half - half
+    side = (np.arange(160) + 0.5) / 80 * half - half
     grid = square(middle, side)
     bounces, kept, miss, _ = trace(camera, centres, grid, radii)
     weight = kept * ((bounces == order) & (miss < LAMP.radius))
     position = weight @ grid / weight.sum()
-    return order, position, weight.sum() * (half / 120) ** 2, weight @ (grid - position) ** 2 / weight.sum()
+    return order, position, weight.sum() * (half / 80) ** 2, weight @ (grid - position) ** 2 / weight.sum()
 
 
 @cache
