@@ -48,7 +48,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     small = "--set camera.size=[384,288] --set timing.frames=60"
     scored = [
-        f"synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 2 {small}",
+        f"synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 1 {small}",
         "tracker track out/benchmark -o out/benchmark_results",
         "tracker score out/benchmark_results --truth out/benchmark -o out/score",
         "tracker measure crowd.csv --camera crowd.json -o out/crowd",

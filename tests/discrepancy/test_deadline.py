@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from discrepancy_clips import HIDDEN, collisions, only
+from discrepancy_clips import HIDDEN, collisions, only, searched
 
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.fitting.predict import predict_tracks
@@ -54,7 +54,10 @@ def test_a_search_cut_short_names_nothing(monkeypatch):
     )
     assert found.document()["cut_short"]["effects"] == list(found.interrupted.effects)
     assert found.document()["gap"]["before"] > found.document()["gap"]["floor"]
-    assert search(clips, Model()).document()["cut_short"] is None
+
+
+def test_a_whole_search_is_not_cut_short():
+    assert searched("velocity_restitution").document()["cut_short"] is None
 
 
 def test_nothing_hidden_is_nothing_found_however_short_the_time(monkeypatch):

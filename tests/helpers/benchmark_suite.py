@@ -7,6 +7,7 @@ from tempfile import mkdtemp
 
 import numpy as np
 
+from tracker.benchmark.judging.defects import simulate_at_bound
 from tracker.benchmark.judging.tracker_results import ALL, ClipSample
 from tracker.benchmark.suite.definition import parse_definition
 from tracker.benchmark.suite.folder import covariances
@@ -50,6 +51,12 @@ def tiny(size="full"):
 def suite():
     folder = Path(mkdtemp()) / "suite"
     return make(folder, tiny(), workers=1)
+
+
+@cache
+def simulated(part, clip):
+    """A clip of the suite at its bound, which every score of this suite needs; measured once a process."""
+    return simulate_at_bound(suite(), next(p for p in suite().parts.values() if p.name == part), clip)
 
 
 @dataclass

@@ -81,10 +81,10 @@ def test_the_phase_that_disagrees_is_found_and_none_without_a_fault():
 
 
 def test_stretches_of_one_recording_are_all_fitted_or_all_held_out():
-    data = prepare(noisy(exact(Model(), 8, 3), 3), Model(), lambda stage: None, stretches=True)
+    data = prepare(noisy(exact(Model(), 6, 3), 3), Model(), lambda stage: None, stretches=True)
     fitted, held_out = ({c.clip for c in clips} for clips in (data.clips, data.held_out))
     assert fitted.isdisjoint(held_out)
-    assert len(fitted | held_out) == 8
+    assert len(fitted | held_out) == 6
 
 
 def test_the_balls_of_a_crowd_give_stretches_that_hold_no_event():

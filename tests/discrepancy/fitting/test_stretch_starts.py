@@ -24,7 +24,7 @@ def spoil(clip, share):
 
 @pytest.mark.parametrize("share", [0.05, 0.0])
 def test_a_slide_is_found_from_a_guess_that_is_far_too_short(share):
-    cut = [spoil(clip, share) for clip in cut_stretches(noisy(exact(Model(), 4, 2), 2))]
+    cut = [spoil(clip, share) for clip in cut_stretches(noisy(exact(Model(), 3, 2), 2))]
     chosen, left_out = choose_starts(cut, Model())
     assert not left_out
     fit = fit_model(chosen, Model(), (), CLAIMED_NOISE)
@@ -37,7 +37,7 @@ def test_without_friction_nothing_slides():
 
 
 def test_a_stretch_with_a_kink_is_left_out_with_a_note():
-    cut = cut_stretches(noisy(exact(Model(), 4, 2), 2))
+    cut = cut_stretches(noisy(exact(Model(), 2, 2), 2))
     late = np.arange(len(cut[2].frame)) > 15
     cut[2] = dataclasses.replace(cut[2], xy=cut[2].xy + late[:, None] * [200 * STD, 0.0])
     chosen, (note,) = choose_starts(cut, Model())
@@ -48,5 +48,5 @@ def test_a_stretch_with_a_kink_is_left_out_with_a_note():
 
 def test_stretches_that_contradict_the_friction_of_the_model_stay():
     wrong = Model().replace({"sliding_friction": 1.5 * Model().sliding_friction})
-    _, left_out = choose_starts(cut_stretches(noisy(exact(Model(), 3, 2), 2)), wrong)
+    _, left_out = choose_starts(cut_stretches(noisy(exact(Model(), 2, 2), 2)), wrong)
     assert not left_out

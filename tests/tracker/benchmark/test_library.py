@@ -5,7 +5,7 @@ import re
 import matplotlib as mpl
 import numpy as np
 import pytest
-from benchmark_suite import suite
+from benchmark_suite import simulated, suite
 from repository import ROOT
 
 import tracker
@@ -13,6 +13,14 @@ from synthcam_shared.errors import InputError
 from tracker.benchmark import library, run
 
 mpl.use("Agg")
+
+
+@pytest.fixture(autouse=True)
+def known_bound(monkeypatch):
+    """The clips at the bound are measured once."""
+    monkeypatch.setattr(
+        "tracker.benchmark.judging.entry.simulate_at_bound", lambda made, part, clip: simulated(part.name, clip)
+    )
 
 
 def test_the_ten_lines_of_the_docs_run_as_they_stand(monkeypatch, capsys):
@@ -30,6 +38,7 @@ def test_the_ten_lines_of_the_docs_run_as_they_stand(monkeypatch, capsys):
     mpl.pyplot.close("all")
 
 
+@pytest.mark.usefixtures("unfitted")
 def test_a_detector_by_name_is_the_one_that_runs_from_files():
     trial = run("centroid", suite().path)
     own = run(tracker.detection.detect.load_detector("centroid"), suite().path, name="mine")

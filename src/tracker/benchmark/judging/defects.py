@@ -62,8 +62,10 @@ def measure_shifts_by_defects(held: PositionMatches, base: Mapping[int, TrueTrac
     }
     out: dict[str, Any] = {"size": size}
     for name, change in disturb.items():
-        rows = {
-            c: measure_collision(change(c, table), camera) for c, (table, camera, _) in base.items() if c in held.lost
+        changed = {clip: change(clip, table) for clip, (table, _, _) in base.items() if clip in held.lost}
+        rows = {  # what changes nothing is not measured again
+            clip: base[clip][2] if table is base[clip][0] else measure_collision(table, base[clip][1])
+            for clip, table in changed.items()
         }
         out[name] = _shifts(rows, {clip: one[2] for clip, one in base.items()})
     return out

@@ -385,6 +385,7 @@ def test_commands_say_how_many_are_misfits_and_why(own, hopping, tmp_path):
     assert again.stderr == "".join(f"tracker: {warning}\n" for warning in summary["warnings"])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_score_counts_misfits_and_holds_only_their_free_fit_to_the_truth(hopping, tmp_path):
     found = score(results(tmp_path / "results", hopping, 3), hopping)
     assert found.statuses == {"n": 4, "misfit": 3, "no result": 1}
