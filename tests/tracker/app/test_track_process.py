@@ -11,7 +11,8 @@ CHILDREN = {
     "done": "print('frames: 3 of 9 after 1 s', 'tracker: a note', sep='\\n', file=e); print('{\"clips\": 1}')",
     "failed": "print('tracker: film.mp4: no frames', file=e); sys.exit(2)",
     "killed": "os.kill(os.getpid(), 9)",
-    "waits": "signal.signal(2, signal.default_int_handler); print('frames: 1 of 9 after 1 s', file=e); e.flush(); time.sleep(60)",
+    "waits": "signal.signal(2, signal.default_int_handler); print('frames: 1 of 9 after 1 s', file=e); e.flush()"
+    "; time.sleep(60)",
     "deaf": "signal.signal(2, signal.SIG_IGN); print('frames: 1 of 9 after 1 s', file=e); e.flush(); time.sleep(60)",
     "wordy": "print('{\"x\": \"' + 'y' * 300_000 + '\"}')",
 }

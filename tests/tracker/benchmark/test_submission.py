@@ -16,7 +16,7 @@ from tracker.cli import main
 
 @pytest.fixture(autouse=True)
 def drawn(monkeypatch):
-    """No pictures, which take seconds: test_contest.py looks at the page. The clips at the bound are always the same."""
+    """No pictures, which test_contest.py looks at, and the clips at the bound, always the same, measured once."""
     monkeypatch.setattr("tracker.benchmark.contest.write_report", lambda *words: None)
     monkeypatch.setattr(
         "tracker.benchmark.judging.entry.simulate_at_bound", lambda made, part, clip: simulated(part.name, clip)
