@@ -30,7 +30,7 @@ NAMES = [(p, n) for p in (*PACKAGES, "tracker.benchmark") for n in import_module
 PUBLIC = [(p, n) for p, n in NAMES if not inspect.ismodule(getattr(import_module(p), n))]
 # without an example of their own
 SILENT = {"NoGL", "InputError", "Finding", "Plan", "run", "TrackerRun", "describe_rejection", "describe_search"}
-HEAVY = ("numpy", "pandas", "cv2", "scipy", "matplotlib", "pydantic", "OpenGL")
+HEAVY = ("numpy", "pandas", "cv2", "scipy", "matplotlib", "pydantic", "OpenGL", "importlib.metadata")
 
 
 @pytest.mark.parametrize(("package", "name"), PUBLIC)
