@@ -15,6 +15,7 @@ from tracker.detection.glints import PositionFlag
 from tracker.detection.link import Tracks
 
 FRAMES_BEFORE = 7  # frames used before the contact
+MIN_COMMON_FRAMES = 8  # four before the contact, and four after it
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,12 @@ class ContactDistance:
 def contact_distances(tracks: Tracks) -> list[ContactDistance]:
     """Find the contacts between the balls of one clip at which their distance can be measured."""
     out = []
-    for one, two in combinations(np.unique(tracks.particle).tolist(), 2):
-        frame, gap, cov, fixed = _relative(tracks, one, two)
+    shaded = np.array([PositionFlag.SHADED.word in words for words in tracks.flags], dtype=bool)
+    lasting = tracks.fixed * shaded[:, None, None]
+    balls = [np.flatnonzero(tracks.particle == ball) for ball in np.unique(tracks.particle)]
+    long = [rows for rows in balls if len(rows) >= MIN_COMMON_FRAMES]  # noise in dark films has hundreds of short ones
+    for one, two in combinations(long, 2):
+        frame, gap, cov, fixed = _relative(tracks, lasting, one, two)
         contacts = (_touch(frame, gap, cov, fixed, k) for k in _nearest(np.hypot(*gap.T)))
         out += [contact for contact in contacts if contact is not None]
     return out
@@ -38,7 +43,7 @@ def contact_distances(tracks: Tracks) -> list[ContactDistance]:
 
 def _nearest(distance: Array) -> NDArray[np.int64]:
     """Rows in which two balls are nearer than in any of the FRAMES_BEFORE rows on either side."""
-    if len(distance) < 8:
+    if len(distance) < MIN_COMMON_FRAMES:
         return np.empty(0, np.int64)
     around = np.lib.stride_tricks.sliding_window_view(
         np.pad(distance, FRAMES_BEFORE, constant_values=np.inf), 2 * FRAMES_BEFORE + 1
@@ -46,13 +51,15 @@ def _nearest(distance: Array) -> NDArray[np.int64]:
     return np.flatnonzero(np.argmin(around, axis=1) == FRAMES_BEFORE)
 
 
-def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Frames in which both are seen, vectors (n, 2) px from one to two, their covariances from frame to frame,
-    and those of a shift that lasts."""
-    a, b = (np.flatnonzero(tracks.particle == p) for p in (one, two))
-    frame, i, j = np.intersect1d(tracks.frame[a], tracks.frame[b], return_indices=True)
-    shaded = np.array([PositionFlag.SHADED.word in words for words in tracks.flags])
-    lasting = tracks.fixed * shaded[:, None, None]
+def _relative(
+    tracks: Tracks, lasting: Array, a: NDArray[np.int64], b: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Frames in which two balls are seen, vectors (n, 2) px from one to the other, and two covariances of these.
+
+    The first is that of errors from frame to frame, the second that of a shift that lasts. a, b: rows of the balls;
+    lasting: covariances (n, 2, 2) of the shifts of all rows.
+    """
+    frame, i, j = np.intersect1d(tracks.frame[a], tracks.frame[b], assume_unique=True, return_indices=True)
     cov, fixed = (c[b[j]] + c[a[i]] for c in (tracks.cov - lasting, lasting))
     return frame, tracks.xy[b[j]] - tracks.xy[a[i]], cov, fixed
 

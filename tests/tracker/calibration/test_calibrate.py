@@ -14,6 +14,7 @@ from tracker_film import collision, disc, expose, film, spot, write_clip
 from tracker_video import encode
 
 from synthcam_shared.errors import InputError
+from tracker.calibration import contact_distance
 from tracker.calibration.ball_outline import measure_outline
 from tracker.calibration.calibrate import calibrate, inverse_variance_mean, summary
 from tracker.calibration.contact_distance import contact_distances
@@ -83,6 +84,18 @@ def test_every_hit_of_a_long_film_counts():
     each = [(contact.distance, contact.std) for contact in found]
     mean, std = inverse_variance_mean([*each, *each, (17.0, 0.05)])
     assert abs(mean - 14.875) < 4 * std < 0.3
+
+
+def test_short_tracks_of_noise_cost_no_search_for_contacts(monkeypatch):
+    """A dark lossy film has hundreds of them: all pairs of all tracks took minutes."""
+    hit, looked_at = measured(np.random.default_rng(8), 0.03), []
+    rows = np.concatenate([np.arange(60), *(np.arange(k, k + 7) for k in range(20))])
+    columns = {name: getattr(hit, name)[rows] for name in Tracks.__dataclass_fields__}
+    columns["particle"] = np.concatenate([hit.particle, np.repeat(np.arange(2, 22), 7)])
+    whole = contact_distance._relative
+    monkeypatch.setattr(contact_distance, "_relative", lambda *given: looked_at.append(given) or whole(*given))
+    assert contact_distances(Tracks(**columns)) == contact_distances(hit)
+    assert len(looked_at) == 2  # the two balls, with the specks and without
 
 
 @pytest.mark.gate
