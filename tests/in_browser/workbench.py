@@ -288,6 +288,14 @@ def test_everything_by_keyboard(address, browser):
         says(page, "#settings-error", "^$")
         page.click("#no-region")
         page.uncheck("#region-out")
+        page.keyboard.press("8")
+        page.focus("#stage")
+        page.keyboard.press("Enter")
+        for move in ("ArrowRight", "ArrowRight", "ArrowRight", "ArrowUp", "ArrowUp", "ArrowUp", "ArrowUp"):
+            page.keyboard.press(f"Alt+Shift+{move}")
+        page.keyboard.press("Enter")
+        says(page, "#hint", r"^50\.0 px, 53\.1° from the right")  # 30 px to the right, 40 px up
+        says(page, "#settings-error", "^$")
         page.focus("#stage")
         before = page.evaluate("document.activeElement.id")
         page.keyboard.press("+")

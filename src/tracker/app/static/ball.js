@@ -12,6 +12,7 @@ export class Inspector {
     this.list = document.getElementById("ball");
     this.magnify = newestOnly((...values) => this.fetchCrop(...values));
     this.point = "centre";
+    this.inMillimetres = () => ""; // a length in px by the scale
     this.findTracked = () => null; // the position of a track near a place of this frame
     stage.addEventListener("point", (event) => this.look(event.detail));
   }
@@ -25,6 +26,11 @@ export class Inspector {
       if (away <= least) [best, least] = [ball, away];
     }
     return best;
+  }
+
+  diameter() {
+    const pixels = 2 * this.stage.marks.radius;
+    return `${pixels.toFixed(1)} px${this.inMillimetres(pixels)}`;
   }
 
   look(place = this.last) {
@@ -42,6 +48,7 @@ export class Inspector {
       ["Error", `${ball.x_std.toPrecision(2)}, ${ball.y_std.toPrecision(2)} px`],
       ["Correlation", ball.correlation.toFixed(2)],
       [this.point === "glint" ? "Light" : "Area", `${ball.flux} ${this.point === "glint" ? "counts" : "px²"}`],
+      ...(this.point === "glint" ? [] : [["Diameter", this.diameter()]]),
       ["Flags", ball.flags.join(", ") || "none"],
     ] : [["Pointer", `${place} px`], ["Ball", "none here"]];
     const tracked = this.findTracked(this.last);

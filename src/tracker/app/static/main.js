@@ -12,7 +12,7 @@ import { Run } from "/static/run.js";
 import { Stage } from "/static/stage.js";
 
 const element = (id) => document.getElementById(id);
-const TOOLS = ["look", "scale", "points", "ball", "region", "polygon", "mend"];
+const TOOLS = ["look", "scale", "points", "ball", "region", "polygon", "mend", "tape"];
 
 function tell(text) {
   element("message").textContent = text;

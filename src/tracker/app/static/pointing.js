@@ -14,11 +14,13 @@ const HINTS = {
   region: "Drag a rectangle: balls are searched in it alone. With Leave out ticked: everywhere but in it.",
   polygon: "Click the corners; click the first one again to close the polygon.",
   mend: "Click a ball to choose its track, or the place of a point to add.",
+  tape: "Click two points to measure their distance and direction. Nothing is set.",
 };
 
 export class Pointing {
   constructor(stage, player, inspector) {
     Object.assign(this, { stage, player, inspector, ballTexts: [], given: {} });
+    inspector.inMillimetres = (pixels) => this.inMillimetres(pixels);
     this.send = newestOnly(() => this.apply());
     for (const id of ["fps", "diameter", "exposure", "first", "last", "region", "colour"]) {
       element(id).addEventListener("input", () => this.send());
@@ -90,6 +92,7 @@ export class Pointing {
     this.stage.tool = tool;
     this.stage.marks.pending = null;
     this.stage.marks.polygon = [];
+    this.stage.marks.tape = [];
     element("close-polygon").hidden = true;
     element(`hint`).textContent = HINTS[tool];
     document.querySelector(`input[name=tool][value=${tool}]`).checked = true;
@@ -124,6 +127,9 @@ export class Pointing {
       marks.pending = null;
       this.setScale();
       element("length").focus();
+    } else if (tool === "tape") {
+      this.measure(marks.pending, at);
+      marks.pending = null;
     } else if (tool === "region") {
       const [a, b] = [marks.pending, at];
       marks.pending = null;
@@ -131,6 +137,19 @@ export class Pointing {
       this.addRegion(corners.map((v) => Math.round(v)).join(","));
     }
     this.stage.draw();
+  }
+
+  // Distance and direction from one point to another, by the scale of the page or of the film's camera file.
+  measure(from, to) {
+    this.stage.marks.tape = [from, to];
+    const [right, up] = [to[0] - from[0], from[1] - to[1]], pixels = Math.hypot(right, up);
+    const direction = `${((Math.atan2(up, right) * 180) / Math.PI).toFixed(1)}° from the right, counterclockwise`;
+    element("hint").textContent = `${pixels.toFixed(1)} px${this.inMillimetres(pixels)}, ${direction}.`;
+  }
+
+  inMillimetres(pixels) {
+    const scale = this.scale ?? (this.given.R ? null : this.given.scale); // at an angle no one scale holds
+    return scale == null ? "" : `, ${rounded(scale * 1e3 * pixels, 4)} mm`;
   }
 
   // The mean colour of 5 x 5 pixels in the middle of the ball that was clicked last.

@@ -15,7 +15,7 @@ export class Stage extends EventTarget {
     this.at = [0, 0]; // film position in the upper left corner
     this.fitted = true;
     this.picture = null;
-    this.marks = { balls: [], radius: 8, hints: [], scale: [], regions: [], polygon: [], pending: null, points: [], tracks: [], showTracks: true, showArrows: false, arrows: [], chosen: null };
+    this.marks = { balls: [], radius: 8, hints: [], scale: [], regions: [], polygon: [], pending: null, tape: [], points: [], tracks: [], showTracks: true, showArrows: false, arrows: [], chosen: null };
     this.frame = 0; // number of the frame in view
     this.cross = null;
     this.tool = "look";
@@ -126,7 +126,7 @@ export class Stage extends EventTarget {
 
   onUp(event) {
     if (!this.pointers.delete(event.pointerId) || !this.down || this.down.pinched) return;
-    const film = this.toFilm(this.place(event)), drags = this.tool === "scale" || this.tool === "region";
+    const film = this.toFilm(this.place(event)), drags = ["scale", "region", "tape"].includes(this.tool);
     if (!this.down.moved) this.press(film);
     else if (drags) { this.press(this.down.film); this.press(film); }
   }
@@ -170,7 +170,9 @@ export class Stage extends EventTarget {
     for (const { corners, out } of regions) this.outline(pen, corners, out ? LEFT_OUT : REGION, out);
     if (polygon.length) this.outline(pen, [...polygon, this.cross], REGION);
     if (scale.length === 2) this.line(pen, scale[0], scale[1]);
+    if (this.marks.tape.length === 2) this.line(pen, ...this.marks.tape, HINT);
     if (pending && this.tool === "scale") this.line(pen, pending, this.cross);
+    if (pending && this.tool === "tape") this.line(pen, pending, this.cross, HINT);
     if (pending && this.tool === "region") this.outline(pen, cornersOfBox(pending, this.cross), REGION);
     if (document.activeElement === this.canvas && this.cross) this.drawCross(pen);
   }
@@ -244,10 +246,10 @@ export class Stage extends EventTarget {
     }, dash);
   }
 
-  line(pen, from, to) {
+  line(pen, from, to, colour = SCALE) {
     const [a, b] = [this.toScreen(from), this.toScreen(to)];
     const long = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1, across = [-(b[1] - a[1]) / long * 7, (b[0] - a[0]) / long * 7];
-    this.stroke(pen, SCALE, () => {
+    this.stroke(pen, colour, () => {
       pen.moveTo(...a);
       pen.lineTo(...b);
       for (const [x, y] of [a, b]) {
