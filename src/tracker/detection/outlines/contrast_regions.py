@@ -89,7 +89,7 @@ def split_region(
     low, min_radius : float
         Least contrast, counts, and least radius, px, of a part.
     """
-    left, top, width, height = box
+    left, top, *_ = box
     inside = sign * apart if sign else np.abs(apart)
     if sign:
         own = own & (inside > low / 2)
@@ -99,12 +99,15 @@ def split_region(
     outlines, _ = cv2.findContours(np.pad(high, 1), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     parts = []
     for line in outlines:
+        x, y, width, height = cv2.boundingRect(line)  # a region may have many parts, each far smaller than its box
         mask = np.zeros((height + 2, width + 2), np.uint8)
+        line = line - np.array([x - 1, y - 1], dtype=line.dtype)
         cv2.drawContours(mask, [line], -1, 1, cv2.FILLED)
         moments = cv2.moments(mask, binaryImage=True)
         if moments["m00"] >= np.pi * min_radius**2:
-            lit = inside, (mask[1:-1, 1:-1] > 0) & own
-            parts.append(_measure_part(line, mask, moments, lit, (left - 1, top - 1), sign))
+            here = slice(y - 1, y - 1 + height), slice(x - 1, x - 1 + width)
+            lit = inside[here], (mask[1:-1, 1:-1] > 0) & own[here]
+            parts.append(_measure_part(line, mask, moments, lit, (left + x - 2, top + y - 2), sign))
     return parts
 
 

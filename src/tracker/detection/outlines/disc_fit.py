@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from tracker.camera.lens import Array
 from tracker.detection.background.still_background import StillBackground
 from tracker.detection.glints import SHADED_POSITION_ERROR_RADII
 from tracker.detection.outlines.contrast_regions import MIN_BLUR_PX
+from tracker.detection.outlines.quick_median import quick_median
 
 EDGE_PX = 3.0  # on either side of the outline: the pixels that determine the position
 Picture = NDArray[np.floating[Any]]
@@ -108,32 +110,35 @@ def _fit_from(scene: DiscScene, start: Array) -> DiscFit | None:
     terms = _brightness_terms(x - start[0], y - start[1], look)
     far = np.hypot(x - start[0], y - start[1])
     core = far < look.radius - 0.5 * EDGE_PX
-    ball = float(np.median(light[core] if core.any() else light[far <= np.median(far)]))
+    ball = quick_median(light[core] if core.any() else light[far <= quick_median(far)])
     swept = list(blur) if long >= MIN_BLUR_PX else []
     now = np.array([*start, look.radius, 1.0, *swept, ball, *np.zeros(len(terms) - 1)])
     limit = np.array([0.5, 0.5, 0.5, 0.5, *np.ones(len(swept)), *np.full(len(terms), np.inf)])
-    for _ in range(15):
+    farthest, tiny, turns = max(_max_shift(look), 0.25 * long), 1e-9 * np.eye(len(now)), 15
+    for turn in range(turns):
         cover, slopes = _model(x, y, level, now, terms)
         left = light - level - (now[-len(terms) :] @ terms - level) * cover
-        scatter = max(1.4826 * float(np.median(np.abs(left))), 0.3)
+        scatter = max(1.4826 * quick_median(np.abs(left)), 0.3)
         weight = np.minimum(1.0, 1.5 * scatter / np.maximum(np.abs(left), 1e-12))
         weight = weight / (1 + (doubt * (1 - cover) / scatter) ** 2)
-        normal = (slopes * weight) @ slopes.T + 1e-9 * np.eye(len(now))
+        normal = (slopes * weight) @ slopes.T + tiny
         pull = slopes @ (weight * left)
         if look.radius_std:
             normal[2, 2] += (scatter / look.radius_std) ** 2
             pull[2] += (scatter / look.radius_std) ** 2 * (look.radius - now[2])
         step = np.linalg.solve(normal, pull)
-        now = now + np.clip(step, -limit, limit)
-        now[2:4] = max(now[2], 0.5), np.clip(now[3], 0.3, EDGE_PX)  # px
-        if np.abs(step[:2]).max() < 1e-4:
+        now = now + np.minimum(np.maximum(step, -limit), limit)
+        now[2], now[3] = max(now[2], 0.5), min(max(now[3], 0.3), EDGE_PX)  # px
+        if max(abs(step[0]), abs(step[1])) < 1e-4:
             break
+        if math.hypot(now[0] - start[0], now[1] - start[1]) > farthest + math.sqrt(0.5) * (turns - 1 - turn):
+            return None  # the turns left cannot bring it back
     spread = float(np.sqrt((weight * left**2).sum() / max(weight.sum() - len(now), 1.0)))
     away = float(np.hypot(*(now[:2] - start)))
     inner = far <= max(look.radius, float(far.min()))
-    contrast = abs(float(np.median((now[-len(terms) :] @ terms)[inner])) - float(np.median(level)))
+    contrast = abs(quick_median((now[-len(terms) :] @ terms)[inner]) - quick_median(level))
     if (
-        away > max(_max_shift(look), 0.25 * long)
+        away > farthest
         or np.hypot(0.25 * contrast, 1.2 * look.noise) <= spread  # residuals of a quarter of the contrast: no disc
     ):
         return None

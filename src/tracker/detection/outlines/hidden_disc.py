@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
+from tracker.detection.outlines.quick_median import quick_median
 
 Picture = NDArray[np.floating[Any]]
+_ONES = np.eye(2)
 
 
 def fit_outline_circle(
@@ -50,7 +52,7 @@ def fit_outline_circle(
         far = np.arange(first * radius, last * radius, step)
         points = middle + far[:, None, None] * directions
         light, ground = _at(frame, points), _at(level, points)
-        contrast = float(np.median(light[far < 0.7 * radius])) - ground  # of a pixel that the ball covers fully
+        contrast = quick_median(light[far < 0.7 * radius].ravel()) - ground  # of a pixel that the ball covers fully
         cover = (light - ground) / np.where(np.abs(contrast) < low, np.inf, contrast)
         over = cover > 0.5
         outermost = len(far) - 1 - np.argmax(over[::-1], axis=0)
@@ -80,10 +82,13 @@ def _circle(points: Array, start: Array, radius: float) -> tuple[Array, float]:
         off_centre = points - middle
         far = np.maximum(np.hypot(off_centre[:, 0], off_centre[:, 1]), 1e-9)
         off, slope = far - radius, off_centre / far[:, None]
-        off = off - np.median(off)  # blur and threshold shift the whole outline by the same
-        scatter = max(1.4826 * float(np.median(np.abs(off))), 1e-3)
+        off = off - quick_median(off)  # blur and threshold shift the whole outline by the same
+        scatter = max(1.4826 * quick_median(np.abs(off)), 1e-3)
         weight = np.minimum(1.0, 1.5 * scatter / np.maximum(np.abs(off), 1e-12))
-        step = np.linalg.solve(slope.T @ (weight[:, None] * slope) + 1e-9 * np.eye(2), slope.T @ (weight * off))
+        pull = weight[:, None] * slope
+        (xx, xy), (_, yy) = slope.T @ pull + 1e-9 * _ONES
+        fx, fy = off @ pull
+        step = np.array([yy * fx - xy * fy, xx * fy - xy * fx]) / (xx * yy - xy * xy)
         middle = middle + step
         if np.hypot(*step) < 1e-4:
             break

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.detection.outlines.contrast_regions import find_touching_discs
+from tracker.detection.outlines.contrast_regions import find_touching_discs, split_region
 
 ROWS, COLUMNS = np.mgrid[:90, :120].astype(float)
 
@@ -34,3 +34,18 @@ def test_discs_that_touch_are_told_from_other_shapes(own, places):
     assert len(found) == len(places)
     assert all(min(np.hypot(x - a, y - b) for a, b in found) < 1.5 for x, y in places)
     assert not places or abs(radius - 10) < 1
+
+
+def test_a_part_is_measured_in_its_own_box():
+    """A region as wide as the picture may have a thousand parts, which took most of the time as masks of that size."""
+    ball = discs((70, 50))
+    own = ball | (ROWS == 0)  # a faint line, too
+    apart = np.where(ball, 60.0, 2.0)
+    (part,) = split_region(apart, own, (1000, 500, 120, 90), 0, 1.0, 5.0)
+    assert part.middle == pytest.approx([1070, 550], abs=0.01)
+    assert part.area == ball.sum()
+    assert part.contrast == 60.0
+    assert part.mask.shape == (21, 21)
+    picture = np.zeros((700, 1200), np.uint8)
+    part.fill(picture)
+    assert np.array_equal(picture[500:590, 1000:1120], ball)
