@@ -4,6 +4,7 @@ With `--dist loadfile` the tests of a file run in one process, and so do those o
 begin, and files of many small tests end a run, so that both processes end together.
 """
 
+import functools
 import gc
 import os
 import re
@@ -11,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer.main
 from hypothesis import settings
 from report_pages import undrawn
 
@@ -21,6 +23,8 @@ SHARED = re.compile(r"^from discrepancy_\w+ import .*\b(searched|outsider)\b", r
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+# A process runs one command; here it runs hundreds, and all would make the tree of commands and options again.
+typer.main.get_command = functools.cache(typer.main.get_command)
 gc.disable()  # while tests are collected nothing becomes garbage
 
 

@@ -38,10 +38,15 @@ def plan(clips=4, seed=5, video=True, scene=SCENE, **more):
     return GenerationPlan((check_scene(scene, "s.yaml"),), clips, seed, video, **more)
 
 
-def make(folder, monkeypatch, withheld=None, **settings):
-    """A finished dataset with dots for pictures."""
+def with_dots(monkeypatch):
+    """Let films be dots."""
     monkeypatch.setattr(Clip, "pictures", film)
     monkeypatch.setattr(generate, "describe_machine", lambda video: {"gl": {"renderer": "dots"}, "machine": {}})
+
+
+def make(folder, monkeypatch, withheld=None, **settings):
+    """A finished dataset with dots for pictures."""
+    with_dots(monkeypatch)
     outcome = generate_dataset(plan(**settings), folder, 1, quiet, withheld)
     assert outcome.failed == ()
     return folder

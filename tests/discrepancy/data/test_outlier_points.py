@@ -135,7 +135,7 @@ def test_what_a_model_lacks_makes_none(effect, longer):
     """At its realistic size, and where the exposures take up to the whole time from frame to frame."""
     truth = Model().replace({effect: find_parameter(Model(), effect).typical})
     camera = dataclasses.replace(CLIPS[0].camera, exposure=longer * CLIPS[0].camera.exposure)
-    clips = [dataclasses.replace(c, camera=camera) for c in exact(truth, 8, 3)]
+    clips = [dataclasses.replace(c, camera=camera) for c in exact(truth, 6, 3)]
     places = predict_tracks(truth, np.array([c.launch for c in clips]), clips)
     clips = noisy([dataclasses.replace(c, xy=xy) for c, xy in zip(clips, places, strict=True)], 3)
     assert not any(found_beside_a_model(clips))

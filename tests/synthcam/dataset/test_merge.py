@@ -6,7 +6,7 @@ import json
 import shutil
 
 import pytest
-from synthcam_stub import make, plan, quiet, sums
+from synthcam_stub import make, plan, quiet, sums, with_dots
 
 from synthcam.dataset.files import clip_folders, verify
 from synthcam.dataset.generate import generate_dataset
@@ -14,9 +14,20 @@ from synthcam.dataset.merge import merge
 from synthcam_shared.errors import InputError
 
 
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("shards")
+    with pytest.MonkeyPatch.context() as patch:
+        for k in (1, 2, 3):
+            make(folder / f"part{k}", patch, clips=5, shard=(k, 3))
+    return folder
+
+
 @pytest.fixture
-def parts(tmp_path, monkeypatch):
-    return [make(tmp_path / f"part{k}", monkeypatch, clips=5, shard=(k, 3)) for k in (1, 2, 3)]
+def parts(shards, tmp_path, monkeypatch):
+    """Copies of three shards, which a test may damage, and the pictures of the others that it makes."""
+    with_dots(monkeypatch)
+    return [shutil.copytree(shards / f"part{k}", tmp_path / f"part{k}") for k in (1, 2, 3)]
 
 
 def test_shards_share_the_clips(parts):
