@@ -71,6 +71,15 @@ def without_local() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def without_fits() -> Iterator[None]:
+    """Within it, collisions are found and not fitted, for tests of tracks."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("fit_collision", "fit_lasting_collision"):
+            patch.setattr(estimate, name, lambda *_: "not fitted")
+        yield
+
+
 def measured(folder: Path, clips: int, noise: float = NOISE, seed: int = 0) -> pd.DataFrame:
     """One row a clip: the tied and the free fit, and the truth as NAME_true."""
     rng, rows, truths = np.random.default_rng(seed), [], scalars_of(folder)

@@ -47,11 +47,18 @@ def beside(rubbed, name, **shapes):
     return fit_law_with_effect(evidence, known, scored, base, lambda: None)
 
 
-def test_what_fits_better_in_the_place_of_an_effect_is_found(rubbed):
+@pytest.fixture(scope="module")
+def wrong_effect(rubbed):
+    """Viscous friction beside the free law: its sigma, the fit, the effect, and the fit without it."""
     evidence, base, *_ = rubbed
     sigma, wrong = beside(rubbed, "viscous_friction")
     named = candidates_by_name(wrong.model_without_law, base.model, base.names)["viscous_friction"]
-    less = refit_without_effect(evidence, wrong, named, base, lambda: None)
+    return sigma, wrong, named, refit_without_effect(evidence, wrong, named, base, lambda: None)
+
+
+def test_what_fits_better_in_the_place_of_an_effect_is_found(rubbed, wrong_effect):
+    evidence, base, *_ = rubbed
+    sigma, wrong, named, less = wrong_effect
     ((name, best), *_) = find_replacements(evidence, less, named, (), base, lambda: None)
     assert sigma > current_policy().free_law_sigma
     assert name == "stribeck"
@@ -67,11 +74,9 @@ def test_a_shape_parameter_is_found_from_far_beside_a_free_law(rubbed):
     assert far == pytest.approx([near, near], abs=1)
 
 
-def test_an_effect_that_is_no_rival_is_not_asked(rubbed):
+def test_an_effect_that_is_no_rival_is_not_asked(rubbed, wrong_effect):
     evidence, base, *_ = rubbed
-    wrong = beside(rubbed, "viscous_friction")[1]
-    named = candidates_by_name(wrong.model_without_law, base.model, base.names)["viscous_friction"]
-    less = refit_without_effect(evidence, wrong, named, base, lambda: None)
+    _, _, named, less = wrong_effect
     assert "stribeck" not in [
         name for name, _ in find_replacements(evidence, less, named, ("stribeck",), base, lambda: None)
     ]

@@ -29,7 +29,7 @@ def overhead(**changes):
 
 def trace(camera, centres, pixels, radii):
     """Rays through pixels (M, 2): bounces, reflectance kept, by how much the lamp's centre is missed, m, last rise."""
-    steps = 100 if np.any(camera.dist) else 1
+    steps = 10 if np.any(camera.dist) else 1  # enough for the last bit
     flat = cv2.undistortPoints(
         pixels.reshape(-1, 1, 2), camera.K, camera.dist, criteria=(cv2.TERM_CRITERIA_MAX_ITER, steps, 0)
     ).reshape(-1, 2)
