@@ -46,6 +46,15 @@ def test_bodies_that_part_do_not_stay(r):
     assert measure(SoftHit(0.02, r, after=180))["status"].iloc[0] != "stay_together"
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_balls_that_part_slowly_after_a_second_touch_do_not_stay(seed):
+    """They move apart at 1.6 % of the closing speed, and never leave each other by 2 % of a diameter."""
+    hit = SoftHit(0.022, 0.219, v0=0.242, friction=0.059, noise=2.5e-5, law="hertz", before=40, after=175)
+    row = measure(hit, seed).iloc[0]
+    assert row["status"] != "stay_together"
+    assert not abs(row["r"] - hit.r) > 4 * row["r_std"]  # no value, or one that holds
+
+
 def test_balls_that_lie_beside_each_other_do_not_meet():
     rng = np.random.default_rng(0)
     hit = SoftHit(0.01)
