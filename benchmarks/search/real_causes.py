@@ -22,6 +22,8 @@ says that these tracks cannot show the cause, it is a few per cent. A line for e
 named, and with which value. Free stretches cannot show the time of all recordings, as the effect `clock_error` proves:
 there the right answer is to name nothing.
 
+A run that was stopped continues: sets whose line the output has are not searched again.
+
 The tracks have small accelerations and distortions of their own. `own` is what the set without a cause shows of the
 effect, by one linear step from its base model. `z` is the error of the size, found less own, in its standard errors.
 """
@@ -34,7 +36,7 @@ import json
 import os
 import pickle
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import partial
@@ -239,11 +241,11 @@ class CausedSet:
 
 def run_set(given: CausedSet, minutes: float) -> dict[str, Any]:
     """Search one set; the line says what was found."""
-    begun = time.monotonic()
+    begun = time.process_time()  # wall time tells of the load of the machine
     line: dict[str, Any] = {"set": given.name, "cause": given.cause.name if given.cause else "none"}
     line |= {"times": given.times, "strength": given.strength}
     found = search(given.clips, given.model, seconds=60 * minutes, stretches=True)
-    line |= {"verdict": str(found.verdict), "seconds": round(time.monotonic() - begun)}
+    line |= {"verdict": str(found.verdict), "seconds": round(time.process_time() - begun, 1)}
     line["claims"] = [
         {"effect": c.effect, "aliases": c.aliases[1:], "sigma": round(c.sigma, 1), "values": c.values, "std": c.std}
         for c in found.claims
@@ -306,11 +308,14 @@ def main() -> None:
             (given.prepare / f"{one.name}.pkl").write_bytes(pickle.dumps(one.clips))
         return
     given.output.parent.mkdir(parents=True, exist_ok=True)
+    known = [json.loads(line) for line in given.output.read_text().splitlines()] if given.output.exists() else []
+    done = {(line["set"], line["cause"], line["times"]): line for line in known}
     masses = any("mass".startswith(only[:4]) for only in given.only.split(","))
+    masses = masses and not any(line["cause"] == "mass of ball a" for line in known)
     clones = [(source, find_laboratory(source)) for source in given.sources if source.is_dir() and masses]
     recoils = (line for source, name in clones for line in relabel_masses(name, LABORATORIES[name][0](source)))
     with given.output.open("a") as file:
-        searched = run_all(sets, tuple(given.only.split(",")), given.minutes, given.jobs)
+        searched = run_all(sets, tuple(given.only.split(",")), given.minutes, given.jobs, done)
         for line in itertools.chain(recoils, searched):
             show(line, file)
 
@@ -338,11 +343,30 @@ def read_sets(source: Path, given: argparse.Namespace) -> list[CausedSet]:
     return [CausedSet.of(f"{name}-{k}", clips[k :: given.parts][: given.hits]) for k in range(given.parts)]
 
 
-def run_all(sets: Sequence[CausedSet], only: tuple[str, ...], minutes: float, jobs: int) -> Iterator[dict[str, Any]]:
-    """Search all sets without a cause, and then with each; the lines come as they are ready."""
-    bare, running = dict[str, dict[str, Any]](), dict[Future[dict[str, Any]], CausedSet]()
+def run_all(
+    sets: Sequence[CausedSet],
+    only: tuple[str, ...],
+    minutes: float,
+    jobs: int,
+    done: Mapping[tuple[str, str, float], dict[str, Any]],
+) -> Iterator[dict[str, Any]]:
+    """Search all sets without a cause, and then with each; the lines come as they are ready.
+
+    done: the lines that an earlier run has written, by set, cause and times.
+    """
+    bare = {name: line for (name, cause, _), line in done.items() if cause == "none"}
+    running = dict[Future[dict[str, Any]], CausedSet]()
     with ProcessPoolExecutor(jobs) as pool:
-        running |= {pool.submit(run_set, one, minutes): one for one in sets}
+
+        def submit(some: Iterable[CausedSet]) -> None:
+            for one in some:
+                if (one.name, one.cause.name if one.cause else "none", one.times) not in done:
+                    running[pool.submit(run_set, one, minutes)] = one
+
+        submit(sets)
+        for one in sets:
+            if one.name in bare:
+                submit(put_causes(one, bare[one.name], only))
         while running:
             for job in wait(running, return_when=FIRST_COMPLETED).done:
                 one, line = running.pop(job), job.result()
@@ -352,8 +376,7 @@ def run_all(sets: Sequence[CausedSet], only: tuple[str, ...], minutes: float, jo
                 bare[one.name] = line
                 false = [c["effect"] for c in line["claims"]] + ([line["law"]] if line["law"] else [])
                 yield line | {"shown": False, "named": False, "false": false}
-                caused = put_causes(one, line, only)
-                running |= {pool.submit(run_set, each, minutes): each for each in caused}
+                submit(put_causes(one, line, only))
 
 
 def put_causes(bare: CausedSet, line: dict[str, Any], only: tuple[str, ...]) -> Iterator[CausedSet]:

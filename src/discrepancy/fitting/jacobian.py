@@ -111,13 +111,14 @@ def differentiate_launches(
 def _difference_launches(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision]
 ) -> tuple[list[Array], list[Array]]:
-    (k, size), own = launches.shape, find_free_columns(launches)
-    nudges = LAUNCH_STEP * np.concatenate([np.zeros((1, size)), np.eye(size)])[:, None] * own
-    every = predict_tracks(model, (launches[None] + nudges).reshape(-1, size), list(clips) * len(nudges))
-    slopes = [
-        np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(size)], axis=-1) for i in range(k)
-    ]  # unmoved launches differ too, by rounding: the steps of their integration are of all that are solved together
-    return every[:k], [s * free_here for s, free_here in zip(slopes, own, strict=True)]
+    (k, size), (clip, column) = launches.shape, np.nonzero(find_free_columns(launches))
+    nudged = launches[clip]
+    nudged[np.arange(len(clip)), column] += LAUNCH_STEP
+    every = predict_tracks(model, np.concatenate([launches, nudged]), [*clips, *(clips[i] for i in clip)])
+    here, slopes = every[:k], [np.zeros((*xy.shape, size)) for xy in every[:k]]
+    for i, j, there in zip(clip.tolist(), column.tolist(), every[k:], strict=True):
+        slopes[i][..., j] = (there - here[i]) / LAUNCH_STEP
+    return here, slopes
 
 
 def _difference_one_sided(model: Model, launch: Array, clip: MeasuredCollision) -> tuple[list[Array], list[Array]]:

@@ -55,12 +55,12 @@ def map_by_frame_rate(
 def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
     if model.sliding_friction == 0:  # so little that a slide outlasts every film, but ends
         model = model.replace({"sliding_friction": 1e-9})
-    camera = clips[0].camera
-    frames = np.arange(min(int(c.frame.min()) for c in clips), max(int(c.frame.max()) for c in clips) + 1)
+    camera, (frames, seen) = clips[0].camera, _arrange_frames(clips)
     film = frames / camera.fps
     exposure = float(model.laws("exposure", camera.exposure, {"fps": camera.fps}))
     rows = np.array([[0.0], [camera.size[1] - 1.0]])
-    extent = model.laws("clock", film[[0, -1]], {"fps": camera.fps, "row": rows}) + np.array([0.0, exposure])
+    both_ends = np.array([film.min(), film.max()])
+    extent = model.laws("clock", both_ends, {"fps": camera.fps, "row": rows}) + np.array([0.0, exposure])
     start = min(float(extent.min()), float(launches[:, T_C].min()))
     last = np.array([c.frame.max() for c in clips]) / camera.fps
     ends = np.max(model.laws("clock", last, {"fps": camera.fps, "row": rows}) + exposure + 0 * rows, axis=0)
@@ -68,18 +68,34 @@ def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCol
     positions, opens = _average_exposures(model, motion, camera, film, exposure)
     height: Array | float = camera.radius
     if model.laws.has_effect_on("loft"):  # means over the exposures by Simpson's rule
-        first, middle, last = (motion.heights(opens + share * exposure)[..., None] for share in (0.0, 0.5, 1.0))
-        height = (first + 4 * middle + last) / 6
-    positions = _apply_camera(model, camera, positions, height)
-    return [positions[c.ball, k, c.frame - frames[0]] for k, c in enumerate(clips)]
+        first, middle, last = (motion.heights(opens + share * exposure) for share in (0.0, 0.5, 1.0))
+        height = ((first + 4 * middle + last) / 6).reshape(film.shape)[seen][:, None]
+    places = _apply_camera(model, camera, positions.reshape(*film.shape, 2)[seen], height)
+    return np.split(places, np.cumsum([len(c.frame) for c in clips])[:-1])
+
+
+def _arrange_frames(clips: Sequence[MeasuredCollision]) -> tuple[Ints, tuple[Ints, Ints]]:
+    """Arrange the frames of n clips by ball, (2n, m) with balls as in `CollisionBatch`, and find each position in them.
+
+    Each ball has its own frames alone: those of stretches in a long film differ. Shorter rows are padded with the last
+    frame of the clip.
+    """
+    ball = np.concatenate([k + c.ball * len(clips) for k, c in enumerate(clips)])
+    counts, order = np.bincount(ball, minlength=2 * len(clips)), np.argsort(ball, kind="stable")
+    column = np.empty_like(ball)
+    column[order] = np.arange(len(ball)) - np.repeat(np.cumsum(counts) - counts, counts)
+    last = np.array([c.frame.max() for c in clips])
+    frames = np.repeat(np.tile(last, 2)[:, None], counts.max(), axis=1)
+    frames[ball, column] = np.concatenate([c.frame for c in clips])
+    return frames, (ball, column)
 
 
 def _average_exposures(
     model: Model, motion: CollisionBatch, camera: Camera, film: Array, exposure: float
 ) -> tuple[Array, Array]:
-    """Means over the exposures, (2, clips, frames, 2), m, and the times at which these open, s.
+    """Means over the exposures, (2, clips, frames, 2), m, and the times at which these open, (2 clips, frames) s.
 
-    The times are (frames,), or (2 clips, frames) where the clock depends on the picture's row, as in a rolling shutter.
+    film: the times of the frames of each ball by the clock of the film, (2 clips, frames).
     """
     if not model.laws.needs("clock", "row"):
         opens = model.laws("clock", film, {"fps": camera.fps, "row": 0.0})
@@ -87,8 +103,8 @@ def _average_exposures(
     positions, opens = motion.average_centres(film, exposure), film
     for _ in range(2):
         pixels = camera.project(_spatial(positions, camera.radius))
-        rows = np.clip(pixels[..., 1], 0, camera.size[1] - 1).reshape(-1, len(film))
-        own = model.laws("clock", film + 0 * rows, {"fps": camera.fps, "row": rows})
+        rows = np.clip(pixels[..., 1], 0, camera.size[1] - 1).reshape(film.shape)
+        own = model.laws("clock", film, {"fps": camera.fps, "row": rows})
         opens = np.clip(own, motion.start, motion.end - exposure)
         positions = motion.average_centres(opens, exposure)
     return positions, opens

@@ -50,7 +50,7 @@ class ResponseSegment:
         states = motion.at(inside).reshape(len(times), POINTS, 9)
         return cls(times, states[..., :2], states[..., 3:5], contact_velocity(states, radius))
 
-    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> ResponseSegment:
+    def __getitem__(self, rows: slice | NDArray[np.bool_] | Ints) -> ResponseSegment:
         return ResponseSegment(self.times[rows], self.place[rows], self.velocity[rows], self.contact[rows])
 
     @property
@@ -103,16 +103,20 @@ def _respond_one_rate(
     start = min(min(int(c.frame.min()) for c in clips) / fps, float(launches[:, T_C].min()))
     whole = max(int(c.frame.max()) for c in clips)
     ends = tuple(((int(c.frame.max()) if c.is_stretch else whole) + 1) / fps + exposure for c in clips)
-    early, slide, roll = _split_motion(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, ends)
+    split = _split_motion(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, ends)
+    every_ball = [k + clip.ball * len(clips) for k, clip in enumerate(clips)]
+    seen = np.unique(np.concatenate(every_ball))  # of a stretch only the striker is
+    early, slide, roll = (segment[seen] for segment in split)
     contact, over = slide.times[:, 0], roll.times[:, 0]
     parts = -(-len(contact) * POINTS * 2 * size // 250_000)  # numbers that fit into the processor's cache
     cuts = np.linspace(0, len(contact), min(parts, len(contact)) + 1).astype(int).tolist()
     rows = [slice(a, b) for a, b in itertools.pairwise(cuts)]
-    blocks = [_shift_segments(model, early[r], slide[r], roll[r], changes, size) for r in rows]
+    has_past = not all(clip.is_stretch for clip in clips)
+    blocks = [_shift_segments(model, early[r] if has_past else None, slide[r], roll[r], changes, size) for r in rows]
     shifts = [np.concatenate(segment) for segment in zip(*blocks, strict=True)]
     out = []
-    for k, clip in enumerate(clips):
-        ball = k + clip.ball * len(clips)
+    for clip, own_ball in zip(clips, every_ball, strict=True):
+        ball = np.searchsorted(seen, own_ball)
         when = clip.frame / fps + exposure / 2
         which = np.where(when < contact[ball], 0, np.where(when < over[ball], 1, 2))
         xy = np.zeros((len(when), 2, size))
@@ -141,18 +145,24 @@ def _split_motion(
 
 def _shift_segments(
     model: Model,
-    early: ResponseSegment,
+    early: ResponseSegment | None,
     slide: ResponseSegment,
     roll: ResponseSegment,
     changes: Mapping[str, LawChange],
     size: int,
 ) -> tuple[Array, Array, Array]:
-    """Shifts (k, m, 2, J) of some balls in each of their three segments."""
-    nothing = np.zeros((len(early.times), 2, size))
-    came, slides = _shift_rolling(model, early, changes, size, nothing, nothing), early.slip_speed.min(axis=1) > 1e-6
-    if slides.any():
-        came[slides] = _shift_sliding(model, early[slides], early[slides], changes, size)[0]
-    slid, left = _shift_sliding(model, slide, roll, changes, size)
+    """Shifts (k, m, 2, J) of some balls in each of their three segments; early: None if nobody sees the first."""
+    nothing, came = np.zeros((len(roll.times), 2, size)), np.zeros((len(roll.times), POINTS, 2, size))
+    if early is not None:
+        came, slides = (
+            _shift_rolling(model, early, changes, size, nothing, nothing),
+            early.slip_speed.min(axis=1) > 1e-6,
+        )
+        if slides.any():
+            came[slides] = _shift_sliding(model, early[slides], early[slides], changes, size)[0]
+    slid, left = np.zeros((len(roll.times), POINTS, 2, size)), nothing
+    if np.any(slide.times[:, -1] > slide.times[:, 0]):
+        slid, left = _shift_sliding(model, slide, roll, changes, size)
     return came, slid, _shift_rolling(model, roll, changes, size, slid[:, -1], left)
 
 

@@ -222,10 +222,12 @@ def _realistic_starts(
     scored: CandidateScore,
     shares: Sequence[float] = (0.1, 0.3, 1.0),
     count: int = 2,
+    max_shapes: int = 10,
 ) -> list[ModelFit]:
     """The best starts with the candidate's single strength at shares of a realistic size, all else after one step.
 
-    A score test cannot lead to a strength at which the tracks have stopped being linear in it.
+    A score test cannot lead to a strength at which the tracks have stopped being linear in it. But it tells which
+    values of the shape parameters are worth a try, at most `max_shapes` of them: a dropped frame has 499.
     """
     candidate = scored.candidate
     if len(candidate.strengths) > 1:
@@ -233,7 +235,11 @@ def _realistic_starts(
     name = candidate.strengths[0]
     size, (low, high) = find_parameter(fit.model, name).typical, parameter_limits(fit.model, name)
     begun: list[ModelFit] = []
-    for shapes in candidate.grid(fit.model):
+    grid = list(candidate.grid(fit.model))
+    if len(grid) > max_shapes:
+        estimates = ScoreTests.of(evidence, fit, only=[candidate]).estimates()
+        grid = [shapes for shapes, _, _ in sorted(estimates, key=lambda trial: -trial[1])[:max_shapes]]
+    for shapes in grid:
         for value in (sign * share * size for share in shares for sign in (1, -1)):
             if low <= value <= high:
                 start = take_one_step(evidence, fit, fit.model.replace({**shapes, name: value}))

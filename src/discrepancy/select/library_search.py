@@ -26,6 +26,9 @@ from synthcam.model import Model
 
 SCORE_ERROR_CHI2 = 15.0  # a score test is only of first order: its chi^2 may be wrong by so much,
 SCORE_ERROR_SHARE = 0.2  # plus this share of the chi^2 that the effect explains
+STRONG_EFFECT = (
+    7.0  # beside an effect whose share exceeds so many times the first error, rivals are tested after a refit
+)
 MAX_EXCHANGES = 4  # rivals of one effect that are fitted instead of it
 
 
@@ -223,13 +226,15 @@ def improve_once(library: LibraryFits, state: State) -> State | None:
             worse = library.fit(rest).chi2 - fit.chi2
             if library.convert_to_sigma(worse, candidate) < library.required_sigma:
                 return rest
-        reduced, keys = None, {frozenset(state): candidate}
-        for c in _find_rivals(library, tests, candidate):
+        reduced, keys, beside, without = None, {frozenset(state): candidate}, tests, candidate
+        if rise * SCORE_ERROR_SHARE > STRONG_EFFECT * SCORE_ERROR_CHI2:  # fitted again, the rest leaves less to explain
+            beside, without, reduced = library.score_tests(rest), None, library.fit(rest)
+        for c in _find_rivals(library, beside, without, fit.chi2):
             key = frozenset({*rest, c.candidate})
             keys[key] = c.candidate
             if key not in library.fits:
                 reduced = reduced or library.remove(fit, candidate)
-                library.extend(key, reduced, tests.sharper(library.evidence, c, candidate))
+                library.extend(key, reduced, beside.sharper(library.evidence, c, without))
             if library.cost_of(key) < library.cost_of(state) + SCORE_ERROR_CHI2:
                 library.fit(key)
             if library.cost_of(key) < library.cost_of(state) - current_policy().rival_excluded_chi2:
@@ -240,11 +245,16 @@ def improve_once(library: LibraryFits, state: State) -> State | None:
     return None
 
 
-def _find_rivals(library: LibraryFits, tests: ScoreTests, candidate: Candidate) -> list[CandidateScore]:
-    """Find candidates that, to first order, fit nearly as well as an effect does; the best comes first."""
-    total = tests.chi2(candidate)
-    near = tests.fit.chi2 + SCORE_ERROR_CHI2 + SCORE_ERROR_SHARE * (total - tests.fit.chi2)
-    rivals = [c for c in tests.ranking(candidate) if total - c.gain < near and c.effect not in library.absorbed]
+def _find_rivals(
+    library: LibraryFits, tests: ScoreTests, without: Candidate | None, chi2: float
+) -> list[CandidateScore]:
+    """Find candidates that, to first order, fit nearly as well as an effect does; the best comes first.
+
+    tests, without: those of the model without the effect, as for `ScoreTests.ranking`. chi2: of the fit with it.
+    """
+    total = tests.chi2(without)
+    near = chi2 + SCORE_ERROR_CHI2 + SCORE_ERROR_SHARE * (total - chi2)
+    rivals = [c for c in tests.ranking(without) if total - c.gain < near and c.effect not in library.absorbed]
     return sorted(rivals, key=lambda c: -c.gain)[:MAX_EXCHANGES]
 
 

@@ -141,7 +141,7 @@ def solve_collisions(
     """Solve many collisions at once. Raises ValueError as `solve` does.
 
     launches: (n, 6) or (n, 9), columns LAUNCH_COLUMNS and, of strikers that do not roll, `SPIN_COLUMNS` of `launch`.
-    The x and y of a free striker, |b| > 1, are its own position; ball 1 is then another striker at the same position.
+    The x and y of a free striker, |b| > 1, are its own position; the target, which nobody sees, then rests there.
     start, end: s. striker_is_a: whether the striker is ball a of the experimenter, (n,) or one for all. ends: (n,) s,
     until when each free striker is followed; by default all are followed until `end`.
     """
@@ -157,12 +157,15 @@ def solve_collisions(
     target, striker = touch[0].copy(), touch[1].copy()
     striker[free, :2] = launches[free, :2]
     target[free] = striker[free]
+    target[free, 3:] = 0.0
 
     until = np.full(len(launches), float(end)) if ends is None else np.where(free, np.minimum(ends, end), end)
     batch = CollisionBatch(float(start), float(end), radius=both.radius)
-    run = _BatchSolver(model, both, batch, np.tile(t_c, 2), np.tile(until, 2))
+    run = _BatchSolver(model, both, batch, np.tile(t_c, 2), np.concatenate([np.where(free, t_c, until), until]))
     if run.mutual and free.any():
         raise ValueError("a ball that meets nothing has no partner to push it")
+    unseen = np.flatnonzero(free)
+    batch.segments.append(RestSegment(unseen, np.full(len(unseen), batch.start), until[unseen], target[unseen]))
     target, striker = run.solve_approach(target, striker, free)
     met = [np.where(free[:, None], *pair) for pair in zip(touch, (target, striker), strict=True)]
     hit = collide(model, met[0], met[1], one, two)  # that of a free striker is not used
@@ -239,16 +242,15 @@ def _solve_free_balls(
     spans: when each ball has that state, and until when it is followed, s.
     """
     t_c, ends = spans
-    out.segments = [drop_balls(s, np.isin(s.who % out.size, which)) for s in out.segments]
+    out.segments = [drop_balls(s, np.isin(s.who, which + out.size)) for s in out.segments]
     for k in which:
-        rows, time, radius = np.array([k, k + out.size]), np.full(2, t_c[k]), np.full(2, bodies.radius[k])
-        start, until = np.full(2, out.start), np.full(2, ends[k])
+        row, time, radius = np.array([k + out.size]), t_c[[k]], bodies.radius[[k]]
         its = solve(model, Launch(t_c[k], states[k][None], bodies[[k]]), t_c[k], ends[k], finish_slides=False)
         if t_c[k] > out.start:
-            out.segments.append(RollSegment(rows, start, time, time, np.tile(states[k], (2, 1)), radius, 0.0, 0.0))
-        out.segments += [TrajectorySegment(rows[[row]], time[:1], until[:1], its) for row in (0, 1)]
+            out.segments.append(RollSegment(row, np.array([out.start]), time, time, states[[k]], radius, 0.0, 0.0))
+        out.segments.append(TrajectorySegment(row, time, ends[[k]], its))
         slid = [e.t for e in its.events if e.kind == "slide_end"]
-        out.slide_ends[rows] = slid[0] if slid else t_c[k]
+        out.slide_ends[row] = slid[0] if slid else t_c[k]
 
 
 def _group_by_size(who: Ints, size: Array) -> list[Ints]:
@@ -277,7 +279,7 @@ class _BatchSolver:
         if self.mutual:
             return self._approach_with_push(np.concatenate([target, striker]))
         early, states = self.t_c > self.out.start, np.concatenate([target, striker])
-        past = np.flatnonzero(early & np.tile(free, 2))
+        past = n + np.flatnonzero(early[n:] & free)
         straight = (past, start[past], self.t_c[past], self.t_c[past], states[past], self.bodies.radius[past])
         self.out.segments.append(RollSegment(*straight, 0.0, 0.0))
         known = np.flatnonzero(early & ~np.tile(free, 2))

@@ -172,7 +172,7 @@ def test_a_sliding_approach_is_a_parabola_along_its_slip():
 
 
 def test_a_free_ball_that_stops_on_a_slope_rolls_back():
-    """As `solve` has it; a ball that met nothing stayed where it stopped."""
+    """As `solve` has it; a ball that met nothing stayed where it stopped. The target, which nobody sees, rests."""
     model = Model(rolling_decel=0.005, effects=(library()["plate_tilt"](x=-3e-3),))
     launches = np.array([[0.0, 0.0, 0.1, 0.02, 0.0, 2.0], [0.01, 0.0, 0.0, 0.03, 1.0, 2.0]])
     times = np.linspace(0.0, 4.0, 41)
@@ -180,7 +180,9 @@ def test_a_free_ball_that_stops_on_a_slope_rolls_back():
     for row, (x, y, t_c, v0, heading, _) in enumerate(launches):
         alone = solve(model, Launch.single(model.bodies(("a",)), t_c, v0, heading, (x, y)), t_c, 4.0)
         late = times > t_c
-        assert batch[:, row, late, :2] == pytest.approx(np.stack([alone.at(times[late])[0][:, :2]] * 2), abs=1e-9)
+        assert batch[1, row, late, :2] == pytest.approx(alone.at(times[late])[0][:, :2], abs=1e-9)
+        assert batch[0, row, :, :2] == pytest.approx(np.tile([x, y], (len(times), 1)), abs=1e-12)
+        assert not batch[0, row, :, 3:].any()
         assert batch[1, row, -1, 0] < -0.03
 
 
