@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact
 
+from discrepancy.data.stretches import cut_stretches
+from discrepancy.fitting import jacobian
 from discrepancy.fitting.jacobian import differentiate_all, differentiate_launches
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
@@ -48,3 +50,18 @@ def test_what_is_not_free_moves_nothing():
     assert np.abs(slopes[0][..., 8]).max() > 1e-3
     assert not any(s[..., 6:8].any() for s in slopes)
     assert not any(s[..., 8].any() for s in slopes[1:])
+
+
+def test_only_free_columns_of_a_launch_are_moved(monkeypatch):
+    """A stretch that rolls from the start has four: its position, speed and heading."""
+    stretch = next(c for c in cut_stretches(exact(Model(), 1, 3)) if not c.launch[6:].any())
+    counts, predict = list[int](), jacobian.predict_tracks
+
+    def spy(model, launches, clips):
+        counts.append(len(launches))
+        return predict(model, launches, clips)
+
+    monkeypatch.setattr(jacobian, "predict_tracks", spy)
+    _, (slopes,) = differentiate_launches(Model(), stretch.launch[None], [stretch])
+    assert counts == [5]
+    assert slopes.any(axis=(0, 1)).tolist() == [True, True, False, True, True, False, False, False, False]

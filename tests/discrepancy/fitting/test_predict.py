@@ -8,9 +8,11 @@ import pytest
 from discrepancy_clips import CAMERA, FPS, blank, exact
 
 from discrepancy.data.launch import HEADING, T_C, V0, B
+from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
+from synthcam.dynamics.batch import CollisionBatch
 from synthcam.model import Model
 from synthcam.scene.scene import read_scene
 from tracker.camera.camera import Camera
@@ -130,3 +132,22 @@ def test_a_correction_of_the_camera_file_does_not_move_what_another_effect_predi
             for c in (CAMERA, warped)
         ]
         assert np.abs(seen[0] - seen[1]).max() < 1e-9
+
+
+def test_stretches_of_a_long_film_are_predicted_in_their_own_frames_only(monkeypatch):
+    """As each alone; a film of 2000 frames costs no more than the frames that are seen."""
+    cut, late = cut_stretches(exact(Model(), 2, 3)), 2000
+    last = cut[-1]
+    launch = last.launch + np.eye(9)[T_C] * late / FPS
+    clips = [*cut[:-1], dataclasses.replace(last, frame=last.frame + late, launch=launch)]
+    launches, asked, average = np.array([c.launch for c in clips]), list[int](), CollisionBatch.average_centres
+
+    def spy(batch, starts, exposure):
+        asked.append(starts.shape[-1])
+        return average(batch, starts, exposure)
+
+    monkeypatch.setattr(CollisionBatch, "average_centres", spy)
+    every = predict_tracks(Model(), launches, clips)
+    assert asked == [max(len(c.frame) for c in clips)]
+    for clip, xy in zip(clips, every, strict=True):
+        assert xy == pytest.approx(predict_tracks(Model(), clip.launch[None], [clip])[0], abs=1e-12)

@@ -97,6 +97,22 @@ def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
     assert improve_once(steps, better) is None
 
 
+def test_rivals_of_a_strong_effect_start_from_the_rest_fitted_again(monkeypatch):
+    """With its other parameters as they are beside the effect, the rest leaves far more for a rival to explain."""
+    few(monkeypatch)
+    steps, state = standing(Model().replace({"velocity_restitution.e": 0.1}), "velocity_restitution")
+    starts, extend = [], type(steps).extend
+
+    def spy(library, key, fit, scored):
+        starts.append(fit.chi2)
+        extend(library, key, fit, scored)
+
+    monkeypatch.setattr(type(steps), "extend", spy)
+    assert improve_once(steps, state) is None
+    assert starts
+    assert max(starts) == steps.base.chi2 < steps.remove(steps.fit(state), state[0]).chi2 - 500
+
+
 def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     few(monkeypatch)
     steps, state = standing(

@@ -4,14 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from discrepancy_clips import collisions, only
+from discrepancy_clips import collisions, exact, noisy, only
 from discrepancy_selected import library_fits, selected
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.noise.model import estimate_noise
+from discrepancy.select import library_fits as fits_of_library
 from discrepancy.select.library_search import describe_claims
+from discrepancy.select.score_test import ScoreTests
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -106,3 +108,22 @@ def test_score_tests_are_those_of_the_fit_that_is_kept(monkeypatch):
     after = store.score_tests(())
     assert after.fit.chi2 == store.fit(()).chi2 < 0.3 * before.fit.chi2
     assert after.ranking()[0].sigma < before.ranking()[0].sigma
+
+
+def test_starts_of_a_real_size_are_tried_at_the_likeliest_shapes_only(monkeypatch):
+    """A dropped frame has 499 shapes. The true one is among the few that are tried."""
+    clips = noisy(exact(Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": 40.0}), 4, 3), 3)
+    noise = estimate_noise(clips)
+    seen = library_fits(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
+    (dropped,) = (s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "dropped_frame")
+    (scored,) = ScoreTests.of(seen.evidence, seen.base, only=[dropped]).ranking()
+    tried, step = set(), fits_of_library.take_one_step
+
+    def spy(evidence, fit, model):
+        tried.add(model.value("dropped_frame.frame"))
+        return step(evidence, fit, model)
+
+    monkeypatch.setattr(fits_of_library, "take_one_step", spy)
+    best = fits_of_library._realistic_starts(seen.evidence, seen.base, scored)[0].model
+    assert len(tried) == 10
+    assert (best.value("dropped_frame.frame"), best.value("dropped_frame.lost")) == (40.0, 1.0)
