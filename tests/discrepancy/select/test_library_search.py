@@ -99,8 +99,8 @@ def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
 
 def test_rivals_of_a_strong_effect_start_from_the_rest_fitted_again(monkeypatch):
     """With its other parameters as they are beside the effect, the rest leaves far more for a rival to explain."""
-    few(monkeypatch)
-    steps, state = standing(Model().replace({"velocity_restitution.e": 0.1}), "velocity_restitution")
+    few(monkeypatch, ("viscous_friction", "stribeck"))
+    steps, state = standing(Model().replace({"viscous_friction.k": 0.8}), "viscous_friction")
     starts, extend = [], type(steps).extend
 
     def spy(library, key, fit, scored):
