@@ -114,7 +114,7 @@ def _difference_launches(
     (k, size), (clip, column) = launches.shape, np.nonzero(find_free_columns(launches))
     nudged = launches[clip]
     nudged[np.arange(len(clip)), column] += LAUNCH_STEP
-    every = predict_tracks(model, np.concatenate([launches, nudged]), [*clips, *(clips[i] for i in clip)])
+    every = predict_tracks(model, np.concatenate([launches, nudged]), [*clips, *(clips[i] for i in clip.tolist())])
     here, slopes = every[:k], [np.zeros((*xy.shape, size)) for xy in every[:k]]
     for i, j, there in zip(clip.tolist(), column.tolist(), every[k:], strict=True):
         slopes[i][..., j] = (there - here[i]) / LAUNCH_STEP

@@ -226,7 +226,9 @@ def improve_once(library: LibraryFits, state: State) -> State | None:
             worse = library.fit(rest).chi2 - fit.chi2
             if library.convert_to_sigma(worse, candidate) < library.required_sigma:
                 return rest
-        reduced, keys, beside, without = None, {frozenset(state): candidate}, tests, candidate
+        reduced: ModelFit | None = None
+        without: Candidate | None = candidate
+        beside, keys = tests, {frozenset(state): candidate}
         if rise * SCORE_ERROR_SHARE > STRONG_EFFECT * SCORE_ERROR_CHI2:  # fitted again, the rest leaves less to explain
             beside, without, reduced = library.score_tests(rest), None, library.fit(rest)
         for c in _find_rivals(library, beside, without, fit.chi2):
