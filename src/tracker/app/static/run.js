@@ -55,7 +55,8 @@ export class Run {
     const counted = run.total ? ` ${run.done} of ${run.total} ${run.what}` : "";
     const calibrates = run.command === "calibrate", stage = run.command === "find" ? ` ${run.lines.at(-1) ?? ""}` : "";
     const doing = (DOING[run.command] ?? "Tracking") + stage, done = calibrates ? "The film has a camera file now." : "Done.";
-    const words = { idle: "", running: `${doing}${counted}`, done, cancelled: "Cancelled.", failed: run.error };
+    const failed = `${run.error}${calibrates ? ". Set the scale by two points of a known distance instead, or by four known points." : ""}`;
+    const words = { idle: "", running: `${doing}${counted}`, done, cancelled: "Cancelled.", failed };
     element("run-state").textContent = words[run.state];
     element("run-state").className = run.state === "failed" ? "error" : "";
     element("log-box").hidden = run.lines.length === 0;
