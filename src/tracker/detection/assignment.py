@@ -44,7 +44,7 @@ def link_frame(
     gain, kind = _weigh(before, free, hits, found, near, frames, noise)
     if coming is not None:
         _confirm(before, found, near, gain, coming, frames, noise)
-    ball, column = _assign(gain, near, len(found))
+    ball, column = _uncross(before, found, near, gain, _assign(gain, near, len(found)), noise)
     seen = near[ball, column]
     own[seen] = before.number[ball]
     return _update(before, free, hits, found, (ball, seen, kind[ball, column]), frames, frame, noise), own
@@ -173,6 +173,46 @@ def _assign(gain: Floats, near: Ints, found: int) -> tuple[Ints, Ints]:
             out.append(np.column_stack([rows[i[good]], at[i[good], j[good]]]))
     pairs = np.concatenate(out)
     return pairs[:, 0], pairs[:, 1]
+
+
+def _uncross(
+    before: PredictedBalls,
+    found: Floats,
+    near: Ints,
+    gain: Floats,
+    links: tuple[Ints, Ints],
+    noise: MotionNoise,
+    *,
+    overlap: float = 0.8,
+) -> tuple[Ints, Ints]:
+    """The links, with those of two new balls exchanged that would pass through one another, and exchanged do not.
+
+    A hit before the second frame hides the first step of both, so that likelihoods may prefer such an exchange.
+
+    links: balls, and their columns of `near`. overlap: diameters to which balls may seem to come near one another.
+    """
+    ball, column = links
+    new = np.flatnonzero(before.count[ball] == 1)
+    i, j = (new[side] for side in np.triu_indices(len(new), 1))
+    seen = near[ball, column]
+    start, end = before.xy[ball[j]] - before.xy[ball[i]], found[seen[j]] - found[seen[i]]
+    through, past = _find_least_distance(start, end), _find_least_distance(start, -end)
+    column = column.copy()
+    for k in np.flatnonzero((through < overlap * noise.diameter) & (past > through)).tolist():
+        pair = [i[k], j[k]]
+        if (near[ball[pair], column[pair]] != seen[pair]).any():
+            continue  # exchanged before
+        others = [np.flatnonzero(near[ball[a]] == seen[b]) for a, b in (pair, pair[::-1])]
+        if all(len(other) and gain[ball[a], other[0]] > 0 for a, other in zip(pair, others, strict=True)):
+            column[pair] = [other[0] for other in others]
+    return ball, column
+
+
+def _find_least_distance(start: Floats, end: Floats) -> Floats:
+    """The least distance (n,) from the origin to straight ways from `start` to `end` (n, 2)."""
+    way = end - start
+    share = np.clip(-(start * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12), 0.0, 1.0)
+    return np.asarray(np.hypot(*(start + share[:, None] * way).T))
 
 
 def _update(
