@@ -395,8 +395,9 @@ def _fit(
             read = replace(read, tied_values=add_contact_errors(tied, tied_values, True, camera, by_tied))
         read = replace(read, free_values=add_contact_errors(free, free_values, False, camera, by_free))
         flags = flag_contact_distance(*by_free, settings)
-        losses = (compare_losses(f, f is tied, differentiate_residuals(f, f is tied, camera)) for f in (tied, free))
-        read = read.with_losses(*losses)
+        tied_losses = compare_losses(tied, True, differentiate_residuals(tied, True, camera))
+        free_losses = compare_losses(free, False, differentiate_residuals(free, False, camera), tied_losses)
+        read = read.with_losses(tied_losses, free_losses)
         nearer = max((1 - distance) / std for distance, std in (by_free, by_tied))
     if isinstance(read, str) or _may_last(read, nearer):
         lasting = tries(doubtful_sigma if isinstance(read, str) or read.is_misfit else MIN_SIGNIFICANCE)

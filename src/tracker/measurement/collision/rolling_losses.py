@@ -31,16 +31,19 @@ Floats = NDArray[np.float64]
 class LossDifference:
     """By how much the struck ball's deceleration in rolling exceeds that of the striker, m/s^2.
 
-    noise_std: the part of `std` that the noise of the positions has, without the errors of the camera file.
+    response (m,): by how much the value grows with each coordinate of the positions, per standard error of these.
     loss: the deceleration of the fit, at the speed with which the struck ball begins to roll.
     effect (20,): by how much the quantities of the fit are too low, per m/s^2.
+    cov_with_tied (20,): of these quantities with the difference of the tied fit, by the noise of the positions; of a
+    free fit.
     """
 
     value: float
     std: float
-    noise_std: float
+    response: Floats
     loss: float
     effect: Floats
+    cov_with_tied: Floats
 
     @property
     def significance(self) -> float:
@@ -64,13 +67,14 @@ class LossDifference:
     def replace_by(self, tied: LossDifference, values: DerivedValues) -> DerivedValues:
         """Let the quantities of the free fit depend on the difference of the tied fit, as those of that fit do.
 
-        If the laws of the tied fit hold, its estimates have the least variance. The difference of two estimates of one
-        thing is then independent of the better one (Hausman, Econometrica 46 (1978) 1251). It follows that the noise
-        of the tied difference shifts the free quantities by the difference of both effects.
+        The noise of the tied difference then shifts the free quantities by the difference of both effects. If both
+        fits are linear, this lowers their variances (Hausman, Econometrica 46 (1978) 1251). Others may be far from it,
+        such as those of a slide whose end is hardly seen. The covariance is therefore that of both derivatives.
         """
         apart = self.effect - tied.effect
-        shared = apart * tied.noise_std
-        return replace(values, value=values.value + apart * tied.value, cov=values.cov - np.outer(shared, shared))
+        mixed = np.outer(apart, self.cov_with_tied)
+        own = float(tied.response @ tied.response) * np.outer(apart, apart)
+        return replace(values, value=values.value + apart * tied.value, cov=values.cov + mixed + mixed.T + own)
 
 
 @dataclass(frozen=True)
@@ -116,46 +120,60 @@ def weigh_shift(z: float, scale: float) -> ModelWeight:
 
 
 def compare_losses(
-    fit: CollisionFit, tied: bool, known: Floats | None = None, *, least_share: float = 1e-3
+    fit: CollisionFit,
+    tied: bool,
+    known: Floats | None = None,
+    by_tied: LossDifference | None = None,
+    *,
+    least_share: float = 1e-3,
 ) -> LossDifference | None:
     """Find the difference of the rolling losses by one linear step from a tied or a free fit.
 
-    known (m, k): derivatives of the whitened residuals by errors of the camera file, per standard error. None where
-    the parameters of the fit absorb a difference, however large, but for `least_share` of its displacements.
+    known (m, k): derivatives of the whitened residuals by errors of the camera file, per standard error. by_tied: the
+    difference of the tied fit of the same positions, for a free fit. None where the parameters of the fit absorb a
+    difference, however large, but for `least_share` of its displacements.
     """
     problem = WhitenedResiduals(fit.pair, tied)
     residual, rows = problem(fit.parameters[problem.index])
     cov = fit.cov[np.ix_(problem.index, problem.index)]
     by = rows[:, problem.names.index("decel")].copy()
+    positions = 2 * len(fit.pair)
     by[2 * len(fit.pair.struck) :] = 0.0  # the striker's positions and the priors
     shift = -cov @ rows.T @ by
     left = by + rows @ shift
-    square, pull = float(left @ left), float(left @ residual)
-    noise_square = square
+    weighted = left
     if known is not None:  # the camera's errors are parameters with a prior
         rest = known - rows @ (cov @ (rows.T @ known))
         inverse = np.linalg.inv(np.eye(known.shape[1]) + rest.T @ rest)
-        square -= float(left @ rest @ inverse @ rest.T @ left)
-        pull -= float(left @ rest @ inverse @ rest.T @ residual)
+        weighted = left - rest @ (inverse @ (rest.T @ left))
+    square, pull = float(weighted @ left), float(weighted @ residual)
     if not square > least_share**2 * float(by @ by):
         return None
-    step = np.zeros(len(fit.parameters))
-    step[problem.index] = shift
     std = 1.0 / np.sqrt(square)
 
-    def derive(by: float) -> Floats:
-        at = fit.parameters + by * std * step
+    def derive(at: Floats) -> Floats:
         if tied:
             return derive_from_tied(at, fit.cov, fit.pair.diameter, fit.pair.spin).value
         return derive_from_free(at, fit.cov, fit.pair.diameter).value
 
+    def differentiate(by: Floats, size: float) -> Floats:
+        """The change of the quantities per change `by` of the parameters, from so much of it."""
+        step = np.zeros(len(fit.parameters))
+        step[problem.index] = size * by
+        return np.nan_to_num((derive(fit.parameters + step) - derive(fit.parameters - step)) / (2 * size))
+
     small = 0.01  # of a standard error
-    effect = np.nan_to_num((derive(small) - derive(-small)) / (2 * small * std))
-    drag, decel, speed = (derive(0.0)[QUANTITY_NAMES.index(name)] for name in ("drag", "decel", "v1f"))
+    effect = differentiate(shift, small * std)
+    cov_with_tied = np.zeros(len(effect))
+    if by_tied is not None:
+        size = small / float(np.sqrt(by_tied.response @ by_tied.response))
+        cov_with_tied = differentiate(-cov @ rows[:positions].T @ by_tied.response, size)
+    drag, decel, speed = (derive(fit.parameters)[QUANTITY_NAMES.index(name)] for name in ("drag", "decel", "v1f"))
     return LossDifference(
         value=-pull / square,
         std=float(std),
-        noise_std=float(1.0 / np.sqrt(noise_square)),
+        response=-weighted[:positions] / square,
         loss=float(np.nan_to_num(drag * speed + decel)),
         effect=effect,
+        cov_with_tied=cov_with_tied,
     )

@@ -1,5 +1,7 @@
 """One rolling loss for both balls: what both fits do where it does not hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -10,7 +12,7 @@ from tracker.camera.camera import Camera
 from tracker.measurement import estimate
 from tracker.measurement.collision.adequacy import Flag
 from tracker.measurement.collision.derived import DerivedValues
-from tracker.measurement.collision.rolling_losses import LossDifference, ModelWeight, weigh_shift
+from tracker.measurement.collision.rolling_losses import LossDifference, ModelWeight, compare_losses, weigh_shift
 from tracker.measurement.estimate import measure
 from tracker.settings import FitSettings
 
@@ -98,13 +100,47 @@ def test_free_quantities_with_the_difference_of_the_tied_fit_have_their_covarian
         left = by - rows @ inverse @ rows.T @ by
         estimator = to_wide @ inverse @ rows.T
         square = left @ left
-        return estimator, left / square, LossDifference(0.0, square**-0.5, square**-0.5, 1.0, -estimator @ by)
+        difference, effect = left / square, -estimator @ by
+        return estimator, LossDifference(0.0, square**-0.5, difference, 1.0, effect, np.zeros(6))
 
-    free, _, free_losses = fit(wide, np.eye(6))
-    _, difference, tied_losses = fit(wide @ tie, tie)
+    free, free_losses = fit(wide, np.eye(6))
+    _, tied_losses = fit(wide @ tie, tie)
+    difference = tied_losses.response
+    free_losses = replace(free_losses, cov_with_tied=free @ difference)
     values = free_losses.replace_by(tied_losses, DerivedValues(np.zeros(6), free @ free.T))
     together = free + np.outer(free_losses.effect - tied_losses.effect, difference)
     assert values.cov == pytest.approx(together @ together.T)
+    apart = (free_losses.effect - tied_losses.effect) * tied_losses.std
+    assert values.cov == pytest.approx(free @ free.T - np.outer(apart, apart))  # Hausman, for linear fits
     corrected = tied_losses.correct(values, ModelWeight(1.0, 0.0, 1.0))
     together = together + np.outer(tied_losses.effect, difference)
     assert corrected.cov == pytest.approx(together @ together.T)
+
+
+def test_a_free_fit_whose_slide_hardly_ends_in_the_film_keeps_errors_that_hold():
+    """The difference of the tied fit, taken for independent of the free fit, left negative variances there."""
+    clip = synthcam.Scene.build("loss", **SHAKEN).draw(50, 21)
+    tracks = follow_centres(clip, np.random.default_rng([21, 50]), noise_px=0.05)
+    (row,) = measure(tracks, Camera.of(clip.camera_json), FitSettings(local_window_s=0))
+    for name in ("v0", "r", "C", "tau1", "v1f", "w1t", "energy_fraction"):
+        assert abs(row[f"{name}_free"] - clip.truth[name]) < 3 * row[f"{name}_free_std"]
+        assert row[f"{name}_free_std"] > 0.9 * row[f"{name}_std"]
+
+
+@pytest.mark.parametrize("key", ["scale", "fps", "ball_diameter"])
+def test_the_response_to_noise_is_the_error_of_a_difference_if_the_camera_has_none(key):
+    clip = synthcam.Scene.build("loss", **SHAKEN).draw(1, 21)
+    tracks, found = follow_centres(clip, np.random.default_rng(1)), []
+
+    def compare(*given):
+        found.append(compare_losses(*given))
+        return found[-1]
+
+    for camera in (clip.camera_json, clip.camera_json | {f"{key}_std": 0.01 * clip.camera_json[key]}):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(estimate, "compare_losses", compare)
+            measure(tracks, Camera.of(camera), FitSettings(local_window_s=0))
+    sure, _, unsure, _ = found
+    noise, more = (float(np.linalg.norm(losses.response)) for losses in (sure, unsure))
+    assert noise == pytest.approx(sure.std, rel=1e-3)  # all but the broad priors
+    assert noise * 0.999 < more <= unsure.std  # the weights for errors of the camera are not the best for noise alone
