@@ -287,12 +287,18 @@ class Trajectory:
         """
         times = np.atleast_1d(np.asarray(t, dtype=float))
         self._check(times)
-        out = np.empty((len(self.legs), len(times), 9))
-        for ball, legs in enumerate(self.legs):
-            which = self._which(legs, times)
-            for k in np.unique(which):
-                here = which == k
-                out[ball, here] = legs[k].at(times[here])
+        return np.stack([self._follow(legs, times) for legs in self.legs])
+
+    def at_one(self, ball: int, t: Array) -> Array:
+        """Return the states (len(t), 9) of one ball, as of `at`."""
+        self._check(t)
+        return self._follow(self.legs[ball], t)
+
+    def _follow(self, legs: tuple[Leg, ...], times: Array) -> Array:
+        out, which = np.empty((len(times), 9)), self._which(legs, times)
+        for k in np.unique(which):
+            here = which == k
+            out[here] = legs[k].at(times[here])
         return out
 
     def motion(self, t: ArrayLike) -> NDArray[np.str_]:
