@@ -72,7 +72,7 @@ def answer_request(values: Any) -> dict[str, Any]:
     reduction = 1 if request.sharp or not is_under_room_light(clip.drawn) else ROOM_REDUCTION
     shown = check_scene(_reduce_camera(moved.settings, clip, reduction), request.scene).draw(seed=request.seed)
     k = _choose_frame(clip) if request.frame is None else min(request.frame, clip.frames - 1)
-    picture = show_on_screen(shown.sketch(k), shown)
+    picture = show_on_screen(shown.sketch(k, quick=not request.sharp), shown)
     encoded = cv2.imencode(
         ".png", picture[..., ::-1] if picture.ndim == 3 else picture, [cv2.IMWRITE_PNG_COMPRESSION, 1]
     )

@@ -160,26 +160,28 @@ class Clip:
         """
         return self._expose(range(0, self.frames, every))
 
-    def sketch(self, k: int) -> Counts:
+    def sketch(self, k: int, *, quick: bool = False) -> Counts:
         """Render and expose one frame at once. Its sensor noise is that of `pictures`, but drawn otherwise.
 
         Parameters
         ----------
         k : int
             Its number, from 0 on.
+        quick : bool
+            Leave out the light that matte balls reflect to each other, and their images in each other's varnish.
 
         Returns
         -------
         ndarray
             Counts, as of `pictures`.
         """
-        return next(self._expose(range(k, k + 1), by_tables=False))
+        return next(self._expose(range(k, k + 1), by_tables=False, quick=quick))
 
-    def _expose(self, frames: range, *, by_tables: bool = True) -> Iterator[Counts]:
+    def _expose(self, frames: range, *, by_tables: bool = True, quick: bool = False) -> Iterator[Counts]:
         varnish = build_varnish(self.surface, self.drawn) if self.finish else None
         radii = self.launch.bodies.radius.tolist()
         optics = self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish
-        setup = OpticalSetup(*optics, self.heights.tolist(), self.plate_z)
+        setup = OpticalSetup(*optics, self.heights.tolist(), self.plate_z, quick=quick)
         colour = bool(self.drawn["camera"].get("colour"))
         key, view = (self.seed, self.number), self.view
         return expose_frames(view, setup, self.sensor, frames, key, self.orientation, colour, by_tables=by_tables)

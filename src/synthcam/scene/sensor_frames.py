@@ -38,6 +38,7 @@ class OpticalSetup(NamedTuple):
     heights: Sequence[float] = ()  # of discs, m; 0 of balls
     plate_z: float = 0.0  # m
     faintest: float = FAINTEST  # what many mirror balls leave out of a picture, over the peak of a glint
+    quick: bool = False  # whether matte balls exchange no light and do not mirror each other
 
 
 def expose_frames(
@@ -62,7 +63,10 @@ def expose_frames(
     camera = setup.camera
     chips = [_chip(sensor, camera.size, camera.exposure, seed + c * apart) for c in range(3 if colour else 1)]
     unnoticed = 0.2 * sensor.noise / sensor.glint_peak  # a spot that changes no position and no brightness noticeably
-    setup = setup._replace(faintest=unnoticed)
+    # A renderer serves all that differs by noise alone.
+    setup = setup._replace(camera=replace(camera, camera_json={}))
+    if setup.finish is None:
+        setup = setup._replace(faintest=unnoticed)
     renderer = _renderer(pickle.dumps(tuple(setup)))
     motion = motion.as_drawn()
 
@@ -92,13 +96,13 @@ def _renderer(setup: bytes) -> Any:
 
     setup: pickled, because arrays have no hash.
     """
-    camera, lamp, radii, room, surface, finish, varnish, heights, plate_z, faintest = pickle.loads(setup)
+    camera, lamp, radii, room, surface, finish, varnish, heights, plate_z, faintest, quick = pickle.loads(setup)
     if finish:
         from synthcam.camera.room.room_renderer import RoomRenderer
 
         if plate_z:  # the renderer's plate is at z = 0
             camera, lamp = replace(camera, t=camera.t + plate_z * camera.R[:, 2]), _lower(lamp, plate_z)
-        return RoomRenderer(camera, lamp, radii, finish, varnish, heights)
+        return RoomRenderer(camera, lamp, radii, finish, varnish, heights, quick=quick)
     from synthcam.camera.render import MirrorRenderer  # here alone: everything else works without OpenGL
 
     return MirrorRenderer(camera, lamp, radii, room, surface, faintest)

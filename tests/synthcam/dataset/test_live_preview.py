@@ -13,6 +13,7 @@ from synthcam.dataset.live_preview import answer_request, answer_requests
 from synthcam.dataset.scene_sliders import list_sliders, move_sliders
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene, read_scene
+from synthcam.scene.sensor_frames import _renderer
 from synthcam.settings import SCENES
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import parse_yaml
@@ -72,7 +73,7 @@ def test_a_sketch_is_the_frame_of_the_film_with_noise_of_the_same_size():
 
 
 def test_a_request_is_answered_in_a_line_and_a_wrong_one_by_a_sentence(monkeypatch):
-    monkeypatch.setattr(Clip, "sketch", lambda clip, k: np.full(clip.camera.size[::-1], 8 + k, np.uint8))
+    monkeypatch.setattr(Clip, "sketch", lambda clip, k, quick: np.full(clip.camera.size[::-1], 8 + k, np.uint8))
     asked = [{}, {"scene": "oblique", "values": {"offset": 0.5}, "frame": 3}, {"scene": "none"}, {"scene": "../x"}]
     asked += [{"scene": "oblique", "values": {"offset": 2}}, {"scene": "oblique", "values": {"mass": 2}}, 3]
     lines, out = [*map(json.dumps, asked), "{", "[" * 100_000], io.StringIO()
@@ -100,13 +101,38 @@ def test_a_request_is_answered_in_a_line_and_a_wrong_one_by_a_sentence(monkeypat
 def test_a_matte_scene_is_drawn_small_and_sharp_on_demand(monkeypatch, tmp_path):
     sizes = []
     monkeypatch.setattr(
-        Clip, "sketch", lambda clip, k: sizes.append(clip.camera.size) or np.zeros(clip.camera.size[::-1], np.uint8)
+        Clip,
+        "sketch",
+        lambda clip, k, quick: sizes.append((*clip.camera.size, quick)) or np.zeros(clip.camera.size[::-1], np.uint8),
     )
     small, sharp = (answer_request({"scene": "matte_white", "sharp": sharp}) for sharp in (False, True))
-    assert sizes == [(160, 120), (640, 480)]
+    assert sizes == [(160, 120, True), (640, 480, False)]
     assert small["paths"] == sharp["paths"]
     assert small["size"] == sharp["size"] == [640, 480]
     (tmp_path / "elsewhere").write_text("launch: {v0: secret}")  # only scenes of the package are read
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="elsewhere: no such file among"):
         answer_request({"scene": "elsewhere"})
+
+
+def test_a_quick_sketch_keeps_its_renderer_and_leaves_out_what_balls_reflect_to_each_other():
+    """Two white balls that touch: each is darker where it faces the other, and the plate is the same."""
+    sections = {"camera": {"size": [64, 48], "scale": 1e-4}, "surface": {"ball": "matte"}}
+    still = {"position": [-0.0012, 0.0]}, {"position": [0.0012, 0.0]}
+
+    def draw(noise):
+        sensor = {"read_noise": noise, "full_well": 1e7}
+        clip = check_scene(sections | {"launches": list(still), "sensor": sensor}, "scene").draw()
+        return clip, clip.sketch(0, quick=True).astype(float)
+
+    clip, quick = draw(0.0)
+    found = _renderer.cache_info().misses
+    draw(40.0)
+    assert _renderer.cache_info().misses == found
+    change = clip.sketch(0).astype(float) - quick
+    places = clip.camera.project(clip.view.at(np.array([0.0]))[:, 0, :3])
+    left, right = (round(x) for x in sorted(places[:, 0].tolist()))
+    row, inside = round(float(places[0, 1])), slice(left + 4, right - 3)
+    assert change[row, inside].max() > 5
+    assert np.abs(change[:, :2]).max() <= 2
+    assert change[row, inside].mean() > 3 * np.abs(change[row, left - 9 : left - 4]).mean()

@@ -47,3 +47,12 @@ def test_through_the_collision_and_the_slides(ball):
         at_middle = Rotation.from_quat(found.y[:, 0])
         assert (turning.at(ball, np.array([middle]))[0] * at_middle.inv()).magnitude() < 1e-4
         turn = found.y[:, 1] / np.linalg.norm(found.y[:, 1])
+
+
+def test_one_ball_moves_as_among_all():
+    solved = motion()
+    times = np.linspace(solved.t0, solved.t1, 50)
+    for ball in (0, 1):
+        np.testing.assert_array_equal(solved.at_one(ball, times), solved.at(times)[ball])
+    with pytest.raises(ValueError, match="outside the trajectory"):
+        solved.at_one(0, times + 1)

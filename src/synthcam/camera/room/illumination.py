@@ -4,6 +4,7 @@ The unit is the light on the plate at the world's origin without balls. `radiosi
 to each other.
 """
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -16,15 +17,18 @@ from synthcam.camera.lamp import Lamp
 from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.room.radiosity import (
     EXCHANGE_CELLS,
+    FACES,
     UP,
     BallExchange,
     ExchangeTable,
     LightSource,
     PlateExchange,
     ReflectionTable,
+    find_cell,
     sample_directions,
     sample_facing_side,
     solve_plate_exchange,
+    tabulate_faces,
 )
 from synthcam.camera.room.view_factors import (
     dot,
@@ -43,6 +47,8 @@ Index = NDArray[np.intp]
 REACH_RADII, FADE_RADII = 7.0, 3.0
 DISC_REACH_HEIGHTS = 6.0  # further from its rim, a disc hides less than 0.4 % of the sky
 EXCHANGE_REACH_RADII = 5.0  # of many balls: further away, a white one returns less than 4 % of the light
+
+NEARLY_TOUCHING = 1.1  # distance over the sum of the radii: nearer balls have sharp shadows where they face each other
 
 
 @dataclass(frozen=True)
@@ -79,12 +85,21 @@ class Illumination:
     """The light of a scene.
 
     radii, heights: (N,), m; a height of 0 is a ball's, others are those of discs. mirror: the balls' varnish or bare
-    metal; None: dull. Discs are dull, and no surface mirrors them.
+    metal; None: dull. Discs are dull, and no surface mirrors them. quick: balls exchange no light and do not mirror
+    each other.
     """
 
     def __init__(
-        self, lamp: Lamp, finish: SurfaceFinish, radii: Array, mirror: Surface | None, heights: Array | None = None
+        self,
+        lamp: Lamp,
+        finish: SurfaceFinish,
+        radii: Array,
+        mirror: Surface | None,
+        heights: Array | None = None,
+        *,
+        quick: bool = False,
     ) -> None:
+        self.quick = quick
         self.finish, self.radii, self.mirror = finish, radii, mirror
         self.discs = list_discs(radii, np.zeros(len(radii)) if heights is None else heights)
         self.colours = [ball.mean for ball in finish.balls]
@@ -270,7 +285,7 @@ class Illumination:
 
     def exchange(self, centres: Array) -> BallExchange | None:
         """Exchange of each two balls: the light sent minus the light of plate and sky that the sender hides."""
-        if len(centres) == 1:
+        if len(centres) == 1 or self.quick:
             return None
         balls = [k for k, disc in enumerate(self.discs) if disc is None]  # of discs one sees little but the top
         pairs = [
@@ -278,12 +293,22 @@ class Illumination:
         ]
         if not pairs:
             return None
-        views = [self._view(a, b, centres) for a, b in pairs]
+        many = len(centres) > 2  # seen from many sides: each ball's own light is looked up in a table
+        own: dict[int, ReflectionTable] = {}
+        for k in set(itertools.chain(*pairs)) if many else ():
+            light = self._direct(k, centres[k] + self.radii[k] * FACES, FACES, centres)
+            own[k] = tabulate_faces(light)
+        views = [self._view(a, b, centres, own) for a, b in pairs]
         found: BallExchange | None = None
         for _ in range(3):  # reflections to and fro
+            received = {k: tabulate_faces(found.on_ball(k, FACES)) for k in own} if found else {}
             tables: dict[int, list[ExchangeTable]] = {}
             for view in views:
-                light = view.direct if found is None else view.direct + found.on_ball(view.sender, view.face)
+                light = view.direct
+                if received:
+                    light = light + received[view.sender].at(*find_cell(view.face))
+                elif found is not None:
+                    light = light + found.on_ball(view.sender, view.face)
                 given = self.colours[view.sender] * np.maximum(light, 0)
                 net = (view.weights[..., None] * (given.reshape(view.hidden.shape) - view.hidden)).sum(axis=1)
                 table = ReflectionTable((view.share[:, None] * net).reshape(*EXCHANGE_CELLS, -1))
@@ -291,8 +316,8 @@ class Illumination:
             found = BallExchange(tables)
         return found
 
-    def _view(self, a: int, b: int, centres: Array) -> "BallView":
-        """Sample what ball a sees of ball b."""
+    def _view(self, a: int, b: int, centres: Array, own: dict[int, ReflectionTable]) -> "BallView":
+        """Sample what ball a sees of ball b. own: the direct light of each ball, where there are many."""
         axes, normals = sample_facing_side(centres[b] - centres[a])
         points = centres[a] + self.radii[a] * normals
         ways, weights = sample_directions(points, normals, centres[b], self.radii[b])
@@ -301,9 +326,12 @@ class Illumination:
         along = dot(offset, flat)
         root = np.sqrt(np.maximum(along**2 - dot(offset, offset) + self.radii[b] ** 2, 0))
         face = _units(offset + (-along - root)[:, None] * flat)
+        if own and np.linalg.norm(centres[b] - centres[a]) > NEARLY_TOUCHING * (self.radii[a] + self.radii[b]):
+            direct = own[b].at(*find_cell(face))
+        else:
+            direct = self._direct(b, centres[b] + self.radii[b] * face, face, centres)
         plate = self._from_plate(a, normals, centres) / np.maximum((1 - normals[:, 2:]) / 2, 1e-3)
         hidden = np.where(ways[..., 2:] > 0, self.finish.ambient, plate[:, None])
-        direct = self._direct(b, centres[b] + self.radii[b] * face, face, centres)
         return BallView(
             a, b, axes, weights, face, direct, hidden, form_factor(normals, centres[b] - points, self.radii[b])
         )
@@ -334,7 +362,7 @@ class Illumination:
         out = np.full((len(points), self.finish.channels), self.finish.ambient)
         nearest = np.full(len(points), np.inf)
         meets = np.full(len(points), -1)
-        seen = [k for k in self._neighbours(ball, centres) if self.discs[k] is None]
+        seen = [k for k in self._neighbours(ball, centres) if self.discs[k] is None and not self.quick]
         for k in seen:
             offset = points - centres[k]
             b, c = dot(offset, ways), dot(offset, offset) - self.radii[k] ** 2

@@ -47,6 +47,28 @@ class ReflectionTable:
         return np.asarray((1 - u) * low + u * ((1 - v) * self.values[i + 1, j] + v * self.values[i + 1, k]))
 
 
+def find_cell(normals: Array) -> tuple[Array, Array]:
+    """Find the coordinate (1 + n_z)/2 and the angle about z of unit vectors (..., 3) in a table over a ball."""
+    return (1 + normals[..., 2]) / 2, np.arctan2(normals[..., 1], normals[..., 0])
+
+
+def _divide_ball(belts: int, sectors: int) -> Array:
+    """Unit vectors (belts sectors, 3) in the middles of the cells of a table over a ball."""
+    turn = (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
+    up = (np.arange(belts) + 0.5) / belts * 2 - 1
+    ring = np.sqrt(1 - up * up)[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    return np.concatenate([ring, np.broadcast_to(up[:, None, None], (belts, sectors, 1))], axis=-1).reshape(-1, 3)
+
+
+_BELTS, _SECTORS = 48, 64
+FACES = _divide_ball(_BELTS, _SECTORS)  # at which the light of one of many balls is computed
+
+
+def tabulate_faces(light: Array) -> ReflectionTable:
+    """Make a table of the light (n, c) at FACES."""
+    return ReflectionTable(light.reshape(_BELTS, _SECTORS, -1))
+
+
 @dataclass(frozen=True)
 class PlateExchange:
     """Light that a ball and its plate exchange."""
@@ -55,7 +77,7 @@ class PlateExchange:
     glow: ReflectionTable  # the plate's light from the ball, by r/(1 + r)
 
     def on_ball(self, normals: Array) -> Array:
-        return self.below.at((1 + normals[..., 2]) / 2, np.arctan2(normals[..., 1], normals[..., 0]))
+        return self.below.at(*find_cell(normals))
 
     def on_plate(self, offsets: Array) -> Array:
         """Light (..., c) of the plate at offsets (..., 2) from the point of contact, radii."""
@@ -110,11 +132,7 @@ def _divide_ball_and_plate() -> ExchangeCells:
     rings_of_plate, belts_of_ball, sectors = 48, 24, 32  # cells of the tables
     turn = (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    up = (np.arange(belts_of_ball) + 0.5) / belts_of_ball * 2 - 1
-    normals = np.concatenate(
-        [np.sqrt(1 - up * up)[:, None, None] * ring, np.broadcast_to(up[:, None, None], (belts_of_ball, sectors, 1))],
-        axis=-1,
-    ).reshape(-1, 3)
+    normals = _divide_ball(belts_of_ball, sectors)
     plate_radius = 200.0  # of the rings, in radii of the ball
     edges = np.arange(rings_of_plate + 1) / rings_of_plate * plate_radius / (1 + plate_radius)
     edges, middle = edges / (1 - edges), (edges[1:] + edges[:-1]) / 2

@@ -42,7 +42,8 @@ class RoomRenderer(Renderer):
     """The view of one camera on balls with a `finish` and, unless they are dull, a `mirror`: varnish or bare metal.
 
     The unit of a picture is the white of a plate of reflectance 1 at the world's origin. radii: one a ball, m. heights:
-    those of discs, m, and 0 of balls. Raises ValueError if a lamp is in view.
+    those of discs, m, and 0 of balls. quick: as of `Illumination`; motion during an exposure is in few steps. Raises
+    ValueError if a lamp is in view.
     """
 
     def __init__(
@@ -53,12 +54,14 @@ class RoomRenderer(Renderer):
         finish: SurfaceFinish,
         mirror: Surface | None,
         heights: Sequence[float] = (),
+        *,
+        quick: bool = False,
     ) -> None:
         super().__init__(camera, lamp, np.array(radii, float))
         self.finish = finish
         disc_heights = np.array(heights or np.zeros(len(self.radii)), float)
         self.extents = self.radii + disc_heights / 2  # of balls that enclose the bodies
-        self.shade = Illumination(lamp, finish, self.radii, mirror, disc_heights)
+        self.shade = Illumination(lamp, finish, self.radii, mirror, disc_heights, quick=quick)
         self.reach = self.shade.reaches
         self._points = self._meet_plate(*(np.arange(n, dtype=float) for n in camera.size))
         self._bare = self.shade.bare(self._points.reshape(-1, 3)).reshape(self._points.shape[:2])
@@ -120,7 +123,7 @@ class RoomRenderer(Renderer):
         """One exposure of a global shutter."""
         far = 3 * max(self.camera.size)
         bounds, weights, frames, moves = self._split_exposures(centres, span[None], cuts, -far, far)
-        moments = place_sub_exposures(bounds, weights, frames, self._travel(moves) / 2)
+        moments = place_sub_exposures(bounds, weights, frames, self._travel(moves) / (8 if self.shade.quick else 2))
         positions = np.asarray(centres(moments.times), float)
         turned = turns(moments.times)
         boxes = merge_boxes(self._find_boxes(positions))
@@ -249,7 +252,7 @@ class RoomRenderer(Renderer):
 
     def _draw_glints(self, ball: int, centres: Array, low: Index, width: int, mirror: Surface) -> Float32:
         """Images (width steps, width steps) of the lamps in a ball."""
-        balls = [k for k, disc in enumerate(self.shade.discs) if disc is None]
+        balls = [k for k, disc in enumerate(self.shade.discs) if disc is None and (k == ball or not self.shade.quick)]
         light = (np.array(balls) == ball)[None].astype(float)
         centres, radii, found = centres[balls], self.radii[balls], []
         for lamp in self.lamp.all:

@@ -77,6 +77,23 @@ def test_far_balls_that_many_leave_out_change_the_light_by_a_hundredth(monkeypat
     assert np.sqrt(((pruned - whole) ** 2).mean()) < 0.005
 
 
+@pytest.mark.parametrize(("apart", "most"), [([1.2, 1.62], 0.2), ([1.4, 1.8], 0.1), ([2.5, 0.5], 0.05)])
+def test_the_light_that_many_balls_exchange_is_that_of_two(apart, most):
+    """A third ball far away: two balls then exchange what a pair alone does, and a quick light leaves it out."""
+    near = R * np.array([[0.0, 0.0, 1.0], [*apart, 1.0]])
+    colours = ((0.85, 0.6, 0.1), (0.5, 0.7, 0.9), (0.8, 0.8, 0.8))
+    normals = np.random.default_rng(0).standard_normal((400, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    pair, many = (shade(0.3, colours[:n], (0.5, 0.4, 0.3)) for n in (2, 3))
+    two, three = pair.exchange(near), many.exchange(np.vstack([near, [500 * R, 0.0, R]]))
+    for ball in (0, 1):
+        exact = two.on_ball(ball, normals)
+        assert np.abs(exact).max() > most
+        np.testing.assert_allclose(three.on_ball(ball, normals), exact, atol=0.006)
+    many.quick = True
+    assert many.exchange(near) is None
+
+
 def test_wide_lamps_are_cut_and_keep_their_light():
     wide = Lamp(np.array([0.0, 0.0, 0.5]), 0.25)
     found = shade(0.0, lamp=wide)
