@@ -166,14 +166,14 @@ def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _L
     )
 
 
-def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout) -> tuple[str, ...]:
+def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout, *, least_gap: int = 1000) -> tuple[str, ...]:
     """Raise InputError for a file whose tags contradict it: pixels where tags or other pixels lie, or too few frames.
 
     A damaged tag, such as an offset, else gives other pixels without an error. Notes say what is doubtful: pages with
-    the pixels of others, and bytes for frames that no page refers to.
+    the pixels of others, and bytes for frames that no page refers to. Of a stack in several files, this one is checked.
     """
     pages: Any = tif.pages if len(tif.series) > 1 else tif.series[0].pages
-    every, bilevel = [each for each in pages if each is not None], (2, 3, 4)
+    every, bilevel = [each for each in pages if each is not None and each.parent is tif], (2, 3, 4)
     for each in every:
         if int(each.compression) in bilevel and int(each.bitspersample) != 1:
             raise InputError(f"{path}: damaged, pixels of {each.bitspersample} bits, compressed as black and white")
@@ -185,11 +185,14 @@ def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout) -> tuple[st
             f"{path}: truncated or damaged, {len(tif.pages)} pages, but its metadata declare {layout.total}"
         )
     if layout.offset is None:
-        parts = [(at, at + n) for each in every for at, n in zip(each.dataoffsets, each.databytecounts, strict=True)]
+        frames = [
+            tuple((at, at + n) for at, n in zip(each.dataoffsets, each.databytecounts, strict=True) if n)
+            for each in every
+        ]
+        data, count = {part for parts in frames for part in parts}, len(frames)
     else:
         size = layout.total * math.prod(layout.plane) * layout.dtype.itemsize
-        parts = [(layout.offset, layout.offset + size)]
-    data = set(parts)
+        frames, data, count = [], {(layout.offset, layout.offset + size)}, layout.total
     about = {(0, 16 if tif.is_bigtiff else 8)}
     for each in tif.pages:
         about |= _list_tags(tif, int(each.offset))
@@ -198,11 +201,11 @@ def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout) -> tuple[st
         if after[0] < before[1] and "pixels" in (before[2], after[2]):
             raise InputError(f"{path}: damaged, {before[2]} and {after[2]} lie at the same bytes, from {after[0]} on")
     notes = list[str]()
-    if len(data) < len(parts):
-        notes.append(f"{len(parts) - len(data)} pages have the pixels of another page; is the file damaged?")
+    if len(set(frames)) < len(frames):
+        notes.append(f"{len(frames) - len(set(frames))} pages have the pixels of another page; is the file damaged?")
     ends, starts = (0, *(last for _, last, _ in spans)), (*(first for first, _, _ in spans), path.stat().st_size)
     gap = max(start - end for start, end in zip(starts, np.maximum.accumulate(ends).tolist(), strict=True))
-    if gap >= sum(last - first for first, last in data) / max(layout.total, 1) > 0:
+    if gap >= max(sum(last - first for first, last in data) / max(count, 1), least_gap):
         notes.append(f"{gap} bytes in a row belong to no page: are frames lost?")
     return tuple(notes)
 
@@ -275,7 +278,8 @@ def _list_pieces(path: Path, layout: _Layout) -> tuple[Callable[[int], Any], ...
 
         def list_counts(k: int) -> Any:
             page = pages[int(layout.pages[k])]
-            return (k,) if page is None else tuple(page.databytecounts)
+            elsewhere = page is None or page.parent is not tif  # in another file of the stack: never the same
+            return (k,) if elsewhere else tuple(page.databytecounts)
 
         def read_parts(k: int) -> list[bytes]:
             page = pages[int(layout.pages[k])]

@@ -78,3 +78,44 @@ def test_a_stack_that_lost_its_last_pages_says_so(tmp_path):
     film, notes = read(path)
     assert len(film) == 1
     assert "bytes in a row belong to no page: are frames lost?" in "".join(notes)
+
+
+@pytest.mark.filterwarnings("ignore:.*reading array from closed file")
+def test_a_stack_in_several_files_is_no_damaged_one(tmp_path):
+    """OME-TIFF: each file has one frame and names them all, and their pixels begin at the same byte."""
+    names = [f"frame_{k}.ome.tif" for k in range(3)]
+    entries = "".join(
+        f'<TiffData FirstT="{k}" FirstC="0" FirstZ="0" IFD="0"><UUID FileName="{name}">u{k}</UUID></TiffData>'
+        for k, name in enumerate(names)
+    )
+    pixels = (
+        '<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16"'
+        ' SizeX="32" SizeY="24" SizeZ="1" SizeC="1" SizeT="3">'
+        f'<Channel ID="Channel:0:0" SamplesPerPixel="1"/>{entries}</Pixels>'
+    )
+    film = MOVIE[:3] // np.array([1, 4, 50], np.uint16)[:, None, None]  # each is compressed to other lengths
+    for k, name in enumerate(names):
+        head = f'<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="u{k}">'
+        text = f'<?xml version="1.0" encoding="UTF-8"?>{head}<Image ID="Image:0">{pixels}</Image></OME>'
+        tifffile.imwrite(tmp_path / name, film[k], description=text, metadata=None, compression="zlib")
+    got, notes = read(tmp_path / names[0])
+    assert np.array_equal(got, film)
+    assert notes == ()
+
+
+def test_dark_frames_that_take_few_bytes_have_lost_none(tmp_path):
+    """A frame takes 20 bytes, and the program left 24 bytes free between its tags."""
+    path = tmp_path / "dark.tif"
+    tifffile.imwrite(path, np.zeros((50, 32, 40), np.uint8), compression="zlib", metadata={"note": "x" * 3000})
+    assert read(path)[1] == ()
+
+
+def test_pages_with_the_pixels_of_others_are_counted_once_for_all_strips(tmp_path):
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, MOVIE, photometric="minisblack", rowsperstrip=4, metadata=None)
+    with tifffile.TiffFile(path) as tif:
+        first, second = (page.tags["StripOffsets"].valueoffset for page in (tif.pages[0], tif.pages[1]))
+    whole = bytearray(path.read_bytes())
+    whole[second : second + 24] = whole[first : first + 24]
+    path.write_bytes(whole)
+    assert any(note.startswith("1 pages have the pixels of another page") for note in read(path)[1])
