@@ -146,17 +146,18 @@ def print_progress(what: str) -> Callable[[int, int], None]:
     began = printed = time.monotonic()
     asked = os.environ.get(PROGRESS_INTERVAL, "")
     interval = float(asked) if re.fullmatch(r"\d+(\.\d+)?", asked) else PROGRESS_INTERVAL_S
-    before: int | None = None  # done by an earlier run
+    first: tuple[int, float] | None = None  # done by an earlier run, or after a survey that comes first; and when
 
     def progress(done: int, total: int) -> None:
-        nonlocal printed, before
+        nonlocal printed, first
         raise_if_interrupted()
-        before = done if before is None else before
         now = time.monotonic()
+        first = (done, now) if first is None else first
+        before, since = first
         if now - printed < interval or 0 < total <= done:
             return
         printed = now
-        seconds = (now - began) / (done - before) * (total - done) if done > before else 0.0
+        seconds = (now - since) / (done - before) * (total - done) if done > before else 0.0
         left = f", about {seconds:.0f} s left" if seconds > 0 else ""
         of = f" of {total}" if total else ""
         print(f"{what}: {done}{of} after {now - began:.0f} s{left}", file=sys.stderr, flush=True)

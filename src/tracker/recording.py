@@ -514,7 +514,7 @@ def track_clip(
         why = explain_no_glints(clip.frames, view, found.glints)
     notes = note_all(NoteKind.DETECTOR, found.notes, clip.number)
     notes += note_all(NoteKind.DETECTOR, warn_of_missed_examples(tracks, clip.balls, view), clip.number)
-    loose = warn_of_loose_ends(tracks, view.camera.size, spans)
+    loose = warn_of_loose_ends(tracks, view.camera.size, spans, of_glints=name == GLINTS)
     moving = warn_of_moving_camera(clip.frames) if loose else ()
     notes += note_all(NoteKind.LINKING, (*loose, *moving), clip.number)
     return tracks, view.camera, why, notes

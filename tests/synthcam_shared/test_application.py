@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-from synthcam_shared.application import command_line, run
+from synthcam_shared import application
+from synthcam_shared.application import command_line, print_progress, run
 from synthcam_shared.errors import InputError
 
 app = command_line("tool", "Does nothing.")
@@ -68,3 +69,14 @@ def test_a_command_computes_on_one_thread_unless_told_otherwise(package, given):
     own = others | ({"OPENBLAS_NUM_THREADS": given} if given else {})
     done = subprocess.run([sys.executable, "-c", early + asked], env=own, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == (given or "1")
+
+
+def test_the_time_left_counts_from_the_first_step(monkeypatch, capsys):
+    """A survey of 100 s before the first frame says nothing of the frames: these take 2 s each."""
+    now = iter([0.0, 100.0, 140.0])
+    monkeypatch.setattr(application.time, "monotonic", lambda: next(now))
+    progress = print_progress("frames")
+    progress(1, 101)
+    progress(21, 101)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["frames: 1 of 101 after 100 s", "frames: 21 of 101 after 140 s, about 160 s left"]

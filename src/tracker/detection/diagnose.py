@@ -37,6 +37,9 @@ def explain_no_glints(frames: Sequence[Any], view: View, glints: Glints) -> str:
     search = CandidateSearch(view.plate, view.sigma, max(4.0, 0.8 * view.camera.diameter_px), view.settings.detection)
     crowded = sum(search(s).crowded for s in sample) > len(sample) // 2
     flicker = np.ptp([np.median(s) for s in sample])
+    least = view.settings.detection.disc_contrast_counts
+    if crowded and flicker <= 5.0 and not _differ(sample, least):  # a codec's blocks flicker by a few counts
+        return f"nothing moves: nothing differs from the background by {least:g} counts"
     if crowded or flicker > 5.0:  # counts
         return "the light changes: most of the picture is brighter than the plate"
     if any(_shows_dark_ball(s, level, noise, view.camera.diameter_px) for s in sample):
@@ -47,6 +50,12 @@ def explain_no_glints(frames: Sequence[Any], view: View, glints: Glints) -> str:
     if len(glints):
         return f"too few detections: {len(glints)} glints in {len(frames)} frames"
     return "no balls: nothing is brighter than the plate"
+
+
+def _differ(sample: Sequence[NDArray[Any]], least: float) -> bool:
+    """Whether a pixel of any picture differs from the median of all by `least` counts."""
+    level = np.median(np.array(sample), axis=0)
+    return any(float(np.abs(picture - level).max()) > least for picture in sample)
 
 
 def explain_no_discs(frames: Sequence[Any], view: View) -> str:
@@ -141,11 +150,14 @@ def warn_of_missed_examples(tracks: Tracks, examples: Sequence[BallExample], vie
     return tuple(notes)
 
 
-def warn_of_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]]) -> tuple[str, ...]:
+def warn_of_loose_ends(
+    tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]], *, of_glints: bool = False
+) -> tuple[str, ...]:
     """Explain, as a warning, that most tracks begin or end inside the picture and a take, which balls do not do.
 
     Ends at the picture's rim count as well if their track stays there: what flickers in one position does not come in
     from outside. `size` is the width and height of the picture, px; `spans` are the first and last frames of the takes.
+    of_glints: bright specks are followed, which in a film of larger bodies are noise.
     """
     rows = [np.flatnonzero(tracks.particle == one) for one in np.unique(tracks.particle)]
     ends = np.array([r[[tracks.frame[r].argmin(), tracks.frame[r].argmax()]] for r in rows], dtype=int).ravel()
@@ -161,13 +173,14 @@ def warn_of_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tu
     count = (
         f"{loose.sum()} of the {len(ends)} ends of tracks lie inside the picture, where no ball comes in or leaves: "
     )
+    hint = "; bright specks are followed, --detector discs follows bodies, dark ones too" if of_glints else ""
     pairs = _count_resumed(tracks, rows, loose, rim_px)
     if 4 * pairs >= loose.sum():  # half of the loose ends
         text = (
             f"{pairs} tracks begin where another ended shortly before: they may be pieces of one ball that was hidden"
         )
-        return (f"{count}{text}; `link: {{max_gap_frames: 20}}` in a file behind --settings joins longer gaps",)
-    return (f"{count}the tracks may be reflections or specks, or more objects than the tracker can distinguish",)
+        return (f"{count}{text}; `link: {{max_gap_frames: 20}}` in a file behind --settings joins longer gaps{hint}",)
+    return (f"{count}the tracks may be reflections or specks, or more objects than the tracker can distinguish{hint}",)
 
 
 def _count_resumed(tracks: Tracks, rows: list[NDArray[np.intp]], loose: NDArray[np.bool_], reach: float) -> int:

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+import tracker
 from tracker.detection.diagnose import measure_camera_motion, warn_of_loose_ends, warn_of_moving_camera
 from tracker.detection.link import Tracks
 
@@ -52,6 +53,22 @@ def test_pieces_of_one_ball_are_no_reflections(ways, said):
     (warning,) = warn_of_loose_ends(tracks(*ways), SIZE, [(0, LAST)])
     assert said in warning
     assert ("max_gap_frames" in warning) == (ways is PIECES)
+
+
+def test_a_film_of_specks_names_the_detector_of_bodies():
+    (warning,) = warn_of_loose_ends(tracks(*GLITTER), SIZE, [(0, LAST)], of_glints=True)
+    assert "--detector discs follows bodies" in warning
+    assert "--detector" not in warn_of_loose_ends(tracks(*GLITTER), SIZE, [(0, LAST)])[0]
+
+
+@pytest.mark.parametrize(("amplitude", "said"), [(2, "nothing moves: nothing differs"), (30, "the light changes")])
+def test_blocks_of_a_codec_are_no_change_of_the_light(amplitude, said):
+    """A film of a table at rest: blocks of 8 x 8 px flicker by two counts."""
+    rng = np.random.default_rng(0)
+    ground = 100 + 40 * cv2.GaussianBlur(rng.normal(0, 1, (120, 160)), (0, 0), 3) * 6
+    flicker = rng.integers(-amplitude, amplitude + 1, (30, 15, 20)) * (rng.random((30, 15, 20)) < 0.3)
+    film = np.clip(np.rint(ground + np.kron(flicker, np.ones((8, 8)))), 0, 255).astype(np.uint8)
+    assert tracker.track(film, detector="maximum_likelihood").rows[0]["status"].startswith(said)
 
 
 def test_nothing_is_said_of_nothing():
