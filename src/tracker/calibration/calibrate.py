@@ -129,18 +129,23 @@ def calibrate(
         look = functools.partial(survey, source, known, detector, bool(ways))
         for one in run_all_jobs(look, picks, workers, video):
             found.append(one)
-            progress(next(steps), total)
+            progress(min(next(steps), total), total)
         return sorted(found, key=lambda one: one.index)
 
     first_by, then_by = "centroid", GLINTS
     first = without_scale(make_recording(number, frames, Camera.from_dict(given), options=source.options))
     if choose_detector((coloured := select_channel(first, None)[0]).frames, first.camera)[0] == DISCS:
         source, first_by, then_by = replace(source, channel=coloured.channel), DISCS, DISCS
+    guess = given["scale"]
     for detector in (first_by, then_by):  # the second time with the size of the balls known
         seen = survey_all(source, rough, given, detector)
         ways = _ways(seen, diameter)
         if ways:
             given["scale"] = min(ways.values(), key=lambda way: way[1])[0]
+    if not ways and given["scale"] != guess:  # noise that passed for contacts gave a wrong size
+        seen = survey_all(source, rough, given | {"scale": guess}, then_by)
+        ways = _ways(seen, diameter)
+        given["scale"] = min(ways.values(), key=lambda way: way[1])[0] if ways else guess
     if rest:
         seen += survey_all(source, rest, given | (_sensor_keys(_middle(seen)) if then_by == GLINTS else {}), then_by)
         ways = _ways(seen, diameter)

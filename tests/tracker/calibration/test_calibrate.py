@@ -14,6 +14,7 @@ from tracker_film import collision, disc, expose, film, spot, write_clip
 from tracker_video import encode
 
 from synthcam_shared.errors import InputError
+from tracker.calibration import calibrate as calibration
 from tracker.calibration import contact_distance
 from tracker.calibration.ball_outline import measure_outline
 from tracker.calibration.calibrate import calibrate, inverse_variance_mean, summary
@@ -84,6 +85,25 @@ def test_every_hit_of_a_long_film_counts():
     each = [(contact.distance, contact.std) for contact in found]
     mean, std = inverse_variance_mean([*each, *each, (17.0, 0.05)])
     assert abs(mean - 14.875) < 4 * std < 0.3
+
+
+def test_contacts_of_noise_in_the_first_look_do_not_hide_the_true_one(tmp_path, monkeypatch):
+    """The first look takes noise for contacts; with the size that these give, the second finds none."""
+    path = stack(
+        tmp_path, film(np.random.default_rng(0), collision(60, contact=25.3, speed=2.5), sigma=1.2, profile=0.0)
+    )
+    whole, sizes = calibration.survey, []
+
+    def survey(source, known, detector, sized, index):
+        sizes.append(DIAMETER / known["scale"])
+        found = whole(source, known, detector, sized, index)
+        wrong = [contact_distance.ContactDistance(60.0, 0.1, 10.0)] if len(sizes) == 1 else []
+        return replace(found, contact_distances=wrong) if len(sizes) < 3 else found
+
+    monkeypatch.setattr(calibration, "survey", survey)
+    found = calibrate(path, DIAMETER, 250.0, 5e-4)
+    assert np.allclose(sizes, [sizes[0], 60.0, sizes[0]])
+    assert abs(found.camera.scale - DIAMETER / 14.875) < 3 * found.scale_std
 
 
 def test_short_tracks_of_noise_cost_no_search_for_contacts(monkeypatch):
