@@ -122,13 +122,16 @@ def _lies_inside(contacts: pd.DataFrame, *, share: float = 0.02) -> NDArray[np.b
 
 
 def measure_contact_losses(
-    contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float
+    contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float, frame_s: float = 0.0
 ) -> tuple[Floats, Floats, Floats]:
     """Energy that both balls lose in each contact (n,), its variance, and the effects (n, 2) of errors that all share.
 
     Contacts with an energy_lost and no misfit keep it. Others have the difference of the free paths, continued to the
     contact, if both are known, or what their kick predicts. The loss is NaN where it is not known. A kink inside the
-    hull of all contacts is a hit of a ball that was not found, and its loss is not known.
+    hull of all contacts is a hit of a ball that was not found, and its loss is not known. Nor is that of a wall which
+    takes more than its kick K can, K^2/2, or next to another contact of the ball: the kick is not the wall's alone.
+
+    frame_s: duration of a frame, s.
     """
     balls = contacts[["particle1", "particle2"]].to_numpy()
     value, variance = np.full((len(contacts), 2, 2), np.nan), np.full((len(contacts), 2, 2), np.nan)
@@ -149,8 +152,27 @@ def measure_contact_losses(
     lost[given] = contacts["energy_lost"][given]
     spread[given] = contacts["energy_lost_std"][given] ** 2
     common[given | ~better] = 0.0
-    lost[(balls[:, 1] < 0) & _lies_inside(contacts)] = np.nan
+    unlike_wall = _lies_inside(contacts) | _is_mixed(contacts, frame_s)
+    if "kick" in contacts:
+        most, errors = contacts["kick"].to_numpy(dtype=np.float64) ** 2 / 2, 3 * np.sqrt(spread)
+        unlike_wall |= (lost > most + errors) | (lost < -errors)
+    lost[(balls[:, 1] < 0) & unlike_wall] = np.nan
     return lost, spread, common
+
+
+def _is_mixed(contacts: pd.DataFrame, frame_s: float, *, frames: float = 2.0) -> NDArray[np.bool_]:
+    """Decide which contacts are so near another one of the same ball that the kicks of both are one kink.
+
+    frames: between two contacts, from which on the path between them shows.
+    """
+    out, time = np.zeros(len(contacts), dtype=bool), contacts["t_s"].to_numpy(dtype=np.float64)
+    balls = contacts[["particle1", "particle2"]].to_numpy()
+    for ball in np.unique(balls[balls >= 0]):
+        own = np.flatnonzero((balls == ball).any(axis=1))
+        own = own[np.argsort(time[own], kind="stable")]
+        near = np.diff(time[own]) < frames * frame_s
+        out[own[1:][near]] = out[own[:-1][near]] = True
+    return out
 
 
 class _Step(NamedTuple):
@@ -183,7 +205,7 @@ def _find_resolved(steps: Sequence[_Step], taken: Floats, bodies: NDArray[np.int
 
 
 def measure_losses(
-    paths: Sequence[FreePath], contacts: pd.DataFrame, frames: NDArray[np.int64], noise: float
+    paths: Sequence[FreePath], contacts: pd.DataFrame, frames: NDArray[np.int64], noise: float, frame_s: float = 0.0
 ) -> pd.DataFrame:
     """Energy of the balls in view at each frame, and what they lost since they came into view, by sink.
 
@@ -192,11 +214,14 @@ def measure_losses(
     plate. This is unresolved where the loss of the contact is not known, where a path of either ball is too short for a
     velocity, and where nobody saw the ball.
 
-    frames: (n,) ascending. noise: of a coordinate, m.
+    The errors also hold what is not resolved: all of it at contacts of that kind, and half of it for the plate. Where
+    contacts of one ball follow one another within two frames, as many may be hidden, and their energy is an error too.
+
+    frames: (n,) ascending. noise: of a coordinate, m. frame_s: duration of a frame, s.
     """
     seen, smoothed = _Sums(len(frames)), _Sums(len(frames))  # by how much all may err in the same direction
     lost = {name: _Sums(len(frames)) for name in SINKS}
-    taken, variances, common = measure_contact_losses(contacts, paths, noise)
+    taken, variances, common = measure_contact_losses(contacts, paths, noise, frame_s)
     balls, at = contacts[["particle1", "particle2"]].to_numpy(), contacts["t_s"].to_numpy(dtype=np.float64)
     in_view: dict[int, list[tuple[NDArray[np.int64], Floats, Floats]]] = {}  # by ball: rows of frames, energy, variance
     before: dict[int, tuple[FreePath, float, float]] = {}  # by ball: its last path, and its energy at its last frame
@@ -225,21 +250,30 @@ def measure_losses(
         before[path.ball] = path, float(value[-1]), float(error[-1])
     bodies = 1 + (balls[:, 1] >= 0)
     resolved = _find_resolved(steps, taken, bodies)
+    is_pair, mixed = (bodies > 1) | _lies_inside(contacts), _is_mixed(contacts, frame_s)
+    hidden = {name: _Sums(len(frames)) for name in ("contacts", "walls", "plate", "beside others")}
     for step in steps:
         if not (step.whole and resolved[step.contacts].all()):
             lost["unresolved"].add(step.row, step.loss, step.variance)
+            for name, kind in (("contacts", is_pair), ("walls", ~is_pair)):
+                hidden[name].add(step.row, step.loss * kind[step.contacts].any(), 0.0)
+            hidden["plate"].add(step.row, step.loss / 2, 0.0)
             continue
         lost["plate"].add(step.row, step.loss, step.variance)
         for contact in step.contacts:
             part = np.array([taken[contact], variances[contact], *common[contact]]) / bodies[contact]
             lost["contacts" if bodies[contact] > 1 else "walls"].add(step.row, part[0], part[1], part[2:])
             lost["plate"].add(step.row, -part[0], part[1], -part[2:])
+            hidden["beside others"].add(step.row, part[0] * mixed[contact], 0.0)
     for parts in in_view.values():
         _add_held(seen, *(np.concatenate(part) for part in zip(*parts, strict=True)))
     columns = {"energy": seen.value[:-1], "energy_std": np.hypot(np.sqrt(seen.variance), smoothed.value)[:-1]}
+    beside = hidden["beside others"].value[:-1].cumsum()
     for name, column in SINKS.items():
         columns[column] = lost[name].value[:-1].cumsum()
         shared = (lost[name].common[:-1].cumsum(axis=0) ** 2).sum(axis=1)
+        if name in hidden:
+            shared += hidden[name].value[:-1].cumsum() ** 2 + beside**2
         columns[f"{column}_std"] = np.sqrt(lost[name].variance[:-1].cumsum() + shared)
     return pd.DataFrame(columns)
 

@@ -142,7 +142,7 @@ def _measure_time(
     if not len(time):
         raise InputError(f"a gas has {MIN_BALLS} balls or more in view; no frame here has so many with a velocity")
     time.insert(1, "t_s", time["frame"] / fps)
-    return time.join(measure_losses(paths, contacts, time["frame"].to_numpy(), noise))
+    return time.join(measure_losses(paths, contacts, time["frame"].to_numpy(), noise, 1 / fps))
 
 
 def _add_camera_errors(
