@@ -10,6 +10,7 @@ from synthcam.camera.room.finish import BallFinish, SurfaceFinish
 from synthcam.camera.room.room_renderer import RoomRenderer
 from synthcam.camera.surface import IRON_N_K, Surface
 from synthcam.scene.outlines import find_boxes, label_pixels
+from synthcam.scene.scene import check_scene
 
 R = 0.01
 LAMP = Lamp(np.array([0.15, 0.1, 0.5]), 0.02)
@@ -173,3 +174,16 @@ def test_a_black_disc_hides_its_outline(tilt):
     assert missing.sum() == pytest.approx(covered.sum(), rel=0.01)
     assert np.abs(missing - blurred).max() < 0.3  # half a pixel of an edge
     assert np.abs(missing - blurred).mean() < 0.003
+
+
+def test_each_body_is_drawn_in_its_own_colour():
+    """A red and a blue ball, and discs likewise."""
+    sections = {"camera": {"size": [60, 30], "scale": 1.2e-4, "colour": True}, "surface": {"ball": "matte"}}
+    launches = [{"position": [-0.002, 0.0]}, {"position": [0.002, 0.0]}]
+    for kind in ({}, {"shape": "disc", "support": {"kind": "air"}}):
+        bodies = [{"colour": [0.8, 0.1, 0.1], **kind}, {"colour": [0.1, 0.1, 0.8], **kind}]
+        clip = check_scene(sections | {"launches": launches, "bodies": bodies}, "scene").draw()
+        picture = clip.sketch(0).astype(float)
+        for place, own in zip(clip.camera.project(clip.launch.states[:, :3]), (0, 2), strict=True):
+            red_green_blue = picture[round(float(place[1])), round(float(place[0]))]
+            assert red_green_blue[own] > 2 * np.delete(red_green_blue, own).max()
