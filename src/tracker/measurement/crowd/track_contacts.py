@@ -353,11 +353,19 @@ def _find_approaches(one: BallTrack, other: BallTrack, diameter: float, settings
     return [float(f) for f in frames[least & (apart < diameter * (1 + settings.near_share) + 1.5 * reach)]]
 
 
-def _examine(candidates: Sequence[tuple[tuple[int, ...], float]], away: float, film: _Film) -> list[TrackContact]:
+def _examine(
+    candidates: Sequence[tuple[tuple[int, ...], float]], away: float, film: _Film, *, at_once: int = 2000
+) -> list[TrackContact]:
     """The contacts of two balls, or of one with a wall, at about a frame, of the candidates that are one.
 
     candidates: as many balls each, and the frame. away: frames within which an event of a ball is this contact.
+    at_once: candidates that are fitted together, which take some 30 kB each.
     """
+    batches = (candidates[first : first + at_once] for first in range(0, len(candidates), at_once))
+    return [contact for batch in batches for contact in _examine_batch(batch, away, film)]
+
+
+def _examine_batch(candidates: Sequence[tuple[tuple[int, ...], float]], away: float, film: _Film) -> list[TrackContact]:
     reach, chosen = min(away, 1.5) + 1.0, list[tuple[int, ...]]()
     parts, gaps = list[list[TrackRows]](), list[list[tuple[int, int]]]()
     for balls, frame in candidates:

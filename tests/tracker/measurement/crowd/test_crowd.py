@@ -3,10 +3,12 @@
 import functools
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import synthcam
 import tracker
+from tracker.measurement.crowd import track_contacts
 from tracker.measurement.crowd.contact_table import (
     DERIVED,
     derive_with_errors,
@@ -176,6 +178,27 @@ def test_errors_of_derived_values_are_those_of_draws():
     for name, drawn in (("energy_lost", lost), ("impulse", (1 + r) * along / 2), ("v_t", across)):
         assert found[name][1] == pytest.approx(drawn.std(), rel=0.05), name
     assert found["v_t"][0] == pytest.approx(0.06, rel=0.01)
+
+
+def test_contacts_are_the_same_however_few_are_fitted_at_once(monkeypatch):
+    """All at once, a long film of a crowd would need gigabytes."""
+    clip, numbers = synthcam.Scene.read("tray", timing={"frames": 30}).draw(seed=1), []
+    table = add_noise(clip, NOISE_PX)
+
+    def find():
+        return tracker.measure(table, clip.camera_json).contacts[["particle1", "particle2", "t_s", "t_s_std"]]
+
+    def gather(candidates, *given, gather=track_contacts.gather_gaps):
+        numbers.append(len(candidates))
+        return gather(candidates, *given)
+
+    monkeypatch.setattr(track_contacts, "gather_gaps", gather)
+    expected, most = find(), max(numbers)
+    monkeypatch.setitem(track_contacts._examine.__kwdefaults__, "at_once", 2)
+    numbers.clear()
+    pd.testing.assert_frame_equal(find(), expected, rtol=1e-9)
+    assert len(expected) > 3
+    assert max(numbers) <= 2 < most
 
 
 def test_two_balls_have_no_table_of_contacts():
