@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
@@ -31,7 +32,7 @@ class Neighbours:
 
 
 def find_neighbours(glints: Glints, good: NDArray[np.bool_], camera: Camera) -> Neighbours:
-    """Find the neighbours of the good ones of the glints (n,) among `max_balls` in their frames."""
+    """Find the neighbours of the good ones of the glints (n,) in their frames."""
     distance, other = np.full(len(glints), np.inf), np.zeros((len(glints), 2))
     rows = np.flatnonzero(good)
     order = rows[np.argsort(glints.frame[rows], kind="stable")]
@@ -55,18 +56,16 @@ def find_isolated(frame: Ints, position: Array, distance: float) -> NDArray[np.b
     return _find_nearest(frame, position)[0] >= distance
 
 
-def _find_nearest(frame: Ints, xy: Array, *, max_balls: int = 12) -> tuple[Array, Ints]:
+def _find_nearest(frame: Ints, xy: Array, *, frame_step_px: float = 1e6) -> tuple[Array, Ints]:
     """Distance (n,), px, of the nearest other detection in the frame, and its row; infinity and -1 without one.
 
-    max_balls: of a frame.
+    frame_step_px: distance of two frames, beyond any in a picture.
     """
-    distance, nearest = np.full(len(frame), np.inf), np.full(len(frame), -1)
-    for lag in range(1, min(len(frame), max_balls)):
-        pairs = np.flatnonzero(frame[lag:] == frame[:-lag])
-        if len(pairs) == 0:
-            break
-        gap = np.hypot(*(xy[pairs + lag] - xy[pairs]).T)
-        for one, two in ((pairs, pairs + lag), (pairs + lag, pairs)):
-            closer = gap < distance[one]
-            distance[one[closer]], nearest[one[closer]] = gap[closer], two[closer]
-    return distance, nearest
+    if len(frame) < 2:
+        return np.full(len(frame), np.inf), np.full(len(frame), -1)
+    each, places = np.arange(len(frame)), np.column_stack([xy, frame * frame_step_px])
+    distance, row = (np.asarray(values) for values in cKDTree(places).query(places, k=2))
+    other = (row[:, 0] == each).astype(np.int64)  # of two at one place either may come first
+    distance, row = distance[each, other], row[each, other]
+    alone = distance > frame_step_px / 2
+    return np.where(alone, np.inf, distance), np.where(alone, -1, row).astype(np.int64)

@@ -1,0 +1,19 @@
+"""Neighbours of glints against all pairs of distances."""
+
+import numpy as np
+
+from tracker.detection.likelihood.neighbours import find_isolated
+
+
+def test_neighbours_are_found_among_many_balls_in_any_order():
+    """Thirty balls a frame, the nearest one anywhere in the list; a ball alone in its frame has none."""
+    rng = np.random.default_rng(2)
+    frame = np.append(np.repeat(np.arange(4), 30), 4)
+    xy = rng.uniform(0, 300, (len(frame), 2))
+    xy[1] = xy[0]  # two candidates at one place
+    apart = np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1))
+    apart[(frame[:, None] != frame) | np.eye(len(frame), dtype=bool)] = np.inf
+    nearest = apart.min(axis=1)
+    for distance in (1.0, 10.0, 20.0, 40.0):
+        assert (find_isolated(frame, xy, distance) == (nearest >= distance)).all()
+    assert find_isolated(frame[:1], xy[:1], 1e4).all()
