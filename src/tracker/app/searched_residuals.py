@@ -34,6 +34,7 @@ class SearchedResiduals:
     def describe(self, number: int) -> dict[str, Any]:
         """Each model with its residuals of a clip: rms, um, and tracks; no model where the search left the clip out.
 
+        The rms is None where the tracks have no frame of the search, as after another run into the same folder.
         held_out: whether the clip is one of those that the search kept for tests. Raises InputError.
         """
         tracks, camera = results.read_clip(self.searched.folder, number)
@@ -60,7 +61,9 @@ class SearchedResiduals:
             raise InputError(f"{file}: expected the residuals of a search ({type(error).__name__})") from None
 
 
-def _rms_um(metres: NDArray[Any]) -> float:
+def _rms_um(metres: NDArray[Any]) -> float | None:
+    if np.isnan(metres).all():
+        return None
     return float(f"{1e6 * np.sqrt(np.nanmean(metres**2)):.3g}")
 
 

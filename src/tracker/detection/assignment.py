@@ -185,7 +185,7 @@ def _uncross(
     *,
     overlap: float = 0.8,
 ) -> tuple[Ints, Ints]:
-    """The links, with those of two new balls exchanged that would pass through one another, and exchanged do not.
+    """The links, with those of two new balls exchanged that would pass through one another, and exchanged less nearly.
 
     A hit before the second frame hides the first step of both, so that likelihoods may prefer such an exchange.
 

@@ -92,3 +92,11 @@ def test_a_clip_that_the_search_left_out_has_no_model(folder, tmp_path):
     table[table["clip"] == 5].to_parquet(tmp_path / "residuals.parquet")
     about = SearchedResiduals(tmp_path, OpenedResults(folder / "out")).describe(0)
     assert about == {"clip": 0, "models": [], "held_out": False}
+
+
+def test_frames_that_the_tracks_do_not_have_leave_no_residuals(folder, tmp_path):
+    table = pd.read_parquet(folder / "search/residuals.parquet")
+    table.assign(frame=table["frame"] + 100_000).to_parquet(tmp_path / "residuals.parquet")
+    (tmp_path / "discrepancy.json").write_text('{"models": ["base model"]}')
+    about = SearchedResiduals(tmp_path, OpenedResults(folder / "out")).describe(0)
+    assert json.loads(json.dumps(about, allow_nan=False))["models"][0]["rms_um"] is None
