@@ -248,7 +248,7 @@ def test_without_a_terminal_progress_is_lines(monkeypatch, capsys):
             progress(done, 30)
     out, err = capsys.readouterr()
     assert out == ""
-    assert err == "clips: 21 of 30 after 30 s, about 270 s left\nclips: 23 of 30 after 90 s, about 210 s left\n"
+    assert err == "clips: 21 of 30 after 30 s, about 234 s left\nclips: 23 of 30 after 90 s, about 201 s left\n"
 
 
 def test_progress_without_an_end(monkeypatch, capsys):
