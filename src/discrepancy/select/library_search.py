@@ -26,9 +26,8 @@ from synthcam.model import Model
 
 SCORE_ERROR_CHI2 = 15.0  # a score test is only of first order: its chi^2 may be wrong by so much,
 SCORE_ERROR_SHARE = 0.2  # plus this share of the chi^2 that the effect explains
-STRONG_EFFECT = (
-    7.0  # beside an effect whose share exceeds so many times the first error, rivals are tested after a refit
-)
+# an effect whose share of chi^2 is so many times the first error: its rivals are tested after a refit without it
+STRONG_EFFECT = 7.0
 MAX_EXCHANGES = 4  # rivals of one effect that are fitted instead of it
 
 

@@ -53,7 +53,7 @@ def explain_no_glints(frames: Sequence[Any], view: View, glints: Glints) -> str:
 
 
 def _differ(sample: Sequence[NDArray[Any]], least: float) -> bool:
-    """Whether a pixel of any picture differs from the median of all by `least` counts."""
+    """Decide whether a pixel of any picture differs from the median of all by `least` counts."""
     level = np.median(np.array(sample), axis=0)
     return any(float(np.abs(picture - level).max()) > least for picture in sample)
 

@@ -1,14 +1,14 @@
 """The sinks of the energy of translation: the plate, contacts of balls, and walls.
 
 Between two contacts a ball loses energy to the plate, because it slides and rolls. At a contact two balls lose what the
-local estimate of that contact gives, or the difference of their free paths just before and just after. Where the slide
-after it hides that difference, its kick and the restitution of the film give the loss. Turning balls also have energy
-of rotation, which a film of plain balls does not show.
+local estimate of that contact gives, or the difference of their free paths just before and just after. The slide after
+a contact may hide that difference; the kick and the restitution of the film then give the loss. Turning balls also have
+energy of rotation, which a film of plain balls does not show.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -127,9 +127,12 @@ def measure_contact_losses(
     """Energy that both balls lose in each contact (n,), its variance, and the effects (n, 2) of errors that all share.
 
     Contacts with an energy_lost and no misfit keep it. Others have the difference of the free paths, continued to the
-    contact, if both are known, or what their kick predicts. The loss is NaN where it is not known. A kink inside the
-    hull of all contacts is a hit of a ball that was not found, and its loss is not known. Nor is that of a wall which
-    takes more than its kick K can, K^2/2, or next to another contact of the ball: the kick is not the wall's alone.
+    contact, if both are known, or what their kick predicts. The loss is NaN where it is not known,
+    and at
+
+    - a kink inside the hull of all contacts: a hit of a ball that was not found;
+    - a wall that would take more than its kick K allows, K^2/2;
+    - a wall next to another contact of the ball: the kick is not the wall's alone.
 
     frame_s: duration of a frame, s.
     """
@@ -214,7 +217,7 @@ def measure_losses(
     plate. This is unresolved where the loss of the contact is not known, where a path of either ball is too short for a
     velocity, and where nobody saw the ball.
 
-    The errors also hold what is not resolved: all of it at contacts of that kind, and half of it for the plate. Where
+    The errors also hold what is not resolved: all of it at contacts of that kind, and half of it for the plate. If
     contacts of one ball follow one another within two frames, as many may be hidden, and their energy is an error too.
 
     frames: (n,) ascending. noise: of a coordinate, m. frame_s: duration of a frame, s.
@@ -267,6 +270,11 @@ def measure_losses(
             hidden["beside others"].add(step.row, part[0] * mixed[contact], 0.0)
     for parts in in_view.values():
         _add_held(seen, *(np.concatenate(part) for part in zip(*parts, strict=True)))
+    return _tabulate(seen, smoothed, lost, hidden)
+
+
+def _tabulate(seen: _Sums, smoothed: _Sums, lost: Mapping[str, _Sums], hidden: Mapping[str, _Sums]) -> pd.DataFrame:
+    """Make the columns of `measure_losses`; `hidden` is what errors of the sinks also hold."""
     columns = {"energy": seen.value[:-1], "energy_std": np.hypot(np.sqrt(seen.variance), smoothed.value)[:-1]}
     beside = hidden["beside others"].value[:-1].cumsum()
     for name, column in SINKS.items():
@@ -293,7 +301,7 @@ def _add_held(sums: _Sums, rows: NDArray[np.int64], value: Floats, variance: Flo
 class _Sums:
     """Sums by frame of values, their variances, and the effects of errors that all share.
 
-    What comes after the last frame goes into one further entry.
+    One further entry has all that comes after the last frame.
     """
 
     def __init__(self, frames: int) -> None:

@@ -5,7 +5,7 @@ differ, the common loss shifts v0 and all that follows from it. Chi^2 of all pos
 
 The quantities are averaged over two models (Bayesian model averaging; Hoeting et al., Statist. Sci. 14 (1999) 382): the
 losses are equal, or they differ by an amount with a Cauchy prior. Such a prior (Jeffreys, Theory of Probability, 3rd
-ed. (1961), 5.2) leaves a large difference as it was measured, unlike a normal one. All depends smoothly on the tracks.
+ed. (1961), 5.2) does not pull a large difference towards zero, unlike a normal one. All depends smoothly on the tracks.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class LossDifference:
 
 @dataclass(frozen=True)
 class ModelWeight:
-    """What one measurement says about a parameter that is zero or has a Cauchy prior, in its standard errors.
+    """The posterior of a parameter that is zero or has a Cauchy prior, after one measurement, in its standard errors.
 
     probability: that the parameter is not zero, given 1/2 before. shifted, shifted_variance: mean and variance if so.
     """

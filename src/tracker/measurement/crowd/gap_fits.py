@@ -19,7 +19,7 @@ SLIDE_ERROR = 0.2  # relative, of either component of the way that an earlier sl
 
 
 class GapSettings(Protocol):
-    """What fits of gaps need to know."""
+    """Settings of the fits of gaps."""
 
     @property
     def curvature(self) -> float:
@@ -89,7 +89,7 @@ class Slides(NamedTuple):
         return self._replace(slip=np.where(holds[..., None], self.slip, 0.0))
 
 
-class Paths(NamedTuple):
+class Parabolas(NamedTuple):
     """Parabolas: positions, velocities and half the accelerations at the origin of time, with their covariances.
 
     Slides from before add the way that the balls lost, times a vector near minus their direction.
@@ -112,9 +112,9 @@ class Paths(NamedTuple):
         variance = (basis @ self.cov @ np.swapaxes(basis, -1, -2))[..., 0, 0]
         return (basis @ self.value)[..., 0, :], variance
 
-    def replace_where(self, holds: Mask, other: Paths) -> Paths:
+    def replace_where(self, holds: Mask, other: Parabolas) -> Parabolas:
         """The others where a condition (...) holds."""
-        return Paths(
+        return Parabolas(
             np.where(holds[..., None, None], other.value, self.value),
             np.where(holds[..., None, None], other.cov, self.cov),
             np.where(holds, other.chi2, self.chi2),
@@ -132,7 +132,9 @@ def _make_basis(time: Floats, slides: Slides) -> Floats:
     return basis
 
 
-def _fit_paths(time: Floats, position: Floats, used: Mask, variance: Floats, curvature: float, slides: Slides) -> Paths:
+def _fit_paths(
+    time: Floats, position: Floats, used: Mask, variance: Floats, curvature: float, slides: Slides
+) -> Parabolas:
     """Fit parabolas whose acceleration is `curvature` or so to the used ones of positions (..., n, 2)."""
     basis = _make_basis(time, slides)
     weight = used / variance[..., None]
@@ -149,7 +151,7 @@ def _fit_paths(time: Floats, position: Floats, used: Mask, variance: Floats, cur
     left, bend, away = position - basis @ value, value[..., 2, :], value[..., 3, :] + slides.direction
     chi2 = ((left**2).sum(axis=-1) * weight).sum(axis=-1)
     chi2 += (bend**2).sum(axis=-1) * 4 / curvature**2 + (away**2).sum(axis=-1) / SLIDE_ERROR**2
-    return Paths(value, cov, chi2, slides)
+    return Parabolas(value, cov, chi2, slides)
 
 
 class Gaps(NamedTuple):
@@ -240,7 +242,7 @@ def gather_gaps(
     )
 
 
-class GapFits(NamedTuple):
+class ContactFits(NamedTuple):
     """The best instants of contacts in m gaps, and what is known there."""
 
     candidate: Ints  # (m,)
@@ -255,9 +257,9 @@ class GapFits(NamedTuple):
     velocity_std: Floats  # (m, balls) of the change
     slips: Floats  # (m, balls, 2) just after; NaN if unknown, 0 if balls glide
 
-    def take(self, rows: Ints | int) -> GapFits:
+    def take(self, rows: Ints | int) -> ContactFits:
         """Those gaps."""
-        return GapFits(**{name: values[rows] for name, values in self._asdict().items()})
+        return ContactFits(**{name: values[rows] for name, values in self._asdict().items()})
 
 
 class TouchDistance(NamedTuple):
@@ -275,26 +277,22 @@ def fit_gaps(
     *,
     steps_in_gap: int = 8,
     turns: int = 2,
-) -> GapFits:
+) -> ContactFits:
     """Fit the best instant of a contact in each gap, without the gaps in which a ball has too few positions.
 
     exposure: s. steps_in_gap: instants between two frames that are tried. turns: each with slides from the instant of
     the last.
     """
-    least, balls = settings.least_positions, gaps.time.shape[1]
-    has_before, has_after = (np.count_nonzero(side, axis=-1) >= least for side in (gaps.before, gaps.after))
+    gaps, has_before, has_after = _take_usable(gaps, settings.least_positions)
     both = has_before & has_after
-    usable = np.all(has_before | has_after, axis=1) & np.any(both, axis=1) & (gaps.low < gaps.high)
-    usable &= np.all(both, axis=1) | (balls == 2)
-    gaps, has_before, has_after, both = gaps.take(usable), has_before[usable], has_after[usable], both[usable]
     first = gaps.time.min(axis=-1, where=gaps.before | gaps.after, initial=np.inf)
     earlier = gaps.slides.where((gaps.slides.start < first) & (gaps.slides.start + gaps.slides.duration >= first))
     none = Slides(np.zeros(first.shape), np.zeros((*first.shape, 2)), gaps.slides.decel)
 
-    def fit(used: Mask, slides: Slides, position: Floats = gaps.position) -> Paths:
+    def fit(used: Mask, slides: Slides, position: Floats = gaps.position) -> Parabolas:
         return _fit_paths(gaps.time, position, used, gaps.variance, settings.curvature, slides)
 
-    def fit_with_slides(used: Mask) -> Paths:
+    def fit_with_slides(used: Mask) -> Parabolas:
         """With the slide of the last contact before, if that fits better."""
         rolls = fit(used, none)
         if not earlier.slip.any():
@@ -330,7 +328,7 @@ def fit_gaps(
     when = np.broadcast_to(at[:, None], both.shape)
     (v_before, var_before), (v_after, var_after) = before.velocity(when), after.velocity(when)
     std = np.hypot(np.sqrt(2 / bend * excess), np.where(exposed, exposure / 2, 0.0))
-    return GapFits(
+    return ContactFits(
         candidate=gaps.candidate,
         time=gaps.zero + at,
         time_std=np.minimum(std, gaps.high - gaps.low),
@@ -345,7 +343,20 @@ def fit_gaps(
     )
 
 
-def _predict_slips(before: Paths, after: Paths, has: tuple[Mask, Mask], start: Floats, spin_transfer: float) -> Floats:
+def _take_usable(gaps: Gaps, least: int) -> tuple[Gaps, Mask, Mask]:
+    """The gaps with enough positions, and for each ball whether it has `least` positions before and after.
+
+    A single ball needs both sides. If there are two balls, one needs both sides and the other needs one.
+    """
+    has_before, has_after = (np.count_nonzero(side, axis=-1) >= least for side in (gaps.before, gaps.after))
+    both = has_before & has_after
+    usable = np.all(has_before | has_after, axis=1) & np.any(both, axis=1) & (gaps.low < gaps.high)
+    return gaps.take(usable), has_before[usable], has_after[usable]
+
+
+def _predict_slips(
+    before: Parabolas, after: Parabolas, has: tuple[Mask, Mask], start: Floats, spin_transfer: float
+) -> Floats:
     """Predict how fast the lowest point of each ball slides after a contact; NaN where a path is not known.
 
     The kick adds to what is left of the slip of an earlier contact. The surfaces of balls that roll also drag one
@@ -369,7 +380,7 @@ def _predict_slips(before: Paths, after: Paths, has: tuple[Mask, Mask], start: F
 
 
 def _compare_paths(
-    before: Paths, after: Paths, has: tuple[Mask, Mask], times: Floats, touch: TouchDistance
+    before: Parabolas, after: Parabolas, has: tuple[Mask, Mask], times: Floats, touch: TouchDistance
 ) -> tuple[Floats, Floats]:
     """The chi^2 (m, n) of contacts at each of n instants, and the places (m, balls, n, 2) of the balls there.
 

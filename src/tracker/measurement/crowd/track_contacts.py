@@ -19,7 +19,7 @@ from scipy.special import expit
 
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import find_near_pairs
-from tracker.measurement.crowd.gap_fits import GapFits, Gaps, TouchDistance, TrackRows, fit_gaps, gather_gaps
+from tracker.measurement.crowd.gap_fits import ContactFits, Gaps, TouchDistance, TrackRows, fit_gaps, gather_gaps
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import StretchCutter, measure_noise
 
@@ -139,7 +139,7 @@ class _Film:
         last = [[self._find_last_slide(part) for part in parts] for parts in candidates]
         return gather_gaps(candidates, gaps, last, self.settings.friction * GRAVITY, self.frame_s)
 
-    def fit(self, gaps: Gaps) -> GapFits:
+    def fit(self, gaps: Gaps) -> ContactFits:
         """Fit a contact in each gap."""
         touch = TouchDistance(self.diameter, self.settings.distance_share * self.diameter)
         return fit_gaps(gaps, self.settings, touch, self.exposure)
@@ -394,7 +394,7 @@ def _to_rows(ball: BallTrack) -> TrackRows:
     return TrackRows(ball.particle, ball.frame, ball.time, ball.position, variance)
 
 
-def _weigh_gaps(fits: GapFits) -> GapFits:
+def _weigh_gaps(fits: ContactFits) -> ContactFits:
     """The best of the fits of several gaps, with the error of an instant that may lie in another of them."""
     best = fits.take(int(np.argmin(fits.chi2)))
     weight = fits.time_std * np.exp((best.chi2 - fits.chi2) / (2 * best.excess))
@@ -402,7 +402,7 @@ def _weigh_gaps(fits: GapFits) -> GapFits:
     return best._replace(time_std=np.sqrt(variance))
 
 
-def _judge(pair: tuple[int, ...], found: GapFits, diameter: float, settings: FinderSettings) -> TrackContact | None:
+def _judge(pair: tuple[int, ...], found: ContactFits, diameter: float, settings: FinderSettings) -> TrackContact | None:
     """The contact of balls by the best of its gaps, if the paths show one."""
     turn = found.after - found.before
     gain = float(found.smooth - found.chi2)
