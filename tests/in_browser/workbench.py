@@ -235,14 +235,14 @@ def measured(folder, clips=6):
     return folder / "out"
 
 
-def test_a_search_is_drawn_over_the_film_before_and_after(browser, tmp_path):
+def test_a_search_is_drawn_over_the_film(browser, tmp_path):
     with workbench(measured(tmp_path), tmp_path / "bench") as (_, address), browser.new_page() as page:
         page.goto(address)
         says(page, "#arrows-legend", "No fit|tied fit")
         assert page.is_hidden("#residuals-of")
         page.click("#search")
         page.wait_for_selector("#residuals-of:not([hidden])", timeout=90_000)
-        assert page.input_value("#residuals-of") == "before and after"
+        assert page.input_value("#residuals-of") == "both models"
         says(page, "#arrows-legend", r"base model: rms \d.*with plate_tilt: rms \d.*The longest arrow is \d+ µm")
         sizes = [float(text) for text in re.findall(r"rms ([\d.]+)", page.text_content("#arrows-legend"))]
         pixel_um = json.loads((tmp_path / "camera.json").read_text())["scale"] * 1e6

@@ -148,7 +148,7 @@ class SessionAddresses:
         return JSONResponse(self.bench.describe_tracks())
 
     def describe_search(self, request: Request) -> Response:
-        """The residuals of the clip in view before and after a search."""
+        """The residuals of the clip in view, without and with what a search found."""
         return JSONResponse(self.bench.describe_search(request.path_params["number"]))
 
     async def open_clip(self, request: Request) -> Response:

@@ -1,9 +1,9 @@
-// Residuals as arrows over the film, with a legend: of the tied fit, or of a search before and after what it found.
+// Residuals as arrows over the film, with a legend: of the tied fit, or of a search without and with what it found.
 
 import { get } from "/static/api.js";
 
 const element = (id) => document.getElementById(id);
-const BOTH = "before and after", FIT = "tied fit";
+const BOTH = "both models", FIT = "tied fit";
 const longestOf = (tracks) => Math.max(0, ...tracks.flatMap((t) => t.x_off.map((v, k) => (v == null ? 0 : Math.hypot(v, t.y_off[k])))));
 const inMicrometres = (tracks) => Math.max(0, ...tracks.flatMap((t) => t.x_off_um.map((v, k) => (v == null ? 0 : Math.hypot(v, t.y_off_um[k])))));
 
