@@ -22,6 +22,8 @@ REFUSED = {
     "a date that is none": ("a: 2001-99-99", "not plain YAML .month"),
     "endless digits": ("a: " + "9" * 5000, "not plain YAML"),
     "depth": ("a: " + "[" * 5000, "not plain YAML .nested too deeply"),
+    "a depth that would end libyaml": ("[" * 10**6, "line 1: not plain YAML .nested too deeply"),
+    "half a character": ('a: "\\ud800"', "line 1: not plain YAML"),
     "a tab": ("a:\n\tb: 1", "line 2: not plain YAML"),
     "control characters": ('a: "\x01"', "not plain YAML"),
     "a list as key": ("? [1]\n: 2", "not plain YAML"),

@@ -1,6 +1,10 @@
 """YAML files: those that are too long are refused before they are read into memory."""
 
+import contextlib
+import gc
+
 import pytest
+import yaml
 
 from synthcam.scene.bodies import MAX_BODIES
 from synthcam_shared import settings
@@ -19,7 +23,7 @@ TOO_LONG = {
 def test_a_list_that_is_too_long(tmp_path, monkeypatch, message):
     path = tmp_path / "long.yaml"
     path.write_text(TOO_LONG[message])
-    monkeypatch.setattr(settings, "parse_yaml", lambda text: pytest.fail("the file was read"))
+    monkeypatch.setattr(yaml, "load", lambda text, Loader: pytest.fail("the file was read"))
     with pytest.raises(InputError) as refused:
         settings.read_yaml(path)
     assert str(refused.value) == f"{path}, {message}"
@@ -43,4 +47,18 @@ def test_a_long_file_with_a_mistake_is_not_plain_yaml(tmp_path):
 
 def test_a_scene_of_as_many_bodies_as_it_may_have_is_not_too_long():
     assert MAX_BODIES <= MOST
-    assert MAX_BODIES * 100 <= settings.MAX_VALUES
+    body = {"position": [0.1, 0.2], "velocity": [0.1, 0.2], "slip": [0.1, 0.2], "drilling": 1, "time": 1}
+    kind = {"mass": 0.1, "shape": "disc", "diameter": 0.1, "sticks": 0.1}
+    values = sum(1 for event in yaml.parse(yaml.safe_dump([body, kind])) if isinstance(event, yaml.NodeEvent))
+    assert MAX_BODIES * values <= settings.MAX_VALUES
+
+
+def test_libyaml_reads_files_where_it_is_there():
+    assert issubclass(settings._Loader, yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader)
+
+
+@pytest.mark.parametrize("text", ["a: [1, 2]", "a: &a [1]\nb: *a", "a: 1\na: 2"])
+def test_reading_leaves_the_garbage_collector_on(text):
+    with contextlib.suppress(yaml.YAMLError):
+        settings.parse_yaml(text)
+    assert gc.isenabled()
