@@ -105,7 +105,7 @@ def track(frames: Any, camera: dict[str, Any]) -> tuple[float, list[Any]]:
 def time_stages(frames: Any, camera: dict[str, Any]) -> dict[str, float]:
     """Milliseconds of processor time a frame of each stage of this tracker."""
     clip, marks = Recording(0, Camera.from_dict(camera), wrap_frames(frames)), [time.process_time()]
-    name, _ = select_detector(clip)
+    name = select_detector(clip).name
     marks.append(time.process_time())
     found, view = detect_until_blur_converges(clip, make_view(clip, name), name)
     marks.append(time.process_time())

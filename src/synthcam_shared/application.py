@@ -147,12 +147,14 @@ def print_progress(what: str) -> Callable[[int, int], None]:
     asked = os.environ.get(PROGRESS_INTERVAL, "")
     interval = float(asked) if re.fullmatch(r"\d+(\.\d+)?", asked) else PROGRESS_INTERVAL_S
     first: tuple[int, float] | None = None  # done by an earlier run, or after a survey that comes first; and when
+    latest = 0
 
     def progress(done: int, total: int) -> None:
-        nonlocal printed, first
+        nonlocal printed, first, latest
         raise_if_interrupted()
         now = time.monotonic()
-        first = (done, now) if first is None else first
+        first = (done, now) if first is None or done < latest else first  # a second pass starts the count again
+        latest = done
         before, since = first
         if now - printed < interval or 0 < total <= done:
             return

@@ -22,8 +22,8 @@ from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY, Frames
 from tracker.camera.readers.labelled_array import is_zarr
 from tracker.camera.recordings import HelperProcesses, Recording, RecordingSource, digest_films, open_source
-from tracker.detection.choose import select_channel, select_detector
-from tracker.detection.detect import detector_name, load_detector, load_linker
+from tracker.detection.choose import SelectedDetector, select_channel, select_detector
+from tracker.detection.detect import DEFAULT, detector_name, load_detector, load_linker
 from tracker.detection.own_detector import digest, is_outside
 from tracker.edits import EditsSource, TrackEdits
 from tracker.notes import Note, NoteKind, note_all
@@ -60,9 +60,10 @@ def run(
     """Run the whole chain on every clip of a source into RESULTS; continue what an interrupted run left.
 
     source: a dataset, clip, stack, video or folder of pictures. output: RESULTS. detector: by None the first clip
-    decides, as it does on the channel of a source that has none. workers: processes, or 0 for one a core, if so many
-    are quicker. progress: takes clips done and clips in all, or frames of a single clip. scheduler: address of a Dask
-    scheduler, whose workers see the same folders. edits: corrections of tracks by hand. Raises InputError.
+    decides, as it does on the channel of a source that has none, and a clip in which its detector fails may take
+    another. workers: processes, or 0 for one a core, if so many are quicker. progress: takes clips done and clips in
+    all, or frames of a single clip. scheduler: address of a Dask scheduler, whose workers see the same folders. edits:
+    corrections of tracks by hand. Raises InputError.
     """
     check_utf8(output)
     chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)
@@ -84,9 +85,7 @@ def run(
     films, said = replace(films, channel=first.channel), note_all(NoteKind.CHANNEL, [why])
     if films.camera is None and (films.path.is_file() or is_zarr(films.path)):
         said += note_all(NoteKind.ASSUMED, [f"camera: {file}; --camera takes another" for file in films.camera_files()])
-    if detector is None:
-        detector, why = select_detector(first)
-        said += note_all(NoteKind.DETECTOR, [why])
+    selected = select_detector(first) if detector is None else None
     clips, frames, notes = len(films), 0, Counter[Note]()
     # A film that is open is not decoded again; of one clip, progress counts the frames.
     helpers = HelperProcesses(films, 0, workers, first.frames.contents)
@@ -100,7 +99,7 @@ def run(
         # An edit that fits no track ends the run before the clips without edits are tracked.
         todo = sorted(todo, key=lambda i: not edited.of_clip(films.clips[i][0]))
         sent = _resolve_paths(films) if scheduler else films
-        job = functools.partial(_track_clip, sent, partial=partial, name=detector)
+        job = functools.partial(_track_clip, sent, partial=partial, name=detector, selected=selected)
         work = functools.partial(job, settings=chosen, edits=edited, opened=opened)
         for done, (more, new) in enumerate(run_all_jobs(work, todo, workers, films.path, scheduler), 1):
             frames += more
@@ -108,7 +107,7 @@ def run(
             if opened is None:
                 progress(clips - len(todo) + done, clips)
 
-    plan = _plan(films, detector) | _note_edits(edited)
+    plan = _plan(films, detector, selected) | _note_edits(edited)
     table, fresh = _fill_results(output, plan, chosen, [number for number, _ in films.clips], track)
     return ClipOutcome(table, clips, fresh, frames, dict(notes), films)
 
@@ -201,7 +200,9 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any], done: Sequence[int] | No
     if not folder.is_dir() or not note.is_file():
         raise InputError(f"{folder}: exists and holds something else, expected a new folder for the results")
     known = results.load_json(note)
-    known = {k: v for k, v in known.items() if k != results.SEEN} if isinstance(known, dict) else {}
+    known = (
+        {k: v for k, v in known.items() if k not in (results.SEEN, results.OTHERS)} if isinstance(known, dict) else {}
+    )
     if known == plan:
         return
     if done is not None and {**known, "edits": None} == {**plan, "edits": None}:
@@ -219,12 +220,13 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any], done: Sequence[int] | No
     raise InputError(f"{folder}: holds the results of another run ({differs}), expected a new folder for the results")
 
 
-def _plan(source: RecordingSource, detector: str) -> dict[str, Any]:
+def _plan(source: RecordingSource, detector: str | None, selected: SelectedDetector | None) -> dict[str, Any]:
     """The entries of run.json that distinguish one run from another, without paths or times."""
+    name = detector or (selected.name if selected else DEFAULT)
     colour = {} if source.channel == GREY else {"channel": source.channel}
     film = {"film": source.options.changed()} if source.options.changed() else {}
-    own = {"detector_file": digest(detector)} if is_outside(detector) else {}
-    run = {"made_by": "tracker track", "detector": detector_name(detector), "clips": len(source)}
+    own = {"detector_file": digest(name)} if is_outside(name) else {}
+    run = {"made_by": "tracker track", "detector": detector_name(name), "clips": len(source)}
     return run | {"input": digest_films(source)} | colour | film | own
 
 
@@ -232,7 +234,8 @@ def _track_clip(
     source: RecordingSource,
     index: int,
     partial: Path,
-    name: str,
+    name: str | None,
+    selected: SelectedDetector | None,
     settings: TrackerSettings,
     edits: TrackEdits,
     opened: Recording | None = None,
@@ -244,19 +247,21 @@ def _track_clip(
     use_one_thread()
     clip = opened or source.open_clip(index)
     try:
-        result = track_and_measure(clip, name, settings, edits)
+        result = track_and_measure(clip, name, settings, edits, selected)
     except (MemoryError, cv2.error) as error:
         if isinstance(error, cv2.error) and error.code != cv2.Error.StsNoMem:
             raise
         asked = " x ".join(map(str, clip.frames.shape))
         raise InputError(f"{path}: not enough memory for its {asked} pixels") from None
-    pictures, notes = dict[str, bytes](), result.notes
+    files, notes = dict[str, bytes](), result.notes
     if is_failure(result.found, result.rows):
         refusals = draw_refusals(clip, result.found)
-        pictures, notes = {REFUSALS: refusals.png}, (*notes, refusals.note)
+        files, notes = {REFUSALS: refusals.png}, (*notes, refusals.note)
     elif drawn := _draw_misfit(result, len(source), clip.frames):
-        pictures, notes = {MISFITS: drawn.png}, (*notes, drawn.note)
-    results.write_clip(partial, number, result.found, result.motion, result.rows, result.camera, pictures)
+        files, notes = {MISFITS: drawn.png}, (*notes, drawn.note)
+    if selected is not None and result.detector != selected.name:
+        files[results.OTHER_DETECTOR] = json.dumps(result.detector).encode() + b"\n"
+    results.write_clip(partial, number, result.found, result.motion, result.rows, result.camera, files)
     return result.frames, notes
 
 

@@ -21,22 +21,25 @@ from tracker.camera.camera_notes import describe_camera_gaps, describe_exposure
 from tracker.camera.film_in_memory import FILM, wrap_frames
 from tracker.camera.film_options import FilmKeywords, FilmOptions
 from tracker.camera.recordings import Recording, make_recording, open_frames, open_source
-from tracker.detection.choose import DISCS, GLINTS, name_channel, select_channel, select_detector
+from tracker.detection.choose import DISCS, GLINTS, SelectedDetector, name_channel, select_channel, select_detector
 from tracker.detection.detect import (
     DEFAULT,
     DetectorChoice,
     blank_outside,
     detect_until_blur_converges,
     detected_point,
+    detector_name,
     load_detector,
     load_linker,
     make_view,
 )
 from tracker.detection.diagnose import (
     MIN_DETECTIONS,
+    LooseEnds,
+    count_loose_ends,
     explain_no_discs,
     explain_no_glints,
-    warn_of_loose_ends,
+    follow_bodies,
     warn_of_missed_examples,
     warn_of_moving_camera,
 )
@@ -80,6 +83,8 @@ class Result:
         What was assumed, estimated or converted; `str(note)` is its sentence.
     frames : int
         How many were tracked; 0 of tracks made elsewhere.
+    detector : str
+        Its name; empty for tracks made elsewhere.
 
     Examples
     --------
@@ -97,6 +102,7 @@ class Result:
     motion: pd.DataFrame
     notes: tuple[Note, ...] = ()
     frames: int = 0
+    detector: str = ""
 
     @cached_property
     def tracks(self) -> pd.DataFrame:
@@ -418,30 +424,61 @@ def track_and_measure(
     name: DetectorChoice | None = None,
     settings: TrackerSettings | None = None,
     edits: TrackEdits | None = None,
+    selected: SelectedDetector | None = None,
 ) -> Result:
-    """Track and measure one recording, by the detector `name` or the one that its film asks for."""
+    """Track and measure one recording, by the detector `name` or the one that its film asks for.
+
+    selected: the detector that the film asks for, if it is known already. Another one replaces it where it finds no
+    ball, or bright specks without a collision.
+    """
     settings = settings or TrackerSettings()
-    chosen, why = select_detector(clip) if name is None else (name, "")
-    tracks, camera, reason, said = track_clip(clip, chosen, settings)
-    if reason and name is None:
-        other = GLINTS if chosen == DISCS else DISCS
-        second = track_clip(clip, other, settings)
-        if not second[2] and len(second[0]) >= MIN_DETECTIONS:
-            why = f"detector: {other}, because {chosen} finds nothing ({reason}); --detector overrides this"
-            tracks, camera, reason, said = second
-    edited = (edits or TrackEdits()).apply(tracks, clip.number, clip.frames.numbers)
-    rows, motion = measure_clip(edited.tracks, camera, settings.fit, edited.contacts)
-    if reason:
-        rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
+    if name is not None:
+        selected, tracked = None, track_clip(clip, name, settings)
+    else:
+        selected, tracked = _track_by_choice(clip, selected or select_detector(clip), settings)
+    edited = (edits or TrackEdits()).apply(tracked.tracks, clip.number, clip.frames.numbers)
+    rows, motion = measure_clip(edited.tracks, tracked.camera, settings.fit, edited.contacts)
+    if tracked.reason:
+        rows = [row if row["status"] in MEASURED else row | {"status": tracked.reason} for row in rows]
     notes = (
         *clip.notes,
-        *note_all(NoteKind.DETECTOR, [why], clip.number),
-        *said,
+        *note_all(NoteKind.DETECTOR, [selected.why if selected else ""], clip.number),
+        *tracked.notes,
+        *note_all(NoteKind.LINKING, tracked.loose_ends.warn(tracked.hint), clip.number),
         *edited.notes,
-        *describe_camera_gaps(camera),
-        *describe_exposure(camera, f"{results.SEEN} in {results.RUN}"),
+        *describe_camera_gaps(tracked.camera),
+        *describe_exposure(tracked.camera, f"{results.SEEN} in {results.RUN}"),
     )
-    return Result(clip.number, camera, edited.tracks, tuple(rows), motion, notes, len(clip.frames))
+    used = detector_name(selected.name if selected else name or DEFAULT)
+    return Result(clip.number, tracked.camera, edited.tracks, tuple(rows), motion, notes, len(clip.frames), used)
+
+
+def _track_by_choice(
+    clip: Recording, selected: SelectedDetector, settings: TrackerSettings
+) -> tuple[SelectedDetector, TrackedClip]:
+    """Track one recording by the detector that its film asks for, or by another one if that finds more; which one."""
+    first = track_clip(clip, selected.name, settings)
+    of_specks = selected.name != DISCS and first.loose_ends.are_most
+    if not first.reason and not of_specks:
+        return selected, first
+    other = GLINTS if selected.name == DISCS else DISCS
+    second = track_clip(clip, other, settings)
+    succeeds = not second.reason and len(second.tracks) >= MIN_DETECTIONS
+    found = f"nothing ({first.reason})"
+    if not first.reason:
+        succeeds &= not second.loose_ends.are_most and follow_bodies(second.tracks, second.camera.size)
+        found = f"specks and no collision ({first.loose_ends.describe()})"
+        if succeeds and _has_collision(first, settings):
+            return selected, replace(first, hint="")
+    if not succeeds:
+        return selected, replace(first, hint=LooseEnds.NO_BODIES)
+    why = f"detector: {other}, because {selected.name} finds {found}; --detector overrides this"
+    return SelectedDetector(other, why), second
+
+
+def _has_collision(tracked: TrackedClip, settings: TrackerSettings) -> bool:
+    rows, _ = measure_clip(tracked.tracks, tracked.camera, settings.fit)
+    return any(row["status"] in MEASURED for row in rows)
 
 
 def measure_tracks(
@@ -487,10 +524,20 @@ def check_particles(tracks: Tracks, number: int, settings: FitSettings, advice: 
         )
 
 
-def track_clip(
-    clip: Recording, name: DetectorChoice = DEFAULT, settings: TrackerSettings | None = None
-) -> tuple[Tracks, Camera, str, list[Note]]:
-    """Track one recording: tracks, its camera completed from the clip, why there is nothing, or '', and notes."""
+@dataclass(frozen=True)
+class TrackedClip:
+    """The tracks that one detector finds in a recording."""
+
+    tracks: Tracks
+    camera: Camera  # completed from the clip
+    reason: str  # why there is no ball, or ''
+    notes: tuple[Note, ...]
+    loose_ends: LooseEnds
+    hint: str = ""  # what may help against these
+
+
+def track_clip(clip: Recording, name: DetectorChoice = DEFAULT, settings: TrackerSettings | None = None) -> TrackedClip:
+    """Track one recording by one detector."""
     settings = settings or TrackerSettings()
     view = make_view(clip, name, settings)
     found, view = detect_until_blur_converges(clip if name == DISCS else blank_outside(clip, view), view, name)
@@ -514,10 +561,11 @@ def track_clip(
         why = explain_no_glints(clip.frames, view, found.glints)
     notes = note_all(NoteKind.DETECTOR, found.notes, clip.number)
     notes += note_all(NoteKind.DETECTOR, warn_of_missed_examples(tracks, clip.balls, view), clip.number)
-    loose = warn_of_loose_ends(tracks, view.camera.size, spans, of_glints=name == GLINTS)
-    moving = warn_of_moving_camera(clip.frames) if loose else ()
-    notes += note_all(NoteKind.LINKING, (*loose, *moving), clip.number)
-    return tracks, view.camera, why, notes
+    loose = count_loose_ends(tracks, view.camera.size, spans)
+    moving = warn_of_moving_camera(clip.frames) if loose.are_most else ()
+    notes += note_all(NoteKind.LINKING, moving, clip.number)
+    hint = LooseEnds.HINT_AT_BODIES if name == GLINTS else ""
+    return TrackedClip(tracks, view.camera, why, tuple(notes), loose, hint)
 
 
 def measure_clip(

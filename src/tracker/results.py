@@ -33,6 +33,9 @@ RUN = "run.json"
 CONTACTS = "contacts.parquet"
 SEEN = "exposure_seen_s"  # by clip, where the motion blur is not as long as the camera file's exposure makes it, s
 
+OTHER_DETECTOR = "detector.json"  # in the folder of a clip: the detector that replaced that of the run
+OTHERS = "other_detectors"  # the same by clip, in run.json
+
 
 def clip_folder(results: Path, number: int) -> Path:
     """Return the folder of a clip in RESULTS."""
@@ -51,9 +54,9 @@ def write_clip(
     motion: pd.DataFrame,
     rows: Sequence[Mapping[str, Any]],
     camera: Camera,
-    pictures: Mapping[str, bytes] = MappingProxyType({}),
+    files: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
-    """Writes the folder of one clip of RESULTS aside and moves it into place. pictures: further files by name."""
+    """Writes the folder of one clip of RESULTS aside and moves it into place. files: further ones by name."""
     final = clip_folder(results, number)
     aside = final.with_suffix(".tmp")
     shutil.rmtree(aside, ignore_errors=True)
@@ -66,7 +69,7 @@ def write_clip(
         _write_parquet(aside / "motion.parquet", pa.table(columns))
         write_json(aside / "estimates.json", list(rows))
         write_json(aside / "camera.json", camera.to_dict())
-        for name, data in pictures.items():
+        for name, data in files.items():
             write_atomically(aside / name, data)
         os.replace(aside, final)
     except BaseException:
@@ -89,6 +92,9 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
     cameras = {n: load_json(clip_folder(partial, n) / "camera.json") for n in order}
     if seen := {n: camera[SEEN] for n, camera in cameras.items() if SEEN in camera}:
         write_json(partial / RUN, load_json(partial / RUN) | {SEEN: seen})
+    marks = {n: clip_folder(partial, n) / OTHER_DETECTOR for n in order}
+    if others := {n: load_json(mark) for n, mark in marks.items() if mark.is_file()}:
+        write_json(partial / RUN, load_json(partial / RUN) | {OTHERS: others})
     write_atomically(partial / "camera.json", (clip_folder(partial, order[0]) / "camera.json").read_bytes())
     os.replace(partial, final)
     return table

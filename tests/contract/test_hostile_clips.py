@@ -91,7 +91,8 @@ def test_three_balls_are_three_tracks_and_the_hit_is_still_measured():
     frames = film(rng, np.concatenate([pair, third], axis=1))
     camera = Camera.from_dict(CAMERA)
     clip = Recording(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
-    tracks, _, reason, _ = recording.track_clip(clip)
+    tracked = recording.track_clip(clip)
+    tracks, reason = tracked.tracks, tracked.reason
     assert reason == ""
     assert np.bincount(tracks.particle).tolist() == [50, 50, 50]
     for path in (*pair.transpose(1, 0, 2), third[:, 0]):  # each track stays on its own ball
@@ -155,8 +156,8 @@ def test_a_stack_ten_times_the_memory_allowed(tmp_path):
         "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"
         "limit = (int(held.split()[1]) << 10) + (100 << 20)\n"
         "resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))\n"
-        "tracks, camera, _, _ = track_clip(open_source(sys.argv[1]).open_clip(0))\n"
-        "print(len(tracks), measure_clip(tracks, camera)[0][0]['status'])\n"
+        "tracked = track_clip(open_source(sys.argv[1]).open_clip(0))\n"
+        "print(len(tracked.tracks), measure_clip(tracked.tracks, tracked.camera)[0][0]['status'])\n"
     )
     done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -172,7 +173,7 @@ def peak_memory(*clips):
         "from tracker.settings import DetectionSettings, TrackerSettings\n"
         "blocks = TrackerSettings(detection=DetectionSettings(block_windows=100))\n"
         "for clip in sys.argv[1:]:\n"
-        "    tracks, _, _, _ = track_clip(open_source(clip).open_clip(0), settings=blocks)\n"
+        "    tracks = track_clip(open_source(clip).open_clip(0), settings=blocks).tracks\n"
         "    peak = next(line for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"
         "    print(len(tracks), int(peak.split()[1]) / 1024)\n"
     )

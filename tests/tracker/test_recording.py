@@ -9,12 +9,14 @@ import pandas as pd
 import pytest
 import tifffile
 from matplotlib.figure import Figure
+from tracker_discs import disc
+from tracker_film import spot
 
 import synthcam
 import tracker
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
-from tracker import cli
-from tracker.notes import COLOUR_TO_GREY, NO_CAMERA_FILE
+from tracker import cli, pipeline
+from tracker.notes import COLOUR_TO_GREY, NO_CAMERA_FILE, NoteKind
 
 SCENE = synthcam.Scene.read(
     "painter_behringer", camera={"size": [200, 160], "scale": 3e-4}, timing={"frames": 60, "contact_frame": 20}
@@ -47,19 +49,19 @@ def command(*words):
         cli.app(standalone_mode=False)
 
 
-def own(folder):
-    """Tracks, motion and estimates of clip 1 of RESULTS."""
-    position = folder / "clips/000001"
+def own(folder, number):
+    """Tracks, motion and estimates of a clip of RESULTS."""
+    position = folder / f"clips/{number:06d}"
     estimates = pd.read_parquet(folder / "estimates.parquet")
     return (
         pd.read_parquet(position / "tracks.parquet"),
         pd.read_parquet(position / "motion.parquet"),
-        estimates[estimates["clip"] == 1].reset_index(drop=True),
+        estimates[estimates["clip"] == number].reset_index(drop=True),
     )
 
 
-def same(result, folder):
-    for got, wanted in zip((result.tracks, result.motion, result.estimates), own(folder), strict=True):
+def same(result, folder, number=1):
+    for got, wanted in zip((result.tracks, result.motion, result.estimates), own(folder, number), strict=True):
         pd.testing.assert_frame_equal(got, wanted, check_exact=True)
 
 
@@ -86,6 +88,40 @@ def test_colour_is_taken_as_a_file_of_it_is(clip, tmp_path):
     one, other = (tracker.track(film, clip.camera_json) for film in (colour, tmp_path / "c.tif"))
     pd.testing.assert_frame_equal(one.tracks, other.tracks, check_exact=True)
     assert one.notes == other.notes == (COLOUR_TO_GREY,)
+
+
+def film_flickering_specks_and_one_ball():
+    """A dark ball that crosses a bright ground in a sixth of the frames, and eight specks that flicker all along."""
+    rng = np.random.default_rng(8)
+    spots = [spot((160, 200), x, y, 1.0) for x, y in rng.uniform(20, 140, (8, 2))]
+    lit = np.repeat(rng.random((8, 15)) < 0.5, 6, axis=1)
+    way = np.linspace([8.0, 40.0], [192.0, 110.0], 15)
+    frames = []
+    for k in range(90):
+        frame = 120 + sum(400 * on[k] * one for on, one in zip(lit, spots, strict=True)) + rng.normal(0, 1, (160, 200))
+        if 40 <= k < 55:
+            frame = frame - 80 * disc(way[k - 40])
+        frames.append(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
+    return np.array(frames), way
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_specks_leave_the_film_to_the_other_detector(tmp_path):
+    """Python and the command take the other detector alike, with one note, and run.json has its name."""
+    frames, way = film_flickering_specks_and_one_ball()
+    tifffile.imwrite(tmp_path / "film.tif", frames)
+    result = tracker.track(frames)
+    assert result.detector == "discs"
+    assert np.abs(result.tracks[["x", "y"]] - way[result.tracks.frame - 40]).to_numpy().max() < 0.3
+    (note,) = (note for note in result.notes if note.kind is NoteKind.DETECTOR)
+    assert note.text.startswith("detector: discs, because maximum_likelihood finds specks and no collision (")
+    outcome = pipeline.run(tmp_path / "film.tif", tmp_path / "out", None, 1)
+    same(result, tmp_path / "out", 0)
+    assert note.text.replace("argument ", "--") in map(str, outcome.notes)
+    run = json.loads((tmp_path / "out/run.json").read_text())
+    assert (run["detector"], run["other_detectors"]) == ("maximum_likelihood", {"0": "discs"})
+    assert pipeline.run(tmp_path / "film.tif", tmp_path / "out", None, 1).fresh == 0
+    assert tracker.track(frames, detector="maximum_likelihood").detector == "maximum_likelihood"
 
 
 @pytest.mark.parametrize(("rate", "said"), [(25.0, True), (250.0, False), (249.0, False)])

@@ -80,13 +80,14 @@ class PreparedDetector:
 def prepare_detector(clip: Recording, channel: str | None) -> PreparedDetector:
     """Prepare the detector of a film for the page: choose channel and detector as a run does. Raises InputError."""
     clip, chosen = select_channel(clip, channel)
-    name, why = select_detector(clip)
+    selected = select_detector(clip)
+    name = selected.name
     rows, surveyed = None, clip
     if detected_point(name, clip.camera) == "centre" and len(clip.frames) > MAX_SURVEYED_FRAMES:
         rows = np.linspace(0, len(clip.frames) - 1, MAX_SURVEYED_FRAMES).round().astype(np.int64)
         surveyed = replace(clip, frames=clip.frames.take(rows), balls=())
     view = make_view(surveyed, name)
-    notes = tuple(note for note in (chosen, why) if note)
+    notes = tuple(note for note in (chosen, selected.why) if note)
     detector = load_detector(name)(view)
     for frames in (clip.frames, view.frames):
         if isinstance(frames, Frames):

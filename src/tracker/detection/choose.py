@@ -29,11 +29,19 @@ MIN_BODY_AREA_PX = 28  # of a ball seen whole, 6 px across
 CORE_PX = 2.5  # radius of what surely belongs to a ball that the user points at
 
 
-def select_detector(clip: Recording) -> tuple[str, str]:
-    """Choose the detector of a recording, and a note that gives the reason: `choose_detector`, and the user's hints."""
+@dataclass(frozen=True)
+class SelectedDetector:
+    """The detector that a film asks for."""
+
+    name: str
+    why: str = ""  # a note; '' for glints, which need none
+
+
+def select_detector(clip: Recording) -> SelectedDetector:
+    """Choose the detector of a recording: `choose_detector`, and the user's hints."""
     if clip.balls:
-        return DISCS, ""
-    return choose_detector(look_at(clip), clip.camera)
+        return SelectedDetector(DISCS)
+    return SelectedDetector(*choose_detector(look_at(clip), clip.camera))
 
 
 def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks
 
 MIN_DETECTIONS = 6  # in a clip; with fewer there is a reason to explain
+RIM_SHARE = 0.06  # of the picture's longer side: so wide is the rim at which balls come in and leave
 STILL_CAMERA = "balls are found before a still background: --frames A:B takes a part in which the camera stands still"
 
 
@@ -150,37 +152,75 @@ def warn_of_missed_examples(tracks: Tracks, examples: Sequence[BallExample], vie
     return tuple(notes)
 
 
-def warn_of_loose_ends(
-    tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]], *, of_glints: bool = False
-) -> tuple[str, ...]:
-    """Explain, as a warning, that most tracks begin or end inside the picture and a take, which balls do not do.
+@dataclass(frozen=True)
+class LooseEnds:
+    """Ends of tracks inside the picture and a take, where no ball comes in or leaves."""
+
+    count: int
+    ends: int  # of all tracks
+    resumed: int  # tracks that begin where another ended shortly before
+
+    HINT_AT_BODIES: ClassVar[str] = "; bright specks are followed, --detector discs follows bodies, dark ones too"
+    NO_BODIES: ClassVar[str] = "; bright specks are followed; --detector discs was tried, and follows no body for long"
+
+    @property
+    def are_most(self) -> bool:
+        return self.count >= max(4, 0.5 * self.ends)
+
+    def describe(self) -> str:
+        return (
+            f"{self.count} of the {self.ends} ends of tracks lie inside the picture, where no ball comes in or leaves"
+        )
+
+    def warn(self, hint: str = "") -> tuple[str, ...]:
+        """Explain, as a warning that ends with the hint, that most tracks have such ends; empty where they do not."""
+        if not self.are_most:
+            return ()
+        text = "the tracks may be reflections or specks, or more objects than the tracker can distinguish"
+        if 4 * self.resumed >= self.count:  # half of the loose ends
+            text = (
+                f"{self.resumed} tracks begin where another ended shortly before: they may be pieces of one ball that "
+                "was hidden; `link: {max_gap_frames: 20}` in a file behind --settings joins longer gaps"
+            )
+        return (f"{self.describe()}: {text}{hint}",)
+
+
+def count_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]]) -> LooseEnds:
+    """Count the ends of tracks that lie inside the picture and a take.
 
     Ends at the picture's rim count as well if their track stays there: what flickers in one position does not come in
     from outside. `size` is the width and height of the picture, px; `spans` are the first and last frames of the takes.
-    of_glints: bright specks are followed, which in a film of larger bodies are noise.
     """
     rows = [np.flatnonzero(tracks.particle == one) for one in np.unique(tracks.particle)]
     ends = np.array([r[[tracks.frame[r].argmin(), tracks.frame[r].argmax()]] for r in rows], dtype=int).ravel()
     x, y, frame = tracks.x[ends], tracks.y[ends], tracks.frame[ends]
     travel = np.array([max(np.ptp(tracks.x[r]), np.ptp(tracks.y[r])) for r in rows])
-    rim_px = 0.06 * max(size)
+    rim_px = RIM_SHARE * max(size)
     rim = np.minimum.reduce([x, y, size[0] - 1 - x, size[1] - 1 - y]) < rim_px
     rim &= np.repeat(travel, 2) > rim_px
     cut = np.abs(frame[:, None] - np.array(spans).ravel()).min(axis=1) <= 2  # frames
     loose = ~(rim | cut)
-    if loose.sum() < max(4, 0.5 * len(ends)):
-        return ()
-    count = (
-        f"{loose.sum()} of the {len(ends)} ends of tracks lie inside the picture, where no ball comes in or leaves: "
-    )
-    hint = "; bright specks are followed, --detector discs follows bodies, dark ones too" if of_glints else ""
-    pairs = _count_resumed(tracks, rows, loose, rim_px)
-    if 4 * pairs >= loose.sum():  # half of the loose ends
-        text = (
-            f"{pairs} tracks begin where another ended shortly before: they may be pieces of one ball that was hidden"
-        )
-        return (f"{count}{text}; `link: {{max_gap_frames: 20}}` in a file behind --settings joins longer gaps{hint}",)
-    return (f"{count}the tracks may be reflections or specks, or more objects than the tracker can distinguish{hint}",)
+    found = LooseEnds(int(loose.sum()), len(ends), 0)
+    return replace(found, resumed=_count_resumed(tracks, rows, loose, rim_px)) if found.are_most else found
+
+
+def follow_bodies(
+    tracks: Tracks, size: tuple[int, int], *, min_positions: int = 10, min_share: float = 0.5, min_straight: float = 0.2
+) -> bool:
+    """Decide whether tracks of outlines follow moving bodies, rather than what changes in one place.
+
+    min_positions: of a track, which must lead from its first to its last over `RIM_SHARE` of the picture's longer side.
+    min_share: of all positions, in such tracks.
+    min_straight: the distance from the first to the last position over the length of the path between them, which
+    noise makes longer.
+    """
+    followed = 0
+    for particle in np.unique(tracks.particle):
+        own = np.flatnonzero(tracks.particle == particle)
+        xy = tracks.xy[own[np.argsort(tracks.frame[own], kind="stable")]]
+        net, path = np.hypot(*(xy[-1] - xy[0])), np.hypot(*np.diff(xy, axis=0).T).sum()
+        followed += len(own) * (len(own) >= min_positions and net >= max(RIM_SHARE * max(size), min_straight * path))
+    return len(tracks) > 0 and bool(followed >= min_share * len(tracks))
 
 
 def _count_resumed(tracks: Tracks, rows: list[NDArray[np.intp]], loose: NDArray[np.bool_], reach: float) -> int:

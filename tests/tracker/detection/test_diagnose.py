@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tracker
-from tracker.detection.diagnose import measure_camera_motion, warn_of_loose_ends, warn_of_moving_camera
+from tracker.detection.diagnose import LooseEnds, count_loose_ends, measure_camera_motion, warn_of_moving_camera
 from tracker.detection.link import Tracks
 
 SIZE, LAST = (400, 300), 99
@@ -38,7 +38,7 @@ SPECKS = [(10 * k, 10 * k + 6, (9 + k % 3, 120), (10, 121)) for k in range(1, 8)
     ],
 )
 def test_ends_of_tracks_amid_the_picture_are_counted(ways, spans, ends):
-    said = warn_of_loose_ends(tracks(*ways), SIZE, spans)
+    said = count_loose_ends(tracks(*ways), SIZE, spans).warn()
     assert "".join(said)[: len(ends) or None] == ends
 
 
@@ -50,15 +50,15 @@ SCATTERED = [(10 * k, 10 * k + 6, (200 * (k % 2) + 50, 150 * (k // 2 % 2) + 60),
 @pytest.mark.parametrize(("ways", "said"), [(PIECES, "3 tracks begin where another ended"), (SCATTERED, "reflections")])
 def test_pieces_of_one_ball_are_no_reflections(ways, said):
     """A hand hides a ball for ten frames, longer than the tracker links over."""
-    (warning,) = warn_of_loose_ends(tracks(*ways), SIZE, [(0, LAST)])
+    (warning,) = count_loose_ends(tracks(*ways), SIZE, [(0, LAST)]).warn()
     assert said in warning
     assert ("max_gap_frames" in warning) == (ways is PIECES)
 
 
 def test_a_film_of_specks_names_the_detector_of_bodies():
-    (warning,) = warn_of_loose_ends(tracks(*GLITTER), SIZE, [(0, LAST)], of_glints=True)
+    (warning,) = count_loose_ends(tracks(*GLITTER), SIZE, [(0, LAST)]).warn(LooseEnds.HINT_AT_BODIES)
     assert "--detector discs follows bodies" in warning
-    assert "--detector" not in warn_of_loose_ends(tracks(*GLITTER), SIZE, [(0, LAST)])[0]
+    assert "--detector" not in count_loose_ends(tracks(*GLITTER), SIZE, [(0, LAST)]).warn()[0]
 
 
 @pytest.mark.parametrize(("amplitude", "said"), [(2, "nothing moves: nothing differs"), (30, "the light changes")])
@@ -73,7 +73,7 @@ def test_blocks_of_a_codec_are_no_change_of_the_light(amplitude, said):
 
 def test_nothing_is_said_of_nothing():
     none = Tracks(*(values[:0] for values in vars(tracks(BALLS[0])).values()))
-    assert warn_of_loose_ends(none, SIZE, [(0, LAST)]) == ()
+    assert count_loose_ends(none, SIZE, [(0, LAST)]).warn() == ()
 
 
 def walk(step, turn=0.0):

@@ -9,6 +9,7 @@ import tracker
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.background.still_background import estimate_still_background
+from tracker.detection.choose import SelectedDetector
 from tracker.detection.detect import detect, make_view
 from tracker.detection.detectors.discs import Discs
 from tracker.detection.glints import PositionFlag
@@ -135,7 +136,7 @@ def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
 @pytest.mark.usefixtures("unfitted")
 def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):
     """The film is of discs; told that it is of glints, the tracker tries both and says so."""
-    monkeypatch.setattr("tracker.recording.select_detector", lambda *_: ("maximum_likelihood", ""))
+    monkeypatch.setattr("tracker.recording.select_detector", lambda *_: SelectedDetector("maximum_likelihood"))
     pictures = film(np.random.default_rng(8), collision(40, 16), 25.0, 0.3, np.full(SIZE, 150.0))
     known = {key: GLINT_CAMERA[key] for key in ("psf", "sensor")}  # else they are estimated first, which takes seconds
     result = tracker.track(pictures, CAMERA | known)
