@@ -124,7 +124,7 @@ class CollisionFits:
         if tied is not None:
             read = replace(read, tied_losses=tied, tied_values=tied.correct(self.tied_values, tied.weigh(share)))
         if free is not None and tied is not None and self._without_losses().is_tied_accepted:
-            values = tied.correct(free.replace_by(tied, self.free_values), tied.weigh(share))
+            values = free.correct(self.free_values, tied.weigh(share), tied)
             read = replace(read, free_losses=free, free_values=values)
         elif free is not None:
             read = replace(read, free_losses=free, free_values=free.correct(self.free_values, free.weigh(share)))

@@ -10,7 +10,7 @@ ed. (1961), 5.2) does not pull a large difference towards zero, unlike a normal 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,8 @@ class LossDifference:
     """By how much the struck ball's deceleration in rolling exceeds that of the striker, m/s^2.
 
     response (m,): by how much the value grows with each coordinate of the positions, per standard error of these.
-    loss: the deceleration of the fit, at the speed with which the struck ball begins to roll.
+    shared (k,): by how much the value grows per standard error of each key of the camera file.
+    loss, loss_std: the deceleration of the fit, at the speed with which the struck ball begins to roll.
     effect (20,): by how much the quantities of the fit are too low, per m/s^2.
     cov_with_tied (20,): of these quantities with the difference of the tied fit, by the noise of the positions; of a
     free fit.
@@ -41,7 +42,9 @@ class LossDifference:
     value: float
     std: float
     response: Floats
+    shared: Floats
     loss: float
+    loss_std: float
     effect: Floats
     cov_with_tied: Floats
 
@@ -56,25 +59,34 @@ class LossDifference:
         return float(chdtrc(1, self.significance**2))
 
     def weigh(self, typical_share: float) -> ModelWeight:
-        """Compare equal losses with losses that differ, typically by a share of the loss."""
-        return weigh_shift(self.value / self.std, typical_share * abs(self.loss) / self.std)
+        """Compare equal losses with losses that differ, typically by a share of the loss.
 
-    def correct(self, values: DerivedValues, weight: ModelWeight) -> DerivedValues:
-        """Average quantities over both models; the covariance gets the variance of the difference."""
-        mean, wider = self.effect * self.std * weight.mean, self.effect * self.std * np.sqrt(weight.variance)
-        return replace(values, value=values.value + mean, cov=values.cov + np.outer(wider, wider))
-
-    def replace_by(self, tied: LossDifference, values: DerivedValues) -> DerivedValues:
-        """Let the quantities of the free fit depend on the difference of the tied fit, as those of that fit do.
-
-        The noise of the tied difference then shifts the free quantities by the difference of both effects. If both
-        fits are linear, this lowers their variances (Hausman, Econometrica 46 (1978) 1251). Others may be far from it,
-        such as those of a slide whose end is hardly seen. The covariance is therefore that of both derivatives.
+        The loss is the root of its expected square: noise may make the fitted loss small, but not the true one.
         """
-        apart = self.effect - tied.effect
-        mixed = np.outer(apart, self.cov_with_tied)
-        own = float(tied.response @ tied.response) * np.outer(apart, apart)
-        return replace(values, value=values.value + apart * tied.value, cov=values.cov + mixed + mixed.T + own)
+        typical = typical_share * float(np.hypot(self.loss, self.loss_std))
+        return weigh_shift(self.value / self.std, typical / self.std)
+
+    def correct(self, values: DerivedValues, weight: ModelWeight, tied: LossDifference | None = None) -> DerivedValues:
+        """Average the quantities of a fit over both models.
+
+        tied: a difference that replaces that of the fit itself, a free one. The noise of the tied difference then
+        shifts the free quantities also by the difference of both effects. If both fits are linear, this lowers their
+        variances (Hausman, Econometrica 46 (1978) 1251). Others may be far from it, such as those of a slide whose end
+        is hardly seen. The covariance is therefore that of all derivatives by noise and by the camera's errors.
+        """
+        by = self if tied is None else tied
+        apart = self.effect - by.effect
+        # The posterior variance of a normal measurement is also the derivative of the mean by it (Tweedie). Above 1 it
+        # says that the models disagree, not that the mean follows the noise more.
+        followed = min(weight.variance, 1.0)
+        slope = apart + followed * by.effect
+        together = values.shared @ by.shared + (0.0 if tied is None else self.cov_with_tied)
+        mixed, own = np.outer(slope, together), by.response @ by.response + by.shared @ by.shared
+        cov = values.cov + mixed + mixed.T + own * np.outer(slope, slope)
+        unknown = by.effect * by.std * np.sqrt(weight.variance - followed**2)
+        value = values.value + apart * by.value + by.effect * by.std * weight.mean
+        shared = values.shared + np.outer(slope, by.shared)
+        return DerivedValues(value, cov + np.outer(unknown, unknown), shared)
 
 
 @dataclass(frozen=True)
@@ -110,13 +122,20 @@ def weigh_shift(z: float, scale: float) -> ModelWeight:
     """
     if scale == 0:
         return ModelWeight(0.5, 0.0, 0.0)
-    at = (z + 1j * scale) / np.sqrt(2)
-    w = wofz(at)
-    first = 2j / np.sqrt(np.pi) - 2 * at * w
-    second = -2 * (w + at * first)
+    w, first, second = _differentiate_faddeeva((z + 1j * scale) / np.sqrt(2))
     slope, bend = first.real / w.real / np.sqrt(2), second.real / w.real / 2
     probability = float(expit(np.log(w.real) + z**2 / 2))
     return ModelWeight(probability, float(z + slope), float(max(1 + bend - slope**2, 0.0)))
+
+
+def _differentiate_faddeeva(at: complex, *, far: float = 1e3) -> tuple[complex, complex, complex]:
+    """Faddeeva's function w with two derivatives; beyond `far` by its asymptotic series, where the formulas cancel."""
+    if abs(at) > far:
+        per, nearly = 1j / (np.sqrt(np.pi) * at), 1 / at**2
+        return per * (1 + nearly / 2), -per / at * (1 + 1.5 * nearly), 2 * per * nearly * (1 + 3 * nearly)
+    w = complex(wofz(at))
+    first = 2j / np.sqrt(np.pi) - 2 * at * w
+    return w, first, -2 * (w + at * first)
 
 
 def compare_losses(
@@ -151,16 +170,16 @@ def compare_losses(
         return None
     std = 1.0 / np.sqrt(square)
 
-    def derive(at: Floats) -> Floats:
+    def derive(at: Floats) -> DerivedValues:
         if tied:
-            return derive_from_tied(at, fit.cov, fit.pair.diameter, fit.pair.spin).value
-        return derive_from_free(at, fit.cov, fit.pair.diameter).value
+            return derive_from_tied(at, fit.cov, fit.pair.diameter, fit.pair.spin)
+        return derive_from_free(at, fit.cov, fit.pair.diameter)
 
     def differentiate(by: Floats, size: float) -> Floats:
         """The change of the quantities per change `by` of the parameters, from so much of it."""
         step = np.zeros(len(fit.parameters))
         step[problem.index] = size * by
-        return np.nan_to_num((derive(fit.parameters + step) - derive(fit.parameters - step)) / (2 * size))
+        return np.nan_to_num((derive(fit.parameters + step).value - derive(fit.parameters - step).value) / (2 * size))
 
     small = 0.01  # of a standard error
     effect = differentiate(shift, small * std)
@@ -168,12 +187,23 @@ def compare_losses(
     if by_tied is not None:
         size = small / float(np.sqrt(by_tied.response @ by_tied.response))
         cov_with_tied = differentiate(-cov @ rows[:positions].T @ by_tied.response, size)
-    drag, decel, speed = (derive(fit.parameters)[QUANTITY_NAMES.index(name)] for name in ("drag", "decel", "v1f"))
+    loss, loss_std = _find_loss(derive(fit.parameters))
     return LossDifference(
         value=-pull / square,
         std=float(std),
         response=-weighted[:positions] / square,
-        loss=float(np.nan_to_num(drag * speed + decel)),
+        shared=np.zeros(0) if known is None else -(weighted @ known) / square,
+        loss=loss,
+        loss_std=loss_std,
         effect=effect,
         cov_with_tied=cov_with_tied,
     )
+
+
+def _find_loss(values: DerivedValues) -> tuple[float, float]:
+    """The deceleration with which the struck ball begins to roll, m/s^2, and its standard error."""
+    index = [QUANTITY_NAMES.index(name) for name in ("drag", "decel", "v1f")]
+    drag, decel, speed = np.nan_to_num(values.value[index])
+    slope = np.array([speed, 1.0, drag])
+    variance = slope @ np.nan_to_num(values.cov[np.ix_(index, index)]) @ slope
+    return float(drag * speed + decel), float(np.sqrt(max(variance, 0.0)))
