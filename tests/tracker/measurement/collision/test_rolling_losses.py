@@ -97,7 +97,7 @@ def test_a_prior_much_wider_than_the_error_leaves_the_measured_difference(z, sca
     weight = weigh_shift(z, scale)
     assert weight.shifted == pytest.approx(z, rel=1e-6, abs=1e-9)
     assert weight.shifted_variance == pytest.approx(1.0, rel=1e-6)
-    log_odds = z**2 / 2 - np.log(scale * (1 + (z / scale) ** 2) * np.sqrt(np.pi / 2))  # normal height over that of the prior
+    log_odds = z**2 / 2 - np.log(scale * (1 + (z / scale) ** 2) * np.sqrt(np.pi / 2))  # densities of both models
     assert weight.probability == pytest.approx(expit(log_odds), rel=1e-6)
 
 
