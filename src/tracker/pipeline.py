@@ -180,7 +180,7 @@ def _fill_results(
     with resume_folder(partial, results.RUN, json.dumps(plan, indent=1) + "\n"):
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         make(partial, todo)
-        return results.finish(partial, output, numbers), len(todo)
+        return results.finish_results(partial, output, numbers), len(todo)
 
 
 def _edits_of(edits: list[Any], number: int) -> list[Any]:

@@ -77,7 +77,7 @@ def write_clip(
         raise
 
 
-def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
+def finish_results(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
     """Finish RESULTS: gather all estimates, fit them together, move the whole into place; return the estimates."""
     from tracker.measurement.estimate import fit_all
 

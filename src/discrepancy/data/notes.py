@@ -89,7 +89,7 @@ class SearchNote:
 
 
 @dataclass(frozen=True)
-class SortedNotes:
+class NotesByTopic:
     """Notes by what they are about."""
 
     left_out: tuple[SearchNote, ...]  # clips, or positions of a clip, that are not used
@@ -97,12 +97,12 @@ class SortedNotes:
     common: tuple[SearchNote, ...]  # what many clips have in common
 
 
-def sort_notes(notes: Sequence[SearchNote]) -> SortedNotes:
+def sort_notes(notes: Sequence[SearchNote]) -> NotesByTopic:
     """Sort the typed notes of `read_collisions`: on clips left out, on processed tracks, and on all clips."""
     kinds = SearchNoteKind.REPAIRED, SearchNoteKind.NO_STRIKER, SearchNoteKind.CONTACTS_MAY_LAST
     processed = tuple(note for note in notes if note.kind is kinds[0])
     common = tuple(note for note in notes if note.kind in kinds[1:])
-    return SortedNotes(tuple(note for note in notes if note.kind not in kinds), processed, common)
+    return NotesByTopic(tuple(note for note in notes if note.kind not in kinds), processed, common)
 
 
 def count_lost_clips(notes: Sequence[SearchNote]) -> int:

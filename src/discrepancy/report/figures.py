@@ -40,7 +40,7 @@ def list_models(found: SearchOutcome) -> list[str]:
 
 
 @matplotlib.rc_context(STYLE)
-def draw_figures(found: SearchOutcome) -> list[PageFigure]:
+def draw_search_figures(found: SearchOutcome) -> list[PageFigure]:
     """Draw all figures of a search's page."""
     unit = found.data.unit
     compared = f", base model and model {name_of_best(found)}" if not found.is_empty else " of the base model"

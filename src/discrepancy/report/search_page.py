@@ -11,7 +11,7 @@ import numpy as np
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.outcome import SearchOutcome
 from discrepancy.report.document import to_document
-from discrepancy.report.figures import draw_figures, list_models, name_of_best
+from discrepancy.report.figures import draw_search_figures, list_models, name_of_best
 from discrepancy.report.narrative import format_chi2, format_sigma, write_story
 from discrepancy.report.residual_table import tabulate_residuals
 from discrepancy.select.effect_claim import EffectClaim
@@ -33,7 +33,7 @@ def write(found: SearchOutcome, folder: Path) -> None:
     left_out, unit = list(map(str, found.left_out)), found.data.unit
     write_model(found.model, folder / "model.yaml")
     tabulate_residuals(found).to_parquet(folder / "residuals.parquet")
-    figures = draw_figures(found)
+    figures = draw_search_figures(found)
     named, base = _named_table(found), found.base_disagreements
     definitions = (
         "Ball 1 is struck, ball 2 strikes. The impact parameter b is in units of the sum of the radii.",

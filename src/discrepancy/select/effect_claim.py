@@ -45,7 +45,10 @@ class EffectClaim:
         limits.
         """
         values, shapes = ({k: fit.model.value(k) for k in names} for names in (candidate.strengths, candidate.shapes))
-        own, bent = {k: std.get(k, np.inf) for k in values}, {k: shape_error(fit, k, std.get(k, 0.0)) for k in shapes}
+        own, bent = (
+            {k: std.get(k, np.inf) for k in values},
+            {k: compute_shape_error(fit, k, std.get(k, 0.0)) for k in shapes},
+        )
         return cls(candidate.name, values, own, sigma, (candidate.name,), shapes, bent)
 
     def judge_by_scatter(self, sigma: float, std: Mapping[str, float]) -> EffectClaim:
@@ -82,7 +85,7 @@ def is_at_limit(name: str, value: float) -> bool:
     return any(abs(value - end) < 1e-6 * max(abs(end), typical) for end in parameter_limits(Model(), name))
 
 
-def shape_error(fit: ModelFit, shape: str, std: float) -> float:
+def compute_shape_error(fit: ModelFit, shape: str, std: float) -> float:
     """Compute the error of a claim's shape parameter; infinite if it exceeds half of the parameter's size."""
     p = find_parameter(fit.model, shape)
     size = max(abs(fit.model.value(shape)), p.typical) if p.low >= 0 else (p.high - p.low) / 2

@@ -56,7 +56,7 @@ def find_glints(
     eye, cells, axes, bounces = camera.centre, lamp.cells(settings.cell), lamp.axes, settings.bounces
     chains = settings.faintest, bounces[-1]
     widest = radii.max() * reflections.find_widest(surface.head_on, *chains)
-    reach = reflections.find_reach(cells.positions, eye, centres, radii, widest)
+    reach = reflections.find_blocking_distance(cells.positions, eye, centres, radii, widest)
     near = reflections.find_neighbours(centres, reach)
     lengths = reflections.iterate_chains(len(centres), radii, near, surface.head_on, *chains)
     found = []

@@ -140,9 +140,9 @@ def find_hidden(
 ) -> NDArray[np.bool_]:
     """Find the paths of light (M,) that a third ball blocks.
 
-    balls: (M, k) of each path. centres: (T, N, 3). radii: (N,). moment: (M,) of each path. near: within the reach that
-    `find_reach` gives. Only balls near a ball of the path can block it: its legs join such balls, or leave the layer
-    in which balls are.
+    balls: (M, k) of each path. centres: (T, N, 3). radii: (N,). moment: (M,) of each path. near: within the distance
+    that `find_blocking_distance` gives. Only balls near a ball of the path can block it: its legs join such balls, or
+    leave the layer in which balls are.
     """
     ends, order, ceiling = _join(lamp, paths.points, eye), balls.shape[1], (centres[..., 2] + radii).max()
     blocked = np.zeros(len(balls), bool)
@@ -169,7 +169,7 @@ def find_hidden(
     return blocked
 
 
-def find_reach(lamps: Array, eye: Array, centres: Array, radii: Array, leg: float) -> Array:
+def find_blocking_distance(lamps: Array, eye: Array, centres: Array, radii: Array, leg: float) -> Array:
     """Find how far from a ball, (N,), m, another can block a path of light between mirror balls up to `leg` apart.
 
     lamps: (L, 3). From lamp and eye, light is among balls only in the lowest layer.

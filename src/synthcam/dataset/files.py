@@ -115,7 +115,7 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
     return pixels.hexdigest(), whole.hexdigest()
 
 
-def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path | None = None) -> None:
+def finish_dataset(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path | None = None) -> None:
     """Write the files that cover all clips: clips.parquet, dataset.json, the card, the checksums.
 
     Memory does not grow with the number of clips. unlisted: a file without a checksum. secret: the folder with the

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from synthcam.dataset.files import finish, finish_shard, write_clip
+from synthcam.dataset.files import finish_dataset, finish_shard, write_clip
 from synthcam.dataset.partial_dataset import PLAN, PartialDataset, open_partial, place_clip
 from synthcam.library import add_effects, digest, list_added_folders
 from synthcam.scene.clip import Clip
@@ -162,7 +162,7 @@ def complete_dataset(plan: GenerationPlan, made: PartialDataset, machines: list[
     if plan.shard:
         finish_shard(made.folder, about | {"clips": list(plan.numbers)}, unlisted=PLAN)
     else:
-        finish(made.folder, about, unlisted=PLAN, secret=made.truth if made.withheld else None)
+        finish_dataset(made.folder, about, unlisted=PLAN, secret=made.truth if made.withheld else None)
     made.publish()
 
 

@@ -85,7 +85,7 @@ def write_report(
     """
     figures = {
         name: PageFigure.of(figure, *FIGURES[name])
-        for name, figure in draw_figures(score, Path(results), Path(dataset)).items()
+        for name, figure in draw_score_figures(score, Path(results), Path(dataset)).items()
     }
     clip = choose_clip(score)
     if clip is None:
@@ -116,7 +116,7 @@ def write_report(
     return write_page(Path(report) / "index.html", "Tracker results against the truth", sections, command, [summary])
 
 
-def draw_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str, Figure]:
+def draw_score_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str, Figure]:
     """Draw the figures of a score's page that the data allow, by name."""
     out: dict[str, Figure] = {}
     clip = choose_clip(score)

@@ -10,7 +10,7 @@ from discrepancy_clips import searched
 from discrepancy_outsiders import OUTSIDERS, outsider
 
 from discrepancy.report import search_page as report
-from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw_figures, name_of_best
+from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw_search_figures, name_of_best
 from discrepancy.report.narrative import write_story
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
@@ -30,7 +30,7 @@ def written(request, tmp_path_factory):
 @pytest.fixture
 def without_figures(monkeypatch):
     """Pages of tables and sentences alone, which cost little."""
-    monkeypatch.setattr(report, "draw_figures", lambda found: [])
+    monkeypatch.setattr(report, "draw_search_figures", lambda found: [])
 
 
 def test_its_files_and_no_more(written):
@@ -139,7 +139,7 @@ def test_a_place_without_a_size_has_an_empty_cell(tmp_path, without_figures):
 
 def test_the_formula_and_its_curve_are_on_the_page():
     found = outsider("restitution_speed")
-    figures = {figure.title: figure.address for figure in draw_figures(found)}
+    figures = {figure.title: figure.address for figure in draw_search_figures(found)}
     assert f"Free law: {found.law_summary.formula}" in figures
     assert len(figures) == 6
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import tifffile
 
-from synthcam.dataset.files import clip_folders, finish, sha256, verify, write_clip
+from synthcam.dataset.files import clip_folders, finish_dataset, sha256, verify, write_clip
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -37,7 +37,7 @@ def dataset(tmp_path):
     for k in range(2):
         clip = SCENE.draw(k, 3)
         write_clip(tmp_path / "clips" / f"{k:06d}", clip, frames_of(clip), {"seed": 3})
-    finish(tmp_path, ABOUT)
+    finish_dataset(tmp_path, ABOUT)
     return tmp_path
 
 
@@ -111,7 +111,7 @@ def test_scene_json_makes_the_clip_again(dataset):
 def test_one_ball_alone_has_gaps_not_zeros(tmp_path):
     clip = check_scene({"launch": {"kind": "single"}, "timing": {"frames": 3, "contact_frame": 1}}, "x").draw(0, 0)
     write_clip(tmp_path / "clips" / "000000", clip, None, {"seed": 0})
-    finish(tmp_path, ABOUT | {"gl": {}})
+    finish_dataset(tmp_path, ABOUT | {"gl": {}})
     table = pd.read_parquet(tmp_path / "truth/clips.parquet")
     assert table.r.isna().all()
     assert table.r.dtype == float
@@ -147,7 +147,7 @@ def test_verify_finds_a_flipped_bit_and_a_missing_file(dataset, name):
 
 def test_verify_finds_a_bit_that_flipped_before_the_checksums_were_written(dataset):
     flip(dataset / "clips/000001/frames.tif")
-    finish(dataset, ABOUT)
+    finish_dataset(dataset, ABOUT)
     assert verify(dataset).problems == ("clips/000001/frames.tif: changed (its SHA-256 is not the one recorded)",)
 
 

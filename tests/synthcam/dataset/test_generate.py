@@ -126,7 +126,7 @@ def test_an_empty_folder_is_as_good_as_none(one, tmp_path):
     assert sums(tmp_path / "d") == sums(one)
 
 
-@pytest.mark.parametrize("moment", ["make_clip", "finish", "sums", "rename"])
+@pytest.mark.parametrize("moment", ["make_clip", "finish_dataset", "sums", "rename"])
 def test_stopped_at_any_moment_it_goes_on(one, tmp_path, monkeypatch, moment):
     """As by a signal: at the third clip, before the tables, after the tables, before the last move."""
     calls = []
@@ -147,8 +147,8 @@ def test_stopped_at_any_moment_it_goes_on(one, tmp_path, monkeypatch, moment):
                 finish(*args, **kwargs)
                 raise KeyboardInterrupt
 
-            finish = generate.finish
-            m.setattr(generate, "finish", after)
+            finish = generate.finish_dataset
+            m.setattr(generate, "finish_dataset", after)
         elif moment == "rename":
             rename = Path.rename
             m.setattr(Path, "rename", lambda p, to: stop(rename, 1)(p, to) if p.name == "d.partial" else rename(p, to))

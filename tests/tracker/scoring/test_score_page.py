@@ -10,7 +10,7 @@ from tracker_noisy import BENCHMARK, dataset, results, truth_of
 
 from tracker.scoring import score_page
 from tracker.scoring.score import score
-from tracker.scoring.score_page import choose_clip, draw_figures, make_quantity_tables, write_report
+from tracker.scoring.score_page import choose_clip, draw_score_figures, make_quantity_tables, write_report
 
 FIGURE_NAMES = {"frame", "tracks", "separation", "energy", "tied", "free", "local", "paper", "honesty"}
 
@@ -29,7 +29,7 @@ def drawn(folders):
     verdict = score(found, data)
     clip = choose_clip(verdict)
     film(data, clip)
-    return verdict, draw_figures(verdict, found, data)
+    return verdict, draw_score_figures(verdict, found, data)
 
 
 def film(data, clip):
@@ -45,7 +45,7 @@ def test_page_is_one_file_without_network(folders, drawn, tmp_path, monkeypatch)
     data, found = folders
     verdict, shown = drawn
     few = {name: figure for name, figure in shown.items() if name in ("frame", "separation", "tied")}
-    monkeypatch.setattr(score_page, "draw_figures", lambda *_: few)
+    monkeypatch.setattr(score_page, "draw_score_figures", lambda *_: few)
     page = write_report(verdict, found, data, tmp_path / "report")
     assert [p.name for p in page.parent.iterdir()] == ["index.html"]
     html = page.read_text(encoding="utf-8")

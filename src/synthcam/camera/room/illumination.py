@@ -19,13 +19,13 @@ from synthcam.camera.room.radiosity import (
     EXCHANGE_CELLS,
     FACES,
     UP,
-    BallExchange,
     ExchangeTable,
+    LightExchange,
     LightSource,
     PlateExchange,
     ReflectionTable,
     find_cell,
-    sample_directions,
+    sample_directions_to_ball,
     sample_facing_side,
     solve_plate_exchange,
     tabulate_faces,
@@ -65,7 +65,7 @@ class BallsAtMoment(NamedTuple):
     """Centres of the balls (N, 3), m, at one moment, and the light that they exchange."""
 
     centres: Array
-    exchange: BallExchange | None
+    exchange: LightExchange | None
 
 
 class BallView(NamedTuple):
@@ -216,7 +216,7 @@ class Illumination:
         return near, np.stack(shares, axis=1)
 
     def on_ball(
-        self, ball: int, points: Array, normals: Array, centres: Array, exchange: BallExchange | None = None
+        self, ball: int, points: Array, normals: Array, centres: Array, exchange: LightExchange | None = None
     ) -> Array:
         """Light (n, c) on a ball at points (n, 3), m. exchange: the light between balls."""
         total = self._direct(ball, points, normals, centres)
@@ -283,7 +283,7 @@ class Illumination:
         out[lean] = np.outer((1 - normals[lean, 2]) / 2 * light.sum(axis=1), self.plate)
         return out
 
-    def exchange(self, centres: Array) -> BallExchange | None:
+    def exchange(self, centres: Array) -> LightExchange | None:
         """Exchange of each two balls: the light sent minus the light of plate and sky that the sender hides."""
         if len(centres) == 1 or self.quick:
             return None
@@ -299,7 +299,7 @@ class Illumination:
             light = self._direct(k, centres[k] + self.radii[k] * FACES, FACES, centres)
             own[k] = tabulate_faces(light)
         views = [self._view(a, b, centres, own) for a, b in pairs]
-        found: BallExchange | None = None
+        found: LightExchange | None = None
         for _ in range(3):  # reflections to and fro
             received = {k: tabulate_faces(found.on_ball(k, FACES)) for k in own} if found else {}
             tables: dict[int, list[ExchangeTable]] = {}
@@ -313,14 +313,14 @@ class Illumination:
                 net = (view.weights[..., None] * (given.reshape(view.hidden.shape) - view.hidden)).sum(axis=1)
                 table = ReflectionTable((view.share[:, None] * net).reshape(*EXCHANGE_CELLS, -1))
                 tables.setdefault(view.receiver, []).append((view.axes, table))
-            found = BallExchange(tables)
+            found = LightExchange(tables)
         return found
 
     def _view(self, a: int, b: int, centres: Array, own: dict[int, ReflectionTable]) -> "BallView":
         """Sample what ball a sees of ball b. own: the direct light of each ball, where there are many."""
         axes, normals = sample_facing_side(centres[b] - centres[a])
         points = centres[a] + self.radii[a] * normals
-        ways, weights = sample_directions(points, normals, centres[b], self.radii[b])
+        ways, weights = sample_directions_to_ball(points, normals, centres[b], self.radii[b])
         flat = ways.reshape(-1, 3)
         offset = np.repeat(points, ways.shape[1], axis=0) - centres[b]
         along = dot(offset, flat)

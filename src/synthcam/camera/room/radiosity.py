@@ -174,7 +174,7 @@ ExchangeTable = tuple[Array, ReflectionTable]  # axes (3, 3), and light over ang
 
 
 @dataclass(frozen=True)
-class BallExchange:
+class LightExchange:
     """Light that balls exchange, by receiver: a table for each sender."""
 
     tables: dict[int, list[ExchangeTable]]
@@ -204,7 +204,7 @@ def sample_facing_side(offset: Array) -> tuple[Array, Array]:
     return axes, local @ axes.T
 
 
-def sample_directions(
+def sample_directions_to_ball(
     points: Array, normals: Array, centre: Array, radius: float, rays: int = 14
 ) -> tuple[Array, Array]:
     """Sample directions (n, rays, 3) of light from points to a ball, with weights by cosine, of sum 1."""

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from synthcam.dynamics.contacts.cells import Box, NeighbourCells
-from synthcam.dynamics.contacts.contact_time import OVERLAP_TOLERANCE, find_contact, find_wall_contact
+from synthcam.dynamics.contacts.contact_time import OVERLAP_TOLERANCE, find_contact_time, find_wall_contact
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.trajectory import Leg, Rest
@@ -179,7 +179,7 @@ class Calendar:
                 reach = radius + self.radius[j]
                 if self.distances:
                     reach = min(reach * self.distances.draw(k, j), math.dist(first[:3], other.now(t)[:3]))
-                when = find_contact(leg, other, t, min(known, self.known[j]), reach, first)
+                when = find_contact_time(leg, other, t, min(known, self.known[j]), reach, first)
                 if when is not None:
                     one, two = (k, j) if k < j else (j, k)
                     self.queue.push((when, 0, "contact", one, two, version[one], version[two]))

@@ -19,7 +19,9 @@ MAX_TOUCHING_STEPS = 10_000  # an impact may leave two balls with one velocity, 
 OVERLAP_TOLERANCE = 1e-6  # of the reach
 
 
-def find_contact(a: Leg, b: Leg, t: float, horizon: float, reach: float, first: State | None = None) -> float | None:
+def find_contact_time(
+    a: Leg, b: Leg, t: float, horizon: float, reach: float, first: State | None = None
+) -> float | None:
     """Find the first time in [t, horizon] at which two balls touch and approach.
 
     reach: the sum of their radii, m. first: the state of a at t, where it is known.

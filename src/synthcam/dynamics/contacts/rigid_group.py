@@ -135,7 +135,7 @@ def find_slip(one: RigidGroup, two: RigidGroup | None, point: Vector, n: Vector)
     return ux * n[0] + uy * n[1], ux * t[0] + uy * t[1], soft[0], soft[1]
 
 
-def hit(
+def collide_groups(
     one: RigidGroup, two: RigidGroup | None, point: Vector, n: Vector, restitution: float, friction: float
 ) -> GroupImpact:
     """Let two rigid groups hit. friction: the tangential impulse over the one that would make the contact stick."""

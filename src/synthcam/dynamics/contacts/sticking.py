@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from synthcam.dynamics.contacts.impact import ContactChange, find_contact_coefficients, join_inertia
-from synthcam.dynamics.contacts.rigid_group import RigidGroup, Vector, find_slip, hit, split
+from synthcam.dynamics.contacts.rigid_group import RigidGroup, Vector, collide_groups, find_slip, split
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.supports import Air, DryPlate, Support
@@ -90,7 +90,7 @@ class StickingBodies:
         r, c = find_contact_coefficients(model, v_n, slip, relative, n, k)
         if change:
             r, c = change.change_restitution(r, v_n), c * change.friction
-        done = hit(one, two, point, n, r, 2 * c * (1 + k))
+        done = collide_groups(one, two, point, n, r, 2 * c * (1 + k))
         if broken := one.break_bonds(i, done.impulse_n) | two.break_bonds(j, done.impulse_n):
             events = self.part(t, broken)
             more, after = self.collide(t, i, j, states, change)
@@ -124,7 +124,9 @@ class StickingBodies:
         v_n, u_t, soft_n, soft_t = find_slip(one, None, point, n)
         r = change.change_restitution(wall.restitution, v_n) if change else wall.restitution
         most = wall.friction * (1 + r) * v_n / soft_n * soft_t
-        done = hit(one, None, point, n, r, min(1 + wall.tangential_restitution, most / max(abs(u_t), 1e-300)))
+        done = collide_groups(
+            one, None, point, n, r, min(1 + wall.tangential_restitution, most / max(abs(u_t), 1e-300))
+        )
         if broken := one.break_bonds(i, done.impulse_n):
             events = self.part(t, broken)
             more, after = self.bounce(t, i, number, wall, states, change)

@@ -24,7 +24,7 @@ def read(content: Content) -> TrackTable | None:
     pairs = find_pairs(plain)
     if len(pairs) < 2:
         return None
-    frame, time, fps = find_frames(table, plain, content.where)
+    frame, time, fps = read_frames_and_times(table, plain, content.where)
     parts = []
     for ball, (x, y) in enumerate(pairs):
         own = {"frame": frame, "particle": ball, "x": table[x], "y": table[y]}
@@ -45,7 +45,7 @@ def find_pairs(plain: dict[str, str]) -> list[tuple[str, str]]:
     return [(axes["x"][ball], axes["y"][ball]) for ball in axes["x"] if ball in axes["y"]]
 
 
-def find_frames(table: pd.DataFrame, plain: dict[str, str], where: str) -> tuple[object, object, float]:
+def read_frames_and_times(table: pd.DataFrame, plain: dict[str, str], where: str) -> tuple[object, object, float]:
     """Find frames, times or None, and the frame rate of a wide table, with a row for each frame."""
     by_name = {name: column for column, name in reversed(plain.items())}
     frames = next((by_name[name] for name in ("frame", "frames", "frame_number", "frame_no") if name in by_name), None)
