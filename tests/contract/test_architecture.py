@@ -136,7 +136,7 @@ LAYERS = {
         "dialect",
         "content rows",
         "table",
-        "column_names",
+        "column_names unit_check",
         "formats",
         "read",
     ],

@@ -8,11 +8,11 @@ from typing import Any
 
 from synthcam_shared.jobs import use_one_thread
 from tracker.calibration.ball_outline import measure_outline
-from tracker.calibration.contact_distance import ContactDistance, contact_distances
 from tracker.camera.camera import Camera
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import Recording, RecordingSource, make_recording
 from tracker.detection.choose import DISCS
+from tracker.detection.contact_distance import ContactDistance, contact_distances
 from tracker.detection.detect import detect, detected_point, make_view
 from tracker.detection.detector import OutlineRadius
 from tracker.detection.link import link

@@ -28,6 +28,7 @@ from tracker.tables.content import Content
 from tracker.tables.rows import REQUIRED_COLUMNS, check_columns, split_tracks, to_numbers
 from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
 from tracker.tables.table_options import DEFAULT_TABLE_OPTIONS, TableOptions
+from tracker.tables.unit_check import check_unit, common_frames
 
 NO_STRIKER = (
     "no column striker, so that ball {} counts as the striker of every clip; if the balls change roles, add a column"
@@ -169,7 +170,7 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
     if up:
         clips = {number: (_project(tracks, known), striker) for number, (tracks, striker) in clips.items()}
     if not given:
-        notes += _check_unit([tracks for tracks, _ in clips.values()], known, where)
+        notes += check_unit([tracks for tracks, _ in clips.values()], known, where)
     notes += [text for n, (tracks, _) in clips.items() if (text := _describe_overlaps(tracks, known, f"clip {n}"))]
     said = note_all(NoteKind.TABLE, notes)
     if len(clips) > 1 and "striker" not in table.rows and not _names_striker(camera):
@@ -206,7 +207,7 @@ def _infer_strikers(
 
 def find_first_mover(tracks: Tracks) -> int | None:
     """Find the striker in tracks that were read: the particle that moves before both come nearest, or None."""
-    pair = _common_frames(tracks)
+    pair = common_frames(tracks)
     if pair is None:
         return None
     particles, one, two, _ = pair
@@ -224,53 +225,6 @@ def _names_striker(camera: CameraSource) -> bool:
         return False
     keys = read_source(camera)
     return isinstance(keys, Mapping) and "striker" in keys
-
-
-def _check_unit(clips: list[Tracks], camera: Camera, where: str) -> list[str]:
-    """Notes about positions that are hardly px; raises InputError for those that no two balls can have.
-
-    Two balls are never nearer than a diameter, and hardly any track lies outside the picture.
-    """
-    pairs = [pair for tracks in clips if (pair := _common_frames(tracks)) is not None]
-    if not pairs or not camera.metric or not camera.knows_diameter:
-        return []
-    touching, diameter = camera.diameter_px, camera.ball_diameter
-    spread = [float(np.ptp(np.concatenate((one, two)), axis=0).max()) for _, one, two, _ in pairs]
-    approaches = sorted(_closest_approach(*pair) for pair in pairs)
-    least, step = approaches[(len(pairs) - 1) // 4]
-    both = [np.abs(np.concatenate((one, two))).max(axis=1) for _, one, two, _ in pairs]
-    far = float(np.median([np.median(reach) for reach in both])) / max(camera.size)
-    # the least distance is a diameter in the right unit, as far as the frames resolve it
-    off = {u: math.log(max(least, 1e-300) * LENGTH_UNITS[u][0] / diameter) for u in ("m", "cm", "mm", "um")}
-    unit = min(off, key=lambda name: abs(off[name]))
-    unresolved = min(math.log(least / (least - step)), 0.7) if step < least else 0.7
-    # no two balls come nearer than this, whatever the errors of a scale
-    too_near = least < 0.6 * touching
-    message = f"the balls come as near as {least:.3g}; expected px, and {touching:.3g} of them, a diameter"
-    refusal = f"{where}: x, y: positions look like {unit}: {message}; `tracker measure --unit {unit}` reads them"
-    if abs(off[unit]) < 0.25 and (too_near or far > 2):
-        raise InputError(refusal)
-    if far > 2:
-        side = max(camera.size)
-        raise InputError(
-            f"{where}: x, y: most positions lie beyond twice the picture of {side} px; --unit says the unit"
-        )
-    if too_near and max(spread) < 3 * touching:
-        raise InputError(
-            f"{where}: x, y: all balls lie within {max(spread):.3g} px and come as near as {least:.2g} px, expected"
-            f" {touching:.3g} px, a diameter; --unit says the unit, --decimal the decimal mark"
-        )
-    if least == 0:  # the same ball, or lost positions, twice
-        return []
-    fits, fit_in_px = (-0.1 < ratio < max(0.1, unresolved) for ratio in (off[unit], math.log(least / touching)))
-    if fits and too_near:
-        raise InputError(refusal)
-    # an error of the scale may do the same
-    if (abs(off[unit]) < 0.1 and abs(math.log(least / touching)) > 0.1) or (fits and not fit_in_px):
-        return [f"{message}. Positions in {unit} would fit: `tracker measure --unit {unit}` reads them"]
-    if too_near:
-        return [f"{message}; check scale and ball_diameter, or say the unit of x and y by --unit"]
-    return []
 
 
 def _describe_overlaps(
@@ -292,34 +246,6 @@ def _describe_overlaps(
         f"{where}: balls overlap: {100 * share:.0f} % of positions have another within 0.8 ball_diameter; check scale,"
         " ball_diameter and the unit of x and y (--unit)"
     )
-
-
-def _closest_approach(particles: Any, one: Any, two: Any, frame: Any) -> tuple[float, float]:
-    """The least distance of two balls, and how far they move relative to each other in a frame there, px.
-
-    Between two frames their relative path is straight, unless they exchange sides: then their numbers may be exchanged.
-    """
-    apart = one - two
-    start, step = apart[:-1], np.diff(apart, axis=0)
-    step[(np.diff(frame) > 1) | ((apart[1:] * start).sum(axis=1) < 0)] = 0.0
-    square = (step**2).sum(axis=1)
-    share = np.clip(-(start * step).sum(axis=1) / np.where(square > 0, square, 1.0), 0.0, 1.0)
-    between = np.hypot(*(start + share[:, None] * step).T)
-    distance = np.append(between, np.hypot(*apart[-1]))
-    nearest = int(np.argmin(distance))
-    steps = np.sqrt(square[max(nearest - 1, 0) : nearest + 2])
-    return float(distance[nearest]), float(steps.max(initial=0.0))
-
-
-def _common_frames(tracks: Tracks) -> tuple[Any, Any, Any, Any] | None:
-    """The numbers of the two balls seen most often, their positions (k, 2) in the frames of both, and these frames."""
-    particles, counts = np.unique(tracks.particle, return_counts=True)
-    if len(particles) < 2:
-        return None
-    often = particles[np.argsort(-counts, kind="stable")[:2]]
-    first, second = (np.flatnonzero(tracks.particle == p) for p in often)
-    frame, one, two = np.intersect1d(tracks.frame[first], tracks.frame[second], return_indices=True)
-    return (often, tracks.xy[first[one]], tracks.xy[second[two]], frame) if len(frame) else None
 
 
 def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camera:

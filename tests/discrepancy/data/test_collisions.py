@@ -165,8 +165,8 @@ def test_no_clip_of_use(recorded, tmp_path):
     ("factor", "said"),
     [
         (1.6e-4, "x, y: expected pixels, not metres"),
-        (0.16, "x, y: positions look like mm: the balls come as near as .* expected px"),
-        (160.0, "x, y: positions look like um: the balls come as near as .* expected px"),
+        (0.16, "x, y: positions look like mm: the balls touch at .* expected px"),
+        (160.0, "x, y: positions look like um: the balls touch at .* expected px"),
     ],
 )
 def test_places_that_are_not_in_pixels_are_refused(recorded, tmp_path, factor, said):

@@ -15,12 +15,12 @@ from tracker_video import encode
 
 from synthcam_shared.errors import InputError
 from tracker.calibration import calibrate as calibration
-from tracker.calibration import contact_distance
 from tracker.calibration.ball_outline import measure_outline
 from tracker.calibration.calibrate import calibrate, inverse_variance_mean, summary
-from tracker.calibration.contact_distance import contact_distances
 from tracker.camera.camera import Camera
+from tracker.detection import contact_distance
 from tracker.detection.candidates import EmptyPlate
+from tracker.detection.contact_distance import contact_distances
 from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks
 

@@ -62,8 +62,57 @@ def test_millimetres_of_about_a_pixel_are_noted(scale, tmp_path):
     rows, camera = table(SCALE / 1e-3), CAMERA | {"scale": scale}
     (note,) = read_tracks(written(rows, tmp_path), camera).notes
     assert f"as near as 2.43; expected px, and {DIAMETER / scale:.3g} of them" in str(note)
-    assert "Positions in mm would fit: `tracker measure --unit mm` reads them" in str(note)
+    assert "Either positions are in mm, and `tracker measure --unit mm` reads them" in str(note)
+    assert f"and scale is about 0.000987 m/px rather than {scale:.3g}" in str(note)
     assert read_tracks(tmp_path / "t.csv", camera, TableOptions(unit="px")).notes == ()
+
+
+def hit(noise=0.02, clips=1):
+    """A ball of 24 mm hits another one in the middle, by elastic impact, mm: it stops, and the other one goes on."""
+    rng, frame = np.random.default_rng(4), np.arange(40)
+    since = 12.3 * (frame - 20.37)
+    striker, struck = np.minimum(since, 0), np.maximum(since, 0) + 24.0
+    rows = []
+    for clip in range(clips):
+        for ball, along in enumerate((struck, striker)):
+            x, y = np.array([[200.0], [150.0]]) + np.outer([0.8, 0.6], along) + rng.normal(0, noise, (2, 40))
+            rows.append(pd.DataFrame({"clip": clip, "frame": frame, "particle": ball, "x": x, "y": y}))
+    return pd.concat(rows)
+
+
+BALL = CAMERA | {"ball_diameter": 0.024}
+
+
+@pytest.mark.parametrize("scale", [0.96e-3, 0.985e-3, 1.01e-3, 1.05e-3])
+def test_where_px_and_mm_are_near_both_are_named(scale):
+    """A table in mm or in px of about 1 mm, which nothing can distinguish."""
+    (note,) = read_frame(hit(), BALL | {"scale": scale}).notes
+    expected = f"the balls touch at 24, which is a diameter in px ({0.024 / scale:.3g}) and in mm (24) alike"
+    assert str(note) == f"{expected}; --unit px or --unit mm says which it is"
+    assert read_frame(hit(), BALL | {"scale": 1e-3}).notes == ()  # the same lengths either way
+
+
+@pytest.mark.parametrize("scale", [0.85e-3, 1.15e-3])
+def test_a_scale_that_is_wrong_is_named_beside_the_unit(scale):
+    (note,) = read_frame(hit(), BALL | {"scale": scale}).notes
+    assert "in mm, and `tracker measure --unit mm` reads them; or they are in px, and scale is about 0.001 " in str(
+        note
+    )
+
+
+def test_a_diameter_that_is_wrong_is_no_unit():
+    """At 0.16 mm/px, balls of 24 mm and not of 4.8 mm would touch at 30 mm, about the distance in px."""
+    rows, camera = hit(), CAMERA | {"ball_diameter": 24 * SCALE}
+    assert read_frame(rows, camera).notes == ()
+    (note,) = read_frame(rows, camera | {"ball_diameter": 5 * 24 * SCALE}).notes
+    wrong = "Either scale is about 0.0008 m/px rather than 0.00016, or ball_diameter 0.00384 m rather than 0.0192"
+    assert str(note).endswith(f"no unit explains that. {wrong}")
+
+
+def test_tracks_longer_than_the_picture_are_in_another_unit():
+    """Balls pass at 15.2 px, which would be about a diameter in mm, but 390 mm are four times the picture."""
+    (note,) = read_frame(table(), CAMERA | {"ball_diameter": 5 * DIAMETER}).notes
+    assert "as near as 15.2; expected px, and 75 of them, a diameter; check scale and ball_diameter" in str(note)
 
 
 @pytest.mark.parametrize("last", [20, 39])
