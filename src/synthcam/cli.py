@@ -268,7 +268,7 @@ def preview(
         slower = write_animation(drawn, output)
         text = f"{output}: clip {clip} of {scene}, in {slower:.3g} times slow motion"
         _print_result(summary | {"slower": slower}, as_json, text)
-    _print_hint(describe_unseen_balls(read, clip, seed))
+    _print_hint(describe_unseen_balls(read, clip, seed, clip=drawn))
 
 
 @app.command()

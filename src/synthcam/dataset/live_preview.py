@@ -6,7 +6,9 @@ import base64
 import json
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Annotated, Any
 
 import cv2
@@ -18,13 +20,11 @@ from synthcam.dataset.preview import show_on_screen
 from synthcam.dataset.scene_sliders import list_sliders, move_sliders
 from synthcam.scene.clip import Clip
 from synthcam.scene.materials import is_under_room_light
-from synthcam.scene.scene import check_scene, read_scene
+from synthcam.scene.scene import Scene, check_scene, read_scene
 from synthcam.scene.visibility import describe_unseen_balls
 from synthcam.settings import SCENES
 from synthcam_shared.errors import InputError, NoGL
 from synthcam_shared.settings import Settings, build_settings
-
-ROOM_REDUCTION = 4  # of pictures of matte balls, which take a hundred times longer than mirrors, at first
 
 
 class PreviewRequest(Settings):
@@ -65,12 +65,9 @@ def answer_request(values: Any) -> dict[str, Any]:
     began, path = time.perf_counter(), SCENES / f"{request.scene}.yaml"
     if not path.is_file():
         raise InputError(f"{request.scene}: no such file among the scenes of synthcam")
-    scene = read_scene(path)
-    start = scene.draw(seed=request.seed).drawn
-    moved = check_scene(move_sliders(scene, start, request.values), request.scene)
-    clip = moved.draw(seed=request.seed)
-    reduction = 1 if request.sharp or not is_under_room_light(clip.drawn) else ROOM_REDUCTION
-    shown = check_scene(_reduce_camera(moved.settings, clip, reduction), request.scene).draw(seed=request.seed)
+    scene, start, moved, clip = _draw_moved_scene(path, tuple(sorted(request.values.items())), request.seed)
+    sharp = request.sharp or not is_under_room_light(clip.drawn)
+    shown = clip if sharp else _reduce_camera(moved.settings, clip, request.seed)
     k = _choose_frame(clip) if request.frame is None else min(request.frame, clip.frames - 1)
     picture = show_on_screen(shown.sketch(k, quick=not request.sharp), shown)
     encoded = cv2.imencode(
@@ -79,32 +76,41 @@ def answer_request(values: Any) -> dict[str, Any]:
     return {
         "picture": base64.b64encode(encoded[1].tobytes()).decode(),
         "size": list(clip.camera.size),
-        "sharp": reduction == 1,
+        "sharp": sharp,
         "frame": k,
         "frames": clip.frames,
         "paths": _find_paths(clip),
         "yaml": yaml.safe_dump(moved.settings, sort_keys=False, default_flow_style=None, width=100),
         "sliders": [asdict(slider) for slider in list_sliders(scene, start)],
         "used": [slider.name for slider in list_sliders(moved, clip.drawn)],
-        "hint": describe_unseen_balls(moved, seed=request.seed),
+        "hint": describe_unseen_balls(moved, seed=request.seed, clip=clip),
         "ms": round(1e3 * (time.perf_counter() - began), 1),
     }
 
 
-def _reduce_camera(settings: dict[str, Any], clip: Clip, reduction: int) -> dict[str, Any]:
-    """The same view in so many times fewer columns and rows."""
-    if reduction == 1:
-        return settings
+@lru_cache(maxsize=1)  # another frame, or a sharp picture, needs no new solution of the motion
+def _draw_moved_scene(
+    path: Path, values: tuple[tuple[str, float], ...], seed: int
+) -> tuple[Scene, dict[str, Any], Scene, Clip]:
+    """A scene, its drawn settings, the scene with the numbers of the sliders, and a clip of that."""
+    scene = read_scene(path)
+    start = scene.draw(seed=seed).drawn
+    moved = check_scene(move_sliders(scene, start, dict(values)), path.stem)
+    return scene, start, moved, moved.draw(seed=seed)
+
+
+def _reduce_camera(settings: dict[str, Any], clip: Clip, seed: int, *, factor: int = 4) -> Clip:
+    """The same clip in so many times fewer columns and rows: matte balls take a hundred times longer than mirrors."""
     camera = clip.drawn["camera"]
     smaller: dict[str, Any] = {
-        "size": [max(n // reduction, 16) for n in camera["size"]],
-        "psf_sigma_px": max(camera["psf_sigma_px"] / reduction, 0.3),
-        "defocus_px": camera["defocus_px"] / reduction,
+        "size": [max(n // factor, 16) for n in camera["size"]],
+        "psf_sigma_px": max(camera["psf_sigma_px"] / factor, 0.3),
+        "defocus_px": camera["defocus_px"] / factor,
     }
-    smaller |= {key: camera[key] * reduction for key in ("scale", "pixel_pitch", "line_time")}
-    return {key: value for key, value in settings.items() if key != "video"} | {
-        "camera": settings.get("camera", {}) | smaller
-    }
+    smaller |= {key: camera[key] * factor for key in ("scale", "pixel_pitch", "line_time")}
+    reduced = {key: value for key, value in settings.items() if key != "video"}
+    reduced["camera"] = settings.get("camera", {}) | smaller
+    return replace(check_scene(reduced, "preview").draw(seed=seed), trajectory=clip.view.motion)
 
 
 def _choose_frame(clip: Clip) -> int:

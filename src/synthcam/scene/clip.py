@@ -18,6 +18,7 @@ from synthcam.camera.surface import Surface
 from synthcam.dynamics.launch import SPIN_COLUMNS, Launch
 from synthcam.dynamics.solve import PLATE
 from synthcam.dynamics.tabletop import Table
+from synthcam.dynamics.trajectory import Trajectory
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, camera_json, find_video_problem
@@ -68,6 +69,8 @@ class Clip:
         Walls, and what carries each body.
     heights : ndarray
         (N,) m, of discs; 0 of balls.
+    trajectory : Trajectory, optional
+        The motion, if it is known already, as from a clip with another camera. None: it is solved when needed.
 
     Examples
     --------
@@ -93,6 +96,7 @@ class Clip:
     finish: SurfaceFinish | None = None
     table: Table = PLATE
     heights: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    trajectory: Trajectory | None = None
 
     def __repr__(self) -> str:
         launch, (width, height) = self.drawn["launch"], self.camera.size
@@ -116,6 +120,8 @@ class Clip:
     @cached_property
     def view(self) -> FilmedMotion:
         """The motion over all frames in film time, with the effects of clock and shutter."""
+        if self.trajectory:
+            return FilmedMotion(self.model, self.camera, self.trajectory)
         return FilmedMotion.solve(self.model, self.launch, self.camera, self.frames, self.table)
 
     def solve(self) -> Motion:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 
+from synthcam.scene.clip import Clip
+from synthcam.scene.distribution import draw
 from synthcam.scene.scene import Scene
 
 
-def describe_unseen_balls(scene: Scene, number: int = 0, seed: int = 0, *, min_frames: int = 5) -> str:
+def describe_unseen_balls(
+    scene: Scene, number: int = 0, seed: int = 0, *, clip: Clip | None = None, min_frames: int = 5
+) -> str:
     """Describe, in one line, a ball that hardly any frame of a clip shows; "" if its film shows all balls.
 
-    min_frames: of a ball in the picture; fewer say little about its path.
+    clip: the scene's clip of that number and seed, if it is drawn already. min_frames: of a ball in the picture; fewer
+    say little about its path.
     """
     try:
-        clip = scene.draw(number, seed)
+        clip = clip or scene.draw(number, seed)
         view = clip.view
     except ValueError:  # its maker reports a clip that cannot be made
         return ""
@@ -24,13 +32,29 @@ def describe_unseen_balls(scene: Scene, number: int = 0, seed: int = 0, *, min_f
         shown = int(((px > -0.5) & (px < size - 0.5)).all(axis=1).sum())
         if shown >= least:
             continue
-        drawn, camera = clip.drawn, clip.nominal
-        step, width = drawn["launch"]["v0"] / camera.fps, camera.scale * camera.size[0]
         who = "the ball" if len(centres) == 1 else f"ball {ball + 1}"
         said = f"{who} is in the picture in {shown} of {clip.frames} frames; expected {least} or more"
-        moves = f"launch.v0 {drawn['launch']['v0']:g} m/s is {step:.3g} m a frame, in a picture of {width:.3g} m"
-        cure = (
-            "lower launch.v0, or raise timing.fps or camera.scale" if step > width / 20 else "check timing and launch"
-        )
-        return f"{scene.where}, clip {number}: {said}. {moves}: {cure}"
+        speed, key, place = _find_keys(scene, clip, ball, seed)
+        camera = clip.nominal
+        step, width = speed / camera.fps, camera.scale * camera.size[0]
+        moves = f"{key} {speed:g} m/s is {step:.3g} m a frame, in a picture of {width:.3g} m"
+        cure = f"lower {key}, or raise timing.fps or camera.scale" if step > width / 20 else f"check timing and {place}"
+        return f"{scene.where}, clip {clip.number}: {said}. {moves}: {cure}"
     return ""
+
+
+def _find_keys(scene: Scene, clip: Clip, ball: int, seed: int) -> tuple[float, str, str]:
+    """Find the speed of a ball's launch, m/s, and the keys of the scene that set this speed and its position."""
+    launches = clip.drawn.get("launches")
+    if not launches:
+        return clip.drawn["launch"]["v0"], "launch.v0", "launch"
+    speed = math.hypot(*launches[ball]["velocity"])
+    groups = draw(scene.settings, clip.number, seed).get("groups") or []
+    first = len(launches) - sum(group["count"] for group in groups)
+    if ball < first:
+        return speed, f"launches.{ball}.velocity", f"launches.{ball}.position"
+    firsts = itertools.accumulate((group["count"] for group in groups), initial=first)
+    number = sum(k <= ball for k in firsts) - 1
+    group, key = groups[number], f"groups.{number}"
+    scattered = group.get("rms_speed", 0.0) >= math.hypot(*group.get("velocity", (0.0, 0.0)))
+    return speed, f"{key}.{'rms_speed' if scattered else 'velocity'}", f"{key}.centre"

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from synthcam import Scene
-from synthcam.dataset.live_preview import answer_request, answer_requests
+from synthcam.dataset.live_preview import _draw_moved_scene, answer_request, answer_requests
 from synthcam.dataset.scene_sliders import list_sliders, move_sliders
 from synthcam.scene.clip import Clip
+from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.scene import check_scene, read_scene
 from synthcam.scene.sensor_frames import _renderer
 from synthcam.settings import SCENES
@@ -113,6 +114,25 @@ def test_a_matte_scene_is_drawn_small_and_sharp_on_demand(monkeypatch, tmp_path)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="elsewhere: no such file among"):
         answer_request({"scene": "elsewhere"})
+
+
+@pytest.mark.parametrize("name", ["tray", "break"])  # of mirrors; of matte balls, which are drawn small at first
+def test_pictures_of_several_frames_need_one_solution_of_the_motion(monkeypatch, name):
+    """The frames of a film that is drawn quickly show the balls where those of the whole film do."""
+    monkeypatch.setattr(Clip, "sketch", lambda clip, k, quick: shown.append(clip) or np.zeros((2, 2), np.uint8))
+    shown, solved = list[Clip](), list[int]()
+    solve = FilmedMotion.solve
+    monkeypatch.setattr(FilmedMotion, "solve", lambda *given: solved.append(1) or solve(*given))
+    _draw_moved_scene.cache_clear()
+    for frame in (3, 5):
+        answer_request({"scene": name, "values": {"restitution": 0.6}, "frame": frame})
+    answer_request({"scene": name, "values": {"restitution": 0.6}, "sharp": True})
+    assert len(solved) == 1
+    answer_request({"scene": name, "values": {"restitution": 0.7}})
+    assert len(solved) == 2
+    quick, sharp = (clip.camera.project(clip.view.at(np.array([0.1]))[:, 0, :3]) for clip in shown[1:3])
+    factor = sharp.max() / quick.max()
+    np.testing.assert_allclose((quick + 0.5) * round(factor) - 0.5, sharp, atol=1e-6)
 
 
 def test_a_quick_sketch_keeps_its_renderer_and_leaves_out_what_balls_reflect_to_each_other():

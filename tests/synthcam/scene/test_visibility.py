@@ -26,6 +26,38 @@ def test_a_ball_that_the_film_hardly_shows_is_named(sections, said):
     assert re.search(said, describe_unseen_balls(synthcam.Scene.build("fast", **sections)))
 
 
+GROUPS = [{"count": 3, "size": [0.02, 0.02]}, {"count": 2, "size": [0.01, 0.01]}]
+
+
+@pytest.mark.parametrize(
+    ("sections", "said"),
+    [
+        (
+            {"launches": [{"position": [0.0, 0.0]}, {"position": [0.0, 0.01], "velocity": [30.0, 40.0]}]},
+            r"ball 2 .*\. launches\.1\.velocity 50 m/s is 0\.2 m a frame.*: lower launches\.1\.velocity, or raise",
+        ),
+        (
+            {"launches": [{"position": [0.0, 0.0]}, {"position": [0.0, 0.2]}]},
+            r"ball 2 .*: check timing and launches\.1\.position$",
+        ),
+        ({"groups": [GROUPS[0], GROUPS[1] | {"rms_speed": 20.0}]}, r"ball 4 .*: lower groups\.1\.rms_speed, or"),
+        ({"groups": [GROUPS[0] | {"velocity": [20.0, 0.0]}, GROUPS[1]]}, r"ball 1 .*: lower groups\.0\.velocity, or"),
+        (
+            {"groups": [GROUPS[0], GROUPS[1] | {"centre": [0.3, 0.0]}]},
+            r"ball 4 .*: check timing and groups\.1\.centre$",
+        ),
+        (
+            {"launches": [{"position": [0.3, 0.0]}], "groups": [GROUPS[0] | {"centre": [0.0, 0.02]}]},
+            r"ball 1 .*: check timing and launches\.0\.position$",
+        ),
+    ],
+)
+def test_the_key_of_a_scene_of_many_bodies_is_named(sections, said):
+    found = describe_unseen_balls(synthcam.Scene.build("many", **sections))
+    assert re.search(said, found)
+    assert "launch.v0" not in found
+
+
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda p: p.stem)
 def test_scenes_that_come_with_the_program_show_their_balls(path):
     assert describe_unseen_balls(synthcam.Scene.read(path), 3, 1) == ""
