@@ -24,6 +24,8 @@ from synthcam.model import without_mutual_push
 State = tuple[Candidate, ...]
 Key = frozenset[Candidate]
 
+MIN_USEFUL_CHI2 = 2.0  # less is not worth another fit
+
 
 class LibraryFits:
     """The fits of library models to some clips. A model is the set of candidates that it adds to the base.
@@ -98,7 +100,23 @@ class LibraryFits:
         """
         useful_chi2 = min((f.chi2 for k, f in self.fits.items() if len(k) == len(key)), default=math.inf) + slack
         self._keep(key, fit_with_candidate(self.evidence, fit, scored, self.progress, useful_chi2=useful_chi2))
+        self.done.discard(key)
         self.latest[key] = scored.candidate
+
+    def needs_fit(self, key: Key, part: ModelFit) -> bool:
+        """Tell if a model was never fitted, or fits worse than `part`, the fit of a model that it contains."""
+        return key not in self.fits or self.fits[key].chi2 > part.chi2 + MIN_USEFUL_CHI2
+
+    def improve_part(self, state: State, candidate: Candidate) -> None:
+        """Fit the model without one candidate again, if the fit of `state` shows that its fit is not the best.
+
+        That fit stopped at a local minimum if chi^2 is lower where `state` ends, less the candidate. Else the candidate
+        would seem to explain the difference.
+        """
+        key, fit = frozenset(state) - {candidate}, self.fit(state)
+        if key in self.fits and (reduced := self.remove(fit, candidate)).chi2 < self.fits[key].chi2 - MIN_USEFUL_CHI2:
+            self.offer(key, reduced)
+            self.fit(_in_order(key))
 
     def offer(self, key: Key, fit: ModelFit) -> None:
         """Keep a fit of the model of `key` if it is better than a known one; `fit` lets it converge later."""
@@ -122,7 +140,7 @@ class LibraryFits:
             reduced = self.remove(fit, candidate)
             tests = ScoreTests.of(self.evidence, reduced, self.progress, [candidate])
             scored = tests.sharper(self.evidence, tests.ranking()[0])
-            if tests.chi2() - scored.gain < fit.chi2 - 2.0:  # less is not worth another fit
+            if tests.chi2() - scored.gain < fit.chi2 - MIN_USEFUL_CHI2:
                 fit = self._take_better(fit, fit_with_candidate(self.evidence, reduced, scored, self.progress))
         return fit
 

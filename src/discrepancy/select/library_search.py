@@ -82,8 +82,9 @@ def iterate_models(library: LibraryFits, state: State = ()) -> Iterator[State]:
         winner = choose_addition(library, state)
         if winner is None:
             return
+        before = library.cost_of(state)  # it falls if a larger model shows a better fit
         more = improve(library, (*state, winner))
-        if len(more) <= len(state) and library.cost_of(more) >= library.cost_of(state):  # back to an earlier model
+        if len(more) <= len(state) and library.cost_of(more) >= before:  # back to an earlier model
             return
         state = more
         yield state
@@ -150,7 +151,7 @@ def choose_addition(library: LibraryFits, state: State) -> Candidate | None:
         return None
     added = {frozenset({*state, c.candidate}): c for c in _choose_contenders(library, tests, ranking)}
     for key, scored in added.items():
-        if key not in library.fits:
+        if library.needs_fit(key, fit):
             library.extend(key, fit, scored)
     keys = sorted(added, key=library.cost_of)
     for key in keys:
@@ -220,6 +221,7 @@ def improve_once(library: LibraryFits, state: State) -> State | None:
     tests = library.score_tests(state)
     fit = tests.fit
     for k, candidate in enumerate(state):
+        library.improve_part(state, candidate)
         rest, rise = state[:k] + state[k + 1 :], tests.chi2(candidate) - fit.chi2
         if library.convert_to_sigma(rise, candidate) < 2 * library.required_sigma:
             worse = library.fit(rest).chi2 - fit.chi2

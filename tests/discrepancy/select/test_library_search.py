@@ -12,6 +12,7 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, names_to_fit
 from discrepancy.noise.model import estimate_noise
 from discrepancy.policy import current_policy
@@ -327,3 +328,20 @@ def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
         state = start_from(each, ["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
     assert alone.fits[frozenset(state)].chi2 > found.best.chi2 + 10
     assert steps.fits[frozenset(state)] is found.best
+
+
+def test_an_effect_does_not_count_for_what_a_poor_fit_of_the_others_leaves(monkeypatch):
+    """A fit of the right effect stopped at a local minimum; beside a needless effect it did not."""
+    few(monkeypatch)
+    steps, state = standing(
+        Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution"
+    )
+    right = state[1:]
+    poor = steps.base.model.replace({"velocity_restitution.e": 0.02})
+    steps.fits[frozenset(right)] = linearise(
+        steps.evidence, poor, (*steps.base.names, "velocity_restitution.e"), steps.base.launches
+    )
+    steps.done.add(frozenset(right))
+    assert steps.fit(right).chi2 > steps.fit(state).chi2 + 100
+    assert improve_once(steps, state) == right
+    assert steps.fit(right).chi2 == pytest.approx(steps.fit(state).chi2, abs=10)
