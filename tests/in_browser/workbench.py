@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from urllib.parse import urlsplit
 
 import numpy as np
 import pandas as pd
@@ -334,6 +335,22 @@ def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, t
         assert "interrupted; finished runs stay" in command.stderr.read()
         says(page, "#message", "does not answer")
     assert subprocess.run(["pgrep", "-f", f"{tmp_path}/bench"], capture_output=True).stdout == b""
+
+
+def test_the_next_frame_is_asked_for_before_its_step(address, browser):
+    with opened(browser, address) as page:
+        asked = []
+        page.on("request", lambda request: asked.append(urlsplit(request.url).path))
+        for frame in (1, 2):
+            with page.expect_request(f"**/api/balls/{frame + 1}"):
+                page.keyboard.press("ArrowRight")
+            assert shown(page, frame) == 1
+        assert asked.count("/frame/2.jpg") == asked.count("/api/balls/2") == 1
+        page.fill("#region", "150,5,190,30")  # no ball is there
+        says(page, "#detector", "Looking through the film")
+        page.focus("#stage")
+        page.keyboard.press("ArrowRight")
+        assert shown(page, 3) == 0  # not the ball that was found ahead with other settings
 
 
 def test_a_browser_is_let_in_by_the_file_that_it_opens(address, browser, tmp_path):

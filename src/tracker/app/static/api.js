@@ -33,3 +33,25 @@ export function newestOnly(work) {
     }
   };
 }
+
+// One answer that is asked for before it is needed.
+export class AskedAhead {
+  constructor(ask) {
+    this.ask = ask;
+    this.forget();
+  }
+
+  forget() { this.address = this.answer = null; }
+
+  prepare(address) {
+    if (address === this.address) return;
+    Object.assign(this, { address, answer: this.ask(address) });
+    this.answer.catch(() => {}); // whoever takes it hears of it
+  }
+
+  take(address) {
+    const answer = address === this.address ? this.answer : this.ask(address);
+    this.forget();
+    return answer;
+  }
+}

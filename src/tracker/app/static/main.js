@@ -1,6 +1,6 @@
 // The page: puts its parts together, hears the keys, and follows the state of the server.
 
-import { get, newestOnly, post } from "/static/api.js";
+import { AskedAhead, get, newestOnly, post } from "/static/api.js";
 import { Arrows } from "/static/arrows.js";
 import { Inspector } from "/static/ball.js";
 import { Make } from "/static/make.js";
@@ -74,10 +74,20 @@ async function begin() {
     hear(film.status);
   }
 
+  const ballsAhead = new AskedAhead(get);
+
+  // When all of a frame is shown, the server is free for the next one.
+  function prepareNext() {
+    const found = "balls" in stage.canvas.dataset || player.playing;
+    if (player.shown !== player.index || (detector.state === "ready" && !found)) return;
+    player.prepareNext();
+    if (detector.state === "ready" && player.next !== null) ballsAhead.prepare(`/api/balls/${player.next}`);
+  }
+
   const findBalls = newestOnly(async (index) => {
     if (detector.state !== "ready") return;
     try {
-      const found = await get(`/api/balls/${index}`);
+      const found = await ballsAhead.take(`/api/balls/${index}`);
       if (index !== player.index) return;
       Object.assign(stage.marks, { balls: found.balls, radius: found.radius });
       inspector.point = found.point;
@@ -88,6 +98,7 @@ async function begin() {
       element("stage").setAttribute("aria-label", `Frame ${player.number}, ${found.balls.length} balls found`);
       stage.draw();
       inspector.look();
+      prepareNext();
     } catch (error) {
       if (error.status !== 409) element("detector").textContent = error.message;
     }
@@ -97,6 +108,7 @@ async function begin() {
     const changed = status.detector.state !== detector.state || status.version !== hear.version;
     detector = status.detector;
     hear.version = status.version;
+    if (changed) ballsAhead.forget();
     if (detector.state === "preparing") element("detector").textContent = "Looking through the film for balls …";
     if (detector.state === "failed") element("detector").textContent = detector.error;
     if (detector.state !== "ready") stage.marks.balls = [];
@@ -121,7 +133,11 @@ async function begin() {
     delete stage.canvas.dataset.balls;
     findBalls(player.index);
   });
-  player.addEventListener("picture", () => { stage.canvas.dataset.frame = player.shown; inspector.look(); });
+  player.addEventListener("picture", () => {
+    stage.canvas.dataset.frame = player.shown;
+    inspector.look();
+    prepareNext();
+  });
   element("channel").addEventListener("change", () => {
     player.look.channel = element("channel").value;
     player.show();

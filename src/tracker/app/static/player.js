@@ -1,8 +1,15 @@
 // The frame in view: slider, play and pause, and requests for pictures, of which the newest wins.
 
-import { frameAddress, newestOnly } from "/static/api.js";
+import { AskedAhead, frameAddress, newestOnly } from "/static/api.js";
 
 const SHORTEST_FRAME_MS = 40;
+const LONGEST_STEP = 10; // frames; what is further away is a jump, which nothing predicts
+
+async function fetchBitmap(address) {
+  const response = await fetch(address);
+  if (!response.ok) throw new Error((await response.json()).error);
+  return createImageBitmap(await response.blob());
+}
 
 export class Player extends EventTarget {
   constructor(stage, film, tell) {
@@ -10,7 +17,8 @@ export class Player extends EventTarget {
     this.stage = stage;
     this.tell = tell;
     this.look = { low: 0, high: 1 };
-    this.index = 0;
+    this.index = this.step = 0;
+    this.pictures = new AskedAhead(fetchBitmap);
     this.playing = false;
     this.slider = document.getElementById("frame");
     this.label = document.getElementById("frame-number");
@@ -38,7 +46,9 @@ export class Player extends EventTarget {
   }
 
   go(index) {
+    const before = this.index;
     this.index = Math.min(Math.max(index, 0), this.film.frames - 1);
+    this.step = this.index - before;
     this.slider.value = this.index;
     this.slider.setAttribute("aria-valuetext", `frame ${this.number}`);
     this.label.textContent = `${this.number} / ${this.film.numbers ? this.film.numbers.at(-1) : this.film.frames - 1}`;
@@ -53,15 +63,23 @@ export class Player extends EventTarget {
 
   async fetchPicture(index, reduce) {
     try {
-      const response = await fetch(frameAddress(index, { ...this.look, reduce }));
-      if (!response.ok) throw new Error((await response.json()).error);
-      this.stage.show(await createImageBitmap(await response.blob()));
+      this.stage.show(await this.pictures.take(frameAddress(index, { ...this.look, reduce })));
       this.shownReduction = reduce;
       this.shown = index;
       this.dispatchEvent(new Event("picture"));
     } catch (error) {
       this.tell(`Frame ${index} cannot be shown: ${error.message}`);
     }
+  }
+
+  // The frame to which the next step of the same kind leads; null where none is likely.
+  get next() {
+    const next = this.index + this.step, steps = this.step !== 0 && Math.abs(this.step) <= LONGEST_STEP;
+    return steps && next >= 0 && next < this.film.frames ? next : null;
+  }
+
+  prepareNext() {
+    if (this.next !== null) this.pictures.prepare(frameAddress(this.next, { ...this.look, reduce: this.stage.reduction }));
   }
 
   toggle() {
