@@ -220,7 +220,7 @@ class SearchPolicy(Settings):
     Chosen between, on opened boxes: 1.5 at most where a camera shook, 7 where a table leant."""
 
     max_noise_growth: Positive = 5.0
-    """Largest ratio of a ball's own noise over whole phases to that within pieces of 8 positions; a larger one is
+    """Largest ratio of a ball's own noise over whole phases to that within pieces of 8 positions. A larger ratio is
     motion that no cubic follows. Chosen between, on drawn and real tracks. Noise correlated by up to 0.99 between
     frames gave at most 3. Slides that end 0.02 to 0.1 s early gave 9 and more, real pucks 20, real billiard balls 100.
     A drift of ten times the white noise beside it (5 to 8) counts as motion."""
@@ -285,7 +285,7 @@ class SearchPolicy(Settings):
     Chosen; not derived."""
 
     stray_jump_diameters: Positive = 0.8
-    """Diameters that a ball must jump in a frame, and be off its path, for positions to count as another ball's: two
+    """Diameters that a ball must jump in a frame, and be off its path, for positions to count as another ball's. Two
     balls are at least a diameter apart. Chosen; not derived."""
 
     max_stray_positions: Count = 12
@@ -323,8 +323,9 @@ class SearchPolicy(Settings):
     """Most frames between such a hit and the first one that shows both balls. Chosen; not derived."""
 
     slow_noise_ratio: Positive = 3.0
-    """Ratio of the noise over whole phases to its part that is new from frame to frame, above which the report warns
-    that the noise may be missing physics. Chosen; not derived: real billiard tracks had 2.8 mm beside 0.2 to 0.5 mm."""
+    """Ratio of the noise over whole phases to the part that is independent from frame to frame. Above it the report
+    warns that the noise may be missing physics. Chosen; not derived: real billiard tracks had 2.8 mm beside 0.2 to 0.5
+    mm."""
 
     max_uneven_frames: Positive = 0.1
     """Frames by which a clip's times may deviate from an even rate before its positions are moved to even times.

@@ -1,6 +1,6 @@
 """A smooth curve, or a map of the plate, through a table of values, as integration needs it: without any kink.
 
-Straight lines join the points. Gaussians with a standard deviation of 0.75 of the spacing round their corners, and the
+Straight lines join the points. Gaussians with a standard deviation of 0.75 of the spacing round their corners. The
 heights of the corners are such that the rounded line passes through the values. Beyond the ends the curve continues
 straight and levels off within a twentieth of the range.
 """

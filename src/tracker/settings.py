@@ -38,8 +38,8 @@ class DetectionSettings(Settings):
     """How many windows maximum likelihood fits at once. 1024 are 512 frames with two balls, some 100 MB of memory."""
 
     blur_sigma: Positive = 5.0
-    """How significant a difference between the motion blur and the camera file's exposure must be, in standard errors,
-    before the exposure is taken from the blur. Five, because a wrong exposure shifts every moving ball."""
+    """Significance of a difference between the motion blur and the camera file's exposure, in standard errors, above
+    which the exposure is taken from the blur. Five, because a wrong exposure shifts every moving ball."""
 
     min_blur_change: Fraction = 0.05
     """The least such difference, relative to the exposure. Below 5 % it shifts positions by less than their errors."""

@@ -54,8 +54,8 @@ def allow_side_spin(launch: Array) -> Array:
 def limit_spins(launches: Array) -> Array:
     """Limit the spins of launches (clips, p) to MAX_SPIN_TO_SPEED, and let strikers with a tiny slip roll.
 
-    Below 2 % of the speed a slip is set to zero: its direction would decide the striker's whole past, and no derivative
-    leads a fit on from there.
+    Below 2 % of the speed a slip is set to zero. Its direction would decide the striker's whole past, and no derivative
+    would lead a fit away from there.
     """
     if launches.shape[1] != WITH_SPIN:
         return launches

@@ -17,8 +17,8 @@ from tracker.detection.link import Tracks
 def detect_wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
     """Check the unit of a track: why these positions cannot be in px, or None.
 
-    Two balls that touch are one diameter apart. So the least distance over the clips must be near a diameter, and no
-    track may reach far beyond the picture; the limits are in `SearchPolicy`.
+    Two balls that touch are one diameter apart. So the least distance over the clips must be near a diameter. No track
+    may reach far beyond the picture; the limits are in `SearchPolicy`.
     """
     policy, units = current_policy(), {"m": 1.0, "cm": 1e2, "mm": 1e3, "um": 1e6}
     nearest, far, touching, diameter = [], [], 0.0, 0.0

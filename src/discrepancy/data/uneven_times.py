@@ -37,7 +37,7 @@ def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: 
 
     A ball's path is a parabola in time before the contact, while it slides, and while it rolls, since friction is
     constant in each. A parabola is fitted to each piece at the true times. A position then moves by what the parabola
-    covers between its own time and the even one; the parabola's error over part of a frame is small.
+    covers between its own time and the even one. The error of the parabola over part of a frame is small.
 
     A position is left out if its exposure, or that of the even time, contains the contact. So are those of a piece with
     fewer than 4 positions, which do not determine a speed.

@@ -23,7 +23,7 @@ def differentiate(
     """Differentiate the predicted tracks by a shared parameter: (n, 2) of each clip, m over the parameter's unit.
 
     The difference is central. It is one-sided if the parameter is at a limit, or if the model has no motion on the
-    other side, as when a tilt would set the resting ball rolling. It is zero if no motion exists on either side.
+    other side. For example, a tilt may set the resting ball rolling. It is zero if no motion exists on either side.
 
     here: the predicted tracks, if known; a short forward difference from them is then taken where possible.
     """
@@ -52,7 +52,7 @@ def differentiate_all(
 ) -> list[list[Array]]:
     """Differentiate the predicted tracks by each of several parameters; the result is by name, then by clip.
 
-    The motion of balls that push each other takes about eight times as long to compute, and other parameters act on it
+    The motion of balls that push each other takes about eight times as long to compute. Other parameters act on it
     nearly as they do without the push. Their derivatives are therefore taken without it, if that motion exists, unless
     `exact` is set. here: the predicted tracks.
     """

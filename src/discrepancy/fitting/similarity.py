@@ -1,7 +1,7 @@
 """Scales the realistic sizes of an effect's parameters to balls of another diameter.
 
-Motions with the same dimensionless numbers are similar if lengths scale as the ball and times as its square root
-(Froude scaling: gravity is the same). So a library for beads also serves billiard balls.
+Motions with the same dimensionless numbers are similar. Lengths scale as the ball's diameter, and times as its square
+root, because gravity is the same (Froude scaling). So a library for beads also serves billiard balls.
 """
 
 from __future__ import annotations

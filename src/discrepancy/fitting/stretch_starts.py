@@ -30,8 +30,8 @@ def choose_starts(
 ) -> tuple[list[MeasuredCollision], list[SearchNote]]:
     """Choose the start of each stretch, with the friction of the model; leave out those that do not move freely.
 
-    The values of the model may be wrong. So friction and rolling loss are fitted before a stretch is left out, and it
-    stays if it is fitted with a friction and a loss of its own.
+    The values of the model may be wrong. So friction and rolling loss are fitted before a stretch is left out. It stays
+    if a friction and a loss of its own describe it.
 
     slides: shares of a stretch for which its ball may slide. most_chi2: times the median, of a stretch that is used;
     it is large, since those that show a missing effect best must stay.

@@ -43,8 +43,8 @@ class FreeLaw(ABC):
     description: str  # the same in words
     symbol: str  # for formulas and figures, as is the unit
     _: KW_ONLY
-    # Takes the ranges that the tracks cover and returns the law's axes: one for a curve, two for a map, none where the
-    # tracks cover nothing of it.
+    # Takes the ranges that the tracks cover, and returns the law's axes. There is one for a curve, two for a map, and
+    # none where the tracks cover nothing of it.
     over: Callable[[CoveredRanges], tuple[Axis, ...]] = field(repr=False)
     unit: str = "1"
     # The law that it changes and the argument that it depends on, both as in `synthcam.effect.LAWS`. None for a law

@@ -115,7 +115,7 @@ def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candi
     """Compute the errors of a claim's strengths and shape parameters, by profile likelihood.
 
     They are those of `fit`, or larger if likely values lie further away. If the grid of shape parameters has few
-    values, each value may widen them: a parabola as wide as the first-order chi^2 there gives the standard deviation.
+    values, each value may widen them. A parabola as wide as the first-order chi^2 there gives the standard deviation.
     If the effect is so strong that first order fails, those of `fit` stay.
 
     reduced, fit: the fits without the candidate and with it.

@@ -1,7 +1,7 @@
 """Compare free laws with the library's models, to find a law that no effect of the library describes.
 
-A score test, to first order, adds every free law to the base model, to the best model of the library, and to each of
-its effects alone. The best laws are then fitted in full. A second library effect must beat the free laws.
+A score test adds every free law, to first order, to three models: the base model, the best model of the library, and
+each of its effects alone. The best laws are then fitted in full. A second library effect must beat the free laws.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def select_effects_and_law(library: LibraryFits, progress: Callable[[], None]) -
     """Select effects of the library, and a free law if one explains more.
 
     Each larger model of the library competes with the free laws. The library's search ends when a free law beats two of
-    its models in a row: it thus has one more effect to catch up with the law.
+    its models in a row. So the library may add one more effect to catch up with the law.
     """
     laws = FreeLawFits(library.evidence, library.base, progress)
     state: State = ()

@@ -182,7 +182,7 @@ def compare_scatter(
     The held-out clips have numbers of their own, so the law predicts only the scatter of these numbers. `without` is
     the fit of the held-out clips without the law.
 
-    Returns the increase of 2 log marginal likelihood by numbers of that size, and the mean and the standard deviation
+    Returns by how much numbers of that size increase 2 log marginal likelihood, and the mean and the standard deviation
     of this gain if the numbers have that size.
     """
     evidence = WhitenedClips.of(clips, noise)

@@ -89,8 +89,8 @@ def merge_sub_exposures(
     """Merge the sub-exposures of each frame into counts (F,) of them, by their order in time.
 
     A ball then stands at its mean position, wherever its velocity jumped. Returns the merged ones with the positions
-    (T, N, 3), m, and variances (T, N, 2), px^2, of the balls' pixels (., N, 2) about them: a spot that is widened by
-    these keeps its first three moments.
+    (T, N, 3), m, and variances (T, N, 2), px^2, of the balls' pixels (., N, 2) about them. A spot that is widened by
+    these variances keeps its first three moments.
     """
     whole = np.bincount(moments.frames, moments.weights, len(counts))
     before = np.cumsum(moments.weights) - moments.weights / 2 - (np.cumsum(whole) - whole)[moments.frames]

@@ -245,8 +245,9 @@ def iterate_chains(
     """Iterate over the lengths k of chains of mirror spheres to follow: balls (M, k) and moments (M,), in order.
 
     radii: (N,). near: at so many moments, within the reach of `find_widest`. mirror: reflectance of the balls. A chain
-    is left out if it is fainter than `faintest` of the primary, by an upper limit: from its longest leg to its
-    shortest, each dims the glint as one more bounce does between two balls at that distance. Chains of more than 4
+    is left out if an upper limit of its brightness is below `faintest` of the primary. For this limit the legs are
+    taken from the longest to the shortest. Each dims the glint as one more bounce does between two balls at that
+    distance. Chains of more than 4
     bounces are followed only between two balls: in a heap, all others would be too many.
     """
     balls = len(radii)

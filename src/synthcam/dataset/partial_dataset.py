@@ -83,8 +83,8 @@ def open_partial(
 
     A complete dataset with fewer clips of the same single scene gives its clips to the new one, which replaces it.
 
-    Raises InputError if a folder holds something else, another process is at work there, the disk is full, or the
-    withheld truth would lie in the dataset.
+    Raises InputError if a folder holds something else, if another process is at work there, or if the disk is full. The
+    same holds if the withheld truth would lie in the dataset.
     """
     output, withheld = output.resolve(), withheld.resolve() if withheld else None
     if withheld:

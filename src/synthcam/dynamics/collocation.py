@@ -1,9 +1,9 @@
 """Smooth initial-value problems, many at once: Chebyshev collocation, solved by Picard iteration.
 
 The right-hand side is called on all nodes of all problems together, so laws written for arrays cost little. A piece
-that few nodes do not resolve is solved again with as many nodes as the decay of its coefficients asks for. A piece
-that no number of nodes resolves, or on which the iteration does not converge, is halved for all problems; callers
-therefore group similar problems. Arrays are (components, problems, nodes), since long last axes make numpy fast.
+that few nodes do not resolve is solved again with as many nodes as the decay of its coefficients asks for. A piece that
+no number of nodes resolves, or on which the iteration does not converge, is halved for all problems. Callers therefore
+group similar problems. Arrays are (components, problems, nodes), since long last axes make numpy fast.
 
 Clenshaw & Norton, Comput. J. 6 (1963) 88; Trefethen, Approximation Theory and Approximation Practice (2013).
 """

@@ -49,15 +49,15 @@ def solve_approach(
 ) -> tuple[Array, list[tuple[Ints, IntegratedMotion]], Array]:
     """Solve the past of k contacts at time 0 between a ball that rested and a ball that rolls towards it.
 
-    A ball at rest starts where the push on it overcomes what holds it, but not before the other ball is within 8
+    A ball at rest starts when the push on it overcomes what holds it. It never starts before the other ball is within 8
     distances of touching. Raises ValueError if there is no such past.
 
     bodies: the k balls that rested, then the k rolling ones.
     touching: (2 k, 9), states at the contacts; the velocities of the first balls are not used.
     lasted: (k,), how far to go back, s; further where a ball started earlier.
 
-    Returns the states at the contacts, with the velocities that the first balls have then; the motions of units back
-    from the contacts; and when the balls at rest started, (k,), s.
+    Returns three things: the states at the contacts, with the velocities that the first balls have then; the motions of
+    units back from the contacts; and when the balls at rest started, (k,), s.
     """
     k = len(lasted)
     hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Ints, IntegratedMotion]]()

@@ -21,8 +21,8 @@ class DrillingSpin(Effect):
     Contensou (1963); Zhuravlev, J. Appl. Math. Mech. 62 (1998) 705. Zhuravlev's simpler u/(u + 8/(3 pi) a w) is up to
     39 % too low between the ends, and his torque up to 48 %.
 
-    The radius a is 2 um for 2.38 mm of steel on aluminium under its weight (Hertz), and tenths of a millimetre on a
-    soft plate. The spin that a ball loses while it rolls is neglected.
+    For a steel ball of 2.38 mm on aluminium, under its weight, the radius a is 2 um (Hertz). On a soft plate it is
+    tenths of a millimetre. The spin that a ball loses while it rolls is neglected.
     """
 
     a: float = parameter("m", typical=2e-6, low=0, high=2e-4)

@@ -10,8 +10,8 @@ from synthcam.effect import Effect, parameter
 class FrictionMismatch(Effect):
     """Ball a slides with (1 + excess) mu, ball b with mu, also when they land.
 
-    Sliding friction belongs to both surfaces that touch, so an oiled, rusty or worn ball has its own. If every slide of
-    ball a begins at other speeds than those of ball b, the effect resembles a friction that depends on the slip speed.
+    Sliding friction belongs to both surfaces that touch, so an oiled, rusty or worn ball has its own. If slides of ball
+    a and of ball b begin at different speeds, the effect resembles a friction that depends on the slip speed.
     Exchanging the balls in half of the clips separates the two.
     """
 

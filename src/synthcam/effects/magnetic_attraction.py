@@ -19,8 +19,8 @@ class MagneticAttraction(Effect):
     Dipoles along the line of centres attract by twice that.
 
     The moments must stay constant while the balls roll, as those of soft steel in a field do: m = 4 pi R^3 B/mu0. An
-    upright field of 1 mT gives pull = -0.05 m/s^2 at any position; one along the line of centres, as in nearly
-    head-on hits, +0.1 m/s^2. A moment fixed in the steel turns with the ball every 2 pi R = 7.5 mm: not modelled.
+    upright field of 1 mT gives pull = -0.05 m/s^2 at any position. A field along the line of centres, as in nearly
+    head-on hits, gives +0.1 m/s^2. A moment fixed in the steel turns with the ball every 2 pi R = 7.5 mm: not modelled.
 
     A ball at rest stays while 5/7 of the push is under rolling_decel. The target of a pair (Launch.pair, and every
     scene) is therefore pulled off before it is hit, and moves towards the striker.

@@ -384,8 +384,8 @@ def _find_overlap(
 ) -> tuple[int, int] | None:
     """Find two bodies of centres (N, 3), m, that overlap by more than the tolerance; None if no two do.
 
-    Bodies are compared in classes of radii within a factor of 2, so that few are near one of a class that is free of
-    overlaps. A heap of bodies at one place ends the search at once.
+    Bodies are compared in classes of radii within a factor of 2. In a class without overlaps few bodies are near any
+    one of them. A heap of bodies at one place ends the search at once.
     """
     from scipy.spatial import cKDTree
 

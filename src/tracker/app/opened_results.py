@@ -186,8 +186,8 @@ def show_tracks_alone(opened: OpenedResults) -> TracksAlone:
 def find_film(opened: OpenedResults, film: Path | None = None, camera: Path | None = None) -> RecordingSource | None:
     """Find the film of opened results; None where it is not found.
 
-    It is the given one, or that of the command beside a run of the page, or a neighbour of RESULTS whose files are
-    those that were tracked. Raises InputError for a given film that has other clips.
+    It is the given one, or that of the command beside a run of the page. Otherwise it is a neighbour of RESULTS whose
+    files are those that were tracked. Raises InputError for a given film that has other clips.
     """
     if film is not None:
         source = open_source(film, camera)

@@ -6,8 +6,9 @@ A detector is a class, made once a clip from a `View`. It has one of two forms:
 - `ClipDetector`: its ``detect`` takes all frames of the clip and returns `Detections`.
 
 One class attribute is optional: ``point`` says what x and y are. It is "glint" (the default), "centre" (of the ball's
-outline), or "either" (the centre where the camera file says that balls are matte, otherwise the glint). For a detector
-of centres ``view.takes`` is there and ``view.plate`` is only the first frame; for one of glints ``view.takes`` is None.
+outline), or "either". The latter is the centre if the camera file says that balls are matte, otherwise the glint. For a
+detector of centres ``view.takes`` is there and ``view.plate`` is only the first frame; for one of glints ``view.takes``
+is None.
 
 A detector has no other hooks. ``detectors/centroid.py`` is a short example of the first form.
 """

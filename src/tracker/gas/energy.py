@@ -1,9 +1,9 @@
 """The sinks of the energy of translation: the plate, contacts of balls, and walls.
 
-Between two contacts a ball loses energy to the plate, because it slides and rolls. At a contact two balls lose what the
-local estimate of that contact gives, or the difference of their free paths just before and just after. The slide after
-a contact may hide that difference; the kick and the restitution of the film then give the loss. Turning balls also have
-energy of rotation, which a film of plain balls does not show.
+Between two contacts a ball loses energy to the plate, because it slides and rolls. At a contact two balls lose the
+energy that the local estimate of that contact gives. Without one they lose the difference of their free paths just
+before and just after. The slide after a contact may hide that difference; the kick and the restitution of the film then
+give the loss. Turning balls also have energy of rotation, which a film of plain balls does not show.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ def predict_losses(
     they keep the share s of their relative speed v_t and lose (1 - s^2) v_t^2/4. The kick of a wall is the whole change
     of a velocity, and its energy needs no r.
 
-    Returns the values (n,), the variances (n,) of what is a contact's own, and the effects (n, 2) of one standard error
-    of r and of s, which all contacts share. Values are NaN for a table without kicks. least: contacts with a known r.
+    Returns the values (n,), the variances (n,) of what each contact has for itself, and effects (n, 2). These are the
+    effects of one standard error of r and of s, which all contacts share. Values are NaN for a table without kicks.
+    least: contacts with a known r.
     """
     lost, variance, common = (
         np.full(len(contacts), np.nan),
@@ -214,8 +215,8 @@ def measure_losses(
 
     Columns: energy, lost_in_contacts, lost_at_walls, lost_to_plate, lost_unresolved, each with NAME_std, m^2/s^2. From
     the last velocity before a contact to the first one after it, balls lose what the contact takes, and the rest to the
-    plate. This is unresolved where the loss of the contact is not known, where a path of either ball is too short for a
-    velocity, and where nobody saw the ball.
+    plate. This is unresolved if the loss of the contact is not known, if a path of either ball is too short for a
+    velocity, or if the ball was out of view.
 
     The errors also hold what is not resolved: all of it at contacts of that kind, and half of it for the plate. If
     contacts of one ball follow one another within two frames, as many may be hidden, and their energy is an error too.

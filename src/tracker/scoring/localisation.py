@@ -147,8 +147,8 @@ class PositionSums:
     def statistics(self) -> dict[str, float]:
         """Compute the localisation scores of score.json.
 
-        rmse_px and bound_px are those of x and y. phase_bias_px is the peak-to-peak first harmonic of the error in the
-        sub-pixel phase of moving balls, corrected for noise, of the worse axis.
+        rmse_px and bound_px are those of x and y. phase_bias_px is the first harmonic of the error in the sub-pixel
+        phase of moving balls, peak to peak and corrected for noise, of the worse axis.
         """
         rmse, bound = (float(np.sqrt(x / (2 * self.n))) if self.n else np.nan for x in (self.squares, self.bound))
         return {

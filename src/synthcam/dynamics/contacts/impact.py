@@ -214,7 +214,7 @@ def land(model: Model, state: Array, body: Bodies) -> Array:
     """Let balls in states (k, 9) that come down at -vz hit the plate: an impact with it.
 
     The impulse of the plate over the mass is (1 + e) |vz|, with its restitution e. Friction mu times that acts on the
-    lowest point until it no longer slips. Bounces slower than MIN_BOUNCE_SPEED_M_S are summed: compared with sliding
+    lowest point until it no longer slips. Bounces slower than MIN_BOUNCE_SPEED_M_S are summed. Compared with sliding
     for the same time they lack a friction impulse of mu vz, so this impulse is smaller by as much.
     """
     down = np.maximum(-state[:, 5], 0.0)

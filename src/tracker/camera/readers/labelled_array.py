@@ -1,8 +1,8 @@
 """Reads films in arrays whose axes have names: Zarr (and OME-Zarr), HDF5, NetCDF.
 
-The largest array of whole numbers is the film. Its attributes name the axes; without names the last two are the rows
-and columns, or the last three if the last has 3 or 4 entries, which are colours. A coordinate of the axis of time gives
-the times of frames.
+The largest array of whole numbers is the film. Its attributes name the axes. Without names the last two are the rows
+and columns. If the last axis has 3 or 4 entries, these are colours, and the two axes before are rows and columns. A
+coordinate of the axis of time gives the times of frames.
 """
 
 from __future__ import annotations

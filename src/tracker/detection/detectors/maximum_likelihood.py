@@ -111,8 +111,9 @@ class MaximumLikelihood:
         clipped = np.any((patches.counts >= self.sensor.ceiling) & patches.inside, axis=(1, 2))
         patches = self._subtract_offsets(patches)
         # From the glints to the middles of the ball profiles; it hardly depends on the exact position. The image of the
-        # sky at an angle a from the zenith is a circle about cos(a/2) of the line from the ball's centre to where it
-        # mirrors the zenith. The profile's middle is that for a ring at half the ball's radius, cos 30 deg.
+        # sky at an angle a from the zenith is a circle. Its centre is at cos(a/2) of the line from the ball's centre to
+        # the point that mirrors the zenith. The profile's middle is that for a ring at half the ball's radius, cos 30
+        # deg.
         bowl = locate_zenith_point(self.camera, position, 0.866) - position
         # Encoders leave nothing of the mirrored room, so that there is no profile to learn.
         if self.profile is None and self.geometry.is_bounded and not self.sensor.codec_noise:

@@ -2,7 +2,7 @@
 
 Burov et al. 2017, PNAS 114, 221: where a ball moves over many pixels, its true positions within a pixel are uniformly
 distributed. The distribution of the measured ones, as a map of the pixel onto itself, then corrects each. trackpy has
-this since its pull request 799; here it is written after the paper, for releases without it.
+this since its pull request 799. The code here follows the paper, for releases without it.
 """
 
 from __future__ import annotations

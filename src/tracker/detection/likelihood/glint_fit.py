@@ -231,8 +231,8 @@ def score_blur_length(
 ) -> tuple[Array, Array]:
     """Fit how the glint of each window depends on the length of its blur: score and information on its logarithm.
 
-    Nuisance parameters are eliminated (Schur complement): of each window its position, flux, level, bowl and width of
-    the glint; of all windows together an elliptical shape of resting glints. `known` (n, 4) are positions from the
+    A Schur complement eliminates the nuisance parameters. Each window has its position, flux, level, bowl and width of
+    the glint. All windows together have an elliptical shape of resting glints. `known` (n, 4) are positions from the
     central pixel, px, log fluxes and levels. The windows that are `still` hardly move: they give the width of a glint,
     which may differ from `sigma`, px.
     """

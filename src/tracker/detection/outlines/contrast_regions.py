@@ -179,7 +179,7 @@ def find_touching_discs(own: NDArray[Any]) -> tuple[float, list[tuple[float, flo
     """Radius, px, and centres (x, y) of the discs of one size that touch in a region; none if it is anything else.
 
     own: (h, w), the pixels of the region. The centres are the points furthest from its rim. Between two neighbours the
-    region has a waist, which a bar has not, and the discs have the area of the region, which a hand has not.
+    region has a waist, which a bar lacks. The discs have the area of the region, which they have not in a hand.
     """
     most, nothing = 8, (0.0, list[tuple[float, float]]())
     depth = cv2.distanceTransform(np.pad(own, 1).astype(np.uint8), cv2.DIST_L2, 5)

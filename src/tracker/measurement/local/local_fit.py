@@ -197,8 +197,8 @@ class LocalProblem:
     def _add_friction_direction(self, x: Floats, k: int, known: Floats, by: Floats, row: int) -> None:
         """Add the residual and the derivatives of the direction of friction.
 
-        A ball that rolled or rested is brought back towards its velocity before the hit, but for what the rub of the
-        bodies adds to its spin. That of a ball that slid is all but unknown.
+        A ball that rolled or rested returns towards its velocity before the hit, apart from the spin that the friction
+        between the bodies adds. That of a ball that slid is all but unknown.
         """
         before = self._before(k)
         at, from_ = self.start[k], self.start[before]
