@@ -39,8 +39,8 @@ TINY = 1e-300  # keeps quotients finite
 
 def classify_modes(states: Array, radius: Array) -> Ints:
     """Return REST, ROLL, SLIDE or FLY for balls in states (m, 9)."""
-    u = contact_velocity(states, radius)
-    slips, moves = np.hypot(u[:, 0], u[:, 1]) > ZERO_SPEED_M_S, np.hypot(states[:, 3], states[:, 4]) > ZERO_SPEED_M_S
+    x, y, vx, vy = *contact_velocity(states, radius).T, states[:, 3], states[:, 4]
+    slips, moves = x * x + y * y > ZERO_SPEED_M_S**2, vx * vx + vy * vy > ZERO_SPEED_M_S**2  # quicker than hypot
     aloft = (states[:, 5] > 0) | (states[:, 2] > radius * (1 + TOUCH_TOLERANCE))
     return np.where(aloft, FLY, np.where(slips, SLIDE, np.where(moves, ROLL, REST)))
 

@@ -144,7 +144,10 @@ def _stack_components(state: State, elapsed: Array) -> Array:
 
 def contact_velocity(state: Array, radius: Real) -> Array:
     """Return u, the slip: the velocity (..., 2) of the lowest point of each of many balls."""
-    return np.stack([state[..., 3] - radius * state[..., 7], state[..., 4] + radius * state[..., 6]], axis=-1)
+    out = np.empty((*state.shape[:-1], 2))
+    out[..., 0] = state[..., 3] - radius * state[..., 7]
+    out[..., 1] = state[..., 4] + radius * state[..., 6]
+    return out
 
 
 def rolling_velocity(state: Array, radius: Real, inertia: Real = SOLID_BALL) -> Array:
