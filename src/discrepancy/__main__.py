@@ -1,20 +1,18 @@
 """The command discrepancy, also as `python -m discrepancy`."""
 
-from collections.abc import Callable
-
 from synthcam_shared.start import start
-
-
-def load() -> Callable[[], None]:
-    """Import the command line of `discrepancy`."""
-    from discrepancy.cli import main
-
-    return main
 
 
 def main() -> None:
     """Start the command `discrepancy`."""
-    start("discrepancy", load)
+    start("discrepancy", run)
+
+
+def run() -> None:
+    """Import the command line of `discrepancy` and run it."""
+    from discrepancy import cli
+
+    cli.main()
 
 
 if __name__ == "__main__":

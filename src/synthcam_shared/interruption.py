@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import threading
@@ -23,16 +22,6 @@ def raise_if_interrupted() -> None:
     """Raise KeyboardInterrupt if an earlier one was lost, as in a callback of a C library. Loops call this."""
     if _pressed:
         raise KeyboardInterrupt
-
-
-def end_at_ctrl_c(name: str) -> None:
-    """End the process in one line at Ctrl-C, from now until `watch_ctrl_c`: while modules are imported."""
-
-    def end(number: int, frame: FrameType | None) -> None:
-        os.write(2, f"{name}: interrupted; nothing was written\n".encode())
-        os._exit(130)
-
-    signal.signal(signal.SIGINT, end)
 
 
 @contextmanager

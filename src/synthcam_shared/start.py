@@ -1,18 +1,31 @@
-"""Start a command so that Ctrl-C ends it in one line while its modules are imported, too."""
+"""Start a command so that Ctrl-C ends it in one line while its modules are imported, too.
+
+Until `start` has begun, Ctrl-C gives a traceback. So this module, `lazy_names`, and `__init__` and `__main__` of the
+packages import nothing at first that Python has not loaded by itself.
+"""
+
+from __future__ import annotations
 
 import os
 import signal
 import sys
-from collections.abc import Callable
 
-from synthcam_shared.interruption import end_at_ctrl_c
+TYPE_CHECKING = False  # as in typing, which loads for some ms
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
-def start(name: str, load: Callable[[], Callable[[], None]]) -> None:
-    """Run a command line. `load` imports its modules and returns its main function."""
-    end_at_ctrl_c(name)
+def start(name: str, run: Callable[[], None]) -> None:
+    """Run a command line. `run` imports its modules and calls its main function."""
+    line = f"{name}: interrupted; nothing was written\n".encode()
+
+    def end(number: int, frame: object) -> None:
+        os.write(2, line)
+        os._exit(130)
+
+    signal.signal(signal.SIGINT, end)  # until the command itself listens
     try:
-        load()()
+        run()
     except SystemExit as ended:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt but the end of the interpreter
         if ended.code == 130:  # Python itself may otherwise end with another status

@@ -6,8 +6,10 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 
 import pytest
+from repository import ROOT
 
 from synthcam.dataset import generate
 from synthcam_shared import jobs
@@ -124,16 +126,20 @@ def test_a_handler_is_put_back():
 
 
 @pytest.mark.parametrize("name", ["synthcam", "tracker", "discrepancy"])
-def test_ctrl_c_during_the_imports_of_a_command(name):
-    """The command's module does not come to its end: Ctrl-C is pressed while it is imported."""
+@pytest.mark.parametrize("imported", ["typing", "typer", "{}.cli"])
+def test_ctrl_c_during_the_imports_of_a_command(name, imported):
+    """Ctrl-C is pressed while a command as it is installed imports a module: the first ones and the last one."""
+    entry = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"][name]
+    module, _, function = entry.partition(":")
     script = (
-        "import os, signal, sys, importlib.abc\n"
-        f"from {name}.__main__ import main\n"
-        "class Finder(importlib.abc.MetaPathFinder):\n"
-        "    def find_spec(self, fullname, path, target=None):\n"
-        f"        if fullname == '{name}.cli': os.kill(os.getpid(), signal.SIGINT)\n"
-        "sys.meta_path.insert(0, Finder())\n"
-        "main()\n"
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    @staticmethod\n"
+        "    def find_spec(fullname, path, target=None):\n"
+        f"        if fullname == {imported.format(name)!r}: os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder)\n"
+        f"from {module} import {function}\n"
+        f"{function}()\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, f"{name}: interrupted; nothing was written\n")
