@@ -10,6 +10,7 @@ Comments before a block, which no reader sees, say what else is needed:
 <!-- docs-test: setup COMMAND -->         to be run before
 <!-- docs-test: replace "OLD" "NEW" -->   in the block, to make it shorter
 <!-- docs-test: shows TEXT -->            what its output holds
+<!-- docs-test: output -->                the block is output of the block before; only its numbers may differ
 <!-- docs-test: skip WHY -->              it is not run
 <!-- docs-test: checkout -->              the page is about a checkout: its folder is a copy of this one
 """
@@ -38,6 +39,7 @@ import yaml
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 FENCE = re.compile(r"((?:^ *<!-- docs-test: .*? -->\n)*)^( *)```([^\n`]*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
+NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+|·10[⁻⁰¹²³⁴-⁹]+)?(?:\(\d+\))?")  # 35.8393(14), 6.6·10⁻⁵
 LANGUAGES = ("python", "sh", "yaml", "json", "toml", "text")
 
 
@@ -81,7 +83,7 @@ def blocks(page: Path) -> list[Block]:
 def run_page(page: Path) -> tuple[int, list[str]]:
     """Run the blocks of a page in the present folder. Returns how many were run, and what was not and why."""
     names: dict[str, Any] = {"__name__": "__main__"}
-    count, skipped = 0, []
+    count, skipped, output = 0, [], ""
     for block in blocks(page):
         if block.asked("skip"):
             skipped.append(f"{block.where}: {block.asked('skip')[0]}")
@@ -89,16 +91,29 @@ def run_page(page: Path) -> tuple[int, list[str]]:
             line.startswith(("make ", ".venv/bin/")) for line in block.text.splitlines()
         ):
             skipped.append(f"{block.where}: a study of a checkout")
+        elif block.asked("output"):
+            missing = find_missing_lines(block.text, output)
+            assert not missing, f"{block.where}: no line like {missing[0]!r} in\n{output}"
         elif block.language != "text":
             started = time.monotonic()
-            run(block, names)
+            output = run(block, names)
             count += 1
             print(f"{block.where}: {block.language}, {time.monotonic() - started:.1f} s", flush=True)
     return count, skipped
 
 
-def run(block: Block, names: dict[str, Any]) -> None:
-    """Run one block. Raises whatever goes wrong."""
+def find_missing_lines(shown: str, output: str) -> list[str]:
+    """Find the lines of a block that no line of the output equals; only numbers may differ."""
+
+    def replace_numbers(line: str) -> str:
+        return " ".join(NUMBER.sub("#", line).split())
+
+    printed = {replace_numbers(line) for line in output.splitlines()}
+    return [line for line in shown.splitlines() if line.strip() and replace_numbers(line) not in printed]
+
+
+def run(block: Block, names: dict[str, Any]) -> str:
+    """Run one block and return what it prints. Raises whatever goes wrong."""
     for page in block.asked("files"):
         for other in blocks(DOCS / page.removeprefix("of ")):
             put(other)
@@ -110,7 +125,7 @@ def run(block: Block, names: dict[str, Any]) -> None:
         assert old in text, f"{block.where}: nothing to replace: {old}"
         text = text.replace(old, new)
     if put(block):
-        return
+        return ""
     if block.language == "python":
         said = io.StringIO()
         with contextlib.redirect_stdout(said):
@@ -122,6 +137,7 @@ def run(block: Block, names: dict[str, Any]) -> None:
         output = str({"yaml": yaml.safe_load, "json": json.loads, "toml": tomllib.loads}[block.language](text))
     for wanted in block.asked("shows"):
         assert wanted in output, f"{block.where}: expected {wanted!r} in\n{output}"
+    return output
 
 
 def put(block: Block) -> bool:

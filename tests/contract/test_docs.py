@@ -134,6 +134,13 @@ def test_a_block_says_what_it_is_and_can_be_read(block):
         SearchPolicy(**settings) if "policy.yaml" in block.asked("file") else check_scene(settings, block.where)
 
 
+def test_output_on_a_page_that_no_command_prints_is_seen():
+    printed = "4 clips: 4 ok\nr        6.6·10⁻⁵   0.77(27)\nx -3e-07 +- 7e-07 rad\n"
+    find = TOOL["find_missing_lines"]
+    assert find("4 clips: 3 ok\n\nr  0.0012   0.7(3)\nx 1.5e-07 +- 6e-7 rad\n", printed) == []
+    assert find("4 films: 4 ok\nr  0.0012   0.7(3) 1.1\n", printed) == ["4 films: 4 ok", "r  0.0012   0.7(3) 1.1"]
+
+
 @pytest.mark.parametrize("name", CHEAP)
 def test_a_page_runs_as_it_stands(name, tmp_path):
     """Its files and its Python; in a process of its own, since effects that are added stay."""
