@@ -127,6 +127,10 @@ class FitSettings(Settings):
     Half of such pairs are expected to differ by less than a tenth. Losses on real plates scatter more, those of new
     balls on an even plate less. With 0 the losses count as equal, unless the tracks reject that."""
 
+    friction_change: NotNegative = 0.3
+    """Typical change of the sliding friction over the speeds of slip, relative to it, if it is not constant.
+    That is expected in one collision of thirty. With 0 friction counts as constant, unless the tracks reject that."""
+
     slide_end_chi2: Positive = 25.0
     """Rise of chi^2 without the end of a slide from which on the tracks show that end: five standard errors."""
 

@@ -64,10 +64,13 @@ from tracker.measurement.collision.contacts import (
     find_slow_contacts,
     prepare_contact,
 )
+from tracker.measurement.collision.departures import Departure
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_frames_within
+from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
 from tracker.measurement.collision.rolling_losses import compare_losses
+from tracker.measurement.collision.slip_friction import find_slope_of_friction
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, Stay, find_stays
 from tracker.measurement.crowd.crowd_rows import estimate_contacts
 from tracker.measurement.crowd.track_contacts import find_track_contacts
@@ -304,7 +307,7 @@ def _measure_collision(
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
     row |= {"adequate": read.p_tied, "adequate_free": read.p_free, "agree": read.p_agree}
     flags = [*flags, *([] if again is None else [Flag.TOUCH_AGAIN])]
-    flags += [Flag.LOSSES_DIFFER] * read.shows_unequal_losses
+    flags += [] if read.rejected_law is None else [read.rejected_law]
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
     row |= painter_behringer.paper_columns(contact, camera, read.lasting)
     if read.tied_is_straight:  # differences of noise
@@ -395,9 +398,7 @@ def _fit(
             read = replace(read, tied_values=add_contact_errors(tied, tied_values, True, camera, by_tied))
         read = replace(read, free_values=add_contact_errors(free, free_values, False, camera, by_free))
         flags = flag_contact_distance(*by_free, settings)
-        tied_losses = compare_losses(tied, True, differentiate_residuals(tied, True, camera))
-        free_losses = compare_losses(free, False, differentiate_residuals(free, False, camera), tied_losses)
-        read = read.with_losses(tied_losses, free_losses)
+        read = read.with_departures(*_find_departures(tied, free, camera))
         nearer = max((1 - distance) / std for distance, std in (by_free, by_tied))
     if isinstance(read, str) or _may_last(read, nearer):
         lasting = tries(doubtful_sigma if isinstance(read, str) or read.is_misfit else MIN_SIGNIFICANCE)
@@ -406,6 +407,21 @@ def _fit(
         if isinstance(lasting, str) and (is_wide or lasting != TOO_FEW):
             return lasting, []
     return read, flags
+
+
+def _find_departures(
+    tied: CollisionFit, free: CollisionFit, camera: Camera
+) -> tuple[dict[Flag, Departure], dict[Flag, Departure]]:
+    """Find departures from laws that the fits assume, by the tied and by the free fit.
+
+    Those that the parameters of a fit absorb are left out. The free fit hardly shows how friction changes.
+    """
+    known, known_free = (differentiate_residuals(fit, fit is tied, camera) for fit in (tied, free))
+    losses = compare_losses(tied, True, known)
+    by_tied = {Flag.LOSSES_DIFFER: losses, Flag.FRICTION_CHANGES: find_slope_of_friction(tied, known)}
+    by_free = {Flag.LOSSES_DIFFER: compare_losses(free, False, known_free, losses)}
+    found, found_free = ({flag: one for flag, one in by.items() if one is not None} for by in (by_tied, by_free))
+    return found, found_free
 
 
 def _may_last(read: CollisionFits, nearer: float) -> bool:

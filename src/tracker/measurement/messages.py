@@ -40,6 +40,8 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     "free fit have errors as large as its residuals. Film again without compression, or with less of it",
     Flag.LOSSES_DIFFER: "one rolling loss for both balls does not fit, though all else does: one ball is dirty or "
     "dented, or the plate is uneven or slopes. The local estimate needs no common loss",
+    Flag.FRICTION_CHANGES: "one friction for all speeds of slip does not fit, though all else does: the plate is oily, "
+    "or friction falls with the speed. The local estimate needs no common friction",
     Flag.STRAIGHT: "the balls move straight after the hit: r is that of straight lines, and nothing shows friction",
 }
 SAME_BODIES = (

@@ -49,6 +49,7 @@ class Flag(StrEnum):
     TOUCH_AGAIN = "touch again"
     ENCODED = "encoded with loss"
     LOSSES_DIFFER = "rolling losses differ"
+    FRICTION_CHANGES = "friction changes with speed"
 
     @property
     def is_impossible(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from tracker.measurement.collision.adequacy import (
 )
 from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, EarlierHit, guess_parameters
+from tracker.measurement.collision.departures import Departure, average
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
 from tracker.measurement.collision.lasting_contact import (
     MIN_SIGNIFICANCE,
@@ -30,7 +31,6 @@ from tracker.measurement.collision.lasting_contact import (
 from tracker.measurement.collision.least_squares import ROUGH, BallPair, CollisionFit, fit_motion
 from tracker.measurement.collision.motion_test import find_p_of_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
-from tracker.measurement.collision.rolling_losses import LossDifference
 from tracker.measurement.collision.striker import alternative_strikers, is_believable
 from tracker.settings import FitSettings
 
@@ -54,8 +54,9 @@ class CollisionFits:
     flags: tuple[Flag, ...] = ()
     unseen: frozenset[str] | None = None  # quantities that a lasting contact does not show
     fits: LastingFits | None = None  # those of a lasting contact
-    tied_losses: LossDifference | None = None  # by the tied fit
-    free_losses: LossDifference | None = None
+    # departures from laws that both fits assume, by the flag of their rejection
+    tied_departures: Mapping[Flag, Departure] = field(default_factory=dict)
+    free_departures: Mapping[Flag, Departure] = field(default_factory=dict)
 
     @property
     def tied_is_straight(self) -> bool:
@@ -100,42 +101,52 @@ class CollisionFits:
     @property
     def is_free_accepted(self) -> bool:
         """True if the data accept the free fit; they reject nothing if the size of the errors is unknown."""
-        return not self.p_free < self.settings.rejection_level and not self._rejects(self.free_losses)
+        departs = any(map(self._rejects, self.free_departures.values()))
+        return not (self.p_free < self.settings.rejection_level or departs)
 
     @property
     def is_tied_accepted(self) -> bool:
         """True if the data accept the tied fit, by itself and compared with the free one."""
         level = self.settings.rejection_level
-        is_rejected = self.p_tied < level or self.p_agree < level or self._rejects(self.tied_losses)
-        return self.is_free_accepted and not is_rejected
+        departs = any(map(self._rejects, self.tied_departures.values()))
+        return self.is_free_accepted and not (self.p_tied < level or self.p_agree < level or departs)
 
     @property
-    def shows_unequal_losses(self) -> bool:
-        """True if the data accept both fits but for one rolling loss of both balls."""
-        return self._without_losses().is_tied_accepted and not self.is_tied_accepted
+    def rejected_law(self) -> Flag | None:
+        """The law from which the tracks depart most, if they accept both fits otherwise.
 
-    def with_losses(self, tied: LossDifference | None, free: LossDifference | None) -> CollisionFits:
-        """Let the quantities of both fits carry a possible difference of the rolling losses, as either fit shows it.
-
-        The tied fit shows it better. Its difference counts for the free fit too, where the data accept the tied fit
-        otherwise.
+        Departures imitate each other in part, so that a large one may let the tracks reject another law too.
         """
-        read, share = self, self.settings.rolling_loss_difference
-        if tied is not None:
-            read = replace(read, tied_losses=tied, tied_values=tied.correct(self.tied_values, tied.weigh(share)))
-        if free is not None and tied is not None and self._without_losses().is_tied_accepted:
-            values = free.correct(self.free_values, tied.weigh(share), tied)
-            read = replace(read, free_losses=free, free_values=values)
-        elif free is not None:
-            read = replace(read, free_losses=free, free_values=free.correct(self.free_values, free.weigh(share)))
-        return read
+        if self.is_tied_accepted or not self._without_departures().is_tied_accepted:
+            return None
+        found = [*self.tied_departures.items(), *self.free_departures.items()]
+        return max(found, key=lambda item: item[1].significance)[0]
 
-    def _without_losses(self) -> CollisionFits:
-        return replace(self, tied_losses=None, free_losses=None)
+    def with_departures(self, tied: Mapping[Flag, Departure], free: Mapping[Flag, Departure]) -> CollisionFits:
+        """Let the quantities of both fits carry possible departures from laws, as either fit shows them.
 
-    def _rejects(self, losses: LossDifference | None) -> bool:
-        """Test whether the data reject one rolling loss for both balls."""
-        return losses is not None and self.noise_dof > 0 and losses.p_value < self.settings.rejection_level
+        The tied fit shows them better. Its departures count for the free fit too, where the data accept the tied fit
+        otherwise. Where they do not, other faults imitate a friction that changes, which is then left out.
+        """
+        is_accepted = self._without_departures().is_tied_accepted
+        by_tied = [one for flag, one in tied.items() if is_accepted or flag is not Flag.FRICTION_CHANGES]
+        better = [tied.get(flag, one) for flag, one in free.items()] if is_accepted else None
+        tied_values = average(self.tied_values, by_tied)
+        free_values = average(self.free_values, list(free.values()), better)
+        return replace(
+            self,
+            tied_values=tied_values,
+            free_values=free_values,
+            tied_departures=tied,
+            free_departures=free,
+        )
+
+    def _without_departures(self) -> CollisionFits:
+        return replace(self, tied_departures={}, free_departures={})
+
+    def _rejects(self, departure: Departure) -> bool:
+        """Test whether the data reject the law from which this is a departure."""
+        return self.noise_dof > 0 and departure.p_value < self.settings.rejection_level
 
     @cached_property
     def impossible_values(self) -> list[Flag]:
