@@ -129,7 +129,8 @@ class FitSettings(Settings):
 
     friction_change: NotNegative = 0.3
     """Typical change of the sliding friction over the speeds of slip, relative to it, if it is not constant.
-    That is expected in one collision of thirty. With 0 friction counts as constant, unless the tracks reject that."""
+    One collision of a hundred is expected to have such a friction. With 0 it counts as constant, unless the tracks
+    reject that."""
 
     slide_end_chi2: Positive = 25.0
     """Rise of chi^2 without the end of a slide from which on the tracks show that end: five standard errors."""

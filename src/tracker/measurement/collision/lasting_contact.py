@@ -65,7 +65,8 @@ class LastingResiduals:
     """Residuals of two balls' positions outside a contact.
 
     The last two parameters are lengths: by how much the paths miss each other across the line of centres, and d.
-    kind: "tied", with a given friction or none, "free", or "straight", a free motion that no friction slows down.
+    kind: "tied", "free", or "straight", a free motion that no friction slows down. friction: of a tied motion, if it is
+    known within a quarter.
     """
 
     def __init__(self, pair: BallPair, kind: str, friction: float | None = None) -> None:
@@ -74,7 +75,7 @@ class LastingResiduals:
         held = pair.zero_parameters | ({"drag", "decel"} if kind == "straight" else set())
         self.names = tuple(name for name in every if name not in held)
         self.index, self.size = np.array([every.index(name) for name in self.names]), len(every)
-        given = {} if friction is None else {"log_mu": (float(np.log(friction)), 0.02)}
+        given = {} if friction is None else {"log_mu": (float(np.log(friction)), 0.25)}
         priors = [given.get(name, BROAD_PRIORS.get(name, (0.0, np.inf))) for name in self.names]
         self.prior = np.array([*(centre for centre, _ in priors), 0.0, pair.diameter])
         self.weight = np.array([*(1 / width for _, width in priors), 200 / pair.diameter, 1 / pair.diameter])
@@ -703,11 +704,13 @@ def _may_hide_slide(straight: LastingFit) -> bool:
     """Decide whether balls that seem to move straight after the contact may have slid, for hardly longer than it.
 
     Balls that begin to roll at once part at (5 r - 2)/7 of their closing speed. The tied fit is tried with the friction
-    that plates have; the contact hides a slide if one describes the tracks with another restitution that is possible.
+    that plates have. Each may change by a quarter of its value, so that none between them is left out. The contact
+    hides a slide if one describes the tracks with another restitution that is possible.
     """
     pair, n = straight.problem.pair, QUANTITY_NAMES.index("r")
     index, r = LastingResiduals(pair, "tied").index, float(straight.restitution(straight.x)[0])
-    for mu in (0.07, 0.12, 0.2, 0.3, *((0.45, 0.7, 1.0) if r < 3 / 7 else ())):
+    frictions = (0.07, 0.12, 0.2, 0.3, *((0.45, 0.7, 1.0) if r < 3 / 7 else ()))
+    for mu in frictions:
         starts = []
         for guess in (min(1.0, (7 * r + 2) / 5), min(1.0, r + 0.1)):
             whole = np.array([*straight.free[:8], guess, np.log(mu), 0.1, 0.0, 0.0, 0.0, *straight.free[-2:]])
@@ -716,6 +719,9 @@ def _may_hide_slide(straight: LastingFit) -> bool:
         if rolling.chi2 > straight.chi2 + 2 * STRAIGHT_CHI2:
             continue
         values = rolling.values()
+        found = values.value[QUANTITY_NAMES.index("mu_k")]
+        if not 0.9 * frictions[0] < found < 1.1 * frictions[-1]:
+            continue
         if abs(values.value[n] - r) > 0.01 and not find_impossible_values(values, 1.0, 3.0):
             return True
     return False
