@@ -9,8 +9,8 @@ Each CLONE is a clone of one of the repositories that `benchmarks.real.recording
 stretches and corrected by the warp that they show. With --prepare these sets are written to a folder, from which
 another machine searches them without the clones. Each set then gets one known cause:
 
-- acceleration: a constant one, in full on air and by 5/7 on cloth, as of a ball that rolls on a tilted plate. A ball
-  that slides gets 5/7 too, though a tilted plate would give it the whole;
+- acceleration: a constant one, as of a tilted plate: in full on air and on a ball that slides, by 5/7 on a ball that
+  rolls;
 - lens: r (1 + k r^2) about the middle of the picture;
 - aspect: one axis longer by a factor;
 - time: all times longer by a factor;
@@ -48,6 +48,7 @@ from tracker.tables.table_options import TableOptions
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from benchmarks.real.hits import READERS, measure_hit
 from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
@@ -56,6 +57,7 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.contacts import Contacts
 from discrepancy.data.launch import T_C, V0
 from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.policy import current_policy
 from discrepancy.search import search
 from discrepancy.select.contact_effects import ContactClaim, examine_contacts
 from discrepancy.wording import describe_search
@@ -70,6 +72,7 @@ from tracker.measurement.stretch_cuts import measure_noise
 from tracker.tables.read import read_frame
 
 SHOWN = "set cause times strength shown named false size own std z verdict seconds".split()
+ROLLING_SHARE, SLIP_SHARE = 5 / 7, 2 / 7  # of a push, and of the slip in the velocity, for a solid ball
 ON_CLOTH = {"restitution": 0.95, "sliding_friction": 0.2, "spin_transfer": 0.1, "rolling_decel": 0.04}
 ON_AIR = {"restitution": 0.8, "sliding_friction": 0.0, "rolling_decel": 0.02}
 LABORATORIES: dict[str, tuple[Callable[[Path], list[RecordedHit]], dict[str, float]]] = {
@@ -159,18 +162,67 @@ class Cause:
     otherwise: float = 0.03  # the strength if the search says that these tracks do not show it
 
 
-def accelerate(clip: MeasuredCollision, size: float, heading: float, slides: bool) -> MeasuredCollision:
-    """Add a constant acceleration, m/s^2 of a body without friction, from the contact on and backwards before it.
+def accelerate(clip: MeasuredCollision, size: float, heading: float, glides: bool) -> MeasuredCollision:
+    """Add a constant acceleration, m/s^2 of a body without friction, to each path before and after the contact.
 
-    slides: the whole of it acts, as on a body that glides; else 5/7, as on a ball that rolls.
+    glides: the whole of it acts, as on a body without friction. Else the bodies are balls on cloth: the whole acts on a
+    ball that slides, 5/7 on one that rolls. Each slide is that of the path's own best fit.
     """
-    since = clip.frame / clip.fps - clip.launch[T_C]
-    way = since**2 / 2
-    if not slides:
-        way = 5 / 7 * way
-    moves = (clip.ball == 1) | (since > 0)
-    push = size * np.array([np.cos(heading), np.sin(heading)])
-    return replace(clip, xy=clip.xy + (way * moves)[:, None] * push)
+    push, contact = size * np.array([np.cos(heading), np.sin(heading)]), float(clip.launch[T_C])
+    time, xy = clip.frame / clip.fps, clip.xy.copy()
+    for ball, late in ((1, False), (1, True), (0, True)):
+        rows = np.flatnonzero((clip.ball == ball) & ((time > contact) == late))
+        if not len(rows):
+            continue
+        begin = contact if late else float(time[rows].min())
+        since = np.append(time[rows], contact) - begin
+        way = (
+            since[:, None] ** 2 / 2 * push if glides else push_ball(since, *find_slide(since[:-1], clip.xy[rows]), push)
+        )
+        if not late:  # no displacement and, of a ball that rolls there, no slope at the contact
+            slope = (1.0 if glides else ROLLING_SHARE) * push * since[-1]
+            way = way - way[-1] - slope * (since - since[-1])[:, None]
+        xy[rows] += way[:-1]
+    return replace(clip, xy=xy)
+
+
+def find_slide(since: Array, xy: Array) -> tuple[float, Array]:
+    """Find the end of a slide, s, and its acceleration (2,), m/s^2; zero for a ball that rolls all the time."""
+    best = (np.inf, 0.0, np.zeros(2))
+    for end in since[2:]:  # a constant acceleration until then, and none after
+        sliding = np.minimum(since, end)
+        shapes = np.stack([np.ones_like(since), since, sliding * (since - sliding / 2)], axis=-1)
+        parts = np.linalg.lstsq(shapes, xy, rcond=None)[0]
+        best = min(best, (float(((xy - shapes @ parts) ** 2).sum()), float(end), parts[2]), key=lambda fit: fit[0])
+    _, end, pull = best
+    return (end, pull) if np.hypot(*pull) > current_policy().sliding_deceleration_m_s2 else (0.0, np.zeros(2))
+
+
+def push_ball(since: Array, end: float, pull: Array, push: Array) -> Array:
+    """Displace a ball that slides until `end`, by friction `pull`, and then rolls, by a constant push: (n, 2), m.
+
+    The velocity less 2/7 of the slip is that of a ball that rolls: friction does not change it. The push turns the slip
+    and makes the slide longer or shorter.
+    """
+    way = ROLLING_SHARE * since[:, None] ** 2 / 2 * push
+    if not end > 0:
+        return np.asarray(way)
+    rate = np.hypot(*pull) / SLIP_SHARE  # friction takes so much slip away in a second
+    begun = -end * pull / SLIP_SHARE
+
+    def change(_: float, state: Array) -> Array:
+        slip = state[:2]
+        return np.concatenate([push - rate * slip / np.hypot(*slip), slip])
+
+    def remains(_: float, state: Array) -> float:
+        return float(np.hypot(*state[:2]) - 1e-6 * rate * end)
+
+    remains.terminal = True  # type: ignore[attr-defined]
+    start = np.concatenate([begun, np.zeros(2)])
+    path = solve_ivp(change, (0.0, 10 * end), start, events=remains, dense_output=True, rtol=1e-9, atol=1e-12)
+    now = np.minimum(since, end)[:, None]
+    base = begun * (now - now**2 / (2 * end))
+    return np.asarray(way + SLIP_SHARE * (path.sol(np.minimum(since, path.t[-1]))[2:].T - base))
 
 
 def distort(clip: MeasuredCollision, k: float, sign: float) -> MeasuredCollision:
@@ -208,7 +260,7 @@ def list_causes(model: Model) -> Iterator[Cause]:
     unit = 5 / 7 * g if glides else g  # in the model a body without friction rolls
     for degrees in (20, 110, 200):
         name, heading = f"acceleration to {degrees} deg", float(np.radians(degrees))
-        push = partial(accelerate, heading=heading, slides=glides)
+        push = partial(accelerate, heading=heading, glides=glides)
         yield Cause(name, push, "plate_tilt", ("x", "y"), unit, ("force_place",), heading)
     for sign in (1.0, -1.0):
         yield Cause(f"lens {sign:+.0f}", partial(distort, sign=sign), "lens_distortion", ("k1",), sign)

@@ -1,11 +1,18 @@
 """Causes put into tracks of others: a cause has to reach the measurement."""
 
+from dataclasses import replace
+
+import numpy as np
 import pandas as pd
 import pytest
+from discrepancy_clips import blank
 from tracker_local import draw_rows
 
 from benchmarks.real.recordings import RecordedHit
 from benchmarks.search import real_causes
+from discrepancy.data.launch import MEETS_NOTHING
+from discrepancy.fitting.predict import predict_tracks
+from synthcam.model import Model
 from tracker.measurement.local.local_columns import calibrate_set
 
 
@@ -28,3 +35,19 @@ def test_hits_are_measured_with_the_other_mass(monkeypatch, count, lines):
     assert [line["strength"] for line in found] == [0.0, 0.1, -0.1, 0.2, -0.2][:lines]
     if lines:
         assert sorted({one / two for one, two in masses}) == pytest.approx([0.8, 0.9, 1.0, 1.1, 1.2])
+
+
+@pytest.mark.parametrize("slip", [(0.0, 0.0), (0.4, 0.0), (-0.2, 0.3)])
+def test_an_acceleration_moves_a_ball_as_a_tilted_plate_does(slip):
+    """The balls slide, some across their way, and roll in the end. An acceleration of 5/7 throughout fails."""
+    launch = np.array([0.0, 0.0, 0.0, 0.5, 0.3, MEETS_NOTHING, *slip, 0.0])
+    clip = blank(0, launch, np.zeros(2))
+    clip = replace(clip.select(np.flatnonzero(clip.ball == 1)), launch=launch)
+    level = Model().replace({"sliding_friction": 0.05, "rolling_drag": 0.0, "rolling_decel": 0.0})
+    push, heading = 0.1, 1.9
+    tilt = np.arcsin(push / level.gravity * np.array([np.cos(heading), np.sin(heading)]))
+    tilted = level.replace({"plate_tilt.x": tilt[0], "plate_tilt.y": tilt[1]})
+    (straight,), (bent,) = (predict_tracks(model, launch[None], [clip]) for model in (level, tilted))
+    moved = real_causes.accelerate(replace(clip, xy=straight), push, heading, glides=False).xy - straight
+    scale = np.abs(bent - straight).max()
+    assert moved == pytest.approx(bent - straight, abs=0.005 * scale)
