@@ -67,10 +67,9 @@ def minimise_chi2(
     Else the tolerance is 1e-3, with derivatives at the minimum.
 
     useful_chi2: a fit with a larger chi^2 is of no use. The descent ends where a third of the way down to it is more
-    than the last step gained and than the next one promises, and does not begin if the first one promises less; a step
-    that failed does not count.
+    than the last step gained and than the next one promises; a step that failed does not count.
     """
-    damping, tolerance, last, gained = 0.0, 0.1 if rough else 1e-3, False, 0.0
+    damping, tolerance, last, gained = 0.0, 0.1 if rough else 1e-3, False, np.inf
     held = np.zeros(len(fit.residuals))  # damping of single launches
     for _ in range(40):
         progress()

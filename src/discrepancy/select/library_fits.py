@@ -240,12 +240,11 @@ def _realistic_starts(
     scored: CandidateScore,
     shares: Sequence[float] = (0.1, 0.3, 1.0),
     count: int = 2,
-    max_shapes: int = 10,
 ) -> list[ModelFit]:
     """The best starts with the candidate's single strength at shares of a realistic size, all else after one step.
 
     A score test cannot lead to a strength at which the tracks have stopped being linear in it. But it tells which
-    values of the shape parameters are worth a try, at most `max_shapes` of them: a dropped frame has 499.
+    values of the shape parameters are worth a try, at most `SearchPolicy.max_shapes_tried` of them.
     """
     candidate = scored.candidate
     if len(candidate.strengths) > 1:
@@ -253,7 +252,7 @@ def _realistic_starts(
     name = candidate.strengths[0]
     size, (low, high) = find_parameter(fit.model, name).typical, parameter_limits(fit.model, name)
     begun: list[ModelFit] = []
-    grid = list(candidate.grid(fit.model))
+    grid, max_shapes = list(candidate.grid(fit.model)), current_policy().max_shapes_tried
     if len(grid) > max_shapes:
         estimates = ScoreTests.of(evidence, fit, only=[candidate]).estimates()
         grid = [shapes for shapes, _, _ in sorted(estimates, key=lambda trial: -trial[1])[:max_shapes]]

@@ -26,8 +26,6 @@ from synthcam.model import Model
 
 SCORE_ERROR_CHI2 = 15.0  # a score test is only of first order: its chi^2 may be wrong by so much,
 SCORE_ERROR_SHARE = 0.2  # plus this share of the chi^2 that the effect explains
-# an effect whose share of chi^2 is so many times the first error: its rivals are tested after a refit without it
-STRONG_EFFECT = 7.0
 MAX_EXCHANGES = 4  # rivals of one effect that are fitted instead of it
 
 
@@ -230,7 +228,7 @@ def improve_once(library: LibraryFits, state: State) -> State | None:
         reduced: ModelFit | None = None
         without: Candidate | None = candidate
         beside, keys = tests, {frozenset(state): candidate}
-        if rise * SCORE_ERROR_SHARE > STRONG_EFFECT * SCORE_ERROR_CHI2:  # fitted again, the rest leaves less to explain
+        if rise > current_policy().strong_effect_chi2:  # fitted again, the rest leaves less to explain
             beside, without, reduced = library.score_tests(rest), None, library.fit(rest)
         for c in _find_rivals(library, beside, without, fit.chi2):
             key = frozenset({*rest, c.candidate})

@@ -11,6 +11,7 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.noise.model import estimate_noise
+from discrepancy.policy import SearchPolicy, applied_policy
 from discrepancy.select import library_fits as fits_of_library
 from discrepancy.select.library_search import describe_claims
 from discrepancy.select.score_test import ScoreTests
@@ -124,6 +125,7 @@ def test_starts_of_a_real_size_are_tried_at_the_likeliest_shapes_only(monkeypatc
         return step(evidence, fit, model)
 
     monkeypatch.setattr(fits_of_library, "take_one_step", spy)
-    best = fits_of_library._realistic_starts(seen.evidence, seen.base, scored)[0].model
+    with applied_policy(SearchPolicy(max_shapes_tried=10)):
+        best = fits_of_library._realistic_starts(seen.evidence, seen.base, scored)[0].model
     assert len(tried) == 10
     assert (best.value("dropped_frame.frame"), best.value("dropped_frame.lost")) == (40.0, 1.0)
