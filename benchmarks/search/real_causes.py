@@ -41,14 +41,14 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 from tracker.tables.table_options import TableOptions
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from scipy.integrate import solve_ivp
+from scipy.integrate import OdeSolution, solve_ivp
 
 from benchmarks.real.hits import READERS, measure_hit
 from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
@@ -220,9 +220,9 @@ def push_ball(since: Array, end: float, pull: Array, push: Array) -> Array:
     remains.terminal = True  # type: ignore[attr-defined]
     start = np.concatenate([begun, np.zeros(2)])
     path = solve_ivp(change, (0.0, 10 * end), start, events=remains, dense_output=True, rtol=1e-9, atol=1e-12)
-    now = np.minimum(since, end)[:, None]
+    slips, now = cast("OdeSolution", path.sol), np.minimum(since, end)[:, None]
     base = begun * (now - now**2 / (2 * end))
-    return np.asarray(way + SLIP_SHARE * (path.sol(np.minimum(since, path.t[-1]))[2:].T - base))
+    return np.asarray(way + SLIP_SHARE * (slips(np.minimum(since, path.t[-1]))[2:].T - base))
 
 
 def distort(clip: MeasuredCollision, k: float, sign: float) -> MeasuredCollision:
