@@ -29,7 +29,7 @@ class StatedErrors:
     std: float
 
     def covariances(self, camera: Camera, glints: Array, blur: Array) -> tuple[Array, Array]:
-        """Covariances as `GlintErrors` returns them; no part is the same in all frames."""
+        """Covariances as `PredictedGlintErrors` returns them; no part is the same in all frames."""
         return np.tile(self.std**2 * np.eye(2), (len(glints), 1, 1)), np.zeros((len(glints), 2, 2))
 
     def brighter(self, times: float) -> None:
@@ -38,7 +38,7 @@ class StatedErrors:
 
 
 @dataclass(frozen=True)
-class GlintErrors:
+class PredictedGlintErrors:
     """Errors of glints, predicted from the light that reaches the sensor."""
 
     peak: float  # counts above black at the peak of a resting ball's glint, before clipping
@@ -61,12 +61,12 @@ class GlintErrors:
         ground = camera.sensor.black_level + self.room * self.peak
         return localisation_bound(camera, flux, glints, blur, ground), localisation_bound_fixed(camera, flux, glints)
 
-    def brighter(self, times: float) -> GlintErrors:
+    def brighter(self, times: float) -> PredictedGlintErrors:
         """The errors with so many times as much light."""
         return dataclasses.replace(self, peak=times * self.peak)
 
 
-Errors = StatedErrors | GlintErrors
+Errors = StatedErrors | PredictedGlintErrors
 
 
 @dataclass(frozen=True)

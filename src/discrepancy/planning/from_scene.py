@@ -11,7 +11,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.launch import equalise_launches
 from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.parameters import names_to_fit
-from discrepancy.planning.experiment import Errors, Experiment, GlintErrors, StatedErrors, make_unmeasured_clip
+from discrepancy.planning.experiment import Errors, Experiment, PredictedGlintErrors, StatedErrors, make_unmeasured_clip
 from discrepancy.policy import current_policy
 from synthcam.dynamics.launch import SPIN_COLUMNS
 from synthcam.model import Model
@@ -113,4 +113,4 @@ def _errors(clip: Clip, noise_px: float | None, where: str) -> Errors:
         raise InputError(
             f"{where}: surface: the errors of balls under room light cannot be predicted; give them (--noise PX)"
         )
-    return GlintErrors(clip.sensor.glint_peak, clip.room)
+    return PredictedGlintErrors(clip.sensor.glint_peak, clip.room)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from discrepancy.planning.experiment import GlintErrors, StatedErrors
+from discrepancy.planning.experiment import PredictedGlintErrors, StatedErrors
 from tracker.camera.camera import Camera
 
 READ_NOISE = 60.0
@@ -18,20 +18,23 @@ GLINTS = np.array([[100.2, 200.4], [301.0, 50.5]])
 
 def test_a_dim_glint_of_a_wide_lens_follows_the_law_of_background_noise():
     """std = s^2 sqrt(8 pi v) / flux for a spot of width s on pixels of variance v (Thompson, Larson & Webb 2002)."""
-    covariance, fixed = GlintErrors(peak=2.0).covariances(CAMERA, GLINTS, 0 * GLINTS)
+    covariance, fixed = PredictedGlintErrors(peak=2.0).covariances(CAMERA, GLINTS, 0 * GLINTS)
     std = math.sqrt(8 * math.pi * (READ_NOISE**2 + 1 / 12)) / (2 * math.pi * 2.0)
     assert np.sqrt(covariance[:, [0, 1], [0, 1]]) == pytest.approx(std, rel=0.02)
     assert np.all(fixed == 0)
 
 
 def test_twice_the_light_halves_the_errors_of_dim_glints():
-    one, two = (e.covariances(CAMERA, GLINTS, 0 * GLINTS)[0] for e in (GlintErrors(2.0), GlintErrors(2.0).brighter(2)))
+    one, two = (
+        e.covariances(CAMERA, GLINTS, 0 * GLINTS)[0]
+        for e in (PredictedGlintErrors(2.0), PredictedGlintErrors(2.0).brighter(2))
+    )
     assert one == pytest.approx(4 * two, rel=0.02)
 
 
 def test_a_glint_drawn_out_is_placed_worse_along_its_way():
     blur = np.array([[9.0, 0.0]] * 2)
-    still, drawn = (GlintErrors(100.0).covariances(CAMERA, GLINTS, b)[0] for b in (0 * blur, blur))
+    still, drawn = (PredictedGlintErrors(100.0).covariances(CAMERA, GLINTS, b)[0] for b in (0 * blur, blur))
     assert np.all(drawn[:, 0, 0] > 1.2 * still[:, 0, 0])
     assert np.all(drawn[:, 0, 0] > 1.05 * drawn[:, 1, 1])
 
