@@ -268,6 +268,10 @@ def _describe_contact_claim(claim: ContactClaim) -> str:
         share, std = 100 * math.expm1(claim.mean.value), 100 * claim.mean.std
         first = f"Recoil of {several}: the struck body has {share:+.2g} +- {std:.2g} % more mass than stated"
     scatter = f"from contact to contact it scatters by {claim.scatter:.2g}" if claim.scatter else "it does not scatter"
+    if claim.odd:
+        scatter += (
+            f"; {claim.odd} of them {'is' if claim.odd == 1 else 'are'} disturbed, so by another body, and count little"
+        )
     if not claim.causes:
         none = {
             "restitution": "It does not change significantly with speed or obliqueness",

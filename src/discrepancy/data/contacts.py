@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,12 +13,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from discrepancy.arrays import Array, Ints
+from discrepancy.data.side_spins import USUAL_FRICTION, Slip, trace_slips
 from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import remove_shared, shared_effects
-from tracker.measurement.collision.adequacy import MISFIT, TOGETHER
+from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER
 from tracker.measurement.local.recommendation import NONE, recommend
 from tracker.recording import Result
 from tracker.results import read_clip
+from tracker.results import read_contacts as read_all_contacts
 
 NAMES = ("v0", "b", "r", "s", "mass_ratio")  # what is read of the local estimate
 NEEDED = ("v0_local", "b_local", "r_local", "s_local", "mass_ratio", "local", "local_shared", "status")
@@ -33,10 +36,13 @@ class Contacts:
     """
 
     clip: Ints  # (n,)
+    bodies: Ints  # (n, 2): the tracker's ids of the struck and the striking body in a film of a crowd; -1 in others
     a_strikes: NDArray[np.bool_]  # (n,): whether ball a of the camera file strikes
     glides: NDArray[np.bool_]  # (n,): whether the bodies glide, and do not roll
     speed_n: Array
     speed_t: Array
+    slip_t: Array  # of the surfaces, across the line of centres in the plane, with the sign of the velocity, m/s
+    slip: Array  # its size, with the vertical part, m/s
     restitution: Array
     restitution_std: Array
     friction: Array
@@ -46,14 +52,25 @@ class Contacts:
     shared: Array  # (n, 3, k): changes of QUANTITIES by one standard error of each error that several contacts share
 
     @classmethod
-    def of(cls, rows: Iterable[Mapping[Any, Any]], stated: Mapping[int, float] | None = None) -> Self:
+    def of(
+        cls,
+        rows: Iterable[Mapping[Any, Any]],
+        stated: Mapping[int, float] | None = None,
+        slips: Mapping[int, Mapping[int, Slip]] | None = None,
+    ) -> Self:
         """Take them from rows of the estimates; stated: mass of ball a over that of b by clip, default 1.
+
+        slips: of films of a crowd, by clip and number of the collision.
 
         Rows without a usable local estimate are left out, such as those whose momentum is not conserved.
         """
         every = [row for row in rows if _is_usable(row)]
         read = [_read_row(row, (stated or {}).get(int(row["clip"]), 1.0)) for row in every]
+        for one, row in zip(read, every, strict=True):
+            if row["status"] == CROWD:
+                one |= _read_slip(row, (slips or {}).get(int(row["clip"]), {}), one["friction_std"])
         columns = {f.name: np.array([row[f.name] for row in read]) for f in fields(cls) if f.name != "shared"}
+        columns["bodies"] = columns["bodies"].reshape(-1, 2).astype(np.int64)
         changes = np.array([_differentiate_quantities(row) for row in every]).reshape(-1, len(QUANTITIES), len(NAMES))
         table = pd.DataFrame({"local_shared": [row["local_shared"] for row in every], "fit": "local"})
         return cls(**columns, shared=changes @ shared_effects(table, NAMES))
@@ -66,6 +83,11 @@ class Contacts:
         """Speed of approach, m/s."""
         return np.hypot(self.speed_n, self.speed_t)
 
+    @property
+    def of_crowd(self) -> NDArray[np.bool_]:
+        """Whether a contact (n,) is one of a crowd, in which a third body may meet two that are measured."""
+        return np.asarray(self.bodies[:, 0] >= 0)
+
     def select(self, rows: NDArray[np.bool_]) -> Self:
         """Some of the contacts."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
@@ -77,10 +99,15 @@ class Contacts:
 
 
 def _is_usable(row: Mapping[Any, Any]) -> bool:
-    """Decide by the rule of the tracker, as if there were no tied fit."""
+    """Decide by the rule of the tracker, as if there were no tied fit.
+
+    In a crowd one ball may be heavier than the others, so contacts whose balance of momentum differs from that of the
+    film stay.
+    """
     if row["status"] == TOGETHER or not (_is_known(row, "v0_local") and _is_known(row, "b_local")):
         return False
-    return recommend({**row, "status": MISFIT})["recommended"] != NONE
+    hits = {"local_hits": 0} if row["status"] == CROWD else {}
+    return recommend({**row, "status": MISFIT, **hits})["recommended"] != NONE
 
 
 def _is_known(row: Mapping[Any, Any], name: str) -> bool:
@@ -113,12 +140,16 @@ def _read_row(row: Mapping[Any, Any], stated: float) -> dict[str, float]:
     told = 1 / stated if row["striker"] == "a" else stated
     speed_n, speed_t = v0 * np.sqrt(max(1 - b * b, 0.0)), v0 * abs(b)
     by_b, by_r, by_s = _differentiate_quantities(row)[1, 1:4]
+    glides = row.get("motion_local") == "glide"
     return {
         "clip": int(row["clip"]),
+        "bodies": (-1, -1),
         "a_strikes": row["striker"] == "a",
-        "glides": row.get("motion_local") == "glide",
+        "glides": glides,
         "speed_n": speed_n,
         "speed_t": speed_t,
+        "slip_t": speed_t,
+        "slip": speed_t if glides else v0,  # a rolling striker's surface moves down at about its speed
         "restitution": r,
         "restitution_std": r_std,
         "friction": (1 - s) * speed_t / ((1 + r) * speed_n),
@@ -128,28 +159,65 @@ def _read_row(row: Mapping[Any, Any], stated: float) -> dict[str, float]:
     }
 
 
+def _read_slip(
+    row: Mapping[Any, Any], slips: Mapping[int, Slip], friction_std: float, *, max_slip_error: float = 0.5
+) -> dict[str, Any]:
+    """The columns of a contact of a crowd that depend on the spins of its balls; NaN where these are not known.
+
+    friction_std: by s, where the tracks show it; the covariance of s is known, that of the velocities is not.
+    max_slip_error: over the slip, up to which it is known.
+    """
+    out: dict[str, Any] = {"bodies": (int(row["particle1"]), int(row["particle2"]))}
+    slip = slips.get(int(row["collision"]))
+    if slip is None or not slip.across_std < max_slip_error * slip.size:
+        return out | dict.fromkeys(("slip_t", "slip", "friction", "friction_std"), np.nan)
+    out |= {"slip_t": slip.across, "slip": slip.size}
+    if not np.isfinite(friction_std):
+        out["friction"], friction_std = slip.friction, slip.friction_std
+    by_slip = USUAL_FRICTION * slip.across_std / slip.size
+    return out | {"friction_std": float(np.hypot(friction_std, by_slip))}
+
+
 def read_contacts(measured: Path | Sequence[Result] | pd.DataFrame) -> Contacts:
     """Read contacts as evidence on the impact, from a tracker's RESULTS or results in memory; none from a table."""
     if isinstance(measured, pd.DataFrame) or (isinstance(measured, Path) and not measured.is_dir()):
         return Contacts.of([])
-    rows, stated = list[dict[Any, Any]](), dict[int, float]()
-    for number, table, ratio in _iterate_estimates(measured):
-        rows += table.to_dict("records")
+    rows, stated, slips = list[dict[Any, Any]](), dict[int, float](), dict[int, dict[int, Slip]]()
+    for number, table, ratio, read_all in _iterate_estimates(measured):
+        own = table.to_dict("records")
+        rows += own
         stated[number] = ratio
-    return Contacts.of(rows, stated)
+        if (table["status"] == CROWD).any():
+            slips[number] = trace_slips(own, read_all())
+    return Contacts.of(rows, stated, slips)
 
 
-def _iterate_estimates(measured: Path | Sequence[Result]) -> Iterator[tuple[int, pd.DataFrame, float]]:
-    """Iterate over the clips that have local estimates: number, rows, and the mass ratio of the camera file."""
+def _iterate_estimates(
+    measured: Path | Sequence[Result],
+) -> Iterator[tuple[int, pd.DataFrame, float, Callable[[], pd.DataFrame]]]:
+    """Iterate over the clips that have local estimates.
+
+    Yields number, rows, the mass ratio of the camera file, and a function that gives the contacts of a crowd.
+    """
     if isinstance(measured, Path):
         table = pd.read_parquet(measured / "estimates.parquet")
         if set(NEEDED) <= set(table):
             for number, rows in table.groupby("clip"):
-                yield int(str(number)), rows, _stated_ratio(read_clip(measured, int(str(number)))[1])
+                clip = int(str(number))
+                yield (
+                    clip,
+                    rows,
+                    _stated_ratio(read_clip(measured, clip)[1]),
+                    partial(read_all_contacts, measured, clip),
+                )
         return
     for k, result in enumerate(measured):
         if set(NEEDED) <= set(result.estimates):
-            yield k, result.estimates.assign(clip=k), _stated_ratio(result.camera)
+            yield k, result.estimates.assign(clip=k), _stated_ratio(result.camera), partial(_get_contacts, result)
+
+
+def _get_contacts(result: Result) -> pd.DataFrame:
+    return result.contacts
 
 
 def _stated_ratio(camera: Camera) -> float:

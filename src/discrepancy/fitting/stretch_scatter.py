@@ -58,12 +58,18 @@ NO_SCATTER = StretchScatter()
 
 
 def fit_scatter(
-    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, max_clips: int = 40, max_to_noise: float = 10.0
+    clips: Sequence[MeasuredCollision],
+    fit: ModelFit,
+    noise: Noise,
+    max_clips: int = 40,
+    max_to_noise: float = 10.0,
+    max_positions: int = 2500,
 ) -> StretchScatter:
     """Fit the scatter from stretch to stretch to the residuals of a fit of these clips that was made with `noise`.
 
     max_clips: evenly spread, they determine the sizes well enough. max_to_noise: the largest displacement; what exceeds
-    it is motion that the model lacks.
+    it is motion that the model lacks. max_positions: of stretches that are compared with a map; memory grows as the
+    square.
 
     All are zero if together they gain less in -2 log likelihood than `SearchPolicy.min_noise_gain`, and 2 for each size
     more. Else each keeps its most likely value: without a real scatter of one size, claims would be too significant.
@@ -104,8 +110,19 @@ def fit_scatter(
     found = replace(found, **dict.fromkeys(silent, 0.0))
     if not found.displacement_m:
         return found
-    some = [RestrictedResiduals.of(clips, fit, noise, [k]).columns[0] for k in indices]
-    return replace(found, map_log_ratio=_compare_with_map(bare, some, moves, found, noise))
+    some = _choose_evenly([len(clip.frame) for clip in bare], max_positions)
+    columns = [RestrictedResiduals.of(clips, fit, noise, [indices[k]]).columns[0] for k in some]
+    chosen, pushed = [bare[k] for k in some], [moves[k] for k in some]
+    return replace(found, map_log_ratio=_compare_with_map(chosen, columns, pushed, found, noise))
+
+
+def _choose_evenly(sizes: Sequence[int], most: int) -> list[int]:
+    """Choose, evenly spread, as many stretches of these sizes as have at most so many positions together, or one."""
+    for count in range(len(sizes), 1, -1):
+        chosen = np.linspace(0, len(sizes) - 1, count).astype(int).tolist()
+        if sum(sizes[k] for k in chosen) <= most:
+            return list(chosen)
+    return [int(np.argmin(sizes))]
 
 
 def _compare_with_map(

@@ -11,14 +11,21 @@ covariance. Each quantity has a few laws, the simplest first. A law with more nu
   contacts share are left out of this test.
 
 The same contacts cannot distinguish all causes. Such causes are named together.
+
+In a film of a crowd a third body may meet two balls within a frame. Then the estimate of their contact is wrong by far
+more than its error. So each contact of a crowd has a probability ODD_SHARE to be odd, with a wide error. A law pays for
+each contact that it takes as odd. Each ball may be the heavier one, and trying them all is paid for as well.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from discrepancy.arrays import Array, Ints
@@ -26,18 +33,28 @@ from discrepancy.data.contacts import Contacts
 from discrepancy.policy import current_policy
 from tracker.measurement.random_effects import fit_random_effects
 
+ODD_SHARE = 0.05  # of the contacts of a crowd that a third body disturbs; 2 of 48 and 1 of 33 in two films of thirty
+ODD_ERROR = 0.3  # standard error of restitution, friction and recoil of such a contact
+ODD_PRICE = 2 * math.log(1 / ODD_SHARE - 1)  # of an odd contact, in -2 log likelihood
+
 
 @dataclass(frozen=True)
 class ContactLaw:
     """A law of a quantity: its design (n, p) for n contacts, and the names of its numbers with their units.
 
-    causes: the effects that make this law.
+    causes: the effects that make this law. trials: how many laws of this kind are tried.
     """
 
     name: str
     design: Callable[[Contacts], Array]
     numbers: tuple[tuple[str, str], ...]
     causes: tuple[str, ...] = ()
+    trials: int = 1
+
+    @property
+    def price(self) -> float:
+        """What it costs in -2 log likelihood that its kind is one of several."""
+        return 2 * math.log(self.trials)
 
 
 @dataclass(frozen=True)
@@ -56,7 +73,8 @@ class ContactClaim:
 
     causes: effects that make this law or one that fits as well; empty for the simplest law. scatter: standard deviation
     from contact to contact, beyond the errors. sigma: by the likelihood, over the simplest law. left_out_sigma: of the
-    gain on contacts that are left out. rivals: laws that are not worse by `SearchPolicy.rival_excluded_chi2`.
+    gain on contacts that are left out. rivals: laws that are not worse by `SearchPolicy.rival_excluded_chi2`. odd: how
+    many contacts of a crowd count with a wide error.
     """
 
     quantity: str
@@ -69,6 +87,7 @@ class ContactClaim:
     left_out_sigma: float
     rivals: tuple[str, ...]
     mean: ContactNumber  # of the quantity, whatever its law
+    odd: int = 0
 
 
 def _ones(contacts: Contacts) -> Array:
@@ -88,8 +107,8 @@ def _nothing(contacts: Contacts) -> Array:
 
 
 def _steepness(contacts: Contacts) -> Array:
-    """The friction that would stop the tangential velocity of the centres."""
-    return np.asarray((contacts.speed_t / ((1 + contacts.restitution) * contacts.speed_n))[:, None])
+    """The friction that would stop the tangential velocity of the surfaces, as if the balls could not turn."""
+    return np.asarray((contacts.slip_t / ((1 + contacts.restitution) * contacts.speed_n))[:, None])
 
 
 def _across(contacts: Contacts) -> Array:
@@ -97,16 +116,21 @@ def _across(contacts: Contacts) -> Array:
 
     The surface of a rolling striker also moves down at the contact, at about its speed; that of a disc does not.
     """
-    return np.where(contacts.glides, 1.0, contacts.speed_t / contacts.speed)[:, None]
+    return np.asarray((contacts.slip_t / np.maximum(contacts.slip, 1e-9))[:, None])
 
 
 def _across_falling(contacts: Contacts) -> Array:
-    slip = np.maximum(np.where(contacts.glides, contacts.speed_t, contacts.speed), 1e-3)
+    slip = np.maximum(contacts.slip, 1e-3)
     return np.asarray(_across(contacts) * np.column_stack([np.ones(len(slip)), -np.log(slip / np.median(slip))]))
 
 
 def _by_body(contacts: Contacts) -> Array:
     return np.where(contacts.a_strikes, -1.0, 1.0)[:, None]
+
+
+def _of_ball(ball: int, contacts: Contacts) -> Array:
+    struck, striking = contacts.bodies.T
+    return np.asarray(((struck == ball) * 1.0 - (striking == ball))[:, None])
 
 
 # The errors of b and r are in the friction and in the regressor of a share, so the data favour a share. Name both.
@@ -156,26 +180,52 @@ def examine_contacts(contacts: Contacts, least: int = 8) -> tuple[ContactClaim, 
         value, std = getattr(contacts, quantity), getattr(contacts, f"{quantity}_std")
         usable = np.isfinite(value) & np.isfinite(std)
         if usable.sum() >= least:
-            found.append(_choose_law(quantity, contacts.select(usable), laws, least))
+            some = contacts.select(usable)
+            found.append(_choose_law(quantity, some, _list_laws(quantity, some, laws), least))
     return tuple(found)
+
+
+def _list_laws(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], least: int = 2) -> Sequence[ContactLaw]:
+    """The laws of a quantity; each ball of one crowd that has `least` contacts may be heavier, instead of ball a."""
+    if quantity != "recoil" or not contacts.of_crowd.all():
+        return laws
+    balls, counts = np.unique(contacts.bodies, return_counts=True)
+    several = len(np.unique(contacts.clip)) > 1  # its tracks are other balls in the next clip
+    tried = [] if several else balls[counts >= least].tolist()
+    return laws[0], *(
+        ContactLaw(
+            f"ball {ball} is heavier by a share",
+            partial(_of_ball, ball),
+            (("log of the ratio", "1"),),
+            ("mass_mismatch",),
+            len(tried),
+        )
+        for ball in tried
+    )
 
 
 def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], least: int) -> ContactClaim:
     policy = current_policy()
     value, (std, shared) = getattr(contacts, quantity), contacts.split_errors(quantity)
-    fits = [_Fit.of(value, std, shared, law.design(contacts)) for law in laws]
-    costs = [fit.cost + policy.min_noise_gain * fit.design.shape[1] for fit in fits]
-    sigmas = [float(np.sqrt(max(fits[0].cost - fit.cost, 0.0))) for fit in fits]
+    fits = [_Fit.of(value, std, shared, law.design(contacts), contacts.of_crowd) for law in laws]
+    sign = np.sign(contacts.slip_t) if quantity == "friction" else 1.0  # friction opposes the slip
+    costs = [f.cost + policy.min_noise_gain * f.design.shape[1] + law.price for f, law in zip(fits, laws, strict=True)]
+    sigmas = [
+        float(np.sqrt(max(fits[0].cost - fit.cost - law.price, 0.0))) for fit, law in zip(fits, laws, strict=True)
+    ]
     recordings = contacts.clip if len(np.unique(contacts.clip)) >= least else np.arange(len(value))
     gains = [fits[0].compare(fit, recordings) for fit in fits]
     usable = [
-        gain > 1 and sigma > policy.min_claim_sigma and (quantity == "recoil" or fit.is_positive)
+        gain > 1
+        and sigma > policy.min_claim_sigma
+        and (quantity == "recoil" or bool((sign * fit.predict() >= 0).all()))
         for fit, gain, sigma in zip(fits, gains, sigmas, strict=True)
     ]
     best = min((k for k in range(len(fits)) if k == 0 or usable[k]), key=lambda k: costs[k])
     limit = costs[best] + policy.rival_excluded_chi2
     near = [k for k in range(1, len(fits)) if k != best and usable[k] and costs[k] < limit]
     fit, law = fits[best], laws[best]
+    std = np.where(fit.odd, np.hypot(std, ODD_ERROR), std)
     return ContactClaim(
         quantity=quantity,
         law=law.name,
@@ -187,6 +237,7 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
         left_out_sigma=gains[best],
         rivals=tuple(laws[k].name for k in near) if best else (),
         mean=_fit_numbers(value, std, shared, _ones(contacts), ((f"mean {quantity}", "1"),))[0],
+        odd=int(fit.odd.sum()),
     )
 
 
@@ -202,7 +253,7 @@ def _fit_numbers(
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A regression with the most likely scatter; cost: -2 log likelihood."""
+    """A regression with the most likely scatter; cost: -2 log likelihood, with the price of odd values."""
 
     value: Array
     variance: Array  # of each value alone, with the scatter
@@ -210,25 +261,39 @@ class _Fit:
     design: Array
     scatter: float
     cost: float
+    odd: NDArray[np.bool_]  # (n,): whether a value has a wide error
 
     @classmethod
-    def of(cls, value: Array, std: Array, shared: Array, design: Array) -> _Fit:
+    def of(cls, value: Array, std: Array, shared: Array, design: Array, may_be_odd: NDArray[np.bool_]) -> _Fit:
+        """Fit the scatter, and take values (n,) that may be odd as such, one after the other, while that costs less."""
+        odd = np.zeros(len(value), dtype=bool)
+        fit = cls._of(value, std, shared, design, odd)
+        while (may_be_odd & ~odd).any():
+            one = odd.copy()
+            one[np.argmax(np.where(may_be_odd & ~odd, fit._left_out_squares(), -1.0))] = True
+            other = cls._of(value, std, shared, design, one)
+            if other.cost >= fit.cost:
+                break
+            fit, odd = other, one
+        return fit
+
+    @classmethod
+    def _of(cls, value: Array, own: Array, shared: Array, design: Array, odd: NDArray[np.bool_]) -> _Fit:
+        std, price = np.where(odd, np.hypot(own, ODD_ERROR), own), ODD_PRICE * float(odd.sum())
 
         def cost(log_scatter: float) -> float:
             return _cost(value, std**2 + np.exp(2 * log_scatter), shared, design)
 
-        size = float(np.std(value)) + float(np.median(std))
+        size = float(np.std(value[~odd])) + float(np.median(std[~odd])) if not odd.all() else ODD_ERROR
         best = minimize_scalar(cost, bounds=(np.log(1e-4 * size), np.log(10 * size)), method="bounded")
         none = _cost(value, std**2, shared, design)
         scatter = float(np.exp(best.x)) if best.fun < none - 1e-6 else 0.0
-        return cls(value, std**2 + scatter**2, shared, design, scatter, min(float(best.fun), none))
+        return cls(value, std**2 + scatter**2, shared, design, scatter, min(float(best.fun), none) + price, odd)
 
-    @property
-    def is_positive(self) -> bool:
-        """True if no predicted value is below zero."""
+    def predict(self) -> Array:
+        """Predict the values (n,) by the law."""
         white = _whiten(self.variance, self.shared, self.value, self.design)[0]
-        solution = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
-        return bool((self.design @ solution >= 0).all())
+        return np.asarray(self.design @ np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0])
 
     def compare(self, other: _Fit, recordings: Ints) -> float:
         """Sigma, by its scatter between recordings, of the gain of another fit on values that were left out."""
@@ -242,12 +307,20 @@ class _Fit:
 
         The scatter is that of all values.
         """
+        squares, share = self._leave_out()
+        return np.asarray(-0.5 * (squares + np.log(self.variance / share) + ODD_PRICE * self.odd))
+
+    def _left_out_squares(self) -> Array:
+        """Squares of the deviations (n,) of each value from its prediction by all others, over their variances."""
+        return self._leave_out()[0]
+
+    def _leave_out(self) -> tuple[Array, Array]:
         root = 1 / np.sqrt(self.variance)
         q, _ = np.linalg.qr(self.design * root[:, None])
         share = 1 - np.minimum((q**2).sum(axis=1), 0.999)
         left = self.value * root
         left = left - q @ (q.T @ left)
-        return np.asarray(-0.5 * (left**2 / share + np.log(self.variance / share)))
+        return np.asarray(left**2 / share), share
 
 
 def _cost(value: Array, variance: Array, shared: Array, design: Array) -> float:

@@ -19,10 +19,13 @@ def draw(count=60, seed=1, shared=None, **laws):
     speed, sine = rng.uniform(0.3, 1.5, count), rng.uniform(0.05, 0.8, count)
     values = {
         "clip": np.arange(count),
+        "bodies": np.full((count, 2), -1),
         "a_strikes": rng.random(count) < 0.5,
         "glides": np.zeros(count, dtype=bool),
         "speed_n": speed * np.sqrt(1 - sine**2),
         "speed_t": speed * sine,
+        "slip_t": speed * sine,
+        "slip": speed,
     }
     empty = {f"{name}{end}": np.full(count, 0.8) for name in ERROR for end in ("", "_std")}
     plain = Contacts(**values, **empty, shared=np.zeros((count, 3, 0)))
@@ -110,3 +113,53 @@ def test_an_effect_of_three_sigma_is_not_named():
     shown = [law_of(draw(seed=k, recoil=lambda c: 0.0095, count=60), "recoil") for k in range(10)]
     assert all(claim.sigma > 4 for claim in shown if claim.causes)
     assert sum(not claim.causes for claim in shown) >= 6
+
+
+def crowd(contacts, balls=20, seed=2):
+    """The same contacts as those of one film of so many balls."""
+    rng = np.random.default_rng(seed)
+    pairs = np.array([rng.permutation(balls)[:2] for _ in range(len(contacts))])
+    return dataclasses.replace(contacts, clip=np.zeros(len(contacts), dtype=int), bodies=pairs)
+
+
+def make_heavier(contacts, ball, share):
+    """Contacts in which this ball recoils as if its mass had so much more logarithm."""
+    struck, striking = contacts.bodies.T
+    return dataclasses.replace(contacts, recoil=contacts.recoil + share * ((struck == ball) * 1.0 - (striking == ball)))
+
+
+def test_one_heavier_ball_of_a_crowd_is_named():
+    contacts = make_heavier(crowd(draw()), 7, 0.2)
+    assert (contacts.bodies == 7).sum() > 4
+    claim = law_of(contacts, "recoil")
+    assert (claim.law, claim.causes) == ("ball 7 is heavier by a share", ("mass_mismatch",))
+    assert abs(claim.numbers[0].value - 0.2) < 3.5 * claim.numbers[0].std
+    two_films = dataclasses.replace(contacts, clip=np.arange(len(contacts)) % 2)
+    assert not law_of(two_films, "recoil").causes  # its tracks are other balls in the other film
+
+
+def test_no_ball_of_an_equal_crowd_is_named():
+    films = [crowd(draw(count=30, seed=seed), balls=12) for seed in range(12)]
+    assert not any(law_of(film, "recoil").causes for film in films)
+
+
+def test_contacts_that_a_third_body_disturbs_hide_no_law():
+    contacts = crowd(draw(restitution=lambda c: 0.95 - 0.12 * c.speed_n))
+    disturbed = contacts.restitution.copy()
+    disturbed[[3, 30, 44]] -= [0.4, 0.3, 0.5]
+    claim = law_of(dataclasses.replace(contacts, restitution=disturbed), "restitution")
+    assert claim.causes == ("velocity_restitution",)
+    assert claim.odd == 3
+    assert abs(claim.numbers[1].value + 0.12) < 3.5 * claim.numbers[1].std
+    alone = dataclasses.replace(contacts, restitution=disturbed, bodies=np.full_like(contacts.bodies, -1))
+    assert law_of(alone, "restitution").odd == 0  # two bodies that meet alone have no third one
+
+
+def test_friction_against_the_velocity_across_is_that_of_a_turning_ball():
+    """A ball that turns fast drags the other along; friction then has the sign of the slip, not of the velocity."""
+    contacts = draw(friction=lambda c: 0.2 * c.speed_t / c.speed)
+    signs = np.where(np.arange(len(contacts)) % 2, 1.0, -1.0)
+    turned = dataclasses.replace(contacts, slip_t=signs * contacts.slip_t, friction=signs * contacts.friction)
+    claim = law_of(turned, "friction")
+    assert claim.law == "Coulomb friction"
+    assert claim.numbers[0].value == pytest.approx(law_of(contacts, "friction").numbers[0].value)

@@ -1,0 +1,71 @@
+"""Spins that are traced through the contacts of a crowd against those of the simulation."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from discrepancy.data.side_spins import trace_slips
+from synthcam import Scene
+
+AXES = (("1i", "j", "before"), ("2i", "i", "before"), ("1o", "j", "after"), ("2o", "i", "after"))
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Contacts of a simulated crowd: rows of estimates without errors, contacts.parquet, and the true slips."""
+    motion = Scene.read("crowd", timing={"frames": 100}).draw(seed=2).solve()
+    events = motion.events[motion.events.kind == "contact"].reset_index(drop=True)
+    rows, slips = [], []
+    for number, event in enumerate(events.itertuples()):
+        states = {
+            name: motion.at([time]).set_index("particle")
+            for name, time in (("before", event.t_s - 1e-9), ("after", event.t_s))
+        }
+        row = {"collision": number}
+        for column, ball, side in AXES:
+            state = states[side].loc[getattr(event, ball)]
+            row |= {f"v{column}x_local": state.vx, f"v{column}y_local": state.vy}
+        one, two = (states["before"].loc[ball] for ball in (event.j, event.i))
+        normal = np.array([one.x - two.x, one.y - two.y])
+        normal /= np.hypot(*normal)
+        tangent, radius = np.array([-normal[1], normal[0]]), 0.00119
+        into = np.array([two.vx - one.vx, two.vy - one.vy])
+        out = np.array([row[f"v1o{axis}_local"] - row[f"v2o{axis}_local"] for axis in "xy"])
+        v0 = np.hypot(*into)
+        row |= {"v0_local": v0, "b_local": into @ tangent / v0, "r_local": out @ normal / (into @ normal)}
+        rows.append(row | {f"{name}_std": 1e-9 for name in row if name.endswith("_local")})
+        spins = one[["wx", "wy"]] + two[["wx", "wy"]]
+        vertical = radius * (spins.wx * normal[1] - spins.wy * normal[0])
+        across = into @ tangent + radius * (one.wz + two.wz)
+        sign = 1 if into @ tangent >= 0 else -1
+        slips.append(
+            (sign * across, np.hypot(across, vertical), event.impulse_t, event.impulse_n, radius * (one.wz + two.wz))
+        )
+    table = pd.DataFrame(
+        {"t_s": events.t_s, "collision": range(len(events)), "particle1": events.j, "particle2": events.i, "kick": 0.1}
+    )
+    return rows, table, np.array(slips)
+
+
+def test_slips_are_those_of_the_simulation(truth):
+    rows, table, true = truth
+    found = trace_slips(rows, table)
+    assert np.abs(true[:, 4]).max() > 0.02  # m/s: some balls turn
+    across = np.array([found[k].across for k in range(len(rows))])
+    assert across == pytest.approx(true[:, 0], abs=1e-6)
+    friction = np.array([found[k].friction for k in range(len(rows))])
+    assert np.abs(friction) == pytest.approx(np.abs(true[:, 2] / true[:, 3]), rel=1e-3, abs=1e-6)
+    rolls = np.abs(true[:, 1] - [found[k].size for k in range(len(rows))]) < 1e-3
+    assert rolls.mean() > 0.5  # the others still slide from a contact before
+
+
+def test_a_contact_without_an_estimate_leaves_the_spin_uncertain(truth):
+    rows, table, true = truth
+    turned = int(np.argmax(np.abs(true[:, 4])))
+    balls = set(table.loc[turned, ["particle1", "particle2"]])
+    before = max(k for k in range(turned) if balls & set(table.loc[k, ["particle1", "particle2"]]))
+    known = trace_slips(rows, table)[turned]
+    lost = trace_slips([row | {"v0_local": np.nan} if k == before else row for k, row in enumerate(rows)], table)
+    assert before not in lost
+    assert known.across_std < 1e-6
+    assert lost[turned].across_std == pytest.approx(2.5 * 0.15 * 0.1, rel=0.01)
