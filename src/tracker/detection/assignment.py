@@ -185,9 +185,12 @@ def _uncross(
     *,
     overlap: float = 0.8,
 ) -> tuple[Ints, Ints]:
-    """The links, with those of two new balls exchanged that would pass through one another, and exchanged less nearly.
+    """The links, with those of two new balls exchanged that would pass through one another, and exchanged would not.
 
-    A hit before the second frame hides the first step of both, so that likelihoods may prefer such an exchange.
+    A hit before the second frame hides the first step of both, so that likelihoods may prefer such an exchange. The
+    right links of two balls that hit once never pass through one another: both places of one ball, seen from the
+    other, lie beyond the tangent at the contact. If they pass through one another either way, a third body or a wall
+    was hit too, and the likelihood decides.
 
     links: balls, and their columns of `near`. overlap: diameters to which balls may seem to come near one another.
     """
@@ -198,7 +201,8 @@ def _uncross(
     start, end = before.xy[ball[j]] - before.xy[ball[i]], found[seen[j]] - found[seen[i]]
     through, past = _find_least_distance(start, end), _find_least_distance(start, -end)
     column = column.copy()
-    for k in np.flatnonzero((through < overlap * noise.diameter) & (past > through)).tolist():
+    least = overlap * noise.diameter
+    for k in np.flatnonzero((through < least) & (past >= least)).tolist():
         pair = [i[k], j[k]]
         if (near[ball[pair], column[pair]] != seen[pair]).any():
             continue  # exchanged before

@@ -119,6 +119,33 @@ def test_balls_enter_and_leave():
     assert truth[0] == 1
 
 
+def draw_early_hits(rng, count):
+    """Paths (2, 2, 2) of two balls that hit one another before the second frame, and lose any share of their speed."""
+    diameter = CAM.diameter_px
+    while count:
+        start, velocity = rng.uniform(-2, 2, 2) * diameter, rng.normal(0, 1, (2, 2)) * diameter
+        relative, gap = velocity[1] - velocity[0], start @ start - diameter**2
+        a, b = relative @ relative, start @ relative
+        root = b * b - a * gap
+        if gap < 0 or b > 0 or root < 0 or (when := (-b - np.sqrt(root)) / a) > 1:
+            continue
+        normal = (start + when * relative) / diameter
+        kick = (1 + rng.uniform(0, 1)) / 2 * (relative @ normal) * normal
+        after = velocity + np.array([kick, -kick])
+        first = np.array([[0, 0], start])
+        yield np.array([first, first + when * velocity + (1 - when) * after])
+        count -= 1
+
+
+def test_right_links_of_two_balls_that_hit_once_never_pass_through_one_another():
+    """So the rule that exchanges new balls makes no error unless a third body takes part, and repairs most links."""
+    from_one = np.array([paths[:, 1] - paths[:, 0] for paths in draw_early_hits(np.random.default_rng(4), 400)])
+    start, end = from_one[:, 0] / CAM.diameter_px, from_one[:, 1] / CAM.diameter_px
+    right, wrong = (assignment._find_least_distance(start, sign * end) for sign in (1, -1))
+    assert right.min() > 1 - 1e-9
+    assert ((wrong < 0.8) & (right >= 0.8)).mean() > 0.6
+
+
 def test_three_balls_cross():
     rng = np.random.default_rng(4)
     two = collision(50, contact=20.3, speed=12.0, centre=(320.0, 240.0))
