@@ -80,7 +80,7 @@ LAYERS = {
         "lamp psf",
         "reflections surface",
         "pinhole",
-        "glints plate exposure",
+        "glints plate exposure occlusion",
         "renderer sensor",
         "render room",
     ],

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from synthcam.camera.occlusion import hidden_shares
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
 from synthcam.dynamics.contacts.impact import join_inertia
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
@@ -97,14 +98,15 @@ def tracks(
     """Make the true tracks, the table `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure.
 
     x_mean_px, y_mean_px are means over the exposure. turning: of balls with a pattern. every: of every n-th frame only.
-    heights: of discs, m, which mirror nothing: their glint is NaN; 0 of balls.
+    heights: of discs, m, which mirror nothing: their glint is NaN, and so is what hides them; 0 of balls.
     """
     spans, camera, numbers = view.spans(range(0, frames, every)), view.camera, np.arange(0, frames, every)
     times = view.times(spans.mean(axis=1))
     states = view.at_own_times(times)
     kinds = view.kinds(times)
     means = view.mean(spans, lambda states: camera.project(states[..., :3]))
-    balls = []
+    balls, discs = [], np.zeros(len(states), dtype=bool) if heights is None else heights > 0
+    hidden = hidden_shares(camera, states[..., :3], np.where(discs, np.nan, bodies.radius))
     for ball in range(len(states)):
         state, radius = states[ball], float(bodies.radius[ball])
         height = 0.0 if heights is None else float(heights[ball])
@@ -115,6 +117,7 @@ def tracks(
         columns |= dict(zip(STATE_COLUMNS, state.T, strict=True))
         columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
         columns |= {"state": kinds[ball], "visible": _is_whole(camera, state[:, :3], radius, height)}
+        columns["hidden"] = hidden[ball]
         if turning:
             columns |= dict(zip("qx qy qz qw".split(), turning.at(ball, times[ball]).as_quat().T, strict=True))
         balls.append(columns)

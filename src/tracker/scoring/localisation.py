@@ -58,14 +58,22 @@ class MatchedDetections:
         return np.asarray(pace.reindex(self.truth.index).to_numpy(float)[self.pairs[:, 0]] > min_motion_px)
 
 
+def find_whole(truth: pd.DataFrame, *, max_hidden: float = 0.5) -> NDArray[np.bool_]:
+    """Find the rows (n,) of true tracks whose balls have to be found: in view, and not hidden by more than a share."""
+    whole = truth["visible"].to_numpy(bool)
+    if "hidden" not in truth:
+        return whole
+    return np.asarray(whole & ~(truth["hidden"].to_numpy(float) > max_hidden))
+
+
 def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> MatchedDetections:
     """Match detected positions (frame, x, y px) with true ones (frame, x_mean_px, y_mean_px, visible) by frame.
 
-    `gate` is the largest distance of a pair, `ball_px` the diameter of a ball, px. A ball partly out of view need not
-    be found, and a detection on it does not count.
+    `gate` is the largest distance of a pair, `ball_px` the diameter of a ball, px. A ball partly out of view, or more
+    than half hidden by others (column hidden, if there is one), need not be found. A detection on it does not count.
     """
     position, seen = _true(truth), _xy(found)
-    whole = truth["visible"].to_numpy(bool)
+    whole = find_whole(truth)
     pairs: list[tuple[int, int]] = []
     counted = np.ones(len(found), bool)
     then, now = truth["frame"].to_numpy(), found["frame"].to_numpy()

@@ -17,7 +17,7 @@ from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.results import finite, write_json
 from tracker.scoring.error_bars import quantity_bounds, score_quantities, true_motion
-from tracker.scoring.localisation import MatchedDetections, PositionSums, match, position_bounds
+from tracker.scoring.localisation import MatchedDetections, PositionSums, find_whole, match, position_bounds
 from tracker.scoring.tracking_metrics import GATE_PX, TrackingCounts, TrackPoints
 
 NO_TRACKS = pd.DataFrame({"frame": [], "particle": [], "x": [], "y": []}).astype({"frame": int, "particle": int})
@@ -164,8 +164,8 @@ def _read_clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, p
 
 
 def to_track_points(matched: MatchedDetections) -> tuple[TrackPoints, TrackPoints]:
-    """Make the tracks that are scored, of balls wholly in view and of the detections that count."""
-    truth = matched.truth[matched.truth["visible"].to_numpy(bool)]
+    """Make the tracks that are scored, of balls that have to be found and of the detections that count."""
+    truth = matched.truth[find_whole(matched.truth)]
     found = matched.found[matched.counted]
     tables = ((truth, ["x_mean_px", "y_mean_px"]), (found, ["x", "y"]))
     one, other = (

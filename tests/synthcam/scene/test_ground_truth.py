@@ -186,9 +186,8 @@ def test_no_exposure_has_its_instant_for_a_mean():
 def test_tracks_columns_and_states():
     motion = solve(Model(), Launch.pair(PAIR, 0.1, 0.3, 0.2, 0.0, (0, 0)), 0.0, 0.4)
     table = ground_truth.tracks(PAIR, FilmedMotion(Model(), camera(), motion), LAMP, 100)
-    columns = (
-        "frame t_s particle x_px y_px glint_x_px glint_y_px x y z vx vy vz wx wy wz x_mean_px y_mean_px state visible"
-    )
+    columns = "frame t_s particle x_px y_px glint_x_px glint_y_px x y z vx vy vz wx wy wz"
+    columns += " x_mean_px y_mean_px state visible hidden"
     assert list(table) == columns.split()
     assert len(table) == 200
     target, striker = (table[table.particle == k] for k in (0, 1))

@@ -15,7 +15,7 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import measure
 from tracker.scoring.error_bars import error_statistics, quantity_bounds, true_motion
 from tracker.scoring.localisation import PositionSums, match, position_bounds, score_positions
-from tracker.scoring.score import _score_clip, score
+from tracker.scoring.score import _score_clip, score, to_track_points
 from tracker.scoring.tracking_metrics import TrackPoints, score_tracks
 
 CLIPS = 4
@@ -103,6 +103,16 @@ def test_missed_false_and_excused_detections():
     assert got.missed == 2  # frames 1 (9 px off) and 2; the one half out of view need not be found
     assert got.false == 2  # both of frame 1; that of frame 3 lies on what shows of the hidden ball
     assert got.counted.tolist() == [True, True, True, False]
+
+
+def test_a_ball_that_others_hide_by_more_than_half_need_not_be_found():
+    truth = ball_table([(10.0, 10.0), (20.0, 10.0), (30.0, 10.0)]).assign(hidden=[0.3, 0.6, np.nan])
+    spots = pd.DataFrame({"frame": [1], "particle": [0], "x": [21.0], "y": 10.0})
+    assert match(truth.drop(columns="hidden"), spots, gate=5.0, ball_px=14.9).missed == 2
+    got = match(truth, spots, gate=5.0, ball_px=14.9)
+    assert (got.missed, got.false) == (2, 0)
+    assert not got.counted[0]  # on what shows of the hidden ball
+    assert len(to_track_points(got)[0].frame) == 2
 
 
 def test_pixel_locking_shows_as_phase_bias():

@@ -1,0 +1,54 @@
+"""Computes how much of each ball other balls hide from the camera."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from synthcam.camera.pinhole import Array, PinholeCamera
+
+POINTS = 400  # of the outline of a ball, evenly spread, that are looked for behind the others
+
+
+def hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
+    """Share (n, frames) of the outline of each ball, 0 to 1, that balls nearer to the camera cover, in and out of view.
+
+    centres: (n, frames, 3), m. radii: (n,), m; NaN for bodies that are no balls, which hide nothing and get NaN.
+    """
+    eye, points = camera.centre, _spread_points(POINTS)
+    out = np.where(np.isnan(radii)[:, None], np.nan, np.zeros(centres.shape[:2]))
+    balls = np.flatnonzero(np.isfinite(radii))
+    for frame in range(centres.shape[1] if len(balls) > 1 else 0):
+        sight = centres[balls, frame] - eye
+        far = np.linalg.norm(sight, axis=1)
+        angle = np.arcsin(np.minimum(radii[balls] / far, 1.0))  # of half the outline
+        way = sight / far[:, None]
+        pairs = cKDTree(way).query_pairs(4 * np.sin(angle.max() / 2), output_type="ndarray")
+        between = 2 * np.arcsin(np.minimum(np.linalg.norm(way[pairs[:, 0]] - way[pairs[:, 1]], axis=1) / 2, 1.0))
+        pairs = pairs[between < angle[pairs].sum(axis=1)]
+        covered: dict[int, NDArray[np.bool_]] = {}
+        for one, other in pairs.tolist():
+            back, front = (one, other) if far[one] > far[other] else (other, one)
+            if back not in covered:
+                covered[back] = np.zeros(POINTS, dtype=bool)
+            rays = _aim_at_outline(way[back], float(np.tan(angle[back])), points)
+            covered[back] |= rays @ way[front] > np.cos(angle[front])
+        for back, rows in covered.items():
+            out[balls[back], frame] = rows.mean()
+    return out
+
+
+def _spread_points(count: int) -> Array:
+    """Points (count, 2) evenly spread over the unit disc, on a spiral of the golden angle."""
+    k = np.arange(count) + 0.5
+    angle = k * np.pi * (3 - np.sqrt(5))
+    return np.asarray(np.sqrt(k / count)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def _aim_at_outline(way: Array, size: float, points: Array) -> Array:
+    """Directions (m, 3) to points (m, 2) of an outline about the direction `way`, with the tangent of its angle."""
+    side = np.cross(way, np.eye(3)[np.argmin(np.abs(way))])
+    side /= np.linalg.norm(side)
+    rays = way + size * (points[:, :1] * side + points[:, 1:] * np.cross(way, side))
+    return np.asarray(rays / np.linalg.norm(rays, axis=1)[:, None])
