@@ -243,7 +243,7 @@ def test_another_programs_links_join_the_same_balls():
     pytest.importorskip("laptrack", exc_type=ImportError)
     frames = wrap_frames(film(np.random.default_rng(3), collision(30, contact=14.0, speed=2.0)))
     shown = Recording(0, Camera.from_dict(CAMERA), frames)
-    own, other = (track_clip(shown, f"maximum_likelihood{end}")[0] for end in ("", "+laptrack"))
+    own, other = (track_clip(shown, f"maximum_likelihood{end}").tracks for end in ("", "+laptrack"))
     assert len(np.unique(other.particle)) == 2
     paths = [sorted(t.xy[t.particle == ball].tolist() for ball in (0, 1)) for t in (own, other)]
     assert paths[0] == paths[1]
