@@ -11,6 +11,10 @@ from tracker.detection.candidates import MAX_FOLLOWED, CandidateSearch
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints, PositionFlag
 
+# Standard error, px, of a centroid by light that is not the glint's. A ball is brighter on one side, in all frames on
+# the same one. In rendered films of crowds the mean of that shift is 0.004 to 0.007 px along x and 0.001 px along y.
+SHADING_PX = 0.005
+
 
 class Centroid:
     """Weighted centroid of the pixels of a window that are brighter than its rim."""
@@ -23,7 +27,7 @@ class Centroid:
         self.half = max(2, round(2.5 * view.sigma))
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
-        """Glints of one frame; covariance from the noise of the pixels that were summed."""
+        """Glints of one frame; covariance from the noise of the pixels that were summed, and by the ball's shading."""
         found = self.search(frame)
         h, w = frame.shape
         whole = (found.row >= self.half) & (found.row < h - self.half)
@@ -48,7 +52,15 @@ class Centroid:
         cov[:, 0, 0] = (noise * dx * dx).sum(axis=(1, 2)) / flux**2 + 1e-6
         cov[:, 1, 1] = (noise * dy * dy).sum(axis=(1, 2)) / flux**2 + 1e-6
         cov[:, 0, 1] = cov[:, 1, 0] = (noise * dx * dy).sum(axis=(1, 2)) / flux**2
+        fixed = np.tile(SHADING_PX**2 * np.eye(2), (n, 1, 1))
         full = (counts >= sensor.ceiling).any(axis=(1, 2))
         return Glints(
-            np.zeros(n, np.int64), columns + x, rows + y, cov, flux, ground, np.where(full, PositionFlag.CLIPPED, 0)
+            frame=np.zeros(n, np.int64),
+            x=columns + x,
+            y=rows + y,
+            cov=cov + fixed,
+            flux=flux,
+            background=ground,
+            flags=np.where(full, PositionFlag.CLIPPED, 0),
+            fixed=fixed,
         )
