@@ -1,9 +1,9 @@
 """The marginal likelihood of a free curve, and the costs in chi^2 of freedom, strengths and choices.
 
 The coefficients have a Gaussian prior, whose size maximises the marginal likelihood. F is the information of the
-coefficients, marginal over all that the fit absorbs; g is their pull, the gradient of -chi^2/2; s^2 K is their prior
-covariance. Then -2 ln of the marginal likelihood, relative to no curve, is
-    -g' (F + K^-1/s^2)^-1 g + ln det(1 + s^2 K F).
+coefficients, marginal over all that the fit absorbs. Their pull g is the gradient of -chi^2/2, and s^2 K is their prior
+covariance. Then -2 ln of the marginal likelihood, relative to no curve, is -g' (F + K^-1/s^2)^-1 g + ln det(1 + s^2 K
+F).
 
 MacKay, Neural Computation 4 (1992) 415; Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), ch. 5.
 """

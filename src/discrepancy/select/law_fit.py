@@ -182,8 +182,8 @@ def compare_scatter(
     The held-out clips have numbers of their own, so the law predicts only the scatter of these numbers. `without` is
     the fit of the held-out clips without the law.
 
-    Returns by how much numbers of that size increase 2 log marginal likelihood, and the mean and the standard deviation
-    of this gain if the numbers have that size.
+    Returns three numbers: by how much numbers of that size increase 2 log marginal likelihood, and the mean and the
+    standard deviation of this gain if the numbers have that size.
     """
     evidence = WhitenedClips.of(clips, noise)
     law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))

@@ -41,8 +41,8 @@ def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, si
     radius = math.exp(best.x[0])
     std = radius * math.sqrt(max(float(cov[0, 0]), 0.0))
     inside = first_radii_px[0] < radius < 0.8 * HALF_WINDOW_PX and math.hypot(*best.x[1:]) < 0.4 * radius
-    # If the glint covers most of the ball, a small disc can look like the rim of a larger ball. fits whose radius
-    # differs by more than 10 % are rivals
+    # If the glint covers most of the ball, a small disc can look like the rim of a larger ball. Fits whose radius
+    # differs by more than 10 % are rivals.
     rivals = [fit.cost for fit in fits if abs(fit.x[0] - best.x[0]) > 0.1]
     # a rival must be worse by 30 in chi^2
     if rivals and min(rivals) - best.cost < 15.0 * max(1.0, 2.0 * best.cost / freedom):

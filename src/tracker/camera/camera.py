@@ -1,7 +1,7 @@
 """Projects points to pixels and back, and converts the position of a glint to that of its ball's centre.
 
-Axes and conventions are those of ``camera.json``: plate at z = 0, ball centres at z = R, pixel centres at
-integers, ``x_cam = R x_world + t`` and lens distortion as OpenCV defines them.
+Axes and conventions are those of ``camera.json``. The plate is at z = 0, ball centres at z = R, and pixel centres at
+integers. ``x_cam = R x_world + t`` and the lens distortion are those of OpenCV.
 """
 
 from __future__ import annotations

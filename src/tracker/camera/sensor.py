@@ -67,8 +67,8 @@ class SensorSpec:
     def ceiling(self) -> float:
         """Count from which on a pixel is censored.
 
-        The converter's last count, or, where the well fills first, four read-out deviations below the full
-        well: read-out noise spreads a full well, and a limit below that spread is an exact one.
+        It is the converter's last count. If the well fills first, it is four read-out deviations below the full well.
+        Read-out noise spreads a full well, and a limit below that spread is exact.
         """
         top = 2.0**self.bits - 1.0
         well = self.black_level + (self.full_well - 4.0 * self.read_noise) / self.gain

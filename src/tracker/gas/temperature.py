@@ -56,9 +56,9 @@ def measure_temperatures(table: pd.DataFrame, noise: float) -> pd.DataFrame:
     """Measure the temperature and the mean velocity of each frame with three balls or more.
 
     temperature is the sum of (even - mean even) . (odd - mean odd) over the balls, over 2 (n - 1). temperature_std is
-    its error by the noise, by balls whose velocity is not known, and by slides after contacts that are too short to be
-    seen. All slides may err in one direction. temperature_sampling is its further error as the temperature of an
-    endless system with such balls.
+    its error. It contains the noise, balls whose velocity is not known, and slides after contacts that are too short to
+    be seen. All slides may err in one direction. temperature_sampling is its further error as the temperature of an
+    infinite system with such balls.
 
     noise: of a coordinate, m.
     """

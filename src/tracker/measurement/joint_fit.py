@@ -50,8 +50,8 @@ def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
 def predict(v0: Floats, b: Floats, shared: Floats) -> Floats:
     """Predict v1f, v2f, tau1, tau2, (n, 4), for the joint fit, from v0 and b/2R (n,); shared = (r, mu_k, C).
 
-    The paper's F, G, H, I (eqs 1-4) for any b: the normal part scaled by sqrt(1 - b^2), the tangential part
-    handing on 0.4 C of itself.
+    These are the paper's F, G, H, I (eqs 1-4) for any b. The normal part is scaled by sqrt(1 - b^2), and the tangential
+    part passes on 0.4 C of itself.
     """
     r, mu, c = shared
     normal, tangent = v0 * np.sqrt(1 - b**2), v0 * b

@@ -5,8 +5,8 @@
 - A secondary glint with a free flux in each window can be mistaken for a part of the primary one on a small ball.
   Geometry gives the ratio of the two fluxes, except for the reflectance of the balls, which is common to all pairs.
 
-Both condition normal errors: where a quantity with variance v is off by d, a position with covariance c to it is off by
-c d / v.
+Both condition normal errors. If a quantity with variance v is off by d, a position with covariance c to it is off by c
+d / v.
 """
 
 from __future__ import annotations

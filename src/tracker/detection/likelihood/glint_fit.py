@@ -2,9 +2,9 @@
 
 Each pixel's count is normally distributed about the pixel-integrated model, with the sensor's variance at that mean. A
 pixel at the ceiling is censored: its count is at least that. Under the glint lies the ball profile, the image of the
-room. Either its shape is known (`learn_profile`), moves with the glint and has a free level, or it is a free level and
-a free bowl, to second order about its middle. Newton steps use the expected information (Fisher scoring), whose inverse
-is the covariance.
+room. Its shape may be known (`learn_profile`); then it moves with the glint and has a free level. Otherwise it is a
+free level and a free bowl, to second order about its middle. Newton steps use the expected information (Fisher
+scoring), whose inverse is the covariance.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ class GlintGeometry:
         self.radius = camera.diameter_px / 2.0
         # Half width of the window of a resting glint: 3.5 widths of the glint on each side.
         self.half = max(2, round(widths + 0.5))
-        # About the middle of the mirrored room: the radius beyond which the ball mirrors no room, .71 of its own and
-        # the blur of the optics; and that out to which the learnt shape of the profile holds.
+        # Two radii about the middle of the mirrored room. Beyond the first the ball mirrors no room: it is .71 of the
+        # ball's radius and the blur of the optics. Up to the second the learnt shape of the profile holds.
         self.profile_end, self.profile_clear = 0.9 * self.radius, 0.68 * self.radius
         # Out to .71 of its radius a ball mirrors what is above the plate; the blur reduces that to .55.
         on_body = 0.55 * self.radius
