@@ -141,6 +141,14 @@ def test_output_on_a_page_that_no_command_prints_is_seen():
     assert find("4 films: 4 ok\nr  0.0012   0.7(3) 1.1\n", printed) == ["4 films: 4 ok", "r  0.0012   0.7(3) 1.1"]
 
 
+def test_searches_of_a_page_have_an_hour_unless_they_say_otherwise():
+    allow = TOOL["allow_for_load"]
+    assert allow("tracker track a -o b\ndiscrepancy find b -o c\n") == (
+        "tracker track a -o b\ndiscrepancy find --minutes 60 b -o c\n"
+    )
+    assert allow("discrepancy find b --minutes 2 -o c") == "discrepancy find b --minutes 2 -o c"
+
+
 @pytest.mark.parametrize("name", CHEAP)
 def test_a_page_runs_as_it_stands(name, tmp_path):
     """Its files and its Python; in a process of its own, since effects that are added stay."""
