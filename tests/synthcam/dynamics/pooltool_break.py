@@ -1,4 +1,4 @@
-"""Write pooltool_break.json: a nine-ball break and hits on a cushion by pooltool 0.6.0. test_table.py reads it.
+"""Write pooltool_break.json: a nine-ball break and hits on a cushion by pooltool 0.6.0. test_tabletop.py reads it.
 
 See pooltool_shots.py for how to install it. simplepbr, which draws, may be a module that has a
 class `Pipeline` alone.
@@ -20,7 +20,6 @@ from pooltool.physics.resolve.resolver import default_resolver
 R, MASS, GRAVITY = 0.03075, 0.21, 9.81
 NUMBERS = {"u_s": 0.2, "u_b": 1e-12, "e_b": 0.95, "u_r": 0.01, "e_c": 0.85, "f_c": 0.2, "u_sp_proportionality": 1e-12}
 GAP, SPEED, ASIDE = 1e-3, 6.0, 4e-3  # between racked balls, m; of the cue ball, m/s; how far it is off the middle, m
-SHOWN_EVENTS = 34
 
 
 def system() -> pt.System:
@@ -70,7 +69,7 @@ def press(rng: np.random.Generator, height: float) -> dict:
 
 if __name__ == "__main__":
     specs = pt.objects.BilliardTableSpecs()
-    events = pt.simulate(system(), engine=engine()).events[1 : SHOWN_EVENTS + 1]
+    events = [event for event in pt.simulate(system(), engine=engine()).events if str(event.event_type) != "none"]
     rng = np.random.default_rng(1)
     written = {
         "pooltool": pt.__version__,
