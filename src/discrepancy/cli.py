@@ -15,9 +15,10 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from discrepancy.time_left import LIMITED_STAGES, SearchClock
 from synthcam.library import add_effects
 from synthcam.model import read_model, settings_of, to_yaml
-from synthcam_shared.application import PROGRESS_INTERVAL_S, command_line, progress_bar, run
+from synthcam_shared.application import command_line, progress_bar, read_progress_interval, run
 from synthcam_shared.errors import InputError
 from synthcam_shared.interruption import raise_if_interrupted
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
@@ -44,15 +45,15 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 def show_stages(names: Sequence[str], limit_s: float = math.inf) -> Iterator[Callable[[str], None]]:
     """Show the progress of a command: stages done and the time, as a bar on a terminal, elsewhere as lines.
 
-    Yields a function that takes the name of the current stage. The time that a stage takes depends on what the tracks
-    show, so the time left is a bound: what remains of the limit. If a search begins again, the bar returns to the fit.
+    Yields a function that takes the name of the current stage. The time left is an estimate (`SearchClock`), with what
+    remains of the limit as a bound. If a search begins again, the bar returns to the fit.
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    limited_stages = ("free laws", "search")  # of a search, which --minutes limits; the others take seconds
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         task, passed, turn = bar.add_task(names[0], total=len(names)), 0, 1
-        began = printed = time.monotonic()
+        began, interval = time.monotonic(), read_progress_interval()
+        printed, clock = began, SearchClock(limit_s, began)
 
         def progress(stage: str) -> None:
             nonlocal passed, turn, printed
@@ -63,14 +64,21 @@ def show_stages(names: Sequence[str], limit_s: float = math.inf) -> Iterator[Cal
             passed = max(passed, at)
             text = stage + (f", round {turn}" if turn > 1 else "")
             now = time.monotonic()
-            limited = stage in limited_stages and limit_s < math.inf
-            left = f", at most {max(limit_s - (now - began), 0) / 60:.1f} min left" if limited else ""
+            clock.enter(stage, now)
+            left = _describe_time_left(clock, stage, now)
             bar.update(task, completed=passed, description=text + left)
-            if bar.disable and now - printed >= PROGRESS_INTERVAL_S:
+            if bar.disable and now - printed >= interval:
                 printed = now
                 print(f"{text} after {now - began:.0f} s{left}", file=sys.stderr, flush=True)
 
         yield progress
+
+
+def _describe_time_left(clock: SearchClock, stage: str, now: float) -> str:
+    likely, limit = clock.estimate_left(now), max(clock.limit_s - (now - clock.began), 0.0)
+    about = f"about {likely:.0f} s" if likely >= 1 else ""
+    at_most = f"at most {limit / 60:.1f} min" if stage in LIMITED_STAGES and limit < math.inf else ""
+    return "".join(f", {text}" for text in (about, at_most) if text) + " left" * bool(about or at_most)
 
 
 @app.command()
@@ -81,7 +89,7 @@ def find(
     camera: CameraPath = None,
     effects_dir: EffectsDir = None,
     minutes: Annotated[
-        float, typer.Option(min=0.0, help="Time limit; a search that exceeds it names no effect.")
+        float, typer.Option(min=0.0, help="Time limit by the clock; a search that exceeds it names no effect.")
     ] = 10.0,
     policy: Annotated[
         Path | None,

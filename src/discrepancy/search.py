@@ -77,7 +77,7 @@ def find(
     progress : callable
         Called with the name of the stage, many times.
     minutes : float
-        Time limit. A search that exceeds it is cut short, claims nothing, and reports how far it came.
+        Time limit by the clock. A search that exceeds it is cut short, claims nothing, and reports how far it came.
     policy : SearchPolicy, optional
         The thresholds that decide; default: ``SearchPolicy()``.
     stretches : bool

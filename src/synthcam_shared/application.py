@@ -138,14 +138,16 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
         yield show
 
 
-def print_progress(what: str) -> Callable[[int, int], None]:
-    """Return a function that prints the progress and the time left, at most once in PROGRESS_INTERVAL_S.
-
-    Another interval may stand in the environment, as PROGRESS_INTERVAL.
-    """
-    began = printed = time.monotonic()
+def read_progress_interval() -> float:
+    """The time between two lines of progress, s: PROGRESS_INTERVAL of the environment, or PROGRESS_INTERVAL_S."""
     asked = os.environ.get(PROGRESS_INTERVAL, "")
-    interval = float(asked) if re.fullmatch(r"\d+(\.\d+)?", asked) else PROGRESS_INTERVAL_S
+    return float(asked) if re.fullmatch(r"\d+(\.\d+)?", asked) else PROGRESS_INTERVAL_S
+
+
+def print_progress(what: str) -> Callable[[int, int], None]:
+    """Return a function that prints the progress and the time left, at most once in `read_progress_interval`."""
+    began, interval = time.monotonic(), read_progress_interval()
+    printed = began
     first: tuple[int, float] | None = None  # done by an earlier run, or after a survey that comes first; and when
     latest = 0
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet
 
 from synthcam_shared.errors import InputError
@@ -106,6 +107,9 @@ def _write_contacts(results: Path, numbers: Sequence[int]) -> None:
 
     parts = []
     for number in numbers:
+        own = pyarrow.parquet.read_table(clip_folder(results, number) / "tracks.parquet", columns=["particle"])
+        if pc.count_distinct(own["particle"]).as_py() < 3:
+            continue
         rows = read_rows(results, number)
         tracks, camera = read_clip(results, number)
         table = tabulate_contacts(tracks, camera, rows)

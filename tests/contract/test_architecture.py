@@ -48,7 +48,7 @@ LAYERS = {
         "__main__",
     ],
     "discrepancy": [
-        "policy arrays deadline",
+        "policy arrays deadline time_left",
         "data",
         "noise",
         "fitting",

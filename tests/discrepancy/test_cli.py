@@ -3,7 +3,6 @@
 import functools
 import io
 import json
-import math
 import re
 import shutil
 import sys
@@ -158,7 +157,7 @@ def test_a_table_gives_what_results_give_and_tells_of_the_clips_left_out(
     """The table has one clip more than the results, which is left out; there is no truth beside it."""
     only(monkeypatch, RIVAL)
     leave_exchanges(monkeypatch)
-    monkeypatch.setattr(cli, "PROGRESS_INTERVAL_S", math.inf)  # no lines on how far it is
+    monkeypatch.setenv("SYNTHCAM_PROGRESS_S", "100000")  # no lines on how far it is
     table, why = swapped(recorded, tmp_path, 6), "clip 6: the two balls exchange their numbers at frame 39"
     assert command("find", *table, "--model", MODEL, "-o", tmp_path / "report") == 0
     out, err = capsys.readouterr()
@@ -216,6 +215,21 @@ def test_the_time_left_is_bounded_by_the_limit(monkeypatch, capsys):
         progress("fit")
         progress("search")
     assert capsys.readouterr().err.splitlines() == ["fit after 40 s", "search after 80 s, at most 8.7 min left"]
+
+
+def test_the_time_left_follows_from_the_level_before(monkeypatch, capsys):
+    """A level of 50 s begins again. The environment asks for a line every 20 s."""
+    monkeypatch.setenv("SYNTHCAM_PROGRESS_S", "20")
+    times = iter([0.0, 1.0, 21.0, 51.0, 60.0, 75.0])
+    monkeypatch.setattr(cli.time, "monotonic", lambda: next(times))
+    with cli.show_stages(("fit", "free laws", "search"), 600.0) as progress:
+        for stage in ("search", "free laws", "search", "search", "free laws"):
+            progress(stage)
+    assert capsys.readouterr().err.splitlines() == [
+        "free laws after 21 s, about 55 s, at most 9.7 min left",
+        "search after 51 s, about 75 s, at most 9.2 min left",
+        "free laws after 75 s, about 57 s, at most 8.8 min left",
+    ]
 
 
 def test_an_earlier_report_is_replaced_and_nothing_else(recorded, report, tmp_path):

@@ -1,0 +1,65 @@
+"""Estimate the time left of a search from the time that its stages have taken so far."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+LIMITED_STAGES = ("search", "free laws")  # --minutes limits these; the others take seconds
+
+
+@dataclass
+class SearchClock:
+    """The stages of a search as they begin, with an estimate of the time left.
+
+    A search goes through levels. Each has a stage "search", in which it adds an effect, or only tests all of them, and
+    a stage "free laws". It ends at the level whose effects leave nothing significant, which nothing shows beforehand.
+    The estimate takes the rest of the level from the level before, and half a level more. A round that repeats the
+    search is taken to be as long as the round before. So the estimate approaches the truth as the levels pass.
+
+    Attributes
+    ----------
+    limit_s : float
+        Of the whole search, s.
+    began : float
+        When the search began, s, by any clock.
+    """
+
+    limit_s: float = math.inf
+    began: float = 0.0
+    spells: list[tuple[str, float]] = field(default_factory=list)  # stages of this round, and when each began
+    previous: list[tuple[str, float]] = field(default_factory=list)  # stages of the round before, and how long each was
+
+    def enter(self, stage: str, now: float) -> None:
+        """Note that the search is in a stage at the time `now`, s."""
+        if stage == "fit" and any(name in LIMITED_STAGES for name, _ in self.spells):
+            self.previous, self.spells = self._durations(now), []
+        if not self.spells or self.spells[-1][0] != stage:
+            self.spells.append((stage, now))
+
+    def estimate_left(self, now: float) -> float:
+        """Estimate the time left at the time `now`, s; NaN before anything shows it, and in stages of seconds."""
+        if not self.spells or self.spells[-1][0] not in LIMITED_STAGES:
+            return math.nan
+        *done, (stage, spent) = self._durations(now)
+        at_most = max(self.limit_s - (now - self.began), 0.0)
+        if len(done) < len(self.previous) and [name for name, _ in done] == [n for n, _ in self.previous[: len(done)]]:
+            rest = [seconds for _, seconds in self.previous[len(done) :]]
+            return min(_remaining(rest[0], spent) + sum(rest[1:]), at_most)
+        lengths = {name: seconds for name, seconds in done if name in LIMITED_STAGES}  # the latest of each
+        if not lengths:
+            return math.nan
+        searching = max(lengths.get("search", 0.0), spent if stage == "search" else 0.0)
+        laws = lengths.get("free laws", 1.5 * searching)
+        left = _remaining(searching if stage == "search" else laws, spent)
+        left += laws * (stage == "search") + 0.5 * (searching + laws)
+        return min(left, at_most)
+
+    def _durations(self, now: float) -> list[tuple[str, float]]:
+        ends = [begin for _, begin in self.spells[1:]] + [now]
+        return [(name, end - begin) for (name, begin), end in zip(self.spells, ends, strict=True)]
+
+
+def _remaining(length: float, spent: float) -> float:
+    """What is left of a stage that took `length` the last time; one that takes longer ends at no known time."""
+    return max(length - spent, 0.2 * spent)
