@@ -269,9 +269,7 @@ def _describe_contact_claim(claim: ContactClaim) -> str:
         first = f"Recoil of {several}: the struck body has {share:+.2g} +- {std:.2g} % more mass than stated"
     scatter = f"from contact to contact it scatters by {claim.scatter:.2g}" if claim.scatter else "it does not scatter"
     if claim.odd:
-        scatter += (
-            f"; {claim.odd} of them {'is' if claim.odd == 1 else 'are'} disturbed, so by another body, and count little"
-        )
+        scatter += f"; {claim.odd} of them, perhaps disturbed by a third body, with a wide error"
     if not claim.causes:
         none = {
             "restitution": "It does not change significantly with speed or obliqueness",

@@ -225,18 +225,22 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
     limit = costs[best] + policy.rival_excluded_chi2
     near = [k for k in range(1, len(fits)) if k != best and usable[k] and costs[k] < limit]
     fit, law = fits[best], laws[best]
-    std = np.where(fit.odd, np.hypot(std, ODD_ERROR), std)
+    wide, own = np.where(fit.odd, np.hypot(std, ODD_ERROR), std), fit.design.any(axis=1)
+    if own.all() or not own.any():
+        own, safe = np.ones(len(value), dtype=bool), wide
+    else:  # a few contacts of one ball cannot tell which of them is odd
+        safe = std
     return ContactClaim(
         quantity=quantity,
         law=law.name,
         causes=tuple(dict.fromkeys(c for k in (best, *near) for c in laws[k].causes)) if best else (),
-        numbers=_fit_numbers(value, std, shared, fit.design, law.numbers),
+        numbers=_fit_numbers(value[own], safe[own], shared[own], fit.design[own], law.numbers),
         contacts=len(value),
         scatter=fit.scatter,
         sigma=sigmas[best],
         left_out_sigma=gains[best],
         rivals=tuple(laws[k].name for k in near) if best else (),
-        mean=_fit_numbers(value, std, shared, _ones(contacts), ((f"mean {quantity}", "1"),))[0],
+        mean=_fit_numbers(value, wide, shared, _ones(contacts), ((f"mean {quantity}", "1"),))[0],
         odd=int(fit.odd.sum()),
     )
 

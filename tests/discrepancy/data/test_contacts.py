@@ -5,7 +5,10 @@ import json
 import numpy as np
 import pytest
 
+import tracker
 from discrepancy.data.contacts import Contacts, read_contacts
+from discrepancy.select.contact_effects import examine_contacts
+from synthcam import Scene
 
 # A disc of 1 kg meets one of 2 kg at rest with 0.8 m/s along the line of centres and 0.6 m/s across it. r is 0.5, and a
 # third of the tangential velocity stops: impulses 0.8 and 0.1333 N s.
@@ -63,3 +66,35 @@ def test_the_error_of_the_friction_has_that_of_the_impact_parameter():
     exact = ROW | {"s_local_std": 1e-9, "r_local_std": 1e-9}
     one, other = Contacts.of([exact, exact | {"b_local": 0.61}]).friction
     assert Contacts.of([exact]).friction_std[0] == pytest.approx(abs(other - one), rel=0.03)
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize("share", [0.3, 0.0])
+def test_one_film_of_thirty_balls_shows_the_one_that_is_heavier(share):
+    corners = [[-0.025, -0.018], [0.025, -0.018], [0.025, 0.018], [-0.025, 0.018]]
+    usual = {"gap": 4e-4, "rms_speed": 0.25}
+    mass = (1 + share) * 7800 * np.pi / 6 * 0.00238**3
+    scene = Scene.build(
+        "tray",
+        groups=[
+            {"count": 1, "size": [0.004, 0.004], "body": {"mass": mass}, **usual},
+            {"count": 29, "size": [0.044, 0.03], **usual},
+        ],
+        walls=[
+            {"start": a, "end": b, "restitution": 0.8, "friction": 0.2}
+            for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+        ],
+        timing={"frames": 500, "fps": 1000},
+    )
+    true, rng = scene.draw(seed=3).tracks, np.random.default_rng(3)
+    x, y = (true[f"{axis}_mean_px"] + 0.05 * rng.standard_normal(len(true)) for axis in "xy")
+    table = true[["frame", "particle"]].assign(x=x, y=y, x_std=0.05, y_std=0.05, cov_xy=0.0)
+    result = tracker.measure(table, scene.draw(seed=3).camera_json)
+    claims = {claim.quantity: claim for claim in examine_contacts(read_contacts([result]))}
+    recoil = claims["recoil"]
+    assert recoil.causes == (("mass_mismatch",) if share else ())
+    assert not claims["restitution"].causes
+    if share:
+        heavy = result.tracks.particle[np.hypot(result.tracks.x - x[0], result.tracks.y - y[0]).idxmin()]
+        assert recoil.law == f"ball {heavy} is heavier by a share"
+        assert abs(recoil.numbers[0].value - np.log(1 + share)) < 3 * recoil.numbers[0].std

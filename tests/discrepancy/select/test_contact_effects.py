@@ -138,6 +138,20 @@ def test_one_heavier_ball_of_a_crowd_is_named():
     assert not law_of(two_films, "recoil").causes  # its tracks are other balls in the other film
 
 
+def test_contacts_of_the_heavier_ball_that_disagree_widen_its_error():
+    """The most precise of them is wrong, as in a rendered film, so that the right one seems odd."""
+    contacts = crowd(draw())
+    rows = np.flatnonzero((contacts.bodies == 7).any(axis=1))
+    kept = np.ones(len(contacts), dtype=bool)
+    kept[rows[4:]] = False
+    side = np.where(contacts.bodies[rows[:4], 0] == 7, 1.0, -1.0)
+    recoil, std = contacts.recoil / np.sqrt(5), contacts.recoil_std.copy()  # no scatter beside the errors
+    recoil[rows[:4]], std[rows[:4]] = side * [0.201, 0.123, 0.183, 0.264], [0.005, 0.038, 0.040, 0.013]
+    claim = law_of(dataclasses.replace(contacts, recoil=recoil, recoil_std=std).select(kept), "recoil")
+    assert claim.law == "ball 7 is heavier by a share"
+    assert abs(claim.numbers[0].value - np.log(1.3)) < 3 * claim.numbers[0].std
+
+
 def test_no_ball_of_an_equal_crowd_is_named():
     films = [crowd(draw(count=30, seed=seed), balls=12) for seed in range(12)]
     assert not any(law_of(film, "recoil").causes for film in films)
