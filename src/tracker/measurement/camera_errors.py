@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 from tracker.camera.views import perturb_view, scale_at
 from tracker.measurement.collision.collision_fit import CollisionFits
 from tracker.measurement.collision.collision_model import GRAVITY
-from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.derived import (
+    QUANTITY_NAMES,
+    DerivedValues,
+    derive_from_free,
+    derive_values_from_tied,
+)
 from tracker.measurement.collision.lasting_contact import LastingFit, LastingResiduals
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.positions import BallTrack
@@ -144,16 +149,15 @@ def add_camera_errors(
     shift = np.zeros((len(fit.parameters), len(errors)))
     shift[index] = fitted
 
-    def quantities(at: Floats, diameter: float) -> DerivedValues:
-        if tied:
-            return derive_from_tied(at, fit.cov, diameter, pair.spin)
-        return derive_from_free(at, fit.cov, diameter, shift)
-
     def changed(error: CameraError, by: float) -> Floats:
         at = fit.parameters + by * shift[:, errors.index(error)]
-        return quantities(at, error.diameter(pair.diameter, by)).value
+        diameter = error.diameter(pair.diameter, by)
+        if tied:
+            return derive_values_from_tied(at, diameter, pair.spin)
+        return derive_from_free(at, fit.cov, diameter, shift).value
 
-    values = quantities(fit.parameters, pair.diameter)
+    if not tied:  # the values of both balls are averaged with other weights
+        values = derive_from_free(fit.parameters, fit.cov, pair.diameter, shift)
     return replace(fit, chi2=fit.chi2 - explained), values.with_shared(differentiate(errors, changed))
 
 
@@ -216,7 +220,7 @@ def add_contact_errors(
     def changed(_: CameraError, by: float) -> Floats:
         at = fit.parameters + by * shift
         if tied:
-            return derive_from_tied(at, fit.cov, fit.pair.diameter, fit.pair.spin).value
+            return derive_values_from_tied(at, fit.pair.diameter, fit.pair.spin)
         return derive_from_free(at, fit.cov, fit.pair.diameter).value
 
     effect = np.nan_to_num(differentiate([unit], changed)[:, 0])

@@ -19,7 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, expit, logit, wofz
 
-from tracker.measurement.collision.derived import DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.derived import (
+    DerivedValues,
+    derive_from_free,
+    derive_from_tied,
+    derive_values_from_tied,
+)
 from tracker.measurement.collision.least_squares import CollisionFit, WhitenedResiduals
 
 Floats = NDArray[np.float64]
@@ -152,12 +157,11 @@ def _differentiate_faddeeva(at: complex, *, far: float = 1e3) -> tuple[complex, 
     return w, first, -2 * (w + at * first)
 
 
-def derive(fit: CollisionFit, tied: bool, at: Floats | None = None) -> DerivedValues:
-    """Derive the quantities of a fit, or of other parameters with its covariance."""
-    parameters = fit.parameters if at is None else at
+def derive(fit: CollisionFit, tied: bool) -> DerivedValues:
+    """Derive the quantities of a fit."""
     if tied:
-        return derive_from_tied(parameters, fit.cov, fit.pair.diameter, fit.pair.spin)
-    return derive_from_free(parameters, fit.cov, fit.pair.diameter)
+        return derive_from_tied(fit.parameters, fit.cov, fit.pair.diameter, fit.pair.spin)
+    return derive_from_free(fit.parameters, fit.cov, fit.pair.diameter)
 
 
 def find_departure(
@@ -193,11 +197,16 @@ def find_departure(
         return None
     std = 1.0 / np.sqrt(square)
 
+    def derive_values(at: Floats) -> Floats:
+        if tied:
+            return derive_values_from_tied(at, fit.pair.diameter, fit.pair.spin)
+        return derive_from_free(at, fit.cov, fit.pair.diameter).value
+
     def differentiate(by: Floats, size: float) -> Floats:
         """The change of the quantities per change `by` of the parameters, from so much of it."""
         step = np.zeros(len(fit.parameters))
         step[problem.index] = size * by
-        more, less = (derive(fit, tied, fit.parameters + sign * step).value for sign in (1, -1))
+        more, less = (derive_values(fit.parameters + sign * step) for sign in (1, -1))
         return np.nan_to_num((more - less) / (2 * size))
 
     small = 0.01  # of a standard error

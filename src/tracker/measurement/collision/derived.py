@@ -22,6 +22,7 @@ QUANTITY_NAMES = (
 )
 # where in the columns of `derive_from_each_ball` these have a value from ball 1, and behind it one from ball 2
 ONCE_FROM_EACH_BALL = {"mu_k": QUANTITY_NAMES.index("mu_k"), "C": QUANTITY_NAMES.index("C") + 1}
+_UNTURNED = QUANTITY_NAMES.index("w1n")  # nothing turns a resting ball about n: zero by the model, not by measurement
 
 
 @dataclass(frozen=True)
@@ -99,17 +100,24 @@ def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0
 
     diameter in m; spin in m/s, see `tied_to_free`.
     """
-
-    def single(p: Floats) -> Floats:
-        slip = p[..., TIED.index("ux") : TIED.index("uy") + 1]
-        both = derive_from_each_ball(np.asarray(tied_to_free(p, spin), dtype=np.float64), diameter, slip)
-        return np.delete(both, [QUANTITY_NAMES.index("mu_k") + 1, QUANTITY_NAMES.index("C") + 2], axis=-1)
-
-    value, slope = _with_slope(single, tied, cov)
+    value, slope = _with_slope(lambda p: _values_from_tied(p, diameter, spin), tied, cov)
     if not tied[-2:].any():
-        # nothing turns a resting ball about n: zero by the model, not by measurement
-        value[QUANTITY_NAMES.index("w1n")] = slope[QUANTITY_NAMES.index("w1n")] = 0.0
+        value[_UNTURNED] = slope[_UNTURNED] = 0.0
     return DerivedValues(value, slope @ cov @ slope.T)
+
+
+def derive_values_from_tied(tied: Floats, diameter: float, spin: float = 0.0) -> Floats:
+    """Derive the quantities (20,) of `derive_from_tied` without their covariance, which takes most of its time."""
+    value = _values_from_tied(tied, diameter, spin)
+    if not tied[-2:].any():
+        value[_UNTURNED] = 0.0
+    return value
+
+
+def _values_from_tied(tied: Floats, diameter: float, spin: float) -> Floats:
+    slip = tied[..., TIED.index("ux") : TIED.index("uy") + 1]
+    both = derive_from_each_ball(np.asarray(tied_to_free(tied, spin), dtype=np.float64), diameter, slip)
+    return np.delete(both, [QUANTITY_NAMES.index("mu_k") + 1, QUANTITY_NAMES.index("C") + 2], axis=-1)
 
 
 def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # type: ignore[no-untyped-def]
