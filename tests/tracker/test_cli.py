@@ -269,7 +269,7 @@ def test_what_was_assumed_and_what_is_not_modelled_is_said(tmp_path):
     camera = {**CAMERA, "lamp": CAMERA["lamp"] | {"second": second}, "psf": CAMERA["psf"] | {"defocus_px": 0.5}}
     frames = film(np.random.default_rng(2), collision(20, contact=9.3, speed=4.0))
     write_clip(tmp_path / "clip", frames, camera)
-    words = ["track", str(tmp_path / "clip"), "-o", str(tmp_path / "out"), "--workers", "1"]
+    words = ["track", str(tmp_path / "clip"), "-o", str(tmp_path / "out"), "--workers", "1", "--no-pages"]
     done = CliRunner().invoke(cli.app, words)
     assert done.exit_code == 0
     assert "assumed or estimated: psf.sigma_px" in done.stderr
@@ -281,7 +281,9 @@ def test_what_was_assumed_and_what_is_not_modelled_is_said(tmp_path):
 
 def test_summaries_and_help(dataset, tmp_path):
     runner = CliRunner()
-    done = runner.invoke(cli.app, ["track", str(dataset), "-o", str(tmp_path / "out"), "--workers", "1", "--json"])
+    done = runner.invoke(
+        cli.app, ["track", str(dataset), "-o", str(tmp_path / "out"), "--workers", "1", "--no-pages", "--json"]
+    )
     summary = json.loads(done.stdout)
     assert (summary["clips"], summary["fresh"], summary["frames"]) == (2, 2, 80)
     assert sum(summary["status"].values()) == 2

@@ -38,7 +38,7 @@ def test_the_ten_lines_of_the_docs_run_as_they_stand(monkeypatch, capsys):
     mpl.pyplot.close("all")
 
 
-@pytest.mark.usefixtures("unfitted")
+@pytest.mark.usefixtures("unfitted", "not_local")
 def test_a_detector_by_name_is_the_one_that_runs_from_files():
     trial = run("centroid", suite().path)
     own = run(tracker.detection.detect.load_detector("centroid"), suite().path, name="mine")

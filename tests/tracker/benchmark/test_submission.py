@@ -60,7 +60,7 @@ def test_a_file_a_clip_in_another_programs_format_gives_the_same(tmp_path):
     assert one == other
 
 
-@pytest.mark.usefixtures("unfitted")
+@pytest.mark.usefixtures("unfitted", "not_local")
 def test_clips_without_a_table_are_not_found(tmp_path):
     (one,), notes = score_submission(suite(), tables(tmp_path / "s", clips=(0, 1)), tmp_path / "r", "")
     assert notes == ["axes: no table of 2 of 4 clips, which count as not found"]
@@ -69,7 +69,7 @@ def test_clips_without_a_table_are_not_found(tmp_path):
     assert one["parts"]["dim"]["efficiency"] == 0.0
 
 
-@pytest.mark.usefixtures("unfitted")
+@pytest.mark.usefixtures("unfitted", "not_local")
 def test_glints_are_taken_to_centres_where_the_form_says_so(tmp_path):
     def glints(table, rng):
         moved = noisy(table, rng)
@@ -86,7 +86,7 @@ def test_glints_are_taken_to_centres_where_the_form_says_so(tmp_path):
     assert right["parts"]["bright"]["ratio"] < 1.3
 
 
-@pytest.mark.usefixtures("unfitted")
+@pytest.mark.usefixtures("unfitted", "not_local")
 def test_a_withheld_truth_is_scored_where_it_lies(tmp_path, monkeypatch, capsys):
     made = suite()
     films, truth = tmp_path / "suite", tmp_path / "kept"
@@ -167,7 +167,7 @@ def test_a_submission_without_what_it_must_have_is_one_line(tmp_path, change, sa
     assert not (tmp_path / "r").exists()
 
 
-@pytest.mark.usefixtures("unfitted")
+@pytest.mark.usefixtures("unfitted", "not_local")
 def test_a_submission_may_be_replaced_by_its_like_alone(tmp_path):
     def submit(folder, name):
         return score_submission(suite(), tables(tmp_path / folder, clips=(0,), name=name), tmp_path / "r", "")

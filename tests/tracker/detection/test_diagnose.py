@@ -65,8 +65,8 @@ def test_a_film_of_specks_names_the_detector_of_bodies():
 def test_blocks_of_a_codec_are_no_change_of_the_light(amplitude, said):
     """A film of a table at rest: blocks of 8 x 8 px flicker by two counts."""
     rng = np.random.default_rng(0)
-    ground = 100 + 40 * cv2.GaussianBlur(rng.normal(0, 1, (120, 160)), (0, 0), 3) * 6
-    flicker = rng.integers(-amplitude, amplitude + 1, (30, 15, 20)) * (rng.random((30, 15, 20)) < 0.3)
+    ground = 100 + 40 * cv2.GaussianBlur(rng.normal(0, 1, (64, 80)), (0, 0), 3) * 6
+    flicker = rng.integers(-amplitude, amplitude + 1, (30, 8, 10)) * (rng.random((30, 8, 10)) < 0.3)
     film = np.clip(np.rint(ground + np.kron(flicker, np.ones((8, 8)))), 0, 255).astype(np.uint8)
     assert tracker.track(film, detector="maximum_likelihood").rows[0]["status"].startswith(said)
 

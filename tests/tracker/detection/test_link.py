@@ -97,7 +97,7 @@ def test_gaps_are_bridged_and_long_ones_are_not():
 def test_a_ball_not_seen_as_it_is_hit_goes_on(lost):
     """Either or both are missing in the first frame, or two, after the contact, where encoders smear them together."""
     rng = np.random.default_rng(8)
-    for paths in collisions(rng, 60, speed=10.0):
+    for paths in collisions(rng, 20, speed=10.0):
         apart = np.hypot(*(paths[:, 0] - paths[:, 1]).T)
         hit = int(np.argmin(apart))
         for frames in ((hit,), (hit + 1,), (hit, hit + 1)):

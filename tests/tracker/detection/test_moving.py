@@ -12,6 +12,8 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.energy_momentum import slip_directions
 from tracker.measurement.estimate import measure
 
+pytestmark = pytest.mark.usefixtures("not_local")
+
 FPS, NOISE = 250.0, 0.01
 D = 2.38e-3
 

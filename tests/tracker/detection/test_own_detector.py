@@ -13,7 +13,7 @@ from synthcam_shared.errors import InputError, PluginError
 from tracker import cli
 from tracker.detection.detect import detector_name, load_detector
 
-pytestmark = pytest.mark.usefixtures("unfitted")
+pytestmark = pytest.mark.usefixtures("unfitted", "not_local")
 PATHS = collision(24, contact=9.3, speed=4.0)
 
 CENTROID = '''

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -61,11 +62,17 @@ def test_the_lamps_error_is_not_that_of_outlines(own):
     assert row["v0_std"] == pytest.approx(without["v0_std"], rel=1e-6)
 
 
+@cache
+def measured_with(data, key):
+    """The row of the first clip by a camera file that gives the error of a key; of "", none."""
+    truth, camera = truth_of(data, 0)
+    (row,) = measure(noisy(truth, np.random.default_rng(0)), wrong(camera, key or "fps", 0, SHARE if key else 0.0))
+    return row
+
+
 def power(data, key, name):
     """Compute what the error of a key adds to the standard error of a quantity, both relative."""
-    truth, camera = truth_of(data, 0)
-    tracks = noisy(truth, np.random.default_rng(0))
-    (without,), (row,) = (measure(tracks, wrong(camera, key, 0, share)) for share in (0.0, SHARE))
+    without, row = measured_with(data, ""), measured_with(data, key)
     return np.sqrt(row[f"{name}_std"] ** 2 - without[f"{name}_std"] ** 2) / abs(row[name]) / SHARE
 
 

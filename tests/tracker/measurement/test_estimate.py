@@ -98,8 +98,8 @@ def test_the_papers_restitution_is_low_by_what_sliding_takes(tmp_path):
     read = {}
     for v0 in (0.1, 0.3, 0.6):
         settings = {"launch": {"v0": v0, "b": 0.0}, "timing": {"contact_frame": {"uniform": [20, 21]}}}
-        data = dataset(tmp_path / f"{v0}", settings, 4)
-        table = measured(data, 4, noise=0.002)
+        data = dataset(tmp_path / f"{v0}", settings, 2)
+        table = measured(data, 2, noise=0.002)
         read[v0] = table["r_paper"].mean()
         assert table["r"].mean() == pytest.approx(0.903, abs=1e-4)
     assert read[0.3] == pytest.approx(0.782, abs=0.015)

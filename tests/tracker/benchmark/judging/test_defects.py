@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
-from benchmark_suite import Given, noisy, suite
+from benchmark_suite import Given, noisy, simulated, suite
 
-from tracker.benchmark.judging.defects import measure_shifts_by_defects, simulate_at_bound
+from tracker.benchmark.judging.defects import measure_shifts_by_defects
 from tracker.benchmark.judging.position_errors import match_positions
 
 
 @pytest.fixture(scope="module")
 def base():
-    made = suite()
-    return {clip: simulate_at_bound(made, made.parts["bright"], clip) for clip in made.parts["bright"].clips}
+    return {clip: simulated("bright", clip) for clip in suite().parts["bright"].clips}
 
 
 def judged(base, change):

@@ -9,7 +9,7 @@ import tracker
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.background.takes import find_takes
 
-pytestmark = pytest.mark.usefixtures("unfitted")
+pytestmark = pytest.mark.usefixtures("unfitted", "not_local")
 
 
 def tracked(pictures):

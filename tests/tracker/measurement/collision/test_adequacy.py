@@ -53,6 +53,12 @@ def rejected(hopping):
     return measured(hopping, 4)
 
 
+@pytest.fixture(scope="module")
+def accepted(own):
+    """Rows of eight collisions that the model fits."""
+    return measured(own, 8)
+
+
 def lasting(rng, count, rho):
     """Unit noise (count, 2) whose correlation falls as rho^lag."""
     noise = rng.standard_normal((count, 2))
@@ -112,8 +118,8 @@ def test_what_the_data_reject_has_no_errors_and_stays_for_looking_at(rejected):
     assert said.endswith("To find the cause: discrepancy find out/results --model MODEL")
 
 
-def test_nothing_of_a_misfit_is_fitted_with_the_others(own, rejected):
-    good, bad = measured(own, 6), rejected
+def test_nothing_of_a_misfit_is_fitted_with_the_others(accepted, rejected):
+    good, bad = accepted.iloc[:6], rejected
     assert fit_all(pd.concat([good, bad])) == fit_all(good)
     assert fit_all(bad)["clips"] == 0
 
@@ -275,7 +281,8 @@ def test_the_thresholds_of_a_fit_are_settings(own, tmp_path):
     """By argument, by keys and by a YAML file; other settings are another run, and a wrong key is named."""
     camera = truth_of(own, 0)[1]
     tracks, strict, loose = follow_model(camera, NOISE, r=1.088), FitSettings(), FitSettings(impossible_sigma=1e4)
-    assert [measure(tracks, camera, s)[0]["status"] for s in (strict, loose)] == ["misfit", "ok"]
+    with without_local():
+        assert [measure(tracks, camera, s)[0]["status"] for s in (strict, loose)] == ["misfit", "ok"]
     (row,) = measure(tracks, camera, FitSettings(local_window_s=0))
     assert (row["status"], json.loads(row["local"])["reason"]) == ("misfit", "the setting local_window_s is 0")
     table = pd.DataFrame({name: getattr(tracks, name) for name in ("frame", "particle", "x", "y")})
@@ -355,8 +362,8 @@ def test_a_clip_whose_arithmetic_fails_says_so(own, monkeypatch, error):
     assert set(row) == set(measure(tracks, camera)[0])
 
 
-def test_one_covariance_that_is_none_does_not_lose_the_fit_of_all(own):
-    table = measured(own, 8)
+def test_one_covariance_that_is_none_does_not_lose_the_fit_of_all(accepted):
+    table = accepted.copy()
     whole = fit_all(table)
     table = table.set_index(np.arange(8))
     spoilt = json.loads(table.at[2, "cov"])
@@ -377,16 +384,17 @@ def test_commands_say_how_many_are_misfits_and_why(own, hopping, tmp_path):
         tables.append(pd.DataFrame({"clip": clip} | columns | {"x_std": NOISE, "y_std": NOISE}))
     pd.concat(tables).to_csv(tmp_path / "tracks.csv", index=False)
     words = ["measure", str(tmp_path / "tracks.csv"), "--camera", str(own / "clips/000000/camera.json")]
-    done = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "out"), "--json"])
+    words += ["-o", str(tmp_path / "out"), "--no-pages"]
+    done = CliRunner().invoke(app, [*words, "--json"])
     summary = json.loads(done.stdout)
     assert summary["status"] == {"misfit": 2, "ok": 1}
     assert summary["warnings"][0].partition(" (")[0] == "2 of 3 collisions do not fit the model"
-    again = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "out")])
+    again = CliRunner().invoke(app, words)
     assert "complete before; 3 rows of estimates: 2 misfit, 1 ok" in again.stdout
     assert again.stderr == "".join(f"tracker: {warning}\n" for warning in summary["warnings"])
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "not_local")
 def test_a_score_counts_misfits_and_holds_only_their_free_fit_to_the_truth(hopping, tmp_path):
     found = score(results(tmp_path / "results", hopping, 3), hopping)
     assert found.statuses == {"n": 4, "misfit": 3, "no result": 1}

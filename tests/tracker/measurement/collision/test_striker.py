@@ -100,7 +100,7 @@ def pushed(seed, frames):
     return table.assign(frame=table["frame"] + 30)
 
 
-@pytest.mark.parametrize("frames", [20, 12])
+@pytest.mark.parametrize("frames", [pytest.param(20, marks=pytest.mark.gate), 12])
 def test_a_hand_that_pushes_the_striker_is_left_out(frames):
     """It is no noise that lasts from frame to frame, which would leave an error of r that nothing rejects."""
     row = measure(pushed(4, frames), CAMERA).rows[0]

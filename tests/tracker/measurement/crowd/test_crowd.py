@@ -186,10 +186,12 @@ def test_errors_of_derived_values_are_those_of_draws():
 def test_contacts_are_the_same_however_few_are_fitted_at_once(monkeypatch):
     """All at once, a long film of a crowd would need gigabytes."""
     clip, numbers = synthcam.Scene.read("tray", timing={"frames": 30}).draw(seed=1), []
-    table = add_noise(clip, NOISE_PX)
+    read = to_pixels(TrackTable(add_noise(clip, NOISE_PX)), "truth", clip.camera_json)
+    balls = to_ball_tracks(read.clips[0][0], read.camera)
 
     def find():
-        return tracker.measure(table, clip.camera_json).contacts[["particle1", "particle2", "t_s", "t_s_std"]]
+        found = find_track_contacts(balls, read.camera.ball_diameter)
+        return pd.DataFrame([(each.one, each.other, each.time, each.time_std) for each in found])
 
     def gather(candidates, *given, gather=track_contacts.gather_gaps):
         numbers.append(len(candidates))
