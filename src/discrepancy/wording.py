@@ -93,7 +93,7 @@ def describe_error_source(found: SearchOutcome) -> str:
     by_scatter = found.data.is_cut or not found.is_complete
     if not by_scatter or not any(math.isfinite(std) for c in found.claims for std in c.std.values()):
         return ""
-    return "Errors count how the stretches scatter; a cause that moves all stretches alike may add to them."
+    return "Errors follow from the scatter of the stretches; they lack a cause that changes all stretches equally."
 
 
 def describe_law_in_model(free_law: FittedLaw, model_holds_law: bool) -> str:

@@ -177,8 +177,9 @@ def leave_each_out(fit: ModelFit, precision: Array | None = None) -> tuple[list[
 def compute_jackknife_errors(fit: ModelFit, precision: Array | None = None) -> dict[str, float]:
     """Compute standard deviations of the shared parameters from their changes as each clip is left out in turn.
 
-    They count how the clips scatter, whatever the noise model says: the jackknife of MacKinnon & White, J.
-    Econometrics 29 (1985) 305, with clips in place of points. A cause that moves all clips alike does not enter.
+    They follow from the scatter of the clips, whatever the noise model says. It is the jackknife of MacKinnon & White,
+    J. Econometrics 29 (1985) 305, with clips instead of points. A cause that changes all clips in the same way does not
+    enter.
     """
     changes = leave_each_out(fit, precision)[1]
     std = np.sqrt((len(changes) - 1) * changes.var(axis=0))
@@ -295,8 +296,8 @@ class ValidatedSelection:
     def claims_by_scatter(self, is_cut: bool) -> tuple[EffectClaim, ...]:
         """The claims where errors from noise are too small: of free stretches (is_cut), or if more is missing.
 
-        Free stretches scatter, and get errors by that. In whole collisions the missing physics may move all alike, so
-        no error is given.
+        Errors of free stretches follow from their scatter. In whole collisions the missing physics may change all clips
+        in the same way, so no error is given.
         """
         law, std = self.selection.free_law, dict[str, float]()
         if is_cut and self.claims:

@@ -121,7 +121,7 @@ def test_no_error_is_given_of_a_strength_where_more_is_missing():
     of_stretches = named.judge_by_scatter(7.0, {E: 1.0})
     assert (of_stretches.std, of_stretches.sigma) == ({E: 1.0}, 7.0)
     found = dataclasses.replace(found, claims=(of_stretches,), rejected=(law,))
-    assert "Errors count how the stretches scatter" in found.sentence()
+    assert "Errors follow from the scatter of the stretches" in found.sentence()
 
 
 def test_a_claim_that_closes_little_of_what_is_missing_does_not_stand():
