@@ -41,14 +41,14 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any
 
 from tracker.tables.table_options import TableOptions
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from scipy.integrate import OdeSolution, solve_ivp
+from scipy.integrate import solve_ivp
 
 from benchmarks.real.hits import READERS, measure_hit
 from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
@@ -57,7 +57,6 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.contacts import Contacts
 from discrepancy.data.launch import T_C, V0
 from discrepancy.fitting.model_fit import ModelFit
-from discrepancy.policy import current_policy
 from discrepancy.search import search
 from discrepancy.select.contact_effects import ContactClaim, examine_contacts
 from discrepancy.wording import describe_search
@@ -162,67 +161,73 @@ class Cause:
     otherwise: float = 0.03  # the strength if the search says that these tracks do not show it
 
 
-def accelerate(clip: MeasuredCollision, size: float, heading: float, glides: bool) -> MeasuredCollision:
+def accelerate(clip: MeasuredCollision, size: float, heading: float, model: Model) -> MeasuredCollision:
     """Add a constant acceleration, m/s^2 of a body without friction, to each path before and after the contact.
 
-    glides: the whole of it acts, as on a body without friction. Else the bodies are balls on cloth: the whole acts on a
-    ball that slides, 5/7 on one that rolls. Each slide is that of the path's own best fit.
+    model: if it has no sliding friction, the whole acts on all bodies. Else they are balls with its rolling loss: the
+    whole acts on a ball that slides, 5/7 on one that rolls. Each slide is that of the path's own best fit.
     """
     push, contact = size * np.array([np.cos(heading), np.sin(heading)]), float(clip.launch[T_C])
     time, xy = clip.frame / clip.fps, clip.xy.copy()
     for ball, late in ((1, False), (1, True), (0, True)):
         rows = np.flatnonzero((clip.ball == ball) & ((time > contact) == late))
-        if not len(rows):
+        if len(rows) < 3:
             continue
-        begin = contact if late else float(time[rows].min())
-        since = np.append(time[rows], contact) - begin
-        way = (
-            since[:, None] ** 2 / 2 * push if glides else push_ball(since, *find_slide(since[:-1], clip.xy[rows]), push)
-        )
-        if not late:  # no displacement and, of a ball that rolls there, no slope at the contact
-            slope = (1.0 if glides else ROLLING_SHARE) * push * since[-1]
-            way = way - way[-1] - slope * (since - since[-1])[:, None]
-        xy[rows] += way[:-1]
+        since = time[rows] - (contact if late else time[rows[0]])
+        if model.sliding_friction == 0:
+            xy[rows] += since[:, None] ** 2 / 2 * push
+        else:
+            start = BallStart.of(since, clip.xy[rows])
+            loss = model.rolling_decel, model.rolling_drag
+            xy[rows] += start.move(since, push, loss) - start.move(since, np.zeros(2), loss)
     return replace(clip, xy=xy)
 
 
-def find_slide(since: Array, xy: Array) -> tuple[float, Array]:
-    """Find the end of a slide, s, and its acceleration (2,), m/s^2; zero for a ball that rolls all the time."""
-    best = (np.inf, 0.0, np.zeros(2))
-    for end in since[2:]:  # a constant acceleration until then, and none after
-        sliding = np.minimum(since, end)
-        shapes = np.stack([np.ones_like(since), since, sliding * (since - sliding / 2)], axis=-1)
-        parts = np.linalg.lstsq(shapes, xy, rcond=None)[0]
-        best = min(best, (float(((xy - shapes @ parts) ** 2).sum()), float(end), parts[2]), key=lambda fit: fit[0])
-    _, end, pull = best
-    return (end, pull) if np.hypot(*pull) > current_policy().sliding_deceleration_m_s2 else (0.0, np.zeros(2))
+@dataclass(frozen=True)
+class BallStart:
+    """How a ball starts on cloth: its velocity, the acceleration of its slide (2,), m/s^2, and the end of it, s."""
 
+    velocity: Array
+    pull: Array
+    end: float
 
-def push_ball(since: Array, end: float, pull: Array, push: Array) -> Array:
-    """Displace a ball that slides until `end`, by friction `pull`, and then rolls, by a constant push: (n, 2), m.
+    @classmethod
+    def of(cls, since: Array, xy: Array, max_roll: float = 0.3) -> BallStart:
+        """Fit parabolas of a slide and of the roll after it; a ball that rolls loses less than `max_roll`, m/s^2."""
+        best = (np.inf, 0.0, np.zeros((4, 2)))
+        for end in since[2:-3]:
+            shapes = np.stack([np.ones_like(since), since, since**2 / 2, np.maximum(since - end, 0) ** 2 / 2], axis=-1)
+            parts = np.linalg.lstsq(shapes, xy, rcond=None)[0]
+            best = min(best, (float(((xy - shapes @ parts) ** 2).sum()), float(end), parts), key=lambda fit: fit[0])
+        _, end, (_, velocity, pull, change) = best
+        if np.hypot(*(pull + change)) > max_roll:  # it slides throughout
+            pull, velocity, _ = np.polyfit(since, xy, 2) * [[2], [1], [1]]
+            end = float(since[-1])
+        if np.hypot(*pull) < max_roll or len(since) < 6:
+            return cls(np.polyfit(since, xy, min(2, len(since) - 1))[-2], np.zeros(2), 0.0)
+        return cls(velocity, pull, end)
 
-    The velocity less 2/7 of the slip is that of a ball that rolls: friction does not change it. The push turns the slip
-    and makes the slide longer or shorter.
-    """
-    way = ROLLING_SHARE * since[:, None] ** 2 / 2 * push
-    if not end > 0:
-        return np.asarray(way)
-    rate = np.hypot(*pull) / SLIP_SHARE  # friction takes so much slip away in a second
-    begun = -end * pull / SLIP_SHARE
+    def move(self, since: Array, push: Array, loss: tuple[float, float]) -> Array:
+        """Displacements (n, 2), m, under a push, with a rolling loss, m/s^2 and 1/s, against the motion.
 
-    def change(_: float, state: Array) -> Array:
-        slip = state[:2]
-        return np.concatenate([push - rate * slip / np.hypot(*slip), slip])
+        The velocity less 2/7 of the slip is that of a ball that rolls: friction does not change it.
+        """
+        rate = max(float(np.hypot(*self.pull)) / SLIP_SHARE, 1.0)  # friction takes so much slip away in a second
+        slip = -self.end * self.pull / SLIP_SHARE
+        tiny = 1e-3  # m/s: a slower slip, or ball, has ended
 
-    def remains(_: float, state: Array) -> float:
-        return float(np.hypot(*state[:2]) - 1e-6 * rate * end)
+        def change(_: float, state: Array) -> Array:
+            slip, rolling = state[:2], state[2:4]
+            velocity = rolling + SLIP_SHARE * slip
+            speed = np.hypot(*velocity)
+            lost = (loss[0] + loss[1] * speed) * velocity / np.hypot(speed, tiny)
+            turned = push - rate * slip / np.hypot(np.hypot(*slip), tiny)
+            return np.concatenate([turned, ROLLING_SHARE * push - lost, velocity])
 
-    remains.terminal = True  # type: ignore[attr-defined]
-    start = np.concatenate([begun, np.zeros(2)])
-    path = solve_ivp(change, (0.0, 10 * end), start, events=remains, dense_output=True, rtol=1e-9, atol=1e-12)
-    slips, now = cast("OdeSolution", path.sol), np.minimum(since, end)[:, None]
-    base = begun * (now - now**2 / (2 * end))
-    return np.asarray(way + SLIP_SHARE * (slips(np.minimum(since, path.t[-1]))[2:].T - base))
+        start = np.concatenate([slip, self.velocity - SLIP_SHARE * slip, np.zeros(2)])
+        ends = (0.0, float(since.max()) + tiny)
+        path = solve_ivp(change, ends, start, method="LSODA", t_eval=since, rtol=1e-8, atol=1e-10)
+        return np.asarray(path.y[4:].T)
 
 
 def distort(clip: MeasuredCollision, k: float, sign: float) -> MeasuredCollision:
@@ -260,7 +265,7 @@ def list_causes(model: Model) -> Iterator[Cause]:
     unit = 5 / 7 * g if glides else g  # in the model a body without friction rolls
     for degrees in (20, 110, 200):
         name, heading = f"acceleration to {degrees} deg", float(np.radians(degrees))
-        push = partial(accelerate, heading=heading, glides=glides)
+        push = partial(accelerate, heading=heading, model=model)
         yield Cause(name, push, "plate_tilt", ("x", "y"), unit, ("force_place",), heading)
     for sign in (1.0, -1.0):
         yield Cause(f"lens {sign:+.0f}", partial(distort, sign=sign), "lens_distortion", ("k1",), sign)

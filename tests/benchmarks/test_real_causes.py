@@ -37,17 +37,20 @@ def test_hits_are_measured_with_the_other_mass(monkeypatch, count, lines):
         assert sorted({one / two for one, two in masses}) == pytest.approx([0.8, 0.9, 1.0, 1.1, 1.2])
 
 
-@pytest.mark.parametrize("slip", [(0.0, 0.0), (0.4, 0.0), (-0.2, 0.3)])
-def test_an_acceleration_moves_a_ball_as_a_tilted_plate_does(slip):
-    """The balls slide, some across their way, and roll in the end. An acceleration of 5/7 throughout fails."""
-    launch = np.array([0.0, 0.0, 0.0, 0.5, 0.3, MEETS_NOTHING, *slip, 0.0])
+@pytest.mark.parametrize(
+    ("speed", "slip", "loss"),
+    [(0.5, (0.0, 0.0), 0.0), (0.5, (0.4, 0.0), 0.0), (0.5, (-0.2, 0.3), 0.0), (0.06, (0.0, 0.0), 0.1)],
+)
+def test_an_acceleration_moves_a_ball_as_a_tilted_plate_does(speed, slip, loss):
+    """The balls slide, some across their way, and roll in the end; a slow one is turned, and its loss with it."""
+    launch = np.array([0.0, 0.0, 0.0, speed, 0.3, MEETS_NOTHING, *slip, 0.0])
     clip = blank(0, launch, np.zeros(2))
     clip = replace(clip.select(np.flatnonzero(clip.ball == 1)), launch=launch)
-    level = Model().replace({"sliding_friction": 0.05, "rolling_drag": 0.0, "rolling_decel": 0.0})
-    push, heading = 0.1, 1.9
+    level = Model().replace({"sliding_friction": 0.05, "rolling_drag": 0.0, "rolling_decel": loss})
+    push, heading = 0.2, 1.9
     tilt = np.arcsin(push / level.gravity * np.array([np.cos(heading), np.sin(heading)]))
     tilted = level.replace({"plate_tilt.x": tilt[0], "plate_tilt.y": tilt[1]})
     (straight,), (bent,) = (predict_tracks(model, launch[None], [clip]) for model in (level, tilted))
-    moved = real_causes.accelerate(replace(clip, xy=straight), push, heading, glides=False).xy - straight
+    moved = real_causes.accelerate(replace(clip, xy=straight), push, heading, level).xy - straight
     scale = np.abs(bent - straight).max()
     assert moved == pytest.approx(bent - straight, abs=0.005 * scale)
