@@ -62,11 +62,6 @@ class SearchPolicy(Settings):
     max_effects: Count = 4
     """Most effects that one search names. More together can imitate a law of no library. Chosen; not derived."""
 
-    strong_effect_chi2: Positive = 525.0
-    """chi^2 that an effect explains, to first order, above which its rivals are tested beside a refit without it.
-    Else the first-order estimate is used, which may be wrong by 15 plus a fifth of that chi^2. Chosen; not derived: for
-    a stronger effect this error exceeds 120, and without the refit nearly every candidate seems to be a rival."""
-
     max_shapes_tried: Count = 30
     """Values of the shape parameters of one effect at which strengths of a realistic size are tried. If there are more,
     those with the best score are. Derived: 30 hold all values of every effect but dropped_frame, which has 499. A lost

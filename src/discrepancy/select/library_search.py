@@ -225,17 +225,13 @@ def improve_once(library: LibraryFits, state: State) -> State | None:
             worse = library.fit(rest).chi2 - fit.chi2
             if library.convert_to_sigma(worse, candidate) < library.required_sigma:
                 return rest
-        reduced: ModelFit | None = None
-        without: Candidate | None = candidate
-        beside, keys = tests, {frozenset(state): candidate}
-        if rise > current_policy().strong_effect_chi2:  # fitted again, the rest leaves less to explain
-            beside, without, reduced = library.score_tests(rest), None, library.fit(rest)
-        for c in _find_rivals(library, beside, without, fit.chi2):
+        reduced, keys = None, {frozenset(state): candidate}
+        for c in _find_rivals(library, tests, candidate):
             key = frozenset({*rest, c.candidate})
             keys[key] = c.candidate
             if key not in library.fits:
                 reduced = reduced or library.remove(fit, candidate)
-                library.extend(key, reduced, beside.sharper(library.evidence, c, without))
+                library.extend(key, reduced, tests.sharper(library.evidence, c, candidate))
             if library.cost_of(key) < library.cost_of(state) + SCORE_ERROR_CHI2:
                 library.fit(key)
             if library.cost_of(key) < library.cost_of(state) - current_policy().rival_excluded_chi2:
@@ -246,16 +242,11 @@ def improve_once(library: LibraryFits, state: State) -> State | None:
     return None
 
 
-def _find_rivals(
-    library: LibraryFits, tests: ScoreTests, without: Candidate | None, chi2: float
-) -> list[CandidateScore]:
-    """Find candidates that, to first order, fit nearly as well as an effect does; the best comes first.
-
-    tests, without: those of the model without the effect, as for `ScoreTests.ranking`. chi2: of the fit with it.
-    """
-    total = tests.chi2(without)
-    near = chi2 + SCORE_ERROR_CHI2 + SCORE_ERROR_SHARE * (total - chi2)
-    rivals = [c for c in tests.ranking(without) if total - c.gain < near and c.effect not in library.absorbed]
+def _find_rivals(library: LibraryFits, tests: ScoreTests, candidate: Candidate) -> list[CandidateScore]:
+    """Find candidates that, to first order, fit nearly as well as an effect does; the best comes first."""
+    total = tests.chi2(candidate)
+    near = tests.fit.chi2 + SCORE_ERROR_CHI2 + SCORE_ERROR_SHARE * (total - tests.fit.chi2)
+    rivals = [c for c in tests.ranking(candidate) if total - c.gain < near and c.effect not in library.absorbed]
     return sorted(rivals, key=lambda c: -c.gain)[:MAX_EXCHANGES]
 
 

@@ -15,7 +15,7 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, names_to_fit
 from discrepancy.noise.model import estimate_noise
-from discrepancy.policy import SearchPolicy, applied_policy, current_policy
+from discrepancy.policy import current_policy
 from discrepancy.select.library_search import (
     choose_simplest,
     complete_search,
@@ -96,26 +96,6 @@ def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
     better = improve_once(steps, state)
     assert [s.name for s in better] == ["velocity_restitution"]
     assert improve_once(steps, better) is None
-
-
-@pytest.mark.parametrize("strong_from", [525.0, 1e9])
-def test_rivals_of_a_strong_effect_start_from_the_rest_fitted_again(strong_from, monkeypatch):
-    """With its other parameters as they are beside the effect, the rest leaves far more for a rival to explain."""
-    few(monkeypatch, ("viscous_friction", "stribeck"))
-    steps, state = standing(Model().replace({"viscous_friction.k": 0.8}), "viscous_friction")
-    starts, extend = [], type(steps).extend
-
-    def spy(library, key, fit, scored):
-        starts.append(fit.chi2)
-        extend(library, key, fit, scored)
-
-    monkeypatch.setattr(type(steps), "extend", spy)
-    with applied_policy(SearchPolicy(strong_effect_chi2=strong_from)):
-        assert improve_once(steps, state) is None
-    assert starts
-    unfitted = steps.remove(steps.fit(state), state[0]).chi2
-    assert steps.base.chi2 < unfitted - 500
-    assert max(starts) == (steps.base.chi2 if strong_from < unfitted else unfitted)
 
 
 def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
