@@ -1,8 +1,8 @@
 """Departures from a law that both fits assume: one step from a fit, and the average over the law and a departure.
 
-Chi^2 of all positions hardly shows that the rolling losses of the balls differ, or that friction depends on the speed
-of slip: few of many degrees of freedom have to do with it. One linear step from a fit shows the departure by itself,
-and how it shifts every quantity.
+Examples are rolling losses that differ, and a friction that depends on the speed of slip. Chi^2 of all positions hardly
+shows them, because few of its degrees of freedom have to do with them. One linear step from a fit shows the departure
+by itself, and how it shifts every quantity.
 
 The quantities are averaged over two models (Bayesian model averaging; Hoeting et al., Statist. Sci. 14 (1999) 382): the
 law holds, or a departure has a Cauchy prior. Such a prior (Jeffreys, Theory of Probability, 3rd ed. (1961), 5.2) does
