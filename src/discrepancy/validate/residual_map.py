@@ -363,15 +363,16 @@ class ClipAmplitudes:
 
 @dataclass(frozen=True)
 class ClipSolution:
-    """Least squares of one clip: amplitudes of unit-length terms, their covariance, and slopes of shared parameters.
+    """Least squares of one clip: amplitudes of unit-length terms, a root of their covariance, and shared slopes.
 
+    The covariance is root @ root.T. That of terms that are nearly dependent would be singular by rounding.
     `information` (S, S) and `pull` (S,) belong to the shared parameters, in the residuals that the terms leave.
     """
 
     kept: NDArray[np.bool_]
     length: Array
     amplitude: Array
-    covariance: Array
+    root: Array  # (T, k)
     shared: Array
     information: Array
     pull: Array
@@ -393,9 +394,9 @@ class ClipSolution:
             q, r = np.linalg.qr(unit[:, kept])
         inverse = np.linalg.inv(r)
         at, first = np.flatnonzero(kept), launch.shape[1]
-        amplitude, covariance = np.zeros(len(kept)), np.zeros((len(kept),) * 2)
+        amplitude, root = np.zeros(len(kept)), np.zeros((len(kept), len(at)))
         amplitude[at] = inverse @ (q.T @ residual)
-        covariance[np.ix_(at, at)] = inverse @ inverse.T
+        root[at] = inverse
         slopes = np.zeros((len(kept), shared.shape[1]))
         slopes[at] = inverse @ (q.T @ shared)
         terms, rest = slice(first, None), shared - q @ (q.T @ shared)
@@ -403,7 +404,7 @@ class ClipSolution:
             kept=kept[terms],
             length=length[terms],
             amplitude=amplitude[terms],
-            covariance=covariance[terms, terms],
+            root=root[terms],
             shared=slopes[terms],
             information=rest.T @ rest,
             pull=rest.T @ residual,
@@ -411,8 +412,9 @@ class ClipSolution:
 
     def group(self, rows: list[int]) -> tuple[Array, Array, Array]:
         """Pulls of unit variance of some terms, with all others free; the same by a metre and by shared parameters."""
-        root = np.linalg.inv(np.linalg.cholesky(self.covariance[np.ix_(rows, rows)]))
-        return root @ self.amplitude[rows], root * self.length[rows], root @ self.shared[rows]
+        upper = np.linalg.qr(self.root[rows].T, mode="r")
+        whiten = np.linalg.inv(upper * np.sign(np.diag(upper))[:, None]).T
+        return whiten @ self.amplitude[rows], whiten * self.length[rows], whiten @ self.shared[rows]
 
 
 def combine_clips(parts: Sequence[ClipAmplitudes], min_shared: float = 1e-6) -> Iterator[PhaseResult]:

@@ -13,7 +13,7 @@ from discrepancy.data.launch import HEADING
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.validate.residual_map import PHASE_TESTS, examine_phases, find_disagreements
+from discrepancy.validate.residual_map import PHASE_TESTS, ClipSolution, examine_phases, find_disagreements
 from discrepancy.wording import describe_disagreement
 from synthcam.model import Model
 
@@ -131,3 +131,15 @@ def test_six_clips_are_held_against_speed_and_place(count, trends):
     clips = collisions(Model(), count, 5)
     found = examine_phases(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)
     assert any(against for _, (against, *_) in found) is trends
+
+
+@pytest.mark.parametrize("apart", [0.1, 2e-5])
+def test_pulls_have_unit_variance_however_similar_the_terms_are(apart):
+    """The pulls of unit residuals are rows of a projection, whose product with themselves is the unit matrix."""
+    rng = np.random.default_rng(1)
+    launch, terms = rng.standard_normal((40, 4)), rng.standard_normal((40, 5))
+    terms[:, 3], terms[:, 4] = terms[:, 2] + apart * terms[:, 3], terms[:, 3] + apart * terms[:, 4]
+    solved = [ClipSolution.of(launch, terms, unit, np.zeros((40, 0))) for unit in np.eye(40)]
+    assert solved[0].kept.all()
+    pulls = np.array([one.group([1, 2, 3, 4])[0] for one in solved])
+    assert pulls.T @ pulls == pytest.approx(np.eye(4), abs=1e-3)
