@@ -210,20 +210,21 @@ class Calendar:
             return leg.t1 if type(leg) is Rest else min(t + MAX_LOOK_S, leg.t1), range(len(self.radius))
         if type(leg) is Rest:
             box, _ = self._bound_path(k, leg, t, t, first)
-            self.cells.put(k, box)
-            return leg.t1, self.cells.find_near(box)
+            cells = self.cells.cover(box)
+            self.cells.put(k, box, cells)
+            return leg.t1, self.cells.find_near(box, cells)
         while True:
             horizon = min(t + look, leg.t1)
             box, widens = self._bound_path(k, leg, t, horizon, first)
             small = widens < self.radius[k]  # to shrink it more would change little
-            x0, y0, x1, y1 = self.cells.cover(box)
+            x0, y0, x1, y1 = cells = self.cells.cover(box)
             if small or (x1 - x0 + 1) * (y1 - y0 + 1) <= MAX_CELLS:
-                near = self.cells.find_near(box)
+                near = self.cells.find_near(box, cells)
                 if small or len(near) <= MAX_NEIGHBOURS:
                     break
             look = (horizon - t) / 2
         self.look[k] = min(2 * look, MAX_LOOK_S) if len(near) <= FEW_NEIGHBOURS else look
-        self.cells.put(k, box)
+        self.cells.put(k, box, cells)
         return horizon, near
 
     def _bound_path(self, k: int, leg: Leg, t: float, horizon: float, first: State) -> tuple[Box, float]:
@@ -250,5 +251,6 @@ class Calendar:
         cells = NeighbourCells(side, len(legs))
         for k, (x, y) in enumerate(states[:, :2].tolist()):
             wide = self.radius[k] * (1 + self.margin)
-            cells.put(k, Box(x - wide, y - wide, x + wide, y + wide))
+            box = Box(x - wide, y - wide, x + wide, y + wide)
+            cells.put(k, box, cells.cover(box))
         return cells

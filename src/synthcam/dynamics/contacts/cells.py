@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterator
 from typing import NamedTuple
 
 
@@ -42,11 +41,12 @@ class NeighbourCells:
         low_x, low_y, high_x, high_y = box
         return math.floor(low_x / side), math.floor(low_y / side), math.floor(high_x / side), math.floor(high_y / side)
 
-    def find_near(self, box: Box) -> list[int]:
-        """Return the bodies whose boxes meet a box."""
+    def find_near(self, box: Box, cells: Cells) -> list[int]:
+        """Return the bodies whose boxes meet a box. cells: those that it covers."""
         near, boxes = set[int](), self.boxes
-        for cell in _list_cells(self.cover(box)):
-            near.update(self.bodies.get(cell, ()))
+        for cell in _list_cells(cells):
+            if cell in self.bodies:
+                near |= self.bodies[cell]
         low_x, low_y, high_x, high_y = box
         return [
             k
@@ -57,9 +57,9 @@ class NeighbourCells:
             and boxes[at + 3] >= low_y
         ]
 
-    def put(self, k: int, box: Box) -> None:
+    def put(self, k: int, box: Box, cells: Cells) -> None:
         """Put a body into the cells that its new box covers."""
-        cells, before = self.cover(box), self.covered.get(k)
+        before = self.covered.get(k)
         self.boxes[4 * k : 4 * k + 4] = array("d", box)
         if cells == before:
             return
@@ -72,6 +72,8 @@ class NeighbourCells:
         self.covered[k] = cells
 
 
-def _list_cells(cells: Cells) -> Iterator[tuple[int, int]]:
+def _list_cells(cells: Cells) -> list[tuple[int, int]]:
     x0, y0, x1, y1 = cells
-    return ((x, y) for x in range(x0, x1 + 1) for y in range(y0, y1 + 1))
+    if x0 == x1 and y0 == y1:
+        return [(x0, y0)]
+    return [(x, y) for x in range(x0, x1 + 1) for y in range(y0, y1 + 1)]
