@@ -64,6 +64,19 @@ def test_where_it_starts_does_not_matter():
     np.testing.assert_allclose(one.chi2, other.chi2, atol=0.005)  # of .17 that it scatters by
 
 
+def test_a_secondary_glint_at_a_known_position_has_its_flux_and_does_not_pull():
+    """Without noise. A fit that knows of no secondary glint is pulled by hundredths of a pixel."""
+    glint, second, side = np.array([0.2, -0.1]), np.array([2.6, -2.1]), 9
+    counts = 10.0 + 1200 * spot((side, side), *(4 + glint), 1.0) + 80 * spot((side, side), *(4 + second), 1.0)
+    nothing, place = np.zeros((1, 2)), np.array([[[*second, 1.0]]])
+    windows = GlintWindows(counts[None], np.ones((1, side, side)), nothing, nothing, nothing, place)
+    found = fit_glints(windows, 1.0, SENSOR, tolerance=1e-6)
+    assert found.secondary[0, 0] == pytest.approx(80, rel=1e-3)
+    assert np.abs(found.xy[0] - glint).max() < 1e-4
+    without = fit_glints(replace(windows, secondaries=np.zeros((1, 0, 3))), 1.0, SENSOR)
+    assert np.abs(without.xy[0] - glint).max() > 0.01
+
+
 def test_a_window_without_a_pixel_has_no_information_and_warns_of_nothing():
     windows = shown(np.random.default_rng(2), 3, 120.0)
     windows.used[1] = 0.0
