@@ -33,7 +33,8 @@ def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[Me
     """
     if len(clips) < current_policy().min_collisions:
         least = current_policy().min_collisions
-        raise InputError(f"{len(clips)} measured collisions: expected {least} or more, to fit some and hold out others")
+        there = f"{len(clips)} measured collision{'' if len(clips) == 1 else 's'}"
+        raise InputError(f"{there}: expected {least} or more, to fit some and hold out others")
     first, held = clips[0].camera, 2 * model.ball.radius
     for c in clips:
         if abs(c.camera.ball_diameter / held - 1) > current_policy().max_diameter_mismatch:

@@ -21,6 +21,7 @@ from synthcam_shared.errors import InputError
 State = Literal["idle", "running", "done", "failed", "cancelled"]
 PROGRESS = re.compile(r"(\w+): (\d+) of (\d+) after ")
 PROGRAM = re.compile(r"^(tracker|discrepancy|synthcam): ")
+INPUT_ERROR = 2  # the exit status whose message says all
 MAX_LINES = 200  # of the child's messages that are kept
 
 
@@ -128,8 +129,8 @@ class TrackProcess:
             self._finish(replace(self.status, state="cancelled"))
         else:
             last = self.status.lines[-1] if self.status.lines else f"tracker {self.status.command}"
-            ended = f"ended by signal {-code}" if code < 0 else f"exit status {code}"
-            self._finish(replace(self.status, state="failed", error=f"{last} ({ended})"))
+            ended = f" (ended by signal {-code})" if code < 0 else f" (exit status {code})"
+            self._finish(replace(self.status, state="failed", error=last + ended * (code != INPUT_ERROR)))
 
     def _finish(self, status: RunStatus) -> None:
         """Show that the run has ended, when what it made is taken."""

@@ -10,6 +10,7 @@ from tracker.app.track_process import TrackProcess
 CHILDREN = {
     "done": "print('frames: 3 of 9 after 1 s', 'tracker: a note', sep='\\n', file=e); print('{\"clips\": 1}')",
     "failed": "print('tracker: film.mp4: no frames', file=e); sys.exit(2)",
+    "crashed": "sys.exit(3)",
     "killed": "os.kill(os.getpid(), 9)",
     "waits": "signal.signal(2, signal.default_int_handler); print('frames: 1 of 9 after 1 s', file=e); e.flush()"
     "; time.sleep(60)",
@@ -29,7 +30,8 @@ def run_child(name):
     ("name", "state", "error"),
     [
         ("done", "done", ""),
-        ("failed", "failed", "film.mp4: no frames (exit status 2)"),
+        ("failed", "failed", "film.mp4: no frames"),
+        ("crashed", "failed", "tracker track (exit status 3)"),
         ("killed", "failed", "tracker track (ended by signal 9)"),
         ("wordy", "done", ""),
     ],

@@ -1,6 +1,7 @@
-// The residuals by frame, to be clicked: dots along x, squares along y, one colour for each ball.
+// The residuals by frame, to be clicked: dots along x, squares along y, in the colours of the tracks over the film.
 
-const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00"];
+import { TRACKS } from "/static/stage.js";
+
 const MARGIN = 8;
 
 export class ResidualPlot extends EventTarget {
@@ -13,7 +14,6 @@ export class ResidualPlot extends EventTarget {
     new ResizeObserver(() => this.paint()).observe(this.canvas);
     this.canvas.addEventListener("click", (event) => this.press(event.offsetX, event.offsetY));
     player.addEventListener("frame", () => this.paint());
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.paint());
   }
 
   show(tracks, name) {
@@ -72,7 +72,7 @@ export class ResidualPlot extends EventTarget {
       pen.stroke();
     }
     for (const { k, axis, at: [x, y] } of this.points()) {
-      pen.fillStyle = pen.strokeStyle = COLOURS[k % COLOURS.length];
+      pen.fillStyle = pen.strokeStyle = TRACKS[k % TRACKS.length];
       pen.beginPath();
       if (axis === "x") pen.arc(x, y, 2.2, 0, 2 * Math.PI);
       else pen.rect(x - 2.2, y - 2.2, 4.4, 4.4);

@@ -6,6 +6,7 @@ const element = (id) => document.getElementById(id);
 const cell = (kind, text) => Object.assign(document.createElement(kind), { textContent: text });
 
 const DOING = { calibrate: "Measuring the scale", measure: "Measuring", combine: "Combined set", find: "Search", generate: "Making a dataset" };
+const COMPARES = ["combine", "find"]; // their state stands beside their buttons
 const STARTERS = ["run", "calibrate", "perspective", "combine", "search"];
 
 export class Run {
@@ -27,7 +28,8 @@ export class Run {
       this.show(await post(address, collect()));
     } catch (error) {
       this.disable(false);
-      element(address === "/api/calibrate" ? "settings-error" : "run-state").textContent = error.message;
+      const places = { "/api/calibrate": "settings-error", "/api/combine": "compare-state", "/api/search": "compare-state" };
+      element(places[address] ?? "run-state").textContent = error.message;
     }
   }
 
@@ -57,15 +59,18 @@ export class Run {
     const doing = (DOING[run.command] ?? "Tracking") + stage, done = calibrates ? "The film has a camera file now." : "Done.";
     const failed = `${run.error}${calibrates ? ". Set the scale by two points of a known distance instead, or by four known points." : ""}`;
     const words = { idle: "", running: `${doing}${counted}`, done, cancelled: "Cancelled.", failed };
-    element("run-state").textContent = words[run.state];
-    element("run-state").className = run.state === "failed" ? "error" : "";
+    const place = COMPARES.includes(run.command) ? "compare-state" : "run-state";
+    for (const id of ["run-state", "compare-state"]) {
+      element(id).textContent = id === place ? words[run.state] : "";
+      element(id).className = run.state === "failed" ? "error" : "";
+    }
     element("log-box").hidden = run.lines.length === 0;
     element("log").replaceChildren(...run.lines.map((line) => cell("li", line)));
     if (run.state === "done" && this.shown !== `${run.command} ${run.number}`) {
       this.shown = `${run.command} ${run.number}`;
       if (run.command === "find") this.arrows.load(run.number);
       if (this.whenDone[run.command]) this.whenDone[run.command]();
-      else if (page) this.showReport(page, DOING[run.command]);
+      else if (page) this.showReport(page, DOING[run.command], true);
       else this.showResults(run.number);
     }
   }
@@ -81,6 +86,7 @@ export class Run {
     const parts = found.collisions.flatMap((collision) => this.describe(collision));
     if (found.more) parts.push(cell("p", `${found.more} more collisions are in the report.`));
     parts.push(Object.assign(cell("p", `Written to ${found.folder}`), { className: "note" }));
+    if (found.page) parts.push(Object.assign(cell("a", "Report below"), { href: "#report-box" }));
     element("results").replaceChildren(...parts);
     this.pointing.send(); // the next run has another folder
     this.mending.load();
@@ -88,8 +94,9 @@ export class Run {
     this.showReport(found.page, "Report");
   }
 
-  showReport(page, title) {
+  showReport(page, title, wanted = false) {
     element("report-box").hidden = !page;
+    if (wanted) element("report-box").scrollIntoView({ behavior: "smooth" }); // far below its button
     element("report-title").textContent = title;
     if (page) element("report").src = page;
   }

@@ -1,7 +1,8 @@
 // The picture: zoom and pan, marks drawn over it, and presses as positions in the film (pixel centres at whole numbers).
 
 const BALL = "#E69F00", HINT = "#56B4E9", SCALE = "#009E73", REGION = "#F0E442", LEFT_OUT = "#D55E00", CROSS = "#CC79A7";
-const TRACKS = ["#56B4E9", "#F0E442", "#009E73", "#D55E00", "#CC79A7"], DASHES = [[], [8, 4], [2, 3]];
+export const TRACKS = ["#56B4E9", "#F0E442", "#009E73", "#D55E00", "#CC79A7"];
+const DASHES = [[], [8, 4], [2, 3]];
 const ARROWS = { fit: { colour: CROSS, head: true }, before: { colour: "#D55E00", head: true }, after: { colour: "#FFF", head: false } };
 
 export const cornersOfBox = ([x0, y0], [x1, y1]) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
