@@ -134,7 +134,7 @@ def test_from_a_film_to_a_number(films, browser, tmp_path):
             page.mouse.click(*at(page, 120, 30))
             page.keyboard.type("16")
             says(page, "#scale", r"0\.16(0\d*)? ± 0\.0023 mm/px")
-            says(page, "#settings-error", "needs the frames a second, too")
+            says(page, "#settings-error", "set the frames a second, too")
             page.fill("#fps", "250")
             page.fill("#diameter", "2.38")
             says(page, "#camera", '"ball_diameter": 0.00238')
@@ -242,7 +242,10 @@ def test_a_search_is_drawn_over_the_film(browser, tmp_path):
         says(page, "#arrows-legend", "No fit|tied fit")
         assert page.is_hidden("#residuals-of")
         page.click("#search")
+        says(page, "#compare-state", "Search")
+        assert page.text_content("#run-state") == ""
         page.wait_for_selector("#residuals-of:not([hidden])", timeout=90_000)
+        page.wait_for_function("document.getElementById('report-box').getBoundingClientRect().top < innerHeight / 2")
         assert page.input_value("#residuals-of") == "both models"
         says(page, "#arrows-legend", r"base model: rms \d.*with plate_tilt: rms \d.*The longest arrow is \d+ µm")
         sizes = [float(text) for text in re.findall(r"rms ([\d.]+)", page.text_content("#arrows-legend"))]

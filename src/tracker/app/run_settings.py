@@ -20,6 +20,13 @@ from tracker.detection.choose import name_channel
 
 GEOMETRY = ("K", "R", "t", "dist", "view_errors", "warp", "scale_std", "calibration")  # void with another scale
 NEEDED = {"scale": "a scale (two points and the length between them)", "fps": "the frames a second"}
+FIELDS = {
+    "scale": "scale",
+    "scale_std": "error of the scale",
+    "fps": "frames a second",
+    "ball_diameter": "ball diameter",
+    "exposure": "exposure",
+}
 Text = Annotated[str, Field(max_length=100)]
 
 
@@ -49,7 +56,8 @@ class RunSettings(Settings):
         kept = dict(given or {"size": list(size)})
         missing = [words for name, words in NEEDED.items() if given is None and name not in own]
         if missing:
-            raise InputError(f"camera.json needs {' and '.join(missing)}, too")
+            there = " and ".join(words for name, words in FIELDS.items() if name in own)
+            raise InputError(f"set {' and '.join(missing)}, too; or clear {there}, to track in pixels")
         if "scale" in own and own["scale"] != kept.get("scale"):
             kept = {name: value for name, value in kept.items() if name not in GEOMETRY}
         return {**kept, **own, "assumed": [n for n in kept.get("assumed", []) if n not in own]} if given else kept | own

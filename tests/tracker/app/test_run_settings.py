@@ -60,8 +60,8 @@ def test_the_command_line_says_what_is_set(view):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"scale": 1.6e-4}, "camera.json needs the frames a second, too"),
-        ({"fps": 250.0}, "camera.json needs a scale"),
+        ({"scale": 1.6e-4}, "set the frames a second, too; or clear scale, to track in pixels"),
+        ({"fps": 250.0}, r"set a scale .* too; or clear frames a second, to track in pixels"),
         ({"ball_diameter": 2e-3}, "a scale (.*) and the frames a second"),
         ({"scale": -1.0, "fps": 250.0}, "camera.json: scale: expected"),
         ({"scale": 1.6e-4, "fps": 250.0, "ball_diameter": 2.38}, "did you mean 0.00238"),
