@@ -96,7 +96,7 @@ export class Run {
 
   showReport(page, title, wanted = false) {
     element("report-box").hidden = !page;
-    if (wanted) element("report-box").scrollIntoView({ behavior: "smooth" }); // far below its button
+    if (wanted) element("report-box").scrollIntoView(); // far below its button
     element("report-title").textContent = title;
     if (page) element("report").src = page;
   }
