@@ -1,0 +1,48 @@
+"""The gas of a result: the frame rate, the diameter and the errors of its camera file enter where they belong."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import tracker
+
+FRAMES, DIAMETER, SIDE = 40, 1e-3, 0.1  # SIDE: of the square that the centres can reach, m
+STEPS = np.array([[0.3, 0.1], [-0.2, 0.0], [0.0, -0.4]])  # px per frame
+CAMERA = {"size": [800, 800], "fps": 250, "scale": 1e-4, "ball_diameter": DIAMETER}
+
+
+def observe(**errors):
+    """Three balls that move far apart, each at a constant velocity."""
+    frame = np.arange(FRAMES)
+    tables = [
+        pd.DataFrame(200 * (k + 1) + frame[:, None] * step, columns=["x", "y"]).assign(frame=frame, particle=k)
+        for k, step in enumerate(STEPS)
+    ]
+    half = SIDE / 2
+    return tracker.observe_gas(tracker.measure(pd.concat(tables), CAMERA | errors), area=(-half, -half, half, half))
+
+
+def test_times_and_expected_contacts_are_those_of_the_frame_rate_and_the_diameter():
+    gas = observe()
+    temperature = STEPS.var(axis=0, ddof=1).mean() * (250 * 1e-4) ** 2
+    np.testing.assert_allclose(gas.time["t_s"], np.arange(FRAMES) / 250)
+    np.testing.assert_allclose(gas.time["temperature"], temperature, rtol=1e-6)
+    density = 3 / (SIDE + DIAMETER) ** 2
+    rate = 2 * density * DIAMETER * np.sqrt(np.pi * temperature)  # of each ball in a dilute gas
+    assert gas.values["contacts_theory"] == pytest.approx(3 / 2 * rate * FRAMES / 250, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("key", "of_temperature", "of_contacts"),
+    [("scale", 2, 1), ("fps", 2, 0), ("ball_diameter", 0, 1)],
+)
+def test_each_error_of_the_camera_file_goes_where_its_key_does(key, of_temperature, of_contacts):
+    """Twice the scale is four times the temperature; twice the frame rate leaves the number of contacts as it is."""
+    share = 0.01
+    gas, exact = observe(**{f"{key}_std": share * CAMERA[key]}), observe()
+    added = np.sqrt(gas.time["temperature_std"] ** 2 - exact.time["temperature_std"] ** 2) / gas.time["temperature"]
+    np.testing.assert_allclose(added, of_temperature * share, atol=0.1 * share)
+    theory = gas.values["contacts_theory"], gas.values["contacts_theory_std"]
+    without = exact.values["contacts_theory_std"]
+    added = np.sqrt(max(theory[1] ** 2 - without**2, 0)) / theory[0]
+    assert added == pytest.approx(of_contacts * share, abs=0.3 * share)
