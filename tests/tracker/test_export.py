@@ -60,6 +60,10 @@ def test_several_clips_are_a_folder(results, tmp_path, monkeypatch, capsys):
     assert said == {"exported": str(tmp_path / "out"), "format": "mot", "clips": 2}
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["000000.txt", "000001.txt"]
     assert list(tmp_path.iterdir()) == [tmp_path / "out"]
+    for clip in ("000000", "000001"):  # each file has the tracks of its own clip
+        own = pd.read_parquet(results / f"results/clips/{clip}/tracks.parquet").sort_values(["frame", "particle"])
+        boxes = np.loadtxt(tmp_path / f"out/{clip}.txt", delimiter=",")
+        assert np.allclose(boxes[:, 2:4] + boxes[:, 4:6] / 2, own[["x", "y"]] + 1.5, atol=2e-4)
 
 
 def test_trackpy_takes_its_table(results, tmp_path):

@@ -51,6 +51,17 @@ def test_a_detector_by_name_is_the_one_that_runs_from_files():
     mpl.pyplot.close("all")
 
 
+def test_what_finds_centres_is_compared_with_centres_and_all_else_with_glints(monkeypatch):
+    seen = []
+    monkeypatch.setattr(library, "track_and_measure", lambda clip, used: None)
+    monkeypatch.setattr(
+        library, "make_entry", lambda made, tracked, about: seen.append((tracked.own, about["point"])) or {}
+    )
+    for detector, point in ((three, "either"), (three, "glint"), (three, "centre"), ("centroid", "centre")):
+        run(detector, suite().path, point=point)
+    assert seen == [("glint", "glint"), ("glint", "glint"), ("centre", "centre"), ("glint", "glint")]
+
+
 def test_what_is_no_list_of_places_is_said():
     with pytest.raises(InputError, match=r"three: returned an array \(2, 5\), expected positions \(n, 2\)"):
         run(three, suite().path)
