@@ -147,9 +147,11 @@ def test_clips_count_alike_in_whatever_order_they_are_looked_at(tmp_path, monkey
         tifffile.imwrite(
             home / "frames.tif", film(np.random.default_rng(k), paths, sigma=1.2, profile=0.0), imagej=True
         )
-    steps: list[tuple[int, int]] = []
+    steps, contacts, mean = list[tuple[int, int]](), list[int](), calibration.inverse_variance_mean
+    monkeypatch.setattr(calibration, "inverse_variance_mean", lambda each: contacts.append(len(each)) or mean(each))
     found = calibrate(tmp_path / "films", DIAMETER, 250.0, 5e-4, progress=lambda *at: steps.append(at))
     assert steps == [(k, 5) for k in range(1, 6)]
+    assert contacts[-1] == 3  # one of each clip
     assert abs(found.camera.scale - DIAMETER / 14.875) < 3 * found.scale_std
     assert found.to_dict() == calibrate(tmp_path / "films", DIAMETER, 250.0, 5e-4, workers=2).to_dict()
 
