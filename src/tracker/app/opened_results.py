@@ -8,7 +8,7 @@ import shlex
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -187,13 +187,15 @@ def find_film(opened: OpenedResults, film: Path | None = None, camera: Path | No
     """Find the film of opened results; None where it is not found.
 
     It is the given one, or that of the command beside a run of the page. Otherwise it is a neighbour of RESULTS whose
-    files are those that were tracked. Raises InputError for a given film that has other clips.
+    files are those that were tracked. A given film without a camera file has that of the results. Raises InputError
+    for a given film that has other clips.
     """
     if film is not None:
         source = open_source(film, camera)
         if missing := sorted({*opened.numbers} - {number for number, _ in source.clips}):
             raise InputError(f"{film}: has no clip {missing[0]}, which {opened.folder} has")
-        return source
+        own = opened.folder / "camera.json"
+        return source if source.camera_files() or not own.is_file() else replace(source, camera=own)
     return _search_film(opened.folder.resolve(), opened.run, camera)
 
 

@@ -1,6 +1,7 @@
 """Results that the page opens: with their film and without it, their tracks, and corrections of them."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -57,6 +58,15 @@ def test_the_film_of_results_is_found_by_its_files(folder, tmp_path):
     write_clip(tmp_path / "clips/000005", film(np.random.default_rng(0), collision(8)))
     with pytest.raises(InputError, match="has no clip 0, which"):
         find_film(opened, tmp_path / "clips/000005")
+
+
+def test_a_film_that_is_named_has_the_camera_file_of_the_results(folder, tmp_path):
+    opened = OpenedResults(folder / "results")
+    shutil.copy(folder / "clip/frames.tif", tmp_path / "elsewhere.tif")
+    (tmp_path / "own.json").write_text(json.dumps(CAMERA | {"fps": 100}))
+    found = find_film(opened, tmp_path / "elsewhere.tif").open_clip(0).camera
+    assert (found.scale, found.fps) == (CAMERA["scale"], CAMERA["fps"])
+    assert find_film(opened, tmp_path / "elsewhere.tif", tmp_path / "own.json").open_clip(0).camera.fps == 100
 
 
 def test_each_neighbour_is_read_once_whatever_the_number_of_camera_files(tmp_path, monkeypatch):
