@@ -291,7 +291,8 @@ class CausedSet:
 
     @classmethod
     def of(cls, name: str, clips: Sequence[MeasuredCollision]) -> CausedSet:
-        """The set without a cause."""
+        """The set without a cause; its clips are numbered from zero, since a cause may be in every second one."""
+        clips = [replace(clip, clip=k) for k, clip in enumerate(clips)]
         law = next(law for laboratory, (_, law) in LABORATORIES.items() if name.startswith(laboratory))
         return cls(name, clips, as_model({"ball": {"diameter": clips[0].camera.ball_diameter}, "model": law}))
 

@@ -54,3 +54,11 @@ def test_an_acceleration_moves_a_ball_as_a_tilted_plate_does(speed, slip, loss):
     moved = real_causes.accelerate(replace(clip, xy=straight), push, heading, level).xy - straight
     scale = np.abs(bent - straight).max()
     assert moved == pytest.approx(bent - straight, abs=0.005 * scale)
+
+
+def test_every_second_clip_of_a_set_has_the_other_times():
+    """The sets of a laboratory take every second recording, whose numbers are all even or all odd."""
+    clips = [blank(number, np.array([0.0, 0.0, 0.1, 0.5, 0.0, 0.0]), np.zeros(2)) for number in (0, 2, 4, 6)]
+    given = real_causes.CausedSet.of("3cushiontool-0", clips).clips
+    slowed = [real_causes.slow_half(clip, 0.1).fps / clip.fps for clip in given]
+    assert slowed == pytest.approx([1, 1 / 1.1, 1, 1 / 1.1])
