@@ -18,6 +18,7 @@ import pandas as pd
 from discrepancy.arrays import Array
 
 PER_IMPULSE = 2.5  # change of R times the spin of a solid ball, over J/m
+PER_IMPULSE_OF_DISC = 2.0  # the same of a disc, as bodies that glide are taken to be
 USUAL_FRICTION = 0.15  # of steel, glass and plastic, on one another and on a wall
 AXES = ("1i", "2i", "1o", "2o")  # struck and striking ball, before and after the contact
 
@@ -53,7 +54,7 @@ def trace_slips(rows: Iterable[Mapping[Any, Any]], contacts: pd.DataFrame) -> di
             continue
         turning = sum(spin.get(ball, 0.0) for ball in balls)  # R times the sum of both spins
         error = sum(variance.get(ball, 0.0) for ball in balls)
-        slip, change, change_std = _read_slip(row, turning, error)
+        slip, change, change_std = _read_slip(row, turning, error, row.get("motion_local") == "glide")
         out[int(event["collision"])] = slip
         spin |= {ball: spin.get(ball, 0.0) + change for ball in balls}
         variance |= {ball: variance.get(ball, 0.0) + change_std**2 for ball in balls}
@@ -65,10 +66,11 @@ def _is_measured(row: Mapping[Any, Any]) -> bool:
     return all(np.isfinite([row[name], row[f"{name}_std"]]).all() for name in names)
 
 
-def _read_slip(row: Mapping[Any, Any], turning: float, variance: float) -> tuple[Slip, float, float]:
+def _read_slip(row: Mapping[Any, Any], turning: float, variance: float, glides: bool) -> tuple[Slip, float, float]:
     """The slip of a contact, and how R times the spin of each ball then changes, with its error.
 
-    turning, variance: R times the sum of both spins before.
+    turning, variance: R times the sum of both spins before. glides: the surfaces of bodies that do not roll have no
+    vertical velocity.
     """
     v0, b, r = (float(row[f"{name}_local"]) for name in ("v0", "b", "r"))
     into1, into2, out1, out2 = _read_velocities(row)
@@ -85,11 +87,12 @@ def _read_slip(row: Mapping[Any, Any], turning: float, variance: float) -> tuple
     slip = Slip(
         across=sign * (across + turning),
         across_std=float(np.sqrt(variance + float(row["v0_local_std"]) ** 2 * b * b)),
-        size=float(np.hypot(across + turning, (into1 + into2) @ normal)),
+        size=float(np.hypot(across + turning, 0.0 if glides else (into1 + into2) @ normal)),
         friction=sign * impulse / normal_impulse,
         friction_std=float(np.hypot(impulse_std, impulse * float(row["r_local_std"]) / (1 + r)) / normal_impulse),
     )
-    return slip, -PER_IMPULSE * impulse, PER_IMPULSE * impulse_std
+    per_impulse = PER_IMPULSE_OF_DISC if glides else PER_IMPULSE
+    return slip, -per_impulse * impulse, per_impulse * impulse_std
 
 
 def _read_velocities(row: Mapping[Any, Any]) -> Iterator[Array]:

@@ -12,8 +12,13 @@ AXES = (("1i", "j", "before"), ("2i", "i", "before"), ("1o", "j", "after"), ("2o
 
 @pytest.fixture(scope="module")
 def truth():
-    """Contacts of a simulated crowd: rows of estimates without errors, contacts.parquet, and the true slips."""
-    motion = Scene.read("crowd", timing={"frames": 100}).draw(seed=2).solve()
+    """Contacts of a simulated crowd of balls."""
+    return solve_contacts(Scene.read("crowd", timing={"frames": 100}).draw(seed=2), radius=0.00119)
+
+
+def solve_contacts(clip, radius):
+    """Contacts of a clip: rows of estimates without errors, contacts.parquet, and the true slips."""
+    motion = clip.solve()
     events = motion.events[motion.events.kind == "contact"].reset_index(drop=True)
     rows, slips = [], []
     for number, event in enumerate(events.itertuples()):
@@ -28,7 +33,7 @@ def truth():
         one, two = (states["before"].loc[ball] for ball in (event.j, event.i))
         normal = np.array([one.x - two.x, one.y - two.y])
         normal /= np.hypot(*normal)
-        tangent, radius = np.array([-normal[1], normal[0]]), 0.00119
+        tangent = np.array([-normal[1], normal[0]])
         into = np.array([two.vx - one.vx, two.vy - one.vy])
         out = np.array([row[f"v1o{axis}_local"] - row[f"v2o{axis}_local"] for axis in "xy"])
         v0 = np.hypot(*into)
@@ -57,6 +62,15 @@ def test_slips_are_those_of_the_simulation(truth):
     assert np.abs(friction) == pytest.approx(np.abs(true[:, 2] / true[:, 3]), rel=1e-3, abs=1e-6)
     rolls = np.abs(true[:, 1] - [found[k].size for k in range(len(rows))]) < 1e-3
     assert rolls.mean() > 0.5  # the others still slide from a contact before
+
+
+def test_discs_slip_in_the_plane_alone_and_turn_as_discs():
+    clip = Scene.read("pucks", timing={"frames": 150}, walls=[]).draw(seed=2)
+    rows, table, true = solve_contacts(clip, radius=0.03)
+    found = trace_slips([row | {"motion_local": "glide"} for row in rows], table)
+    assert np.abs(true[:, 4]).max() > 0.02  # m/s: some discs turn
+    assert [found[k].across for k in range(len(rows))] == pytest.approx(true[:, 0], abs=1e-6)
+    assert [found[k].size for k in range(len(rows))] == pytest.approx(true[:, 1], abs=1e-6)
 
 
 def test_a_contact_without_an_estimate_leaves_the_spin_uncertain(truth):
