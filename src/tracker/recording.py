@@ -473,7 +473,7 @@ def _track_by_choice(
     if not succeeds:
         return selected, replace(first, hint=LooseEnds.NO_BODIES)
     why = f"detector: {other}, because {selected.name} finds {found}; --detector overrides this"
-    return SelectedDetector(other, why), second
+    return SelectedDetector(other, why), second if other == DISCS else replace(second, hint=LooseEnds.NO_BODIES)
 
 
 def _has_collision(tracked: TrackedClip, settings: TrackerSettings) -> bool:

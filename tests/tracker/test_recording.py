@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,7 +16,9 @@ from tracker_film import spot
 import synthcam
 import tracker
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
-from tracker import cli, pipeline
+from tracker import cli, pipeline, recording
+from tracker.detection.choose import DISCS, GLINTS, SelectedDetector
+from tracker.detection.diagnose import LooseEnds
 from tracker.notes import COLOUR_TO_GREY, NO_CAMERA_FILE, NoteKind
 
 SCENE = synthcam.Scene.read(
@@ -122,6 +125,16 @@ def test_specks_leave_the_film_to_the_other_detector(tmp_path):
     assert (run["detector"], run["other_detectors"]) == ("maximum_likelihood", {"0": "discs"})
     assert pipeline.run(tmp_path / "film.tif", tmp_path / "out", None, 1).fresh == 0
     assert tracker.track(frames, detector="maximum_likelihood").detector == "maximum_likelihood"
+
+
+def test_specks_after_a_search_for_bodies_do_not_advise_that_search(monkeypatch):
+    """Where the film asks for bodies and shows none, specks are followed; the note says that bodies were tried."""
+    ends = LooseEnds(count=8, ends=8, resumed=0)
+    specks = recording.TrackedClip(np.zeros(8), None, "", (), ends, LooseEnds.HINT_AT_BODIES)
+    found = {DISCS: replace(specks, tracks=np.zeros(0), reason="no body", hint=""), GLINTS: specks}
+    monkeypatch.setattr(recording, "track_clip", lambda _, name, __: found[name])
+    chosen, tracked = recording._track_by_choice(None, SelectedDetector(DISCS), None)
+    assert (chosen.name, tracked.hint) == (GLINTS, LooseEnds.NO_BODIES)
 
 
 @pytest.mark.parametrize(("rate", "said"), [(25.0, True), (250.0, False), (249.0, False)])
