@@ -113,7 +113,7 @@ def _check_events(text: str) -> None:
             continue
         values += 1
         if counts:
-            if len(counts) == 1 and counts[0] % 2 == 0 and isinstance(event, yaml.ScalarEvent):
+            if len(counts) == 1 and not inside[0] and counts[0] % 2 == 0 and isinstance(event, yaml.ScalarEvent):
                 key = event.value
             counts[-1] += 1
             most = MAX_ENTRIES * (1 if inside[-1] else 2)

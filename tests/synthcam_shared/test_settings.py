@@ -16,6 +16,7 @@ TOO_LONG = {
     "line 2: b: expected at most 20000 entries": "a: 1\nb: {c: [" + "0, " * (MOST + 1) + "]}\n",
     "line 20002: a: expected at most 20000 entries": "a:\n" + "".join(f" k{k}: 0\n" for k in range(MOST + 1)),
     "line 1: the whole: expected at most 20000 entries": "[" + "[]," * (MOST + 1) + "]",
+    "line 20001: the whole: expected at most 20000 entries": "- a\n" * (MOST + 1),
 }
 
 
