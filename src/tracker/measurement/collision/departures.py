@@ -196,11 +196,15 @@ def find_departure(
     if not square > least_share**2 * float(by @ by):
         return None
     std = 1.0 / np.sqrt(square)
+    by_camera = None  # shifts of the parameters; they change the weights with which a free fit averages both balls
+    if known is not None:
+        by_camera = np.zeros((len(fit.parameters), known.shape[1]))
+        by_camera[problem.index] = -cov @ rows.T @ known
 
     def derive_values(at: Floats) -> Floats:
         if tied:
             return derive_values_from_tied(at, fit.pair.diameter, fit.pair.spin)
-        return derive_from_free(at, fit.cov, fit.pair.diameter).value
+        return derive_from_free(at, fit.cov, fit.pair.diameter, by_camera).value
 
     def differentiate(by: Floats, size: float) -> Floats:
         """The change of the quantities per change `by` of the parameters, from so much of it."""

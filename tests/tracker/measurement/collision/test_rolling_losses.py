@@ -57,6 +57,20 @@ def test_equal_losses_hardly_change_the_values_and_their_errors(monkeypatch):
     assert np.median(wider) < 1.1
 
 
+def test_averaged_values_of_an_uncertain_scale_keep_a_covariance():
+    """The mean of both balls has weights by the scale's error; so must what a departure does to that mean."""
+    for number in (0, 3):
+        clip = synthcam.Scene.build("scale", **SHAKEN).draw(number, 7)
+        tracks = follow_centres(clip, np.random.default_rng([7, number]), 0.005)
+        camera = Camera.of(clip.camera_json | {"scale_std": 3e-3 * clip.camera_json["scale"]})
+        (row,) = measure(tracks, camera, FitSettings(local_window_s=0))
+        cov = np.array(json.loads(row["cov"])["free"], dtype=float)
+        size = np.sqrt(np.diag(cov))
+        known = np.isfinite(size) & (size > 0)
+        least = np.linalg.eigvalsh((cov / np.outer(size, size))[np.ix_(known, known)])[0]
+        assert least > -1e-4
+
+
 def test_a_setting_of_zero_keeps_the_fit_of_one_loss(monkeypatch):
     names = ("v0", "v0_std", "mu_k", "mu_k_std")
     kept, _ = measure_hit(0, 14, drag=0.02, rolling_loss_difference=0)
