@@ -150,7 +150,7 @@ def weigh_shift(z: float, scale: float, expected: float = 0.5) -> ModelWeight:
 def _differentiate_faddeeva(at: complex, *, far: float = 1e3) -> tuple[complex, complex, complex]:
     """Faddeeva's function w with two derivatives; beyond `far` by its asymptotic series, where the formulas cancel."""
     if abs(at) > far:
-        per, nearly = 1j / (np.sqrt(np.pi) * at), 1 / at**2
+        per, nearly = 1j / (np.sqrt(np.pi) * at), (1 / at) ** 2
         return per * (1 + nearly / 2), -per / at * (1 + 1.5 * nearly), 2 * per * nearly * (1 + 3 * nearly)
     w = complex(wofz(at))
     first = 2j / np.sqrt(np.pi) - 2 * at * w
