@@ -13,9 +13,9 @@ class SearchClock:
     """The stages of a search as they begin, with an estimate of the time left.
 
     A search goes through levels. Each has a stage "search", in which it adds an effect, or only tests all of them, and
-    a stage "free laws". It ends at the level whose effects leave nothing significant, which nothing shows beforehand.
-    The estimate takes the rest of the level from the level before, and half a level more. A round that repeats the
-    search is taken to be as long as the round before. So the estimate approaches the truth as the levels pass.
+    a stage "free laws". It ends at the level whose effects leave nothing significant; no one knows before which level
+    that is. The estimate takes the rest of the level from the level before, and half a level more. A round that repeats
+    the search is taken to be as long as the round before. So the estimate approaches the truth as the levels pass.
 
     Attributes
     ----------
@@ -61,5 +61,5 @@ class SearchClock:
 
 
 def _remaining(length: float, spent: float) -> float:
-    """What is left of a stage that took `length` the last time; one that takes longer ends at no known time."""
+    """The time left of a stage that took `length` the last time; one that takes longer ends at no known time."""
     return max(length - spent, 0.2 * spent)

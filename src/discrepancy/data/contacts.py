@@ -85,7 +85,7 @@ class Contacts:
 
     @property
     def of_crowd(self) -> NDArray[np.bool_]:
-        """Whether a contact (n,) is one of a crowd, in which a third body may meet two that are measured."""
+        """True for contacts (n,) of a crowd, in which a third body may meet two that are measured."""
         return np.asarray(self.bodies[:, 0] >= 0)
 
     def select(self, rows: NDArray[np.bool_]) -> Self:

@@ -53,7 +53,7 @@ class ContactLaw:
 
     @property
     def price(self) -> float:
-        """What it costs in -2 log likelihood that its kind is one of several."""
+        """The cost in -2 log likelihood of a law that is one of several of its kind."""
         return 2 * math.log(self.trials)
 
 
@@ -125,7 +125,8 @@ def _across_falling(contacts: Contacts) -> Array:
 
 
 def _by_body(contacts: Contacts) -> Array:
-    return np.where(contacts.a_strikes, -1.0, 1.0)[:, None]
+    """The sign with which a heavier ball a shows in the recoil; zero in a crowd, which has no ball a."""
+    return np.where(contacts.of_crowd, 0.0, np.where(contacts.a_strikes, -1.0, 1.0))[:, None]
 
 
 def _of_ball(ball: int, contacts: Contacts) -> Array:

@@ -152,6 +152,16 @@ def test_contacts_of_the_heavier_ball_that_disagree_widen_its_error():
     assert abs(claim.numbers[0].value - np.log(1.3)) < 3 * claim.numbers[0].std
 
 
+def test_contacts_of_a_crowd_say_nothing_about_ball_a_of_a_pair():
+    pairs = draw(recoil=lambda c: np.where(c.a_strikes, -0.06, 0.06))
+    balls = crowd(draw(seed=4))
+    names = [f.name for f in dataclasses.fields(Contacts)]
+    both = Contacts(**{name: np.concatenate([getattr(pairs, name), getattr(balls, name)]) for name in names})
+    (number,) = law_of(both, "recoil").numbers
+    assert law_of(both, "recoil").law == "ball a is heavier by a share"
+    assert abs(number.value - 0.06) < 3 * number.std < 0.02
+
+
 def test_no_ball_of_an_equal_crowd_is_named():
     films = [crowd(draw(count=30, seed=seed), balls=12) for seed in range(12)]
     assert not any(law_of(film, "recoil").causes for film in films)
