@@ -62,6 +62,7 @@ def on_cluster(folder, clips):
 
 
 @needs_dask
+@pytest.mark.gate
 def test_a_cluster_makes_the_same_bytes_and_is_sent_its_work_once(tmp_path):
     """One of its workers is killed on the way; another does its clips.
 

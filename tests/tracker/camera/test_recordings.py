@@ -280,7 +280,7 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
         "resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))\n"
         "for place in sys.argv[1:]:\n"
         "    try:\n"
-        "        _track_clip(open_source(place), 0, Path('out'), 'centroid', TrackerSettings(), TrackEdits())\n"
+        "        _track_clip(open_source(place), 0, Path('out'), 'centroid', None, TrackerSettings(), TrackEdits())\n"
         "    except InputError as error:\n"
         "        print(error)\n"
     )

@@ -140,7 +140,7 @@ def test_a_ball_that_is_pointed_at_gives_radius_and_plane(radius):
     clip, why = select_channel(make_recording(0, wrap_frames(draw(way, [ORANGE])), None, options=options), None)
     assert why.startswith("channel: ")
     assert abs(find_radius(clip) / R - 1) < 0.15
-    assert select_detector(clip)[0] == "discs"
+    assert select_detector(clip).name == "discs"
 
 
 def test_a_colour_selects_the_balls_of_it():

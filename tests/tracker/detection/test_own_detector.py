@@ -103,6 +103,7 @@ def test_on_the_command_line(name, folder, monkeypatch, capsys):
     assert rows > 50 if name == "my.py" else rows == 1
 
 
+@pytest.mark.gate
 def test_other_processes_find_the_same(folder, monkeypatch, capsys):
     """The other process loads the file itself. It begins with both clips, whose balls do not meet yet."""
     write_dataset(folder / "dataset", np.random.default_rng(0), frames=12)
