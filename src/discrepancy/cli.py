@@ -111,6 +111,7 @@ def find(
     from discrepancy.policy import SearchPolicy, applied_policy, read_policy
     from discrepancy.report import search_page
     from discrepancy.search import search
+    from discrepancy.wording import describe_verdict
     from synthcam_shared.report.folder import replace_folder
 
     started = time.monotonic()
@@ -135,7 +136,7 @@ def find(
     seconds = time.monotonic() - started
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
     if not as_json:
-        print(f"verdict: {found.verdict}")
+        print(f"verdict: {describe_verdict(found)}")
         _print_processed(document["processed"])
         lost = count_lost_clips(notes)
         _print_left_out(document["clips"]["left_out"], lost > len(clips))

@@ -45,6 +45,14 @@ def describe_search(found: SearchOutcome) -> str:
     )
 
 
+def describe_verdict(found: SearchOutcome) -> str:
+    """Describe the verdict, which with stretches is about the motion between contacts, and what the contacts show."""
+    if not found.data.is_cut:
+        return str(found.verdict)
+    shown = [f"{c.law} ({' or '.join(c.causes)}, {c.sigma:.1f} sigma)" for c in found.contacts if c.causes]
+    return f"{found.verdict} between contacts" + (f"; contacts show: {'; '.join(shown)}" if shown else "")
+
+
 def _describe_free_motion(found: SearchOutcome) -> str:
     unit = found.data.unit
     with applied_policy(found.policy):

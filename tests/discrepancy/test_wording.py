@@ -1,12 +1,20 @@
 """The words for scatter and contacts: numbers with units and errors, causes, and the next measurement."""
 
 import dataclasses
+from types import SimpleNamespace
 
 from discrepancy.fitting.stretch_scatter import StretchScatter
 from discrepancy.select.contact_effects import ContactClaim, ContactNumber
 from discrepancy.validate.claim_tests import ClaimTest, HeldOutTest, Rejection, StrengthVariation
 from discrepancy.validate.residual_map import Disagreement
-from discrepancy.wording import describe_contacts, describe_disagreement, describe_rejection, describe_scatter
+from discrepancy.verdict import Verdict
+from discrepancy.wording import (
+    describe_contacts,
+    describe_disagreement,
+    describe_rejection,
+    describe_scatter,
+    describe_verdict,
+)
 from synthcam.model import Model
 
 RECOIL = ContactClaim(
@@ -36,6 +44,16 @@ def test_scatter_is_given_in_the_units_of_the_bench():
         assert part in text
     assert "warp" not in " ".join(describe_scatter(StretchScatter(displacement_m=5.7e-4, reach_m=0.15)))
     assert describe_scatter(StretchScatter()) == []
+
+
+def test_the_verdict_on_stretches_is_not_that_on_contacts():
+    plain = dataclasses.replace(RECOIL, causes=())
+    words = [
+        describe_verdict(SimpleNamespace(verdict=Verdict.NONE, data=SimpleNamespace(is_cut=is_cut), contacts=contacts))
+        for is_cut, contacts in ((False, ()), (True, (plain,)), (True, (RECOIL, plain)))
+    ]
+    law = "the struck body seems heavier by a share (mass_mismatch or hop, 5.0 sigma)"
+    assert words == ["none", "none between contacts", f"none between contacts; contacts show: {law}"]
 
 
 def test_causes_that_contacts_cannot_distinguish_come_with_a_measurement():

@@ -17,7 +17,13 @@ from discrepancy.report.residual_table import tabulate_residuals
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
-from discrepancy.wording import describe_disagreement, describe_error_source, describe_rejection, describe_search
+from discrepancy.wording import (
+    describe_disagreement,
+    describe_error_source,
+    describe_rejection,
+    describe_search,
+    describe_verdict,
+)
 from synthcam.model import Model, write_model
 from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number, round_to_error
@@ -60,7 +66,7 @@ def write(found: SearchOutcome, folder: Path) -> None:
         Section("Fitted parameters of the model", [_parameter_table(found)]),
         Section(f"{str(unit).capitalize()} and positions that were not used", [PageList(left_out)] if left_out else []),
     ]
-    summary = [f"Verdict: {found.verdict}", describe_search(found)]
+    summary = [f"Verdict: {describe_verdict(found)}", describe_search(found)]
     write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", summary)
 
 
