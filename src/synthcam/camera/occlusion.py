@@ -14,7 +14,7 @@ POINTS = 400  # of the outline of a ball, evenly spread, that are looked for beh
 def hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
     """Share (n, frames) of the outline of each ball, 0 to 1, that balls nearer to the camera cover, in and out of view.
 
-    centres: (n, frames, 3), m. radii: (n,), m; NaN for bodies that are no balls, which hide nothing and get NaN.
+    centres: (n, frames, 3), m. radii: (n,), m; NaN for bodies that are not balls, which hide nothing and get NaN.
     """
     eye, points = camera.centre, _spread_points(POINTS)
     out = np.where(np.isnan(radii)[:, None], np.nan, np.zeros(centres.shape[:2]))

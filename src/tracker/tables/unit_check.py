@@ -92,8 +92,8 @@ def check_unit(clips: Sequence[Tracks], camera: Camera, where: str) -> list[str]
         ]
     if fits and contact and abs(math.log(LENGTH_UNITS[unit][0] / camera.scale)) > 0.005:
         return [
-            f"the balls touch at {nearest:.3g}, which is a diameter in px ({touching:.3g}) and in {unit} "
-            f"({diameter / LENGTH_UNITS[unit][0]:.3g}) alike; --unit px or --unit {unit} says which it is"
+            f"the balls touch at {nearest:.3g}, which is a diameter both in px ({touching:.3g}) and in {unit} "
+            f"({diameter / LENGTH_UNITS[unit][0]:.3g}); --unit px or --unit {unit} says which it is"
         ]
     if too_near and contact:
         return [
@@ -120,9 +120,10 @@ def _measure_contact(pairs: Sequence[tuple[Tracks, CommonFrames]]) -> TouchingDi
 def _touch(
     tracks: Tracks, pair: CommonFrames, *, step_px: float = 2.0, least_std: float = 0.02
 ) -> list[TouchingDistance]:
-    """The contacts of two balls, in steps of the faster one, with the errors that their scatter shows.
+    """Find the contacts of two balls, with errors from the scatter of their positions.
 
-    step_px: so long is a step, as `contact_distances` expects it; least_std: of a position, for tables without noise.
+    step_px: lengths are scaled so that the faster ball moves as far in a frame, as `contact_distances` expects.
+    least_std: the least error of a position, for tables without noise.
     """
     particles, one, two, frame = pair
     steps = np.concatenate([np.hypot(*np.diff(xy, axis=0).T) / np.diff(frame) for xy in (one, two)])

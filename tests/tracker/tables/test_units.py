@@ -87,7 +87,7 @@ BALL = CAMERA | {"ball_diameter": 0.024}
 def test_where_px_and_mm_are_near_both_are_named(scale):
     """A table in mm or in px of about 1 mm, which nothing can distinguish."""
     (note,) = read_frame(hit(), BALL | {"scale": scale}).notes
-    expected = f"the balls touch at 24, which is a diameter in px ({0.024 / scale:.3g}) and in mm (24) alike"
+    expected = f"the balls touch at 24, which is a diameter both in px ({0.024 / scale:.3g}) and in mm (24)"
     assert str(note) == f"{expected}; --unit px or --unit mm says which it is"
     assert read_frame(hit(), BALL | {"scale": 1e-3}).notes == ()  # the same lengths either way
 
