@@ -28,6 +28,67 @@ class TouchingDistance:
     error: float
 
 
+@dataclass(frozen=True)
+class Nearest:
+    """How near two balls come, in the unit of a table, compared with a diameter.
+
+    Attributes
+    ----------
+    distance : float
+        At their contacts, or the least distance where no contact was found.
+    least : float
+        The least distance, as far as the frames resolve it.
+    is_contact : bool
+        Whether `distance` is that of contacts.
+    tolerance : tuple of float
+        The logarithm of `distance` over a diameter lies between these numbers in the right unit.
+    tolerance_px : tuple of float
+        The same for px, whose scale may be wrong.
+    max_deviation : float
+        By which this logarithm deviates at most from 0 in a unit that is likely.
+    """
+
+    distance: float
+    least: float
+    is_contact: bool
+    tolerance: tuple[float, float]
+    tolerance_px: tuple[float, float]
+    max_deviation: float
+
+    @property
+    def verb(self) -> str:
+        return "touch at" if self.is_contact else "come as near as"
+
+
+@dataclass(frozen=True)
+class UnitEvidence:
+    """Lengths in a table without a unit, and what they say for px and for the likeliest other unit.
+
+    Attributes
+    ----------
+    nearest : Nearest
+    spread : float
+        The largest extent of a clip, in the unit of the table.
+    is_beyond_picture : bool
+        Whether most positions lie beyond twice the picture, if they are px.
+    unit : str
+        The unit other than px in which the nearest distance is most like a diameter.
+    fits, fits_px : bool
+        Whether a diameter explains the nearest distance, in `unit` and in px.
+    is_likely, is_likelier_than_px : bool
+        Whether `unit` explains it roughly, and well while px does not.
+    """
+
+    nearest: Nearest
+    spread: float
+    is_beyond_picture: bool
+    unit: str
+    fits: bool
+    fits_px: bool
+    is_likely: bool
+    is_likelier_than_px: bool
+
+
 def check_unit(clips: Sequence[Tracks], camera: Camera, where: str) -> list[str]:
     """Notes about positions that are hardly px; raises InputError for those that no two balls can have.
 
@@ -38,67 +99,98 @@ def check_unit(clips: Sequence[Tracks], camera: Camera, where: str) -> list[str]
     pairs = [(tracks, pair) for tracks in clips if (pair := common_frames(tracks)) is not None]
     if not pairs or not camera.metric or not camera.knows_diameter:
         return []
-    touching, diameter = camera.diameter_px, camera.ball_diameter
+    return _judge_unit(_measure_unit(pairs, camera), camera, where)
+
+
+def _measure_unit(pairs: Sequence[tuple[Tracks, CommonFrames]], camera: Camera) -> UnitEvidence:
+    """Measure how near balls come and how far tracks extend, and compare both with a diameter and the picture."""
     both = [np.concatenate((one, two)) for _, (_, one, two, _) in pairs]
-    spread = max(float(np.ptp(xy, axis=0).max()) for xy in both)
     usual = float(np.median([np.ptp(np.percentile(xy, (2, 98), axis=0), axis=0).max() for xy in both]))
     far = float(np.median([np.median(np.abs(xy).max(axis=1)) for xy in both])) / max(camera.size)
-    approaches = sorted(_closest_approach(*pair) for _, pair in pairs)
-    least, step = approaches[(len(pairs) - 1) // 4]
-    contact = _measure_contact(pairs[:: -(-len(pairs) // MAX_CLIPS)])
-    nearest = contact.distance if contact else least
-    off = {u: math.log(max(nearest, 1e-300) * LENGTH_UNITS[u][0] / diameter) for u in UNITS}
+    nearest = _measure_nearest(pairs, camera)
+    distance = max(nearest.distance, 1e-300)
+    off = {u: math.log(distance * LENGTH_UNITS[u][0] / camera.ball_diameter) for u in UNITS}
+    off_px = math.log(distance / camera.diameter_px)
     # tracks that are larger than the picture in a unit are not in it
     inside = [u for u in UNITS if usual * LENGTH_UNITS[u][0] / camera.scale < 1.3 * max(camera.size)]
     unit = min(inside or UNITS, key=lambda name: abs(off[name]))
-    off_px = math.log(max(nearest, 1e-300) / touching)
+    fits = unit in inside and nearest.tolerance[0] < off[unit] < nearest.tolerance[1]
+    is_likely = unit in inside and (fits if nearest.is_contact else abs(off[unit]) < nearest.max_deviation)
+    return UnitEvidence(
+        nearest=nearest,
+        spread=max(float(np.ptp(xy, axis=0).max()) for xy in both),
+        is_beyond_picture=far > 2,
+        unit=unit,
+        fits=fits,
+        fits_px=nearest.tolerance_px[0] < off_px < nearest.tolerance_px[1],
+        is_likely=is_likely,
+        is_likelier_than_px=is_likely and abs(off[unit]) < 0.1 < abs(off_px),
+    )
+
+
+def _measure_nearest(pairs: Sequence[tuple[Tracks, CommonFrames]], camera: Camera) -> Nearest:
+    """Measure how near two balls come: at their contacts, or else at their closest approach."""
+    approaches = sorted(_closest_approach(*pair) for _, pair in pairs)
+    least, step = approaches[(len(pairs) - 1) // 4]
+    contact = _measure_contact(pairs[:: -(-len(pairs) // MAX_CLIPS)])
     if contact:
         # lasting contacts bring centres of rubber a few per cent nearer; a scale has errors that no file states
-        tolerance = 0.04 + 3 * math.hypot(contact.error, camera.ball_diameter_std / diameter)
-        fits, fit_in_px = abs(off[unit]) < tolerance, abs(off_px) < max(tolerance, 0.1)
-        likely = fits
-    else:
-        # the least distance is a diameter, as far as the frames resolve it
-        unresolved = min(math.log(least / (least - step)), 0.7) if step < least else 0.7
-        fits, fit_in_px = (-0.1 < ratio < max(0.1, unresolved) for ratio in (off[unit], off_px))
-        likely = abs(off[unit]) < 0.25
-    fits, likely = fits and unit in inside, likely and unit in inside
+        off = 0.04 + 3 * math.hypot(contact.error, camera.ball_diameter_std / camera.ball_diameter)
+        wide = max(off, 0.1)
+        return Nearest(contact.distance, least, True, (-off, off), (-wide, wide), off)
+    # the least distance is a diameter, as far as the frames resolve it
+    unresolved = min(math.log(least / (least - step)), 0.7) if step < least else 0.7
+    bounds = (-0.1, max(0.1, unresolved))
+    return Nearest(least, least, False, bounds, bounds, 0.25)
+
+
+def _judge_unit(evidence: UnitEvidence, camera: Camera, where: str) -> list[str]:
+    """Judge whether positions are px: no message if they may be, a note if not, InputError if they cannot be."""
+    nearest, unit = evidence.nearest, evidence.unit
+    touching = camera.diameter_px
     # no two balls come nearer than this, whatever the errors of a scale
-    too_near = nearest < 0.6 * touching
-    verb = "touch at" if contact else "come as near as"
-    message = f"the balls {verb} {nearest:.3g}; expected px, and {touching:.3g} of them, a diameter"
+    too_near = nearest.distance < 0.6 * touching
+    message = f"the balls {nearest.verb} {nearest.distance:.3g}; expected px, and {touching:.3g} of them, a diameter"
     refusal = f"{where}: x, y: positions look like {unit}: {message}; `tracker measure --unit {unit}` reads them"
-    if likely and (too_near or far > 2):
+    if evidence.is_likely and (too_near or evidence.is_beyond_picture):
         raise InputError(refusal)
-    if far > 2:
+    if evidence.is_beyond_picture:
         side = max(camera.size)
         raise InputError(
             f"{where}: x, y: most positions lie beyond twice the picture of {side} px; --unit says the unit"
         )
-    if too_near and spread < 3 * touching:
+    if too_near and evidence.spread < 3 * touching:
         raise InputError(
-            f"{where}: x, y: all balls lie within {spread:.3g} px and come as near as {nearest:.2g} px, expected"
-            f" {touching:.3g} px, a diameter; --unit says the unit, --decimal the decimal mark; or check ball_diameter"
+            f"{where}: x, y: all balls lie within {evidence.spread:.3g} px and come as near as"
+            f" {nearest.distance:.2g} px, expected {touching:.3g} px, a diameter; --unit says the unit, --decimal the"
+            " decimal mark; or check ball_diameter"
         )
-    if least == 0:  # the same ball, or lost positions, twice
+    if nearest.least == 0:  # the same ball, or lost positions, twice
         return []
-    if fits and too_near:
+    if evidence.fits and too_near:
         raise InputError(refusal)
-    true_scale = diameter / nearest
-    if (fits and not fit_in_px) or (likely and abs(off[unit]) < 0.1 < abs(off_px)):
+    return _note_unit(evidence, camera, message, too_near)
+
+
+def _note_unit(evidence: UnitEvidence, camera: Camera, message: str, too_near: bool) -> list[str]:
+    """Note which unit, scale or diameter would explain positions that px explain badly."""
+    nearest, unit = evidence.nearest, evidence.unit
+    touching, diameter = camera.diameter_px, camera.ball_diameter
+    true_scale = diameter / nearest.distance
+    if (evidence.fits and not evidence.fits_px) or evidence.is_likelier_than_px:
         return [
             f"{message}. Either positions are in {unit}, and `tracker measure --unit {unit}` reads them; or they are "
             f"in px, and scale is about {true_scale:.3g} m/px rather than {camera.scale:.3g}"
         ]
-    if fits and contact and abs(math.log(LENGTH_UNITS[unit][0] / camera.scale)) > 0.005:
+    if evidence.fits and nearest.is_contact and abs(math.log(LENGTH_UNITS[unit][0] / camera.scale)) > 0.005:
         return [
-            f"the balls touch at {nearest:.3g}, which is a diameter both in px ({touching:.3g}) and in {unit} "
+            f"the balls touch at {nearest.distance:.3g}, which is a diameter both in px ({touching:.3g}) and in {unit} "
             f"({diameter / LENGTH_UNITS[unit][0]:.3g}); --unit px or --unit {unit} says which it is"
         ]
-    if too_near and contact:
+    if too_near and nearest.is_contact:
         return [
             f"{message}; no unit explains that. Either scale is about {true_scale:.3g} m/px rather than "
-            f"{camera.scale:.3g}, or ball_diameter {nearest * camera.scale:.3g} m rather than {diameter:.3g}"
+            f"{camera.scale:.3g}, or ball_diameter {nearest.distance * camera.scale:.3g} m rather than {diameter:.3g}"
         ]
     if too_near:
         return [f"{message}; check scale and ball_diameter, or say the unit of x and y by --unit"]
