@@ -9,7 +9,7 @@ import discrepancy.fitting.parameters
 import discrepancy.free_laws.library
 import synthcam.model
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.fitting.jacobian import differentiate, differentiate_launches
+from discrepancy.fitting.jacobian import differentiate_launches, differentiate_tracks
 from discrepancy.fitting.model_fit import project_out
 from discrepancy.fitting.parameters import BASE_PARAMETERS, strength_names
 from discrepancy.fitting.predict import predict_tracks
@@ -142,7 +142,7 @@ class Design:
         self.effects = {n: self._slopes(strength_names(library()[n])) for n in EFFECTS}
 
     def _slopes(self, names):
-        each = [differentiate(self.model, self.launches, self.clips, n) for n in names]
+        each = [differentiate_tracks(self.model, self.launches, self.clips, n) for n in names]
         return [np.stack(columns, axis=-1) for columns in zip(*each, strict=True)]
 
     def scores(self, errors, whitened=True):

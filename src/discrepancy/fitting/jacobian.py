@@ -17,7 +17,7 @@ from synthcam.model import Model, without_mutual_push
 LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
 
 
-def differentiate(
+def differentiate_tracks(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], name: str, here: Sequence[Array] | None = None
 ) -> list[Array]:
     """Differentiate the predicted tracks by a shared parameter: (n, 2) of each clip, m over the parameter's unit.
@@ -59,9 +59,9 @@ def differentiate_all(
     plain, there = (model, here) if exact else decouple(model, launches, clips, here)
     pushing = coupling_effects(model, plain)
     return [
-        differentiate(model, launches, clips, name, here)
+        differentiate_tracks(model, launches, clips, name, here)
         if name.partition(".")[0] in pushing
-        else differentiate(plain, launches, clips, name, there)
+        else differentiate_tracks(plain, launches, clips, name, there)
         for name in names
     ]
 

@@ -27,7 +27,7 @@ from discrepancy.noise.model import (
     Noise,
     NoiseComponent,
     finite_cost,
-    minimise,
+    minimise_cost,
     noise_from_numbers,
     numbers_from_component,
     order_of,
@@ -132,7 +132,7 @@ class RestrictedResiduals:
         def cost(y: Array) -> float:
             return self.cost(build(y))
 
-        x = minimise(cost, np.concatenate(numbers))
+        x = minimise_cost(cost, np.concatenate(numbers))
         return finite_cost(cost, x) + self.penalty * len(x), build(x)
 
     def common_mode_score(self, noise: Noise) -> tuple[float, float]:

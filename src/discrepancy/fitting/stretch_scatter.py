@@ -16,10 +16,10 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import V0
-from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
 from discrepancy.fitting.noise_refit import RestrictedResiduals
-from discrepancy.noise.model import Noise, finite_cost, minimise
+from discrepancy.noise.model import Noise, finite_cost, minimise_cost
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 from synthcam.model import Model
@@ -101,7 +101,7 @@ def fit_scatter(
     def price(x: Array) -> float:
         return cost(build(x))
 
-    x = minimise(price, np.zeros(len(names)))
+    x = minimise_cost(price, np.zeros(len(names)))
     least = current_policy().min_noise_gain + 2 * (len(names) - 1)
     if cost(NO_SCATTER) - finite_cost(price, x) < least:
         return NO_SCATTER
@@ -175,8 +175,8 @@ def _typical_loss(model: Model, launches: Array) -> float:
 
 def _differentiate_losses(clips: Sequence[MeasuredCollision], model: Model, launches: Array) -> list[Array]:
     """Displacements (n, 2, 2) of each clip, m: by twice the friction, and by a further loss of 1 m/s^2."""
-    friction = differentiate(model, launches, clips, "sliding_friction")
-    loss = differentiate(model, launches, clips, "rolling_decel")
+    friction = differentiate_tracks(model, launches, clips, "sliding_friction")
+    loss = differentiate_tracks(model, launches, clips, "rolling_decel")
     return [np.stack([f * model.sliding_friction, d], axis=-1) for f, d in zip(friction, loss, strict=True)]
 
 

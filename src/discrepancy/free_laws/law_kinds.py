@@ -20,7 +20,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.response import ResponseSegment, compute_responses
 from discrepancy.free_laws.axis import Axis
@@ -263,7 +263,7 @@ class ImpactLaw(FreeLaw):
             )
 
     def derivatives(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
-        slopes = differentiate(model, launches, clips, self.owners[0][0])
+        slopes = differentiate_tracks(model, launches, clips, self.owners[0][0])
         weights = self.basis(self.at_impact(launches))
         return [s[..., None] * w for s, w in zip(slopes, weights, strict=True)]
 

@@ -365,7 +365,7 @@ def select_order(
         def cost_of(x: Array, shape: NoiseOrder = shape) -> float:
             return cost(build(shape, x))
 
-        x = minimise(cost_of, np.concatenate([head, _initial_numbers(shape, last, tail)]))
+        x = minimise_cost(cost_of, np.concatenate([head, _initial_numbers(shape, last, tail)]))
         paid = finite_cost(cost_of, x) + penalty * len(x)
         lost = 0 if paid < best else lost + 1
         if paid < best:
@@ -395,7 +395,7 @@ def _initial_numbers(shape: NoiseOrder, last: NoiseOrder, x: Array) -> Array:
     return np.append(known, np.zeros(order - len(known)))
 
 
-def minimise(cost: Callable[[Array], float], start: Array) -> Array:
+def minimise_cost(cost: Callable[[Array], float], start: Array) -> Array:
     """Minimise the smooth cost of a noise model (BFGS). A slope of 2 is flat enough: the curvature is some hundreds."""
     if not len(start):
         return start

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.jacobian import decouple, differentiate
+from discrepancy.fitting.jacobian import decouple, differentiate_tracks
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, orthonormal_basis
 from discrepancy.fitting.parameters import Candidate, find_parameter, list_candidates, refine_tried_values
 from discrepancy.fitting.shape_scan import can_scan, scan_shapes
@@ -359,7 +359,7 @@ def derive_trial(
     model: without the candidate; here: its prediction (n, 2) for each clip, m.
     """
     bent = model.replace(shapes)
-    slopes = [differentiate(bent, launches, evidence.clips, s, here) for s in candidate.strengths]
+    slopes = [differentiate_tracks(bent, launches, evidence.clips, s, here) for s in candidate.strengths]
     columns = [np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))]
     return CandidateTrial(
         candidate, shapes, tuple(white(c) for white, c in zip(evidence.whiteners, columns, strict=True))

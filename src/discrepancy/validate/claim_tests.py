@@ -14,7 +14,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, project_out
 from discrepancy.fitting.parameters import candidates_by_name, parameter_limits
@@ -214,7 +214,7 @@ def find_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[s
     """
     min_information = 1e-8  # of the columns' own size: with less, the fit absorbs the direction
     features = [_features(*each) for each in zip(evidence.clips, range(len(fit.launches)), fit.launches, strict=True)]
-    own = [differentiate(fit.model, fit.launches, evidence.clips, name) for name in strengths]
+    own = [differentiate_tracks(fit.model, fit.launches, evidence.clips, name) for name in strengths]
     moves = [np.stack(each, axis=-1)[..., None] for each in zip(*own, strict=True)]  # (n, 2, strengths, 1)
     best = StrengthVariation("", 0.0)
     for against in features[0]:

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tracker.detection.motion_filter import DENSE, Hits, MotionNoise, PredictedBalls, find_pairs, predict_hits
+from tracker.detection.motion_filter import DENSE, Hits, MotionNoise, PredictedBalls, find_near_balls, predict_hits
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,7 +34,7 @@ def link_frame(
     if not len(before):
         return before, own
     free = before.advance(frames, noise)
-    pairs = find_pairs(before, frames, noise)
+    pairs = find_near_balls(before, frames, noise)
     if not len(pairs[0]) and (plain := _match_plainly(free, found, noise)) is not None:
         own[plain] = before.number
         links = np.arange(len(before)), plain, np.full(len(before), -1)

@@ -46,7 +46,7 @@ def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
     above its surroundings reveals it. The smooth part of the plate, a median over about 60 px, replaces it.
     """
     sample = [np.array(frames[k]) for k in spread_frames(frames)]
-    noise = estimate_noise(sample)
+    noise = estimate_pixel_noise(sample)
     middle = median_of_nine(sample)
     smooth = _smooth(middle)
     over = np.asarray(cv2.subtract(middle, smooth, dtype=cv2.CV_32F), dtype=np.float32)
@@ -92,7 +92,7 @@ def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(calm, (w, h), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def estimate_noise(sample: list[NDArray[Any]]) -> float:
+def estimate_pixel_noise(sample: list[NDArray[Any]]) -> float:
     """Estimate the noise of the empty plate: of a pixel in one frame, counts. Balls cover too few pixels to matter."""
     h, w = sample[0].shape
     step = max(1, math.isqrt(h * w // 4000))

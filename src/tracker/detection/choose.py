@@ -21,7 +21,7 @@ from tracker.camera.lens import Array
 from tracker.camera.recordings import Recording
 from tracker.detection.background.still_background import StillBackground, estimate_still_background
 from tracker.detection.background.windows import find_regions
-from tracker.detection.candidates import MAX_FITTED, MAX_FOLLOWED, estimate_noise, median_of_nine
+from tracker.detection.candidates import MAX_FITTED, MAX_FOLLOWED, estimate_pixel_noise, median_of_nine
 from tracker.detection.outlines.contrast_regions import find_touching_discs
 
 GLINTS, DISCS, CENTROIDS = "maximum_likelihood", "discs", "centroid"
@@ -54,7 +54,7 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     if isinstance(frames, Frames):
         frames.remember(k for count in (9, 25, 31) for k in spread_frames(frames, count))
     sample = [np.array(frames[k]) for k in spread_frames(frames)]
-    noise = estimate_noise(sample)
+    noise = estimate_pixel_noise(sample)
     if noise > 4.0:  # counts; means of 3 x 3 pixels keep half of an encoder's noise
         frames, noise = SmoothedFrames(frames), noise * 0.5
         sample = [frames[k] for k in spread_frames(frames)]
@@ -162,7 +162,7 @@ def _rate_plane(pictures: list[NDArray[Any]], expected: float | None, *, max_thr
 
     max_threshold_counts: balls of more contrast show at a lower threshold too.
     """
-    noise = estimate_noise(pictures)
+    noise = estimate_pixel_noise(pictures)
     ground = estimate_still_background(pictures, noise)
     level, best = ground.level.astype(np.float32), _Rating(0, 0.0)
     for least in (_least_contrast(noise) * times for times in (1, 2, 4, 8)):

@@ -132,7 +132,7 @@ def predict_hits(
     )
 
 
-def find_pairs(balls: PredictedBalls, frames: int, noise: MotionNoise) -> tuple[Ints, Ints]:
+def find_near_balls(balls: PredictedBalls, frames: int, noise: MotionNoise) -> tuple[Ints, Ints]:
     """Predict which pairs of balls, both seen twice, may come within a diameter."""
     rows = np.flatnonzero(balls.count > 1)
     if len(rows) < 2:

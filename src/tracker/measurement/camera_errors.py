@@ -158,7 +158,7 @@ def add_camera_errors(
 
     if not tied:  # the values of both balls are averaged with other weights
         values = derive_from_free(fit.parameters, fit.cov, pair.diameter, shift)
-    return replace(fit, chi2=fit.chi2 - explained), values.with_shared(differentiate(errors, changed))
+    return replace(fit, chi2=fit.chi2 - explained), values.with_shared(differentiate_by_camera(errors, changed))
 
 
 def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> CollisionFits:
@@ -174,14 +174,14 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
         def moved(error: CameraError, by: float, fit: LastingFit = fit) -> Floats:
             return LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind).residual(fit.x)
 
-        shift, explained = linear_response(residual, rows, fit.cov, differentiate(errors, moved))
+        shift, explained = linear_response(residual, rows, fit.cov, differentiate_by_camera(errors, moved))
 
         def values(error: CameraError, by: float, fit: LastingFit = fit, shift: Floats = shift) -> Floats:
             problem = LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind)
             moved = replace(fit, problem=problem, x=fit.x + by * shift[:, errors.index(error)])
             return np.append(moved.values().value, moved.times(moved.x)[:2].sum())
 
-        response = differentiate(errors, values)
+        response = differentiate_by_camera(errors, values)
         changed[name] = replace(getattr(read, name), chi2=fit.chi2 - explained)
         changed[f"{name}_values"] = getattr(read, f"{name}_values").with_shared(np.nan_to_num(response[:-1]))
     if fits.contact is not None:
@@ -223,7 +223,7 @@ def add_contact_errors(
             return derive_values_from_tied(at, fit.pair.diameter, fit.pair.spin)
         return derive_from_free(at, fit.cov, fit.pair.diameter).value
 
-    effect = np.nan_to_num(differentiate([unit], changed)[:, 0])
+    effect = np.nan_to_num(differentiate_by_camera([unit], changed)[:, 0])
     pressed = 2 * np.nan_to_num(min(max(value["mu_k"], 0.0), 1.0)) * GRAVITY * longest
     effect[QUANTITY_NAMES.index("r")] -= pressed / max(closing, 1e-9)
     return replace(values, cov=values.cov + np.outer(effect, effect))
@@ -251,7 +251,7 @@ def _disturb(
     """The fitted parameters, and the residuals at the minimum with their derivatives by these and by the errors."""
     problem = WhitenedResiduals(fit.pair, tied)
     x = fit.parameters[problem.index]
-    disturbed = differentiate(
+    disturbed = differentiate_by_camera(
         errors, lambda error, by: WhitenedResiduals(error.pair(fit.pair, by, camera.fps), tied).residual(x)
     )
     return problem.index, *problem(x), disturbed
@@ -263,7 +263,7 @@ def differentiate_residuals(fit: CollisionFit, tied: bool, camera: Camera) -> Fl
     return _disturb(fit, tied, errors, camera)[3] if errors else None
 
 
-def differentiate(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
+def differentiate_by_camera(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
     """Differentiate m values by each of k keys of the camera, per standard error: (m, k).
 
     function(error, by) gives the m values for a key that is larger by `by` of its standard errors.

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.camera_errors import camera_errors, differentiate, effects_to_json, linear_response
+from tracker.measurement.camera_errors import camera_errors, differentiate_by_camera, effects_to_json, linear_response
 from tracker.measurement.collision.collision_model import SHORTEST_EXPOSURE, roll_freely
-from tracker.measurement.collision.least_squares import BROAD_PRIORS, covariance, minimise
+from tracker.measurement.collision.least_squares import BROAD_PRIORS, covariance, find_best_minimum
 from tracker.measurement.positions import BallTrack
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def fit_lone_ball(track: BallTrack) -> LoneBallFit | None:
     step = (track.position[-1] - track.position[0]) / span
     begin = np.array([*track.position[0], np.arctan2(step[1], step[0]), np.hypot(*step), 0.0, 0.0])
     problem = _Rolling(track)
-    best, _ = minimise(problem, [begin])
+    best, _ = find_best_minimum(problem, [begin])
     off = problem.residual(best)[: 2 * len(track)]
     cov, chi2, dof = covariance(problem.slope(best)), float(off @ off), 2 * len(track) - 6
     return LoneBallFit(track, best, cov, chi2, dof)
@@ -86,7 +86,9 @@ def add_camera_errors_to_lone_ball(alone: LoneBallFit, camera: Camera) -> tuple[
     errors, track, x = camera_errors(camera), alone.track, alone.parameters
     if not errors:
         return alone, {}
-    moved = differentiate(errors, lambda error, by: _Rolling(error.move_track(track, by, camera.fps)).residual(x))
+    moved = differentiate_by_camera(
+        errors, lambda error, by: _Rolling(error.move_track(track, by, camera.fps)).residual(x)
+    )
     problem = _Rolling(track)
     shift, explained = linear_response(problem.residual(x), problem.slope(x), alone.cov, moved)
     wider = replace(alone, cov=alone.cov + shift @ shift.T, chi2=alone.chi2 - explained)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tracker.camera.frames import spread_frames
 from tracker.detection.background.windows import Region, find_regions
-from tracker.detection.candidates import estimate_noise, median_of_nine
+from tracker.detection.candidates import estimate_pixel_noise, median_of_nine
 from tracker.measurement.collision.adequacy import CROWD, MEASURED, NO_SCALE, ONE_BALL
 from tracker.notes import Note, NoteKind
 
@@ -44,7 +44,7 @@ def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28) -> 
     """Draw the frame, of nine that are spread over the film, in which most things are refused."""
     picks = sorted({*spread_frames(clip.frames)})
     sample = [np.asarray(clip.frames[k]) for k in spread_frames(clip.frames)]
-    least = max(8.0 * estimate_noise(sample), 8.0)
+    least = max(8.0 * estimate_pixel_noise(sample), 8.0)
     level: Any = median_of_nine([picture.copy() for picture in sample])
     shots = {}
     for k in picks:

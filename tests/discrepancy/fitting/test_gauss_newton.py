@@ -9,7 +9,7 @@ from discrepancy_clips import absorbable, collisions, exact, noisy, unabsorbed
 from scipy.stats import chi2 as chi2_law
 
 from discrepancy.fitting.gauss_newton import fit_model, minimise_chi2, solve_step
-from discrepancy.fitting.jacobian import differentiate, differentiate_launches
+from discrepancy.fitting.jacobian import differentiate_launches, differentiate_tracks
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, parameter_limits
@@ -85,7 +85,7 @@ def test_information_is_that_of_dense_least_squares(fitted):
 
 
 def slope(model, clip, name):
-    return differentiate(model, clip.launch[None], [clip], name)[0]
+    return differentiate_tracks(model, clip.launch[None], [clip], name)[0]
 
 
 def test_a_derivative_keeps_to_the_limits():
@@ -108,7 +108,7 @@ def test_a_forward_difference_is_the_derivative():
     clip = exact(Model(), 1, 16)[0]
     for name in ("sliding_friction", "stribeck.rise", "plate_tilt.x", "magnetic_attraction.pull"):
         central = slope(Model(), clip, name)
-        forward = differentiate(Model(), clip.launch[None], [clip], name, [clip.xy])[0]
+        forward = differentiate_tracks(Model(), clip.launch[None], [clip], name, [clip.xy])[0]
         assert np.abs(forward - central).max() < 2e-3 * np.abs(central).max()
 
 
@@ -164,7 +164,7 @@ def test_a_fit_that_starts_from_another_ends_where_a_fresh_one_does():
     fresh = fit_model(clips, Model(), names, WHITE)
     evidence = WhitenedClips.of(clips, WHITE)
     base = fit_model(clips, Model(), BASE_PARAMETERS, WHITE)
-    slopes = [differentiate(base.model, base.launches, clips, n) for n in names[5:]]
+    slopes = [differentiate_tracks(base.model, base.launches, clips, n) for n in names[5:]]
     columns = evidence.whiten([np.stack([s[k] for s in slopes], axis=-1) for k in range(4)])
     stale = minimise_chi2(evidence, base.extend(base.model, names[5:], columns))
     assert stale.chi2 == pytest.approx(fresh.chi2, abs=0.01)

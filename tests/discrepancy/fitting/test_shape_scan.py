@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact
 
-from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.parameters import list_candidates, names_to_fit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.shape_scan import can_scan, scan_shapes
@@ -30,7 +30,7 @@ def test_derivatives_are_those_of_the_forward_model(name, clips):
     told = scan_shapes(Model(), LAUNCHES, clips, candidate, tries, here)
     for k in range(0, len(tries), 4):
         for j, strength in enumerate(candidate.strengths):
-            true = np.concatenate(differentiate(Model().replace(tries[k]), LAUNCHES, clips, strength, here))
+            true = np.concatenate(differentiate_tracks(Model().replace(tries[k]), LAUNCHES, clips, strength, here))
             ours = np.concatenate([t[..., k, j] for t in told])
             length = np.linalg.norm(true)
             assert np.linalg.norm(ours) == pytest.approx(length, rel=0.05)

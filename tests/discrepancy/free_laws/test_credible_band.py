@@ -10,7 +10,7 @@ from scipy.stats import binom, norm
 
 from discrepancy.data.launch import V0, B
 from discrepancy.fitting.gauss_newton import solve_step
-from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
@@ -38,7 +38,7 @@ def experiment(count=24):
     start = linearise(evidence, Model(), BASE_PARAMETERS, launches)
     law = next(s for s in free_laws_over(Model(), launches, clips) if s.name == "restitution_speed")
     moves = evidence.whiten(law.derivatives(Model(), launches, clips))
-    single = evidence.whiten(differentiate(Model(), launches, clips, "restitution"))
+    single = evidence.whiten(differentiate_tracks(Model(), launches, clips, "restitution"))
     return evidence, start, law, moves, single
 
 

@@ -23,7 +23,7 @@ from discrepancy.noise.model import (
     estimate_noise,
     finite_cost,
     fit_own_noise,
-    minimise,
+    minimise_cost,
     numbers_from_component,
 )
 from synthcam.model import Model
@@ -242,7 +242,7 @@ def test_a_noise_far_from_the_tracks_has_a_cost_too():
         return float(np.linalg.cholesky(np.array([[1.0, x[0]], [x[0], 1.0]])).sum()) if x[0] > 1.5 else float(x[0] ** 2)
 
     assert finite_cost(singular, np.array([2.0])) == finite_cost(lambda x: float("nan"), np.zeros(1)) == 1e12
-    assert abs(minimise(singular, np.array([1.4]))[0]) <= 1.01
+    assert abs(minimise_cost(singular, np.array([1.4]))[0]) <= 1.01
 
 
 def test_too_little_to_read_noise_from():

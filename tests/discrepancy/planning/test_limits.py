@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import unabsorbed
 from discrepancy_plans import small
 
-from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.planning.limits import Signatures, chi2_to_detect
 
@@ -22,7 +22,7 @@ def limits(noise_px=None, only=PAIR):
 def columns(name):
     """Whitened derivatives by a strength less all that the fit absorbs, (points,)."""
     here = small()
-    slopes = differentiate(here.model, here.launches, here.clips, name)
+    slopes = differentiate_tracks(here.model, here.launches, here.clips, name)
     return unabsorbed(here.fit(), np.concatenate(here.evidence.whiten(slopes))[:, None])[:, 0]
 
 

@@ -46,7 +46,7 @@ from tracker.measurement.collision.least_squares import (
     BallPair,
     CollisionFit,
     covariance,
-    minimise,
+    find_best_minimum,
 )
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
 from tracker.measurement.positions import BallTrack
@@ -239,9 +239,9 @@ class LastingFit:
     def to(
         pair: BallPair, kind: str, starts: list[Floats], friction: float | None = None, tolerance: float = FINE
     ) -> LastingFit:
-        """Fit a motion from starts (p,); tolerance: as for `minimise`."""
+        """Fit a motion from starts (p,); tolerance: as for `find_best_minimum`."""
         problem = LastingResiduals(pair, kind, friction)
-        best, converged = minimise(problem, starts, tolerance)
+        best, converged = find_best_minimum(problem, starts, tolerance)
         residual, rows = problem(best)
         n = 2 * len(pair)
         chi2 = float(residual[:n] @ residual[:n])

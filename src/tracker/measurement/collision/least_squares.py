@@ -183,7 +183,7 @@ class Problem(Protocol):
     def slope(self, x: Floats) -> Floats: ...
 
 
-def minimise(problem: Problem, starts: Sequence[Floats], tolerance: float = FINE) -> tuple[Floats, bool]:
+def find_best_minimum(problem: Problem, starts: Sequence[Floats], tolerance: float = FINE) -> tuple[Floats, bool]:
     """Find the best of several minima by Levenberg-Marquardt (MINPACK), and whether that descent converged.
 
     A relative change of parameters and chi^2 by `tolerance` ends a descent. The descents from all starts but the first
@@ -214,13 +214,13 @@ def fit_motion(
 ) -> CollisionFit:
     """Fit a tied or free motion by least squares, from starts (16,) or (22,). A few outliers are dropped once.
 
-    tolerance: as for `minimise`; whole: keep the outliers.
+    tolerance: as for `find_best_minimum`; whole: keep the outliers.
     """
     problem = WhitenedResiduals(pair, tied)
-    best, converged = minimise(problem, [start[problem.index] for start in starts], tolerance)
+    best, converged = find_best_minimum(problem, [start[problem.index] for start in starts], tolerance)
     problem, dropped = (problem, 0) if whole else _drop_outliers(problem, best)
     if dropped:
-        best, converged = minimise(problem, [best], tolerance)
+        best, converged = find_best_minimum(problem, [best], tolerance)
     best, converged = _try_across_frame_edge(problem, best, converged, tolerance)
     residual, rows = problem(best)
     n = 2 * len(problem.pair)

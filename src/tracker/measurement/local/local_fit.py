@@ -262,14 +262,14 @@ class LocalSolution:
         return self.cost + (n - float(self.freedom.sum())) * float(np.log(max(n, 2)))
 
 
-def solve(
+def solve_problem(
     problem: LocalProblem, x: Floats, sizes: Sequence[float], steps: int = 40, least_gain: float = 1e-4
 ) -> LocalSolution:
     """Solve one local fit: descend to its minimum."""
-    return solve_all([problem], x[None], sizes, steps, least_gain=least_gain)[0]
+    return solve_problems([problem], x[None], sizes, steps, least_gain=least_gain)[0]
 
 
-def solve_all(
+def solve_problems(
     problems: Sequence[LocalProblem],
     x: Floats,
     sizes: Sequence[float],
@@ -500,7 +500,7 @@ def fit_motions(
                 x[2 * ball - 1 : 2 * ball + 1] = np.mean(own_places, axis=0)
             for k in range(len(stretches)):
                 x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
-            found.append(_try_other_starts(solve(problem, x, [1.0] * len(stretches), least_gain=ROUGH_GAIN)))
+            found.append(_try_other_starts(solve_problem(problem, x, [1.0] * len(stretches), least_gain=ROUGH_GAIN)))
             if found[-1].is_good:  # the simplest come first
                 return found[-1:]
     noise = max(1.0, min(s.chi2 / s.dof for s in found))
@@ -518,7 +518,7 @@ def _try_other_starts(solution: LocalSolution) -> LocalSolution:
             for share in (0.2, 0.5, 0.8):
                 x = solution.x.copy()
                 x[problem.start[k] + 6], x[problem.start[k + 1] - 1] = np.log(share * problem.spans[k]), x[6]
-                tries.append(solve(problem, x, solution.sizes, 15, ROUGH_GAIN))
+                tries.append(solve_problem(problem, x, solution.sizes, 15, ROUGH_GAIN))
     return min(tries, key=lambda one: one.cost)
 
 
@@ -552,7 +552,7 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool, shared: floa
             factor = own * lasting[k] + (1 - own) * usual
         square *= factor
         sizes.append(size * float(np.sqrt(max(square, 1.0 if known else 1e-12))))
-    again = [solve(one.problem, one.x, sizes, least_gain=ROUGH_GAIN) for one in found]
+    again = [solve_problem(one.problem, one.x, sizes, least_gain=ROUGH_GAIN) for one in found]
     return sorted(again, key=lambda s: -s.log_evidence)
 
 
@@ -608,7 +608,7 @@ def _solve_with_shifts(solution: LocalSolution, shares: Sequence[float]) -> list
     problem, usual = solution.problem, solution.problem.priors
     priors = [replace(usual, shift_share=share * usual.shift_share) for share in shares]
     problems = [replace(problem, priors=each) for each in priors]
-    return solve_all(problems, np.tile(solution.x, (len(problems), 1)), solution.sizes, 8)
+    return solve_problems(problems, np.tile(solution.x, (len(problems), 1)), solution.sizes, 8)
 
 
 def _log_weight(part: tuple[float, LocalSolution]) -> float:
@@ -663,7 +663,7 @@ def _solve_with_durations(
             at, reach = one.problem.start[k] + 6, np.sqrt(3) * cell.error
             starts[-1][at] = np.clip(one.x[at], np.log(cell.lasts) - reach, np.log(cell.lasts) + reach)
             logs.append(log + cell.log_prior)
-    found = solve_all(problems, np.array(starts), parts[0][1].sizes, 8, hopeless=1.5 * MAX_COST, least_gain=3e-3)
+    found = solve_problems(problems, np.array(starts), parts[0][1].sizes, 8, hopeless=1.5 * MAX_COST, least_gain=3e-3)
     return list(zip(logs, found, strict=True))
 
 

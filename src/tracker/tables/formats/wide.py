@@ -21,7 +21,7 @@ def read(content: Content) -> TrackTable | None:
     plain = {name: split_unit(name)[0] for name in map(str, table.columns)}
     if set(REQUIRED_COLUMNS) <= set(plain.values()):
         return None
-    pairs = find_pairs(plain)
+    pairs = pair_columns(plain)
     if len(pairs) < 2:
         return None
     frame, time, fps = read_frames_and_times(table, plain, content.where)
@@ -33,7 +33,7 @@ def read(content: Content) -> TrackTable | None:
     return TrackTable(pd.concat(parts), NAME, units.pop() if len(units) == 1 else "", fps=fps)
 
 
-def find_pairs(plain: dict[str, str]) -> list[tuple[str, str]]:
+def pair_columns(plain: dict[str, str]) -> list[tuple[str, str]]:
     """Find the columns of each ball in a wide table: x1, y1; x_1, y_1; a_x, a_y. plain: names without units."""
     axes: dict[str, dict[str, str]] = {"x": {}, "y": {}}
     for column, name in plain.items():

@@ -16,9 +16,9 @@ from tracker.measurement.local.local_fit import (
     fit_single_stretch,
     mix_solutions,
     shows_end,
-    solve,
-    solve_all,
     solve_each,
+    solve_problem,
+    solve_problems,
 )
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
 
@@ -83,8 +83,8 @@ def test_an_end_of_a_slide_that_is_not_seen_leaves_the_velocity_known(slide_s, s
     assert shows_end(found[0], 2) == seen
     problems = [replace(found[0].problem, priors=LocalPriors(diameter, loss=loss)) for loss in (0.05, 0.3)]
     starts = np.stack([found[0].x, found[0].x + 1e-3])
-    for together, problem, x in zip(solve_all(problems, starts, found[0].sizes), problems, starts, strict=True):
-        alone = solve(problem, x, found[0].sizes)
+    for together, problem, x in zip(solve_problems(problems, starts, found[0].sizes), problems, starts, strict=True):
+        alone = solve_problem(problem, x, found[0].sizes)
         assert together.cost == pytest.approx(alone.cost)
         assert together.log_evidence == pytest.approx(alone.log_evidence, abs=1e-3)
     assert mix_solutions(found, durations=0)  # none fits
@@ -111,7 +111,9 @@ def test_a_duration_of_a_slide_starts_next_to_that_of_the_free_fit(monkeypatch):
     free = SimpleNamespace(problem=problem, x=np.zeros(problem.size), sizes=(1.0,))
     free.x[at] = np.log(0.010)
     cells = [SlideDuration(lasts, 0.3, 0.0) for lasts in (0.002, 0.009, 0.1)]
-    monkeypatch.setattr(local_fit, "solve_all", lambda problems, starts, *_, **__: seen.extend(starts[:, at]) or starts)
+    monkeypatch.setattr(
+        local_fit, "solve_problems", lambda problems, starts, *_, **__: seen.extend(starts[:, at]) or starts
+    )
     local_fit._solve_with_durations([(0.0, free)], 0, cells)
     edge = np.exp(np.sqrt(3) * 0.3)
     assert np.exp(seen) == pytest.approx([0.002 * edge, 0.010, 0.1 / edge])
