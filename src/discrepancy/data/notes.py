@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+SHOWN_FRAMES = 5  # of those that a note concerns
+
 
 class SearchNoteKind(Enum):
     """The subject of a note; its value is the text, a template for the note's values."""
@@ -25,8 +27,8 @@ class SearchNoteKind(Enum):
     UNLIKE_OTHERS = "chi^2 per point is {chi2:.3g}, far above all other clips with every model{held_out}"
     CONTRADICTS_OTHERS = "its shared parameters contradict all other clips by {sigma:.0f} sigma{held_out}"
     NO_FREE_MOTION = (
-        "a stretch with chi^2 {ratio:.2g} times the usual is no free motion, with any friction and rolling loss: its "
-        "ball may have met another"
+        "no free motion, with any friction and rolling loss, in {count} of {total} stretches, which begin in frame "
+        "{frames}: chi^2 is up to {ratio:.2g} times the usual, and a ball may have met another"
     )
     # positions that are left out
     STRAYS = "positions of another ball, in frame {frames}, to which a ball jumps and back"
@@ -76,7 +78,7 @@ class SearchNoteKind(Enum):
 
 @dataclass(frozen=True)
 class SearchNote:
-    """One note; `str` gives its text."""
+    """One note; `str` gives its text, with the first few frames."""
 
     kind: SearchNoteKind
     clip: int | None = None  # that it concerns; None: it concerns all
@@ -84,7 +86,8 @@ class SearchNote:
     values: dict[str, Any] = field(default_factory=dict)  # the numbers and words that the text of this kind contains
 
     def __str__(self) -> str:
-        text = self.kind.value.format(frames=", ".join(map(str, self.frames)), **self.values)
+        frames, more = ", ".join(map(str, self.frames[:SHOWN_FRAMES])), len(self.frames) - SHOWN_FRAMES
+        text = self.kind.value.format(frames=frames + (f" and {more} more" if more > 0 else ""), **self.values)
         return text if self.clip is None else f"clip {self.clip}: {text}"
 
 

@@ -42,15 +42,21 @@ def remove_outliers(
 
 def note_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[SearchNote]:
     """Note for each clip which outlier positions it lost between `clips` and `kept`, with their frames."""
-    by_number, notes = {c.clip: c for c in kept}, []
+    by_number, removed = {c.clip: c for c in kept}, dict[int, list[int]]()
+    totals = Counter[int]()
     same_order = [c.clip for c in clips] == [c.clip for c in kept]  # stretches of a crowd have one number
     for c, own in zip(clips, kept if same_order else [by_number[c.clip] for c in clips], strict=True):
         left = set(zip(own.ball.tolist(), own.frame.tolist(), strict=True))
         gone = [f for b, f in zip(c.ball.tolist(), c.frame.tolist(), strict=True) if (b, f) not in left]
-        if gone:
-            count = {"count": len(gone), "total": len(c.frame)}
-            notes.append(SearchNote(SearchNoteKind.OUTLIERS, c.clip, tuple(sorted(set(gone))), count))
-    return notes
+        removed.setdefault(c.clip, []).extend(gone)
+        totals[c.clip] += len(c.frame)
+    return [
+        SearchNote(
+            SearchNoteKind.OUTLIERS, number, tuple(sorted(set(gone))), {"count": len(gone), "total": totals[number]}
+        )
+        for number, gone in removed.items()
+        if gone
+    ]
 
 
 def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set[int]:

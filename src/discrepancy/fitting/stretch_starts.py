@@ -35,26 +35,29 @@ def choose_starts(
 
     slides: shares of a stretch for which its ball may slide. most_chi2: times the median, of a stretch that is used;
     it is large, since those that show a missing effect best must stay.
-    Returns the stretches and a note for each that is left out. Bodies glide if the model has no friction.
+    Returns the stretches, and for each clip a note on those that are left out. Bodies glide if the model has no
+    friction.
     """
-    best, own = _fit_from_each(clips, model, slides), [name for name in LOSSES if getattr(model, name)][:2]
+    best, losses = _fit_from_each(clips, model, slides), [name for name in LOSSES if getattr(model, name)][:2]
     if not best:
         return list(clips), []
     limit = most_chi2 * float(np.median([chi2 for chi2, _ in best]))
     if any(chi2 > limit for chi2, _ in best):
         with suppress(*STEP_ERRORS):
-            fit = fit_model([clip for chi2, clip in best if chi2 <= limit], model, own, Noise(NoiseComponent(1.0)))
+            fit = fit_model([clip for chi2, clip in best if chi2 <= limit], model, losses, Noise(NoiseComponent(1.0)))
             best = _fit_from_each(clips, fit.model, slides) or best
     limit = most_chi2 * float(np.median([chi2 for chi2, _ in best]))
     for k, (chi2, clip) in enumerate(best):
         if chi2 > limit:
-            best[k] = min([(chi2, clip), *_fit_from_each([clips[k]], model, slides, own)], key=lambda pair: pair[0])
+            best[k] = min([(chi2, clip), *_fit_from_each([clips[k]], model, slides, losses)], key=lambda pair: pair[0])
     kept = [clip for chi2, clip in best if chi2 <= limit]
-    return kept, [
-        SearchNote(SearchNoteKind.NO_FREE_MOTION, clip.clip, values={"ratio": most_chi2 * chi2 / limit})
-        for chi2, clip in best
-        if chi2 > limit
-    ]
+    notes = []
+    for number in dict.fromkeys(clip.clip for chi2, clip in best if chi2 > limit):
+        own = [(chi2, int(clip.frame[0])) for chi2, clip in best if clip.clip == number]
+        out = [(chi2, first) for chi2, first in own if chi2 > limit]
+        values = {"count": len(out), "total": len(own), "ratio": most_chi2 * max(out)[0] / limit}
+        notes.append(SearchNote(SearchNoteKind.NO_FREE_MOTION, number, tuple(sorted(f for _, f in out)), values))
+    return kept, notes
 
 
 def _fit_from_each(

@@ -14,12 +14,14 @@ POINTS = 400  # of the outline of a ball, evenly spread, that are looked for beh
 def hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
     """Share (n, frames) of the outline of each ball, 0 to 1, that balls nearer to the camera cover, in and out of view.
 
-    centres: (n, frames, 3), m. radii: (n,), m; NaN for bodies that are not balls, which hide nothing and get NaN.
+    centres: (n, frames, 3), m; NaN in frames in which a ball is nowhere. radii: (n,), m; NaN for bodies that are not
+    balls. Where one of them is NaN, the body hides nothing and gets NaN.
     """
     eye, points = camera.centre, _spread_points(POINTS)
-    out = np.where(np.isnan(radii)[:, None], np.nan, np.zeros(centres.shape[:2]))
-    balls = np.flatnonzero(np.isfinite(radii))
-    for frame in range(centres.shape[1] if len(balls) > 1 else 0):
+    there = np.isfinite(radii)[:, None] & np.isfinite(centres).all(axis=2)
+    out = np.where(there, 0.0, np.nan)
+    for frame in np.flatnonzero(there.sum(axis=0) > 1).tolist():
+        balls = np.flatnonzero(there[:, frame])
         sight = centres[balls, frame] - eye
         far = np.linalg.norm(sight, axis=1)
         angle = np.arcsin(np.minimum(radii[balls] / far, 1.0))  # of half the outline

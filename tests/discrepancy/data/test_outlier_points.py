@@ -8,6 +8,7 @@ from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 
 from discrepancy.data.launch import T_C
 from discrepancy.data.outlier_points import _Offsets, _Paths, find_outliers, note_removed_points, remove_outliers
+from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.predict import predict_tracks
@@ -169,6 +170,17 @@ def test_what_is_left_is_the_clip_without_them_and_it_is_said():
     assert np.array_equal(kept[2].covariance, np.delete(CLIPS[2].covariance, row, axis=0))
     (said,) = note_removed_points(given, kept)
     assert str(said) == "clip 2: 1 of 160 positions, in frame 70, far off the path through their neighbours"
+
+
+def test_one_note_lists_what_all_stretches_of_a_clip_lose():
+    stretches = cut_stretches(CLIPS[:1])
+    kept = [s.select(np.arange(len(s.frame)) >= few) for s, few in zip(stretches, (2, 0, 5), strict=True)]
+    (said,) = note_removed_points(stretches, kept)
+    total = sum(len(s.frame) for s in stretches)
+    first, last = (s.frame[:few].tolist() for s, few in zip(stretches[::2], (2, 5), strict=True))
+    frames = ", ".join(map(str, [*first, *last[:3]]))
+    assert first[-1] < last[0]
+    assert str(said).startswith(f"clip 0: 7 of {total} positions, in frame {frames} and 2 more, far off the path")
 
 
 @pytest.mark.parametrize("frame", [1.0, pytest.param(40.0, marks=pytest.mark.gate), 78.0, 79.0])

@@ -36,14 +36,18 @@ def test_without_friction_nothing_slides():
     assert not any(clip.launch[SLIP].any() for clip in chosen)
 
 
-def test_a_stretch_with_a_kink_is_left_out_with_a_note():
-    cut = cut_stretches(noisy(exact(Model(), 2, 2), 2))
-    late = np.arange(len(cut[2].frame)) > 15
-    cut[2] = dataclasses.replace(cut[2], xy=cut[2].xy + late[:, None] * [200 * STD, 0.0])
-    chosen, (note,) = choose_starts(cut, Model())
-    assert len(chosen) == len(cut) - 1
-    assert note.kind is SearchNoteKind.NO_FREE_MOTION
-    assert note.clip == cut[2].clip
+def test_one_note_lists_the_stretches_of_a_clip_that_have_a_kink():
+    cut = cut_stretches(noisy(exact(Model(), 4, 2), 2))
+    for k in (1, 2, 7):
+        late = np.arange(len(cut[k].frame)) > 15
+        cut[k] = dataclasses.replace(cut[k], xy=cut[k].xy + late[:, None] * [200 * STD, 0.0])
+    chosen, notes = choose_starts(cut, Model())
+    assert len(chosen) == len(cut) - 3
+    assert {note.kind for note in notes} == {SearchNoteKind.NO_FREE_MOTION}
+    assert [note.clip for note in notes] == [cut[1].clip, cut[7].clip]
+    assert notes[0].frames == tuple(sorted(int(cut[k].frame[0]) for k in (1, 2)))
+    assert "in 2 of 3 stretches" in str(notes[0])
+    assert "in 1 of 3 stretches" in str(notes[1])
 
 
 def test_stretches_that_contradict_the_friction_of_the_model_stay():

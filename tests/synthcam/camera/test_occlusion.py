@@ -49,6 +49,15 @@ def test_what_two_balls_cover_counts_once():
     assert alone[0, 0] == pytest.approx(0.25, abs=0.01)
 
 
+def test_a_ball_hides_nothing_in_frames_in_which_it_is_nowhere():
+    """The second ball hides a quarter of the first, and is nowhere in frame 1; the third, far off, is so in frame 2."""
+    centres = np.array([[[0, 0, 1e-3]] * 3, [[0, 0, 4e-3]] * 3, [[9e-3, 0, 1e-3]] * 3])
+    centres[1, 1], centres[2, 2] = np.nan, [np.nan, 0, np.nan]
+    shares = hidden_shares(look(), centres, np.array([2e-3, 1e-3, 1e-3]))
+    assert shares[0] == pytest.approx([0.25, 0, 0.25], abs=0.01)
+    assert np.isnan(shares).tolist() == [[False] * 3, [False, True, False], [False, False, True]]
+
+
 def test_the_truth_of_a_clip_has_the_shares():
     balls = [{"position": [0.0, 0.0], "height": 0.01}, {"position": [0.0, 0.0002]}, {"position": [0.02, 0.0]}]
     clip = Scene.build("over", launches=balls, timing={"frames": 2}).draw(seed=1)
