@@ -163,8 +163,20 @@ def test_contacts_of_a_crowd_say_nothing_about_ball_a_of_a_pair():
 
 
 def test_no_ball_of_an_equal_crowd_is_named():
-    films = [crowd(draw(count=30, seed=seed), balls=12) for seed in range(12)]
-    assert not any(law_of(film, "recoil").causes for film in films)
+    """The recoil scatters from contact to contact by four times its error."""
+    for seed in range(12):
+        film = crowd(draw(count=60, seed=seed), balls=12, seed=seed)
+        assert not law_of(dataclasses.replace(film, recoil=2 * film.recoil), "recoil").causes
+
+
+def test_a_gain_that_the_best_of_thirty_balls_may_reach_by_chance_names_none():
+    """One ball alone would be named at 4.7 sigma, and 2 ln 28 of the gain is the price of the choice."""
+    equal = crowd(draw(count=80), balls=30)
+    equal = dataclasses.replace(equal, recoil=equal.recoil_std * np.where(np.arange(80) % 2, 1.0, -1.0))
+    chance, shown = (law_of(make_heavier(equal, 7, share), "recoil") for share in (0.022, 0.026))
+    assert not chance.causes
+    assert shown.law == "ball 7 is heavier by a share"
+    assert shown.sigma == pytest.approx(np.sqrt(5.63**2 - 2 * np.log(28)), abs=0.1)
 
 
 def test_contacts_that_a_third_body_disturbs_hide_no_law():
