@@ -262,11 +262,25 @@ class Model:
         Bodies
             In the order of `labels`.
         """
-        of_a = np.array([float(label == "a") for label in labels])
+        return self.bodies_where(np.array([label == "a" for label in labels], dtype=bool))
+
+    def bodies_where(self, is_a: NDArray[np.bool_]) -> Bodies:
+        """Radii and masses of balls a and b, as `bodies` gives them, for many balls quickly.
+
+        Parameters
+        ----------
+        is_a : array of bool
+            True for balls a, false for balls b.
+
+        Returns
+        -------
+        Bodies
+            In the order of `is_a`.
+        """
         a = self.laws("radius", self.ball.radius, {}), self.laws("mass", self.ball.mass, {})
         b = self.ball.radius, self.ball.mass
-        radius, mass = (np.where(of_a == 1, x, y) for x, y in zip(a, b, strict=True))
-        return Bodies(radius, mass, of_a, np.full(len(of_a), SOLID_BALL))
+        radius, mass = (np.where(is_a, x, y) for x, y in zip(a, b, strict=True))
+        return Bodies(radius, mass, is_a.astype(float), np.full(len(is_a), SOLID_BALL))
 
     def value(self, name: str) -> float:
         """The value of a parameter.

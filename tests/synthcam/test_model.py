@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from synthcam.effects.plate_tilt import PlateTilt
@@ -24,6 +25,15 @@ def test_a_file_with_an_empty_section_is_the_default_model(tmp_path):
 def test_a_ball_weighs_its_volume():
     assert Ball(2e-3, 1000).mass == pytest.approx(1000 * 4 / 3 * math.pi * 1e-9)
     assert Ball(2e-3).radius == 1e-3
+
+
+def test_bodies_by_label_and_by_flag():
+    model = Model().replace({"diameter_mismatch.excess": 0.02, "mass_mismatch.excess": 0.1})
+    theirs, ours = model.bodies("aba"), model.bodies_where(np.array([True, False, True]))
+    assert theirs.radius[0] > theirs.radius[1] == model.ball.radius
+    assert theirs.mass[0] > theirs.mass[1] == model.ball.mass
+    assert theirs.labels == ours.labels == ("a", "b", "a")
+    np.testing.assert_array_equal([ours.radius, ours.mass, ours.inertia], [theirs.radius, theirs.mass, theirs.inertia])
 
 
 def test_value_and_replace_by_dotted_name():

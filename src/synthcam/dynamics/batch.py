@@ -43,6 +43,7 @@ from synthcam.dynamics.segments import (
     SlideSegment,
     TrajectorySegment,
     drop_balls,
+    split_segment,
     write_states,
 )
 from synthcam.dynamics.solve import solve
@@ -57,7 +58,7 @@ from synthcam.model import Bodies, Model
 
 # position of the contact, m; its time, s; speed, m/s, and heading, rad, of the striker; b over the sum of the radii
 LAUNCH_COLUMNS = ("x", "y", "t_c", "v0", "heading", "b")
-MAX_GROUP = 400  # balls that are integrated together: more leave the processor's cache
+MAX_GROUP = 400  # balls that are integrated or evaluated together: more leave the processor's cache
 
 
 @dataclass
@@ -106,9 +107,7 @@ class CollisionBatch:
         own = np.broadcast_to(starts, (2 * self.size, starts.shape[-1]))
         first, last = (of(np.atleast_2d(starts), axis=0) for of in (np.min, np.max))
         out = np.zeros((2, *own.shape))
-        for segment in self.segments:
-            if not len(segment.begins):
-                continue
+        for segment in (part for whole in self.segments for part in split_segment(whole, MAX_GROUP)):
             begins, ends = segment.begins[:, None], segment.ends[:, None]
             near = np.flatnonzero((first <= ends.max()) & (last >= begins.min() - exposure))
             if len(near) == 0:
@@ -146,36 +145,35 @@ def solve_collisions(
     until when each free striker is followed; by default all are followed until `end`.
     """
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))
-    one = model.bodies(["b" if a else "a" for a in is_a])
-    two = model.bodies(["a" if a else "b" for a in is_a])
-    both = Bodies.join(one, two)
+    one, two = model.bodies_where(~is_a), model.bodies_where(is_a)
+    n, both = len(launches), Bodies.join(one, two)
     t_c = launches[:, 2].astype(float)
     spin = launches[:, 6:] if launches.shape[1] > len(LAUNCH_COLUMNS) else None
     free = np.abs(launches[:, 5]) > 1
     b = np.where(free, 0.0, launches[:, 5])
-    touch = touching(one, two, launches[:, 3], b, launches[:, 4], launches[:, :2], spin)
-    target, striker = touch[0].copy(), touch[1].copy()
-    striker[free, :2] = launches[free, :2]
-    target[free] = striker[free]
-    target[free, 3:] = 0.0
+    # with a collision for each free striker too, whose outcome is not used
+    states = np.concatenate(touching(one, two, launches[:, 3], b, launches[:, 4], launches[:, :2], spin))
+    alone = np.flatnonzero(free)
+    strikers, targets = states[alone + n], states[alone]
+    strikers[:, :2] = targets[:, :2] = launches[alone, :2]
 
-    until = np.full(len(launches), float(end)) if ends is None else np.where(free, np.minimum(ends, end), end)
+    until = np.full(n, float(end)) if ends is None else np.where(free, np.minimum(ends, end), end)
     batch = CollisionBatch(float(start), float(end), radius=both.radius)
     run = _BatchSolver(model, both, batch, np.tile(t_c, 2), np.concatenate([np.where(free, t_c, until), until]))
-    if run.mutual and free.any():
+    if run.mutual and len(alone):
         raise ValueError("a ball that meets nothing has no partner to push it")
-    unseen = np.flatnonzero(free)
-    batch.segments.append(RestSegment(unseen, np.full(len(unseen), batch.start), until[unseen], target[unseen]))
-    target, striker = run.solve_approach(target, striker, free)
-    met = [np.where(free[:, None], *pair) for pair in zip(touch, (target, striker), strict=True)]
-    hit = collide(model, met[0], met[1], one, two)  # that of a free striker is not used
+    run.start_alone(alone, targets, strikers)
+    states = run.solve_approach(states, ~free)
+    hit = collide(model, states[:n], states[n:], one, two)
     if run.mutual and np.any(soft := hit.impulse_n < MIN_IMPACT_SPEED_OF_PAIR_M_S * one.mass):
         raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
-    after = [np.where(free[:, None], *pair) for pair in ((target, hit.target), (striker, hit.striker))]
-    run.solve_after_impact(np.concatenate(after), hit.n[:, :2])
-    run.out.recontact_candidates = np.setdiff1d(run.out.recontact_candidates, np.flatnonzero(free))
+    after = np.concatenate([hit.target, hit.striker])
+    after[alone], after[alone + n] = targets, strikers
+    run.solve_after_impact(after, hit.n[:, :2])
+    candidates = run.out.recontact_candidates
+    run.out.recontact_candidates = candidates[~free[candidates]]
     odd = np.array(sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting}), dtype=np.intp)
-    _solve_free_balls(model, striker, (t_c, until), two, run.out, odd[free[odd]])
+    _solve_free_balls(model, strikers[np.isin(alone, odd)], (t_c, until), two, run.out, odd[free[odd]])
     return _solve_one_by_one(model, launches, is_a, run.out, odd[~free[odd]])
 
 
@@ -237,17 +235,19 @@ def _solve_one_by_one(
 def _solve_free_balls(
     model: Model, states: Array, spans: tuple[Array, Array], bodies: Bodies, out: CollisionBatch, which: Ints
 ) -> None:
-    """Replace the motion of some balls that meet nothing, from their states (n, 9) on, by that of `solve`.
+    """Replace the motion of some balls that meet nothing, from their states (k, 9) on, by that of `solve`.
 
-    spans: when each ball has that state, and until when it is followed, s.
+    spans: when the ball of each collision has that state, and until when it is followed, (n,) s. which: (k,).
     """
+    if len(which) == 0:
+        return
     t_c, ends = spans
     out.segments = [drop_balls(s, np.isin(s.who, which + out.size)) for s in out.segments]
-    for k in which:
+    for k, state in zip(which, states[:, None], strict=True):
         row, time, radius = np.array([k + out.size]), t_c[[k]], bodies.radius[[k]]
-        its = solve(model, Launch(t_c[k], states[k][None], bodies[[k]]), t_c[k], ends[k], finish_slides=False)
+        its = solve(model, Launch(t_c[k], state, bodies[[k]]), t_c[k], ends[k], finish_slides=False)
         if t_c[k] > out.start:
-            out.segments.append(RollSegment(row, np.array([out.start]), time, time, states[[k]], radius, 0.0, 0.0))
+            out.segments.append(RollSegment(row, np.array([out.start]), time, time, state, radius, 0.0, 0.0))
         out.segments.append(TrajectorySegment(row, time, ends[[k]], its))
         slid = [e.t for e in its.events if e.kind == "slide_end"]
         out.slide_ends[row] = slid[0] if slid else t_c[k]
@@ -270,34 +270,44 @@ class _BatchSolver:
         self.bent = {mode: model.laws.has_effect_on(*laws) for mode, laws in LAWS.items()}  # without closed form
         self.floor = np.full(len(t_c), np.inf)
 
-    def solve_approach(self, target: Array, striker: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def start_alone(self, which: Ints, targets: Array, strikers: Array) -> None:
+        """Add what is known of strikers that meet nothing until their launch, in states (k, 9): they move straight on.
+
+        targets: states of the balls beside them, which rest and which nobody sees.
+        """
+        if len(which) == 0:
+            return
+        who = which + len(self.t_c) // 2
+        self.out.segments.append(RestSegment(which, np.full(len(which), self.out.start), self.ends[who], targets))
+        early = self.t_c[who] > self.out.start
+        past, launched = who[early], self.t_c[who[early]]
+        begins, radius = np.full(len(past), self.out.start), self.bodies.radius[past]
+        self.out.segments.append(RollSegment(past, begins, launched, launched, strikers[early], radius, 0.0, 0.0))
+
+    def solve_approach(self, states: Array, meet: NDArray[np.bool_]) -> Array:
         """Solve the approach, targets at rest, strikers rolling or sliding; return their states at the contact.
 
-        free (n,): balls that meet nothing. They move straight on until their launch; nothing else is known of them.
+        states: (2n, 9), at the contact. meet: (n,), collisions that happen.
         """
-        n, start = len(target), np.full(len(self.t_c), self.out.start)
+        n, start = len(states) // 2, np.full(len(self.t_c), self.out.start)
         if self.mutual:
-            return self._approach_with_push(np.concatenate([target, striker]))
-        early, states = self.t_c > self.out.start, np.concatenate([target, striker])
-        past = n + np.flatnonzero(early[n:] & free)
-        straight = (past, start[past], self.t_c[past], self.t_c[past], states[past], self.bodies.radius[past])
-        self.out.segments.append(RollSegment(*straight, 0.0, 0.0))
-        known = np.flatnonzero(early & ~np.tile(free, 2))
-        rests, who = known[known < n], known[known >= n]
+            return self._approach_with_push(states)
+        rests = np.flatnonzero(meet & (self.t_c[:n] > self.out.start))
         self._rest(rests, states[rests], start, self.t_c)
-        modes = classify_modes(states, self.bodies.radius)[who]
+        who = rests + n
+        modes = classify_modes(states[who], self.bodies.radius[who])
         for mode in (ROLL, SLIDE):
             own = who[modes == mode]
-            for some in _group_by_size(own, np.hypot(states[own, 3], states[own, 4])):
-                if self.bent[mode]:
+            if self.bent[mode]:
+                for some in _group_by_size(own, np.hypot(states[own, 3], states[own, 4])):
                     balls = BallStates.without_drilling(self.model, self.bodies[some], states[some])
                     for units, motion in propagate_back(balls, self.t_c[some], start[some]):
                         self.out.segments += IntegratedSegment.of(some[units], motion, self.out.start)
-                elif mode == ROLL:
-                    self._roll(some, states[some], start[some], self.t_c[some], self.t_c[some])
-                else:
-                    self._slide_before(some, states[some], start[some])
-        return target, striker
+            elif mode == ROLL:
+                self._add_roll(own, states[own], start[own], self.t_c[own], self.t_c[own])
+            else:
+                self._slide_before(own, states[own], start[own])
+        return states
 
     def _slide_before(self, who: Ints, states: Array, start: Array) -> None:
         """Add slides in closed form that end in these states at the contacts."""
@@ -306,7 +316,7 @@ class _BatchSolver:
         first = kinematics.slide(states, radius, slowing, (start - self.t_c[who])[:, None], inertia)[:, 0]
         self.out.segments.append(SlideSegment(who, start, self.t_c[who], first, radius, slowing, inertia))
 
-    def _approach_with_push(self, states: Array) -> tuple[Array, Array]:
+    def _approach_with_push(self, states: Array) -> Array:
         """Solve the approach of balls that push each other."""
         n, t_c = len(states) // 2, self.t_c[: len(states) // 2]
         if np.any(classify_modes(states, self.bodies.radius) == SLIDE):
@@ -319,17 +329,19 @@ class _BatchSolver:
             self._add_kink(np.arange(n), np.where(onset < 0, t_c + onset, np.inf))
         if np.any(((hit[:n, :6] - hit[n:, :6])[:, :3] * (hit[:n] - hit[n:])[:, 3:6]).sum(axis=1) >= 0):
             raise ValueError(PUSHED_AWAY)
-        return hit[:n], hit[n:]
+        return hit
 
     def solve_after_impact(self, states: Array, n: Array) -> None:
-        """Solve from the impact to the end. n (collisions, 2): normal of the impact, from striker to target."""
+        """Solve from the impact to the end.
+
+        states: (2n, 9) after the impact; their array is used for the later ones. n: normal of the impact, from striker
+        to target, (n, 2).
+        """
         max_legs = 2000  # after an impact
-        states, now = states.copy(), self.t_c.copy()
-        out = np.concatenate([n, -n])
-        parting = slowest = (states[:, 3:5] * out).sum(axis=1)  # of each ball from the other, along the normal
+        now, out_x, out_y = self.t_c.copy(), np.append(n[:, 0], -n[:, 0]), np.append(n[:, 1], -n[:, 1])
+        parting = slowest = states[:, 3] * out_x + states[:, 4] * out_y  # of each ball from the other
         self._set_ending_slips(np.arange(len(now)), states)
         for _ in range(max_legs):
-            slowest = np.minimum(slowest, (states[:, 3:5] * out).sum(axis=1))
             modes = classify_modes(states, self.bodies.radius)
             down = np.flatnonzero((states[:, 5] < 0) & (modes != FLY))
             if len(down):
@@ -340,11 +352,9 @@ class _BatchSolver:
                 break
             if self.mutual:
                 self._propagate_pairs(np.flatnonzero(live[: len(n)]), states, now, modes)
-                continue
-            for mode, advance in ((FLY, self._fly), (SLIDE, self._slide), (ROLL, self._roll_on), (REST, self._stay)):
-                who = np.flatnonzero(live & (modes == mode))
-                if len(who):
-                    advance(who, states, now)
+            else:
+                self._advance(live, modes, states, now)
+            slowest = np.minimum(slowest, states[:, 3] * out_x + states[:, 4] * out_y)
         else:
             raise ValueError(f"the motion does not settle: {max_legs} legs after an impact")
         self.out.breaks = np.stack(self.kinks, axis=1)
@@ -353,6 +363,13 @@ class _BatchSolver:
         # a leg a push may slow a ball by 5 mm/s more than at its ends
         waver = 5e-3 if self.bent[ROLL] else 0.0
         self.out.recontact_candidates = np.flatnonzero(both[1] < 0.1 * both[0] + waver)
+
+    def _advance(self, live: NDArray[np.bool_], modes: Ints, states: Array, now: Array) -> None:
+        """Solve the next leg of the balls that are `live`, each alone."""
+        for mode, advance in ((FLY, self._fly), (SLIDE, self._slide), (ROLL, self._roll_on), (REST, self._stay)):
+            who = np.flatnonzero(live & (modes == mode))
+            if len(who):
+                advance(who, states, now)
 
     def _add_kink(self, who: Ints, when: Array) -> None:
         if np.any(np.isfinite(self.kinks[-1][who])):
@@ -402,8 +419,7 @@ class _BatchSolver:
         self._rest(who, states[who], now, np.full(len(now), np.inf))
         now[who] = self.ends[who]
 
-    def _rest(self, who: Ints, states: Array, now: Array, until: Array) -> None:
-        held = states.copy()
+    def _rest(self, who: Ints, held: Array, now: Array, until: Array) -> None:
         held[:, 3:8] = 0.0
         if self.bent[FLY]:
             loose = excess_push(self.model, self.bodies[who], held, np.full((2, 1, 1), np.inf))[:, 0] > 0
@@ -466,20 +482,21 @@ class _BatchSolver:
         ends = np.minimum(
             end, now[who] + kinematics.stop_time(speed, self.model.rolling_drag, self.model.rolling_decel)
         )
-        states[who] = self._roll(who, states[who], now[who], ends, now[who])
+        leg = self._add_roll(who, states[who], now[who], ends, now[who])
+        states[who] = leg.states(ends[:, None])[:, 0]
         stopped = ends != end
         states[who[stopped], 3:8] = 0.0
         now[who] = ends
         self._add_kink(who[stopped], ends[stopped])
 
-    def _roll(self, who: Ints, states: Array, begins: Array, ends: Array, time: Array) -> Array:
-        """Roll in closed form through these states at `time`; return the states at the ends."""
+    def _add_roll(self, who: Ints, states: Array, begins: Array, ends: Array, time: Array) -> RollSegment:
+        """Add rolls in closed form through these states at `time`."""
         model = self.model
         leg = RollSegment(
             who, begins, ends, time, states, self.bodies.radius[who], model.rolling_drag, model.rolling_decel
         )
         self.out.segments.append(leg)
-        return leg.states(ends[:, None])[:, 0]
+        return leg
 
 
 def interpolate_hermite(ends: Array, wide: Array, shares: Array) -> Array:

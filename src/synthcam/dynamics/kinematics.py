@@ -176,7 +176,14 @@ def plate_state(position: Array, q: Array, u: Array, wz: Real, radius: Real, ine
 
 def rolling_state(position: Array, velocity: Array, wz: Real, radius: Real) -> Array:
     """Return the state of a rolling ball from position and velocity, both (..., 2)."""
-    return plate_state(position, velocity, np.zeros(2), wz, radius)
+    out = np.zeros((*np.broadcast_shapes(position.shape, velocity.shape)[:-1], 9))
+    out[..., 0:2] = position
+    out[..., 2] = radius
+    out[..., 3:5] = velocity + 0.0  # a ball at rest has no negative zeros
+    out[..., 6] = (0.0 - velocity[..., 1]) / radius
+    out[..., 7] = velocity[..., 0] / radius
+    out[..., 8] = wz
+    return out
 
 
 def apply_friction_impulse(state: Array, impulse: Real, radius: Real, inertia: Real = SOLID_BALL) -> Array:

@@ -7,7 +7,7 @@ list of such segments.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,6 +183,16 @@ class TrajectorySegment(Segment):
 def _with_axes_first(vectors: Array) -> Array:
     """Turn (k, 2) into (2, k, 1)."""
     return np.asarray(vectors.T[..., None])
+
+
+def split_segment(segment: Segment, most: int) -> list[Segment]:
+    """Split a segment into segments of at most so many balls; an integrated one stays whole."""
+    count = len(segment.who)
+    if count <= most or isinstance(segment, IntegratedSegment):
+        return [segment] if count else []
+    of_balls = {f.name: v for f in fields(segment) if isinstance(v := getattr(segment, f.name), np.ndarray)}
+    rows = [slice(k, k + most) for k in range(0, count, most)]
+    return [replace(segment, **{name: values[some] for name, values in of_balls.items()}) for some in rows]
 
 
 def drop_balls(segment: Segment, gone: NDArray[np.bool_]) -> Segment:

@@ -114,6 +114,15 @@ def test_groups_led_together_change_nothing():
     np.testing.assert_allclose(np.sort(whole.breaks[balls]), np.sort(part.breaks), rtol=0, atol=1e-13)
 
 
+def test_a_large_batch_has_the_centres_of_small_ones():
+    model, starts = Model().replace({"mass_mismatch.excess": 0.1}), np.arange(95) / FPS
+    rows, is_a = launches(MAX_GROUP + 50), np.arange(MAX_GROUP + 50) % 3 == 0
+    some = slice(MAX_GROUP - 20, MAX_GROUP + 20)
+    whole = solve_collisions(model, rows, 0.0, END, is_a).average_centres(starts, EXPOSURE)
+    part = solve_collisions(model, rows[some], 0.0, END, is_a[some]).average_centres(starts, EXPOSURE)
+    np.testing.assert_array_equal(whole[:, some], part)
+
+
 def test_no_exposure_is_an_instant():
     batch = solve_collisions(Model(), launches(5), 0.0, END)
     starts = np.arange(90) / FPS

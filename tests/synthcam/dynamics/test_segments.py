@@ -22,6 +22,7 @@ from synthcam.dynamics.segments import (
     RollSegment,
     SlideSegment,
     TrajectorySegment,
+    split_segment,
 )
 from synthcam.dynamics.solve import solve
 from synthcam.model import Model
@@ -52,6 +53,17 @@ def legs():
     for model, states in ((BENT, gone), (BENT, SLIPPING), (BENT, ROLLING), (Model(), ROLLING), (Model(), slow)):
         for units, way in propagate(BallStates.without_drilling(model, BODIES, states), np.full(2, 0.3)):
             yield from IntegratedSegment.of(WHO[units], way.motion.shift(START[units]), 1e3)
+
+
+def test_the_parts_of_a_segment_have_its_balls():
+    for leg in legs():
+        parts = split_segment(leg, 1)
+        assert len(parts) == (1 if isinstance(leg, IntegratedSegment) else len(leg.who))
+        for method, *more in (("states",), ("average_centres", 1e-3)):
+            times = np.linspace(leg.begins + 1e-3, leg.ends - 1e-3, 5, axis=1)
+            theirs = [getattr(part, method)(times[part.who], *more) for part in parts]
+            axis = 0 if method == "states" else 1
+            np.testing.assert_array_equal(np.concatenate(theirs, axis=axis), getattr(leg, method)(times, *more))
 
 
 def turns(leg):
