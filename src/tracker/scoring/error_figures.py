@@ -54,13 +54,17 @@ def error_bars_figure(table: pd.DataFrame) -> Figure:
     kinds = (("", "tied fit"), ("_free", "free fit"), ("_local", "local estimate"))
     for axes, (kind, title) in zip(panels, kinds, strict=True):
         z = [c[1][c[2] > 0] / c[2][c[2] > 0] for n in QUANTITY_NAMES if (c := _claims(table, n, kind)) is not None]
-        values = np.concatenate([*z, np.empty(0)])
-        axes.hist(values.clip(-5, 5), bins=bins.tolist(), density=True, color=COLOURS[kind], alpha=0.55)
+        if z:
+            values = np.concatenate(z).clip(-5, 5)
+            axes.hist(values, bins=bins.tolist(), density=True, color=COLOURS[kind], alpha=0.55)
+        else:
+            axes.text(0.02, 0.97, "no clip has this estimate", transform=axes.transAxes, va="top", fontsize=8)
         axes.plot(
             grid, np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), "-", color="0.1", lw=1, label="normal distribution"
         )
         axes.set(xlabel="error / claimed standard error", title=f"{title}, all quantities")
-        axes.legend(fontsize=8)
+        if z:
+            axes.legend(fontsize=8)
     figure.axes[0].set_ylabel("density")
     return figure
 
