@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from discrepancy.time_left import LIMITED_STAGES, SearchClock
+from discrepancy.time_left import LIMITED_STAGES, ONLY_LAWS, SearchClock
 from synthcam.library import add_effects
 from synthcam.model import read_model, settings_of, to_yaml
 from synthcam_shared.application import command_line, progress_bar, read_progress_interval, run
@@ -127,7 +127,8 @@ def find(
         for note in notes:
             if note.kind is SearchNoteKind.NO_STRIKER:  # at once: a search without it may look for the wrong ball
                 print(f"discrepancy: {note}", file=sys.stderr)
-        with show_stages(("noise", "fit", "free laws", "search", "gap", "where", "report"), 60 * minutes) as progress:
+        stages = ("noise", "fit", "free laws", "search", ONLY_LAWS, "gap", "where", "report")
+        with show_stages(stages, 60 * minutes) as progress:
             contacts = read_contacts(measured) if stretches else None
             found = search(clips, given, progress, 60 * minutes, notes, stretches, contacts)
             progress("report")

@@ -36,6 +36,7 @@ from discrepancy.select.free_law_contest import select_effects_and_law
 from discrepancy.select.law_fit import fit_unseen_clips
 from discrepancy.select.library_fits import LibraryFits
 from discrepancy.select.library_search import InterruptedSearch, Selection, find_undetectable, make_selection
+from discrepancy.time_left import ONLY_LAWS
 from discrepancy.validate.claim_tests import HeldOutClips, ValidatedSelection, validate
 from discrepancy.validate.gap import GapFits, measure_gap
 from discrepancy.validate.outlier_clips import find_outlier_clips
@@ -192,9 +193,11 @@ def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[LibraryF
     library = LibraryFits(evidence, base, lambda: deadline("search"))
     if data.is_smoothed:
         return library, make_selection(library, ())
+    is_significant = any(test.sigma > library.required_sigma for test in library.ranking[:1])
+    stage = "free laws" if is_significant else ONLY_LAWS
     try:
         with deadline.limited():
-            return library, select_effects_and_law(library, lambda: deadline("free laws"))
+            return library, select_effects_and_law(library, lambda: deadline(stage))
     except OutOfTime:
         best = min(library.fits, key=library.cost_of)
         effects = tuple(sorted(c.name for c in best))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-LIMITED_STAGES = ("search", "free laws")  # --minutes limits these; the others take seconds
+ONLY_LAWS = "only free laws"  # the stage "free laws" where no effect of the library is significant
+LIMITED_STAGES = ("search", "free laws", ONLY_LAWS)  # --minutes limits these; the others take seconds
 
 
 @dataclass
@@ -14,8 +15,9 @@ class SearchClock:
 
     A search goes through levels. Each has a stage "search", in which it adds an effect, or only tests all of them, and
     a stage "free laws". It ends at the level whose effects leave nothing significant; no one knows before which level
-    that is. The estimate takes the rest of the level from the level before, and half a level more. A round that repeats
-    the search is taken to be as long as the round before. So the estimate approaches the truth as the levels pass.
+    that is. The estimate takes the rest of the level from the level before, and half a level more. If no effect is
+    significant at all, the first level is the last, and its stage is "only free laws". A round that repeats the search
+    is taken to be as long as the round before. So the estimate approaches the truth as the levels pass.
 
     Attributes
     ----------
@@ -50,6 +52,8 @@ class SearchClock:
         if not lengths:
             return math.nan
         searching = max(lengths.get("search", 0.0), spent if stage == "search" else 0.0)
+        if stage == ONLY_LAWS:  # tests of laws take .6 to 1.1 of the time that those of effects take
+            return min(_remaining(searching, spent), at_most)
         laws = lengths.get("free laws", 1.5 * searching)
         left = _remaining(searching if stage == "search" else laws, spent)
         left += laws * (stage == "search") + 0.5 * (searching + laws)

@@ -80,8 +80,10 @@ def test_strikers_that_slide_or_spin_hide_nothing_and_are_nothing(monkeypatch, s
     """Each has a spin of its own, that is fitted; without it the hits of the same balls fit nothing."""
     only(monkeypatch)
     clips = noisy(exact(Model().replace({"velocity_restitution.e": strength}), 6, 3, spins=SPUN), 3)
-    found = search(clips, Model())
+    stages = set()
+    found = search(clips, Model(), stages.add)
     assert found.verdict == ("named" if strength else "none")
+    assert stages & {"free laws", "only free laws"} == {"free laws" if strength else "only free laws"}
     assert [n.effect for n in found.named] == ["velocity_restitution"] * bool(strength)
     for clip, launch in zip(found.data.clips, found.best_fit.launches, strict=True):
         assert launch[6:] == pytest.approx(SPUN[clip.clip % 4], abs=3e-4)
