@@ -139,7 +139,8 @@ class SearchPolicy(Settings):
     Derived: it rejects one true claim in 40 at the detection limit, and no strong one."""
 
     leave_one_out_sigma: Positive = 3.0
-    """Sigma that a claim needs in all collisions, each left out once. A convention (3 sigma)."""
+    """Sigma that a claim needs in all collisions, each left out once, and from zero by their scatter where more is
+    missing or of free stretches. A convention (3 sigma)."""
 
     poor_chi2_per_point: Positive = 2.0
     """chi^2 per point above which a model does not describe the collisions, so that sigma says little.

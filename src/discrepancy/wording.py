@@ -112,10 +112,11 @@ def describe_law_in_model(free_law: FittedLaw, model_holds_law: bool) -> str:
 
 
 def describe_interruption(interrupted: InterruptedSearch, base: ModelFit, unit: EvidenceUnit) -> str:
-    """Describe how far a search came before its time was over."""
+    """Describe how far a search came before its time was over, and what that means for its gap."""
     start = (
-        f"The search was cut short after {interrupted.seconds / 60:.3g} minutes and names nothing. The base model has "
-        f"chi^2 per point {base.chi2 / base.points:.3g}"
+        f"The search stopped early, after {interrupted.seconds / 60:.3g} minutes, and names nothing: its gap is that "
+        f"of the base model, and a finished search may give another. On the fitted {unit} the base model has chi^2 per "
+        f"point {base.chi2 / base.points:.3g}"
     )
     if not interrupted.effects:
         return f"{start}; no model tried so far has less."
@@ -189,6 +190,11 @@ def describe_rejection(test: ClaimTest, unit: EvidenceUnit = EvidenceUnit.COLLIS
         return f"its {_last(name)} is at {value:.3g}, the end of its allowed range"
     if test.rejection is Rejection.VARIES and test.variation:
         return f"its strength changes with the {test.variation.against} ({test.variation.sigma:.0f} sigma)"
+    if test.rejection is Rejection.AGREES_WITH_ZERO:
+        return (
+            f"uncertain: the {unit} disagree by more than their errors, and by their scatter its size is only "
+            f"{test.from_zero:.2g} sigma from zero"
+        )
     return {
         Rejection.NOT_SIGNIFICANT: "not significant beside everything else",
         Rejection.REPLACED: "another effect that fits as well passes the tests",

@@ -7,6 +7,7 @@ from discrepancy_clips import HIDDEN, collisions, only, searched
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
+from discrepancy.report.narrative import write_story
 from discrepancy.search import search
 from synthcam.model import Model
 
@@ -49,15 +50,17 @@ def test_a_search_cut_short_names_nothing(monkeypatch):
     found = search(clips, Model(), seconds=0.0)
     assert found.verdict == "inadequate"
     assert (found.claims, found.free_law, found.is_empty) == ((), None, True)
-    assert found.sentence().startswith(
-        "The search was cut short after 0 minutes and names nothing. The base model has chi^2 per point "
-    )
+    first, rest = found.sentence().split(". ", 1)
+    assert first.startswith("The search stopped early, after 0 minutes, and names nothing: its gap is that of the base")
+    assert rest.startswith("On the fitted collisions the base model has chi^2 per point ")
+    assert "The search stopped early: a finished one may leave out clips" in write_story(found)[2]
     assert found.document()["cut_short"]["effects"] == list(found.interrupted.effects)
     assert found.document()["gap"]["before"] > found.document()["gap"]["floor"]
 
 
 def test_a_whole_search_is_not_cut_short():
     assert searched("velocity_restitution").document()["cut_short"] is None
+    assert "stopped early" not in " ".join([searched("nothing").sentence(), *write_story(searched("nothing"))])
 
 
 def test_nothing_hidden_is_nothing_found_however_short_the_time(monkeypatch):

@@ -302,7 +302,7 @@ def selection(**changes):
 HELD_OUT = HeldOutClips((), NOISE, None)
 
 
-def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
+def beside_law(monkeypatch, sigma=30.0, less=500.0, others=(), from_zero=9.0):
     """The test of an effect beside a free law of score 100, 500 without the effect, and the effects claimed."""
     for name in ("refit_without_effect", "leave_one_out_with_law"):
         monkeypatch.setattr(claim_tests, name, lambda *_: Made(score=less))
@@ -311,8 +311,10 @@ def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
     for name in ("compare_predictions", "_predict_with_law"):
         monkeypatch.setattr(claim_tests, name, lambda *_: (PASSING, PASSING))
     base, whole = Made(model=Model(), names=BASE_PARAMETERS), Made(model=Model(), std={})
+    monkeypatch.setattr(claim_tests.Jackknife, "of", lambda *_: Made(distance_from_zero=lambda values: from_zero))
     law = Made(
         score=100.0,
+        prior=Made(precision=None),
         model_without_law=Model(),
         joint_fit=whole,
         sigma=30.0,
@@ -350,16 +352,35 @@ def test_an_effect_without_which_all_else_explains_as_much_leaves_nothing_missin
     assert test.rejection.leaves_nothing_missing
 
 
-@pytest.mark.parametrize(("end", "passes"), [(None, True), (("hop.bounce", 0.9), False)])
-def test_an_effect_whose_shape_is_at_an_end_of_its_range_is_not_claimed(monkeypatch, end, passes):
-    claim = Made(sigma=30.0, aliases=("hop",), shape_at_limit=lambda: end)
+def claim_alone(monkeypatch, end=None, from_zero=9.0, is_stretch=False, level=4.2):
+    """The test of an effect, of which everything else passes."""
+    claim = Made(sigma=30.0, aliases=("hop",), values={}, shape_at_limit=lambda: end)
+    monkeypatch.setattr(claim_tests.Jackknife, "of", lambda *_: Made(distance_from_zero=lambda values: from_zero))
     monkeypatch.setattr(claim_tests, "describe_claims", lambda *_: (claim,))
     monkeypatch.setattr(claim_tests, "make_selection", lambda *_: Made(best=None))
     monkeypatch.setattr(claim_tests, "compare_models", lambda *_: (PASSING, PASSING))
     monkeypatch.setattr(claim_tests, "find_variation", lambda *_: Made(rejects=lambda sigma: False))
     selected = selection(state=(Made(name="hop", strengths=()),))
-    tests, *_ = claim_tests._test_effects(selected, Made(evidence=None), HELD_OUT, 4.2, lambda: None)
-    assert (tests[0].rejection, tests[0].shape_at_limit) == (None if passes else Rejection.SHAPE_AT_LIMIT, end)
+    library = Made(evidence=Made(clips=[Made(is_stretch=is_stretch)]), required_sigma=4.2)
+    (test,), *_ = claim_tests._test_effects(selected, library, HELD_OUT, level, lambda: None)
+    return test
+
+
+@pytest.mark.parametrize(("end", "passes"), [(None, True), (("hop.bounce", 0.9), False)])
+def test_an_effect_whose_shape_is_at_an_end_of_its_range_is_not_claimed(monkeypatch, end, passes):
+    test = claim_alone(monkeypatch, end)
+    assert (test.rejection, test.shape_at_limit) == (None if passes else Rejection.SHAPE_AT_LIMIT, end)
+
+
+@pytest.mark.parametrize(("from_zero", "passes"), [(2.4, False), (4.0, True)])
+def test_a_size_that_agrees_with_zero_by_its_scatter_is_not_claimed(monkeypatch, from_zero, passes):
+    """Of stretches, beside a free law, and where more is missing; else errors from noise are right."""
+    expected = None if passes else Rejection.AGREES_WITH_ZERO
+    for cases in ({"is_stretch": True}, {"level": 20.0}):
+        test = claim_alone(monkeypatch, from_zero=from_zero, **cases)
+        assert (test.rejection, test.from_zero) == (expected, from_zero)
+    assert claim_alone(monkeypatch, from_zero=from_zero).rejection is None
+    assert beside_law(monkeypatch, from_zero=from_zero)[0].rejection is expected
 
 
 WORSE = Rejection.HELD_OUT_WORSE

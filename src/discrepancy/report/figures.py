@@ -44,7 +44,8 @@ def draw_search_figures(found: SearchOutcome) -> list[PageFigure]:
     """Draw all figures of a search's page."""
     unit = found.data.unit
     compared = f", base model and model {name_of_best(found)}" if not found.is_empty else " of the base model"
-    only = "" if not found.is_empty else " The search names no effect, so the base model is shown alone."
+    early = " stopped early and" if found.interrupted else ""
+    only = "" if not found.is_empty else f" The search{early} names no effect, so the base model is shown alone."
     figures = [
         (
             f"Mean residuals{compared}",

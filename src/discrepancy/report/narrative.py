@@ -75,7 +75,9 @@ def _describe_gap(found: SearchOutcome) -> str:
     gap, where = found.gap, f"On the {len(found.data.held_out)} held-out {found.data.unit}"
     noise = f"noise alone would leave {gap.floor_um:.2f} um"
     if found.is_empty:
-        return f"{where} the base model leaves residuals of {gap.before_um:.2f} um rms; {noise}."
+        early = "The search stopped early: a finished one may leave out clips, estimate noise again or name effects."
+        base = f"{where} the base model leaves residuals of {gap.before_um:.2f} um rms; {noise}."
+        return f"{base} {early}" if found.interrupted else base
     closed = "The excess of chi^2 over noise is too small to say what share of it the best model removes"
     if np.isfinite(gap.closure):
         closed = f"The best model removes {100 * gap.closure:.1f} % of the excess of chi^2 over noise"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 
 import numpy as np
+from scipy.special import fdtrc, ndtri
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
@@ -47,6 +48,7 @@ class Rejection(Enum):
     EXPLAINS_LITTLE = auto()  # much more is missing than it explains
     SHAPE_AT_LIMIT = auto()  # a shape parameter is at the end of its range
     VARIES = auto()  # its strength changes between collisions
+    AGREES_WITH_ZERO = auto()  # its size agrees with zero by the scatter of the collisions, which exceeds their errors
 
     @property
     def leaves_nothing_missing(self) -> bool:
@@ -174,16 +176,46 @@ def leave_each_out(fit: ModelFit, precision: Array | None = None) -> tuple[list[
     return out, changes
 
 
-def compute_jackknife_errors(fit: ModelFit, precision: Array | None = None) -> dict[str, float]:
-    """Compute standard deviations of the shared parameters from their changes as each clip is left out in turn.
+@dataclass(frozen=True)
+class Jackknife:
+    """The covariance (S, S) of the shared parameters, by their changes as each clip is left out in turn.
 
-    They follow from the scatter of the clips, whatever the noise model says. It is the jackknife of MacKinnon & White,
+    It follows from the scatter of the clips, whatever the noise model says. It is the jackknife of MacKinnon & White,
     J. Econometrics 29 (1985) 305, with clips instead of points. A cause that changes all clips in the same way does not
-    enter.
+    enter. A parameter at a limit has the covariance NaN.
     """
-    changes = leave_each_out(fit, precision)[1]
-    std = np.sqrt((len(changes) - 1) * changes.var(axis=0))
-    return dict(zip(fit.names, std.tolist(), strict=True))
+
+    names: tuple[str, ...]
+    clips: int
+    covariance: Array
+
+    @classmethod
+    def of(cls, fit: ModelFit, precision: Array | None = None) -> Jackknife:
+        """Leave each clip out of a fit in turn; precision: that of `leave_each_out`."""
+        changes = leave_each_out(fit, precision)[1]
+        off = changes - changes.mean(axis=0)
+        return cls(tuple(fit.names), len(changes), (len(changes) - 1) / len(changes) * off.T @ off)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """The standard deviation of each parameter."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    def distance_from_zero(self, strengths: Mapping[str, float]) -> float:
+        """The sigma by which the strengths of an effect, by name, differ jointly from zero; inf if none has an error.
+
+        Few clips determine their own scatter badly, so sigma follows from Hotelling's T^2: with one strength from
+        Student's t with a degree of freedom less than clips, as Cameron & Miller, J. Human Resources 50 (2015) 317,
+        recommend for errors by the scatter of few groups.
+        """
+        rows = [k for k, name in enumerate(self.names) if name in strengths and self.covariance[k, k] > 0]
+        if not rows or len(rows) >= self.clips:
+            return math.inf
+        values, size = np.array([strengths[self.names[k]] for k in rows]), len(rows)
+        t2 = float(values @ np.linalg.pinv(self.covariance[np.ix_(rows, rows)], hermitian=True) @ values)
+        freedom = self.clips - size
+        p = float(fdtrc(size, freedom, t2 * freedom / (size * (self.clips - 1))))
+        return -float(ndtri(p / 2)) if p > 0 else math.inf
 
 
 def leave_one_out_with_law(fitted_law: FittedLaw) -> list[Array]:
@@ -270,6 +302,7 @@ class ClaimTest:
     is_free_law: bool = False  # false for an effect of the library
     shape_at_limit: tuple[str, float] | None = None  # a shape parameter at the end of its range, and its value
     variation: StrengthVariation | None = None  # the change of the strength, if that rejects the claim
+    from_zero: float = math.inf  # sigma of its size, by the scatter of the clips; inf where noise gives the error
 
     def document(self) -> dict[str, float]:
         """The numbers of the tests, for discrepancy.json."""
@@ -301,7 +334,7 @@ class ValidatedSelection:
         """
         law, std = self.selection.free_law, dict[str, float]()
         if is_cut and self.claims:
-            std = compute_jackknife_errors(self.selection.joint_fit, law.prior.precision if law else None)
+            std = Jackknife.of(self.selection.joint_fit, law.prior.precision if law else None).std
         sigma = {test.name: test.leave_one_out.sigma for test in self.accepted}
         return tuple(claim.judge_by_scatter(sigma.get(claim.effect, claim.sigma), std) for claim in self.claims)
 
@@ -372,13 +405,23 @@ def _leaves_something(selection: Selection, library: LibraryFits, noise: Noise) 
     return is_unexplained(find_disagreements(library.evidence.clips, selection.best, noise), current_policy())
 
 
-def judge_claim(claim: EffectClaim, predictions: Predictions, level: float, absorbed: bool = False) -> Rejection | None:
-    """Judge a claim that needs `level` sigma; absorbed: everything else explains as much without it."""
+def judge_claim(
+    claim: EffectClaim, predictions: Predictions, level: float, from_zero: float = math.inf, absorbed: bool = False
+) -> Rejection | None:
+    """Judge a claim that needs `level` sigma.
+
+    from_zero: sigma by which its strengths differ from zero by their scatter between clips; inf where the errors follow
+    from noise. absorbed: everything else explains as much without it.
+    """
     if not claim.sigma > level:
         return Rejection.NOT_SIGNIFICANT
     if absorbed:
         return Rejection.ABSORBED
-    return judge_predictions(*predictions) or (Rejection.SHAPE_AT_LIMIT if claim.shape_at_limit() else None)
+    if rejection := judge_predictions(*predictions):
+        return rejection
+    if claim.shape_at_limit():
+        return Rejection.SHAPE_AT_LIMIT
+    return Rejection.AGREES_WITH_ZERO if from_zero < current_policy().leave_one_out_sigma else None
 
 
 def _test_effects(
@@ -386,6 +429,8 @@ def _test_effects(
 ) -> Tested:
     """Test each effect of a selection without a free law; level: the sigma that an effect needs."""
     tests, without, claims = [], dict[str, Selection](), describe_claims(library, selection.state)
+    by_scatter = level > library.required_sigma or any(clip.is_stretch for clip in library.evidence.clips)
+    jackknife = Jackknife.of(selection.best) if by_scatter and selection.state else None
 
     def compare(sigma: float, less: ModelFit, more: ModelFit) -> Predictions:
         return compare_models(sigma, less, more, held_out, progress)
@@ -394,7 +439,8 @@ def _test_effects(
         less = make_selection(library, tuple(s for s in selection.state if s != candidate))
         without[candidate.name] = less
         predictions = compare(claim.sigma, less.best, selection.best)
-        rejection, variation = judge_claim(claim, predictions, level), None
+        from_zero = jackknife.distance_from_zero(claim.values) if jackknife else math.inf
+        rejection, variation = judge_claim(claim, predictions, level, from_zero), None
         if rejection and rejection is not Rejection.NOT_SIGNIFICANT:
             for alias in claim.aliases[1:]:
                 other = exchange_effect(library, selection, candidate, alias)
@@ -405,7 +451,7 @@ def _test_effects(
             found = find_variation(library.evidence, selection.best, candidate.strengths)
             if found.rejects(claim.sigma):
                 rejection, variation = Rejection.VARIES, found
-        test = ClaimTest(candidate.name, claim.sigma, *predictions, rejection)
+        test = ClaimTest(candidate.name, claim.sigma, *predictions, rejection, from_zero=from_zero)
         tests.append(replace(test, shape_at_limit=claim.shape_at_limit(), variation=variation))
     return tests, without, claims
 
@@ -422,6 +468,7 @@ def _test_beside_law(
     tests, without, claims = [], dict[str, Selection](), []
     whole, base, evidence = free_law.joint_fit, selection.base, library.evidence
     with_, residuals = held_out.fit_with_law(free_law), leave_one_out_with_law(free_law)
+    jackknife = Jackknife.of(whole, free_law.prior.precision)
     known = candidates_by_name(free_law.model_without_law, base.model, base.names)
     for effect, sigma in free_law.significances_of_effects(base).items():
         claim = EffectClaim.of(known[effect], whole, whole.std, library.correct_for_trials(effect, sigma))
@@ -433,7 +480,8 @@ def _test_beside_law(
         without[effect] = replace(selection, free_law=less)
         fits, left_out = (held_out.fit_with_law(less), with_), (leave_one_out_with_law(less), residuals)
         predictions = compare_predictions(claim.sigma, fits, left_out, held_out)
-        rejection = judge_claim(claim, predictions, level, absorbed=less.score <= free_law.score)
+        from_zero = jackknife.distance_from_zero(claim.values)
+        rejection = judge_claim(claim, predictions, level, from_zero, absorbed=less.score <= free_law.score)
         if not rejection:
             others = find_replacements(evidence, less, known[effect], library.absorbed, base, progress)
             excluded = current_policy().rival_excluded_chi2
@@ -441,7 +489,8 @@ def _test_beside_law(
             claims[-1] = replace(claim, aliases=(effect, *(name for name, _ in rivals)))
             if rivals and rivals[0][1].score < free_law.score - excluded:
                 without[effect], rejection = replace(selection, free_law=rivals[0][1]), Rejection.REPLACED
-        tests.append(ClaimTest(effect, claim.sigma, *predictions, rejection, shape_at_limit=claim.shape_at_limit()))
+        test = ClaimTest(effect, claim.sigma, *predictions, rejection, shape_at_limit=claim.shape_at_limit())
+        tests.append(replace(test, from_zero=from_zero))
     without[free_law.law.name] = replace(selection, free_law=None)
     predictions = _predict_with_law(selection, free_law, library, held_out, (with_, residuals), progress)
     rejection = judge_predictions(*predictions)

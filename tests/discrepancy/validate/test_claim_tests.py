@@ -12,12 +12,15 @@ from discrepancy.fitting.model_fit import Linearisation, ModelFit
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import search
+from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import (
     HeldOutTest,
+    Jackknife,
     Rejection,
-    compute_jackknife_errors,
+    judge_claim,
     judge_predictions,
     leave_each_out,
+    leave_one_out_residuals,
 )
 from synthcam.model import Model
 
@@ -40,6 +43,61 @@ def test_each_clip_is_foretold_as_a_fit_to_all_others_foretells_it():
     assert sum(float(t @ t) for t in turned) > fit.chi2 + len(fit.names) / 2
 
 
+def fit_lines(x, residuals, launch):
+    """The fit of a slope to straight lines x, and residuals (clips, points)."""
+    model = Model().replace({E: 0.01})
+    lines = Linearisation(model, (E,), np.zeros((len(x), 1)), tuple(x[..., None]), tuple(launch))
+    return ModelFit(model, (E,), lines.launches, tuple(residuals), lines)
+
+
+def draw_lines(rng, slopes, points):
+    """Lines with these slopes and noise of size 1, (clips, points): x, y; x has the square 4 a point."""
+    x = rng.standard_normal((len(slopes), points))
+    x -= x.mean(axis=1, keepdims=True)
+    x *= 2 * np.sqrt(points / (x**2).sum(axis=1, keepdims=True))
+    return x, np.array(slopes)[:, None] * x + rng.standard_normal(x.shape)
+
+
+def test_a_claim_that_one_clip_contradicts_agrees_with_zero():
+    """One clip of twenty has the opposite sign. It counts less in predictions, but not in the size and its error."""
+    x, y = draw_lines(np.random.default_rng(3), [0.35] * 19 + [-3.0], 10)
+    slope = float((x * y).sum() / (x**2).sum())
+    launch = np.ones((20, 10, 1))
+    fit = fit_lines(x, y - slope * x, launch)
+    claim = EffectClaim(E.partition(".")[0], {E: slope}, {E: fit.std[E]}, slope / fit.std[E], ("velocity_restitution",))
+    without = [r - r.mean() for r in y]
+    test = HeldOutTest.of(without, leave_one_out_residuals(fit), np.inf)
+    jackknife = Jackknife.of(fit)
+    assert (claim.sigma > 4.2, test.sigma > 4.2, slope < 2 * jackknife.std[E]) == (True, True, True)
+    assert judge_claim(claim, (test, test), 4.2) is None
+    from_zero = jackknife.distance_from_zero(claim.values)
+    assert judge_claim(claim, (test, test), 4.2, from_zero) is Rejection.AGREES_WITH_ZERO
+    assert judge_claim(claim, (test, test), 4.2, jackknife.distance_from_zero({E: 4 * slope})) is None
+
+
+@pytest.mark.parametrize("clips", [5, 20])
+def test_the_distance_from_zero_counts_that_few_clips_tell_little_of_their_scatter(clips):
+    """Slopes that scatter about zero: 5 % are beyond 1.96, as of a normal number; by the errors alone 12 % of 5."""
+    rng, launch, far, alone = np.random.default_rng(8), np.ones((clips, 8, 1)), 0, 0
+    for _ in range(1500):
+        x, y = draw_lines(rng, rng.standard_normal(clips), 8)
+        slope = float((x * y).sum() / (x**2).sum())
+        jackknife = Jackknife.of(fit_lines(x, y - slope * x, launch))
+        far += jackknife.distance_from_zero({E: slope}) > 1.96
+        alone += abs(slope) > 1.96 * jackknife.std[E]
+    assert far / 1500 == pytest.approx(0.05, abs=0.018)
+    assert alone > far
+
+
+def test_two_strengths_differ_from_zero_jointly():
+    """Correlated errors: their sum is known to 0.1, their difference to 2."""
+    covariance = np.array([[1.0025, -0.9975], [-0.9975, 1.0025]])
+    jackknife = Jackknife(("a", "b", "fixed"), 1000, np.pad(covariance, (0, 1), constant_values=np.nan))
+    assert jackknife.distance_from_zero({"a": 0.5, "b": 0.5}) > 8
+    assert jackknife.distance_from_zero({"a": 0.5, "b": -0.5}) < 0.3
+    assert jackknife.distance_from_zero({"fixed": 1.0}) == np.inf
+
+
 def test_jackknife_errors_count_how_clips_scatter():
     """Straight lines through the origin: their slopes scatter by 1 about the mean, noise alone moves each by 0.14."""
     rng, found, errors = np.random.default_rng(6), [], []
@@ -48,10 +106,8 @@ def test_jackknife_errors_count_how_clips_scatter():
         x -= x.mean(axis=1, keepdims=True)  # no launch absorbs any of it
         y = rng.standard_normal((20, 1)) * x + rng.standard_normal(x.shape)
         found.append(float((x * y).sum() / (x**2).sum()))
-        model = Model().replace({E: 0.01})
-        lines = Linearisation(model, (E,), np.zeros((20, 1)), tuple(x[..., None]), tuple(launch))
-        fit = ModelFit(model, (E,), lines.launches, tuple(y - found[-1] * x), lines)
-        errors.append((compute_jackknife_errors(fit)[E], fit.std[E]))
+        fit = fit_lines(x, y - found[-1] * x, launch)
+        errors.append((Jackknife.of(fit).std[E], fit.std[E]))
     by_scatter, by_noise = np.sqrt(np.mean(np.square(errors), axis=0))
     assert by_scatter == pytest.approx(np.std(found), rel=0.15)
     assert by_noise < 0.2 * np.std(found)
