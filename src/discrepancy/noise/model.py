@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import TypeVar
 
 import numpy as np
-from scipy.linalg import toeplitz
+from scipy.linalg.lapack import dtrtrs
 from scipy.optimize import minimize
+from scipy.signal import lfilter, lfiltic
 from scipy.special import expit, logit
 
 from discrepancy.arrays import Array, Ints
@@ -59,8 +60,11 @@ class NoiseComponent:
             out[m] = weights @ out[m - 1 : 0 : -1] + p * (1 - weights @ out[1:m])
             weights = np.append(weights - p * weights[::-1], p)
         order = len(weights)
-        for lag in range(order + 1, len(out)):
-            out[lag] = weights @ out[lag - order : lag][::-1]
+        out[order + 1 :] = 0
+        if order:  # each later lag follows from the `order` lags before it
+            recursion = np.concatenate([[1.0], -weights])
+            state = lfiltic([1.0], recursion, out[order::-1])
+            out[order + 1 :] = lfilter([1.0], recursion, out[order + 1 :], zi=state)[0]
         out[1:] *= 1 - self.white_share
         lags: Array = self.variance * out[:count]
         lags.flags.writeable = False
@@ -151,11 +155,21 @@ class StretchBundle:
         """Frames from the first to the last, both counted."""
         return int(self.lengths.max()) if self.frames is None else int(self.frames.max()) + 1
 
+    @cached_property
+    def _lags(self) -> Ints:
+        """Frames between each two positions, (n, n), or (k, n, n) where frames are missing."""
+        rows = np.arange(self.values.shape[1]) if self.frames is None else self.frames
+        lags: Ints = np.abs(rows[..., :, None] - rows[..., None, :])
+        return lags
+
+    @cached_property
+    def _columns(self) -> Array:
+        """Basis and values of each stretch, (k, CUBIC_COEFFICIENTS + d, n)."""
+        return np.ascontiguousarray(np.concatenate([self.basis, self.values], axis=2).swapaxes(1, 2))
+
     def covariance(self, lags: Array) -> Array:
         """Covariance from autocovariances at lags 0 to span - 1: (n, n), or (k, n, n) where frames are missing."""
-        if self.frames is None:
-            return np.asarray(toeplitz(lags[: self.values.shape[1]]))
-        return np.asarray(lags[np.abs(self.frames[:, :, None] - self.frames[:, None])])
+        return np.asarray(lags[self._lags])
 
     def restricted_likelihood(self, covariance: Array) -> tuple[float, float]:
         """(log determinants, sum of squares) of REML's -2 log likelihood, for a covariance (n, n) or (k, n, n).
@@ -163,18 +177,28 @@ class StretchBundle:
         A shorter stretch uses the first rows and columns: their inverse Cholesky factor is the first part of the
         whole one's. See Harville, Biometrika 61 (1974) 383.
         """
-        inside = np.arange(self.values.shape[1]) < self.lengths[:, None]
-        factor = np.linalg.cholesky(covariance)
-        white = np.linalg.inv(factor) @ np.concatenate([self.basis, self.values], axis=2) * inside[..., None]
-        fitted, seen = white[..., :CUBIC_COEFFICIENTS], white[..., CUBIC_COEFFICIENTS:]
-        gram, pull = fitted.swapaxes(1, 2) @ fitted, fitted.swapaxes(1, 2) @ seen
-        squares = (seen**2).sum() - (pull * np.linalg.solve(gram, pull)).sum()
+        inside, columns = np.arange(self.values.shape[1]) < self.lengths[:, None], self._columns
+        factor = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+        if factor.ndim == 2:
+            white = _whiten(factor, columns.reshape(-1, columns.shape[2])).reshape(columns.shape)
+        else:
+            white = np.array([_whiten(own, part) for own, part in zip(factor, columns, strict=True)])
+        white *= inside[:, None]
+        products = white @ white.swapaxes(1, 2)
+        gram, pull = np.split(products[:, :CUBIC_COEFFICIENTS], [CUBIC_COEFFICIENTS], axis=2)
+        seen = products[:, CUBIC_COEFFICIENTS:, CUBIC_COEFFICIENTS:]
+        squares = np.trace(seen, axis1=1, axis2=2).sum() - (pull * np.linalg.solve(gram, pull)).sum()
         logs = (np.log(np.diagonal(factor, axis1=-2, axis2=-1)) * inside).sum() + np.linalg.slogdet(gram)[1].sum() / 2
         return float(2 * self.values.shape[2] * logs), float(squares)
 
     @property
     def freedom(self) -> int:
         return int((self.lengths - CUBIC_COEFFICIENTS).sum()) * int(self.values.shape[2])
+
+
+def _whiten(factor: Array, rows: Array) -> Array:
+    """Whiten rows (m, n) of correlated numbers, by the lower Cholesky factor (n, n) of their covariance."""
+    return np.asarray(dtrtrs(factor.T, rows.T, lower=0, trans=1)[0].T)  # neither array is copied to turn it
 
 
 def cubic_basis(since: Ints) -> Array:
