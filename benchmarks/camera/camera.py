@@ -33,7 +33,7 @@ from synthcam.camera.glints import find_glints
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.render import FINENESS, MirrorRenderer, gl_info
-from synthcam.camera.sensor import Chip, Sensor
+from synthcam.camera.sensor import Sensor, SensorChip
 from synthcam.camera.surface import IRON_N_K, Surface
 
 BLACK = {"metal": np.array([1.0, 1e-9]), "zenith": 0.0}  # the refractive index of air: no reflection
@@ -259,7 +259,7 @@ def photon_transfer() -> dict[str, float]:
     """
     sensor = Sensor(bits=12, gain=4.0, read_noise=10, black_level=60, dsnu=6, prnu=0.01, full_well=1e5, glint_peak=3000)
     size, many = (512, 512), 200
-    chip = Chip(sensor, size, 5e-4, root_seed=1)
+    chip = SensorChip(sensor, size, 5e-4, root_seed=1)
 
     def frame(level: float, clip: int, k: int) -> Array:
         plate = np.full(size[::-1], level, np.float32)

@@ -16,7 +16,7 @@ from benchmarks.paper import experiment, kondic
 from benchmarks.paper.experiment import Filmed
 from benchmarks.paper.models.observed import FINAL
 from benchmarks.paper.readings import Corners, Films, corners, least_separation, read
-from tracker.measurement.estimate import fit_all
+from tracker.measurement.estimate import fit_all_jointly
 
 Floats = NDArray[np.float64]
 WINDOW = "6 ms"  # both frames lie within .01 s after the hit, as the paper says of its readings
@@ -95,8 +95,8 @@ class Results:
     @cached_property
     def joint(self) -> dict[str, Any]:
         """The tracker's own fits: of the collisions nearly head-on, and of the rollers."""
-        rolling = fit_all(self.filmed("rolling").estimates)["rolling"]
-        return fit_all(self.filmed("speeds").estimates) | {"rolling": rolling}
+        rolling = fit_all_jointly(self.filmed("rolling").estimates)["rolling"]
+        return fit_all_jointly(self.filmed("speeds").estimates) | {"rolling": rolling}
 
     @cached_property
     def rolling(self) -> Rolling:

@@ -36,7 +36,7 @@ from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, 
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import TOGETHER
 from tracker.measurement.collision.contacts import find_contacts, prepare_contact
-from tracker.measurement.collision.staying_together import find_stays
+from tracker.measurement.collision.staying_together import find_staying_pairs
 from tracker.measurement.local.local_columns import apply_errors, calibrate_rows, calibrate_set, local_columns
 from tracker.measurement.local.local_estimate import estimate_locally
 from tracker.measurement.local.recommendation import recommend
@@ -61,7 +61,7 @@ def measure_hit(hit: RecordedHit, support: str, tied: bool = False) -> dict[str,
     ((tracks, _),) = given.clips.values()
     camera = Camera.of(keys)
     balls = to_ball_tracks(tracks, camera)
-    if any(not stay.bounces for stay in find_stays(balls[0], balls[1], camera.ball_diameter)):
+    if any(not stay.bounces for stay in find_staying_pairs(balls[0], balls[1], camera.ball_diameter)):
         return {"name": hit.name, "status": TOGETHER} | local_columns("the bodies stay together")
     found = find_contacts(balls, camera.ball_diameter) or find_contacts(balls, 1.5 * camera.ball_diameter, 2.0)
     empty = {"name": hit.name, "status": "misfit"}

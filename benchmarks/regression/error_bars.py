@@ -20,7 +20,7 @@ import synthcam
 from synthcam.scene.clip import Clip
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks, to_centres
-from tracker.measurement.estimate import fit_all, measure
+from tracker.measurement.estimate import fit_all_jointly, measure
 
 Floats = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def fit_clips_of_each_camera(clips: list[Clip], rng: np.random.Generator) -> Flo
         off, rows = rng.normal(), []
         for clip in clips[number * CLIPS_OF_EACH : (number + 1) * CLIPS_OF_EACH]:
             rows += measure(follow_centres(clip, rng), doubt_key(Camera.of(clip.camera_json), "fps", off))
-        fit, true = fit_all(pd.DataFrame(rows)), clips[0].truth["mu_k"]
+        fit, true = fit_all_jointly(pd.DataFrame(rows)), clips[0].truth["mu_k"]
         mean = fit["scatter"]["mu_k"]
         found = [fit["chi2"]["mu_k"], mean["mean"]], [fit["chi2"]["mu_k_std"], mean["std"]]
         value, std = np.array(found, dtype=float)  # None, of clips that claim nothing, is NaN

@@ -67,7 +67,7 @@ from tracker.calibration.free_stretches import find_free_stretches
 from tracker.camera.camera import Camera
 from tracker.measurement.local.local_columns import calibrate_set
 from tracker.measurement.positions import BallTrack, to_ball_tracks
-from tracker.measurement.stretch_cuts import measure_noise
+from tracker.measurement.stretch_cuts import measure_path_noise
 from tracker.tables.read import read_frame
 
 SHOWN = "set cause times strength shown named false size own std z verdict seconds".split()
@@ -118,7 +118,7 @@ def _build(number: int, balls: Sequence[BallTrack], camera: Camera) -> MeasuredC
     """Build a collision; its striker is the ball that moves before the contact."""
     _, i, j = np.intersect1d(balls[0].frame, balls[1].frame, return_indices=True)
     at = int(np.argmin(np.hypot(*(balls[0].position[i] - balls[1].position[j]).T)))
-    contact, noise = float(balls[0].time[i[at]]), measure_noise((ball.frame, ball.position) for ball in balls)
+    contact, noise = float(balls[0].time[i[at]]), measure_path_noise((ball.frame, ball.position) for ball in balls)
     early = [ball.position[ball.time < contact] for ball in balls]
     ways = [np.hypot(*(p[-1] - p[0])) if len(p) > 1 else 0.0 for p in early]
     target, striker = balls if ways[1] >= ways[0] else balls[::-1]

@@ -67,7 +67,7 @@ def stages(folder: Path) -> dict[str, float]:
     from synthcam.scene.scene import read_scene
     from tracker.camera.recordings import open_source
     from tracker.detection.detect import DEFAULT, detect, make_view
-    from tracker.detection.link import link
+    from tracker.detection.link import link_into_tracks
     from tracker.recording import measure_clip
 
     clip = read_scene(SCENE).draw(0, 0)
@@ -91,12 +91,12 @@ def stages(folder: Path) -> dict[str, float]:
     video = source.open_clip(0)
     view = make_view(video)
     glints = detect(video, view, DEFAULT).glints
-    tracks = link(glints, view.camera)
+    tracks = link_into_tracks(glints, view.camera)
     out |= {
         "read": timed(lambda: exhaust(source.open_clip(0).frames)),
         "background, noise": timed(lambda: make_view(video)),
         "detect": timed(lambda: detect(video, view, DEFAULT)),
-        "link": timed(lambda: link(glints, view.camera)),
+        "link": timed(lambda: link_into_tracks(glints, view.camera)),
         "fits": timed(lambda: measure_clip(tracks, view.camera)),
     }
     return out

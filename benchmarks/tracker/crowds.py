@@ -28,7 +28,7 @@ from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
 from tracker.camera.camera import Camera
 from tracker.detection.glints import Glints
-from tracker.detection.link import assign
+from tracker.detection.link import assign_track_numbers
 from tracker.detection.linkers.laptrack import Laptrack
 from tracker.scoring.tracking_metrics import TrackPoints, score_tracks
 from tracker.settings import LinkSettings
@@ -91,7 +91,7 @@ def make_linkers(camera: Camera, longest: float) -> dict[str, Callable[[Glints],
         return ids
 
     return {
-        "tracker": lambda spots: assign(spots, camera, settings=settings),
+        "tracker": lambda spots: assign_track_numbers(spots, camera, settings=settings),
         "trackpy": link_by_trackpy,
         "laptrack": Laptrack(camera, settings),
     }

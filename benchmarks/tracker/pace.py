@@ -32,8 +32,8 @@ from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import Recording
 from tracker.detection.choose import select_detector
-from tracker.detection.detect import detect_until_blur_converges, detected_point, make_view
-from tracker.detection.link import link
+from tracker.detection.detect import detect_until_blur_converges, find_detected_point, make_view
+from tracker.detection.link import link_into_tracks
 from tracker.recording import measure_clip, track_and_measure
 
 # width, height, diameter of a ball (px), frames, speed of the striker (m/s)
@@ -109,7 +109,7 @@ def time_stages(frames: Any, camera: dict[str, Any]) -> dict[str, float]:
     marks.append(time.process_time())
     found, view = detect_until_blur_converges(clip, make_view(clip, name), name)
     marks.append(time.process_time())
-    tracks = link(found.glints, view.camera, detected_point(name, clip.camera))
+    tracks = link_into_tracks(found.glints, view.camera, find_detected_point(name, clip.camera))
     marks.append(time.process_time())
     measure_clip(tracks, view.camera)
     marks.append(time.process_time())

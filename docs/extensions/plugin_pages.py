@@ -11,7 +11,7 @@ from typing import Any
 
 from myst_text import paragraphs, plain, table
 
-from discrepancy.free_laws.library import library as free_laws
+from discrepancy.free_laws.library import list_free_laws as free_laws
 from synthcam.dataset.effect_drawing import draw_effect
 from synthcam.effect import with_typical_values
 from synthcam.library import library as effects

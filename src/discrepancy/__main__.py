@@ -1,11 +1,11 @@
 """The command discrepancy, also as `python -m discrepancy`."""
 
-from synthcam_shared.start import start
+from synthcam_shared.start import start_command
 
 
 def main() -> None:
     """Start the command `discrepancy`."""
-    start("discrepancy", run)
+    start_command("discrepancy", run)
 
 
 def run() -> None:

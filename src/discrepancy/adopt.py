@@ -12,10 +12,10 @@ import numpy as np
 
 from discrepancy.effect_file import ParameterValue, render_formula_effect, render_table_effect
 from discrepancy.free_laws.axis import Axis
-from discrepancy.free_laws.library import library as free_laws
-from discrepancy.free_laws.shapes import CONSTANT, LawShape, Term, iterate_shapes
+from discrepancy.free_laws.library import list_free_laws as free_laws
+from discrepancy.free_laws.shapes import CONSTANT, FormulaTerm, LawShape, iterate_shapes
 from synthcam.library import check_name
-from synthcam.model import Model, read_model, settings_of, to_yaml
+from synthcam.model import Model, list_model_settings, read_model, to_yaml
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TableKind, TabulatedLaw, kind_of
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
@@ -119,9 +119,9 @@ def _render_effect(
             shaped = [ParameterValue(n, float(v), power) for (n, power), v in zip(shape.numbers, numbers, strict=True)]
             text = render_formula_effect(name, held.law, values, shaped, source)
             every = {v.name: v.value for _, v in values} | {v.name: v.value for v in shaped}
-            return text, every, settings_of(bare.replace(base)), str(entry["formula"])
+            return text, every, list_model_settings(bare.replace(base)), str(entry["formula"])
     numbers_of = {owner: bare.value(owner) for owner, _ in kind.owners}
-    return render_table_effect(name, held, numbers_of, source), {"share": 1.0}, settings_of(bare), None
+    return render_table_effect(name, held, numbers_of, source), {"share": 1.0}, list_model_settings(bare), None
 
 
 def _find_shape(law: str, kind: TableKind, entry: Mapping[str, Any], parts: Mapping[str, Any]) -> LawShape | None:
@@ -140,8 +140,8 @@ def _find_shape(law: str, kind: TableKind, entry: Mapping[str, Any], parts: Mapp
 
 
 def _split_strengths(
-    kind: TableKind, ball: str, model: Model, terms: list[tuple[Term, float]]
-) -> tuple[list[tuple[Term, ParameterValue]], dict[str, float]] | None:
+    kind: TableKind, ball: str, model: Model, terms: list[tuple[FormulaTerm, float]]
+) -> tuple[list[tuple[FormulaTerm, ParameterValue]], dict[str, float]] | None:
     """Split the terms into strengths of the effect and numbers of the base model; None if no such model exists.
 
     A law of one base parameter is that parameter times a sum; any other law is a sum. Constant and linear terms become

@@ -17,15 +17,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from discrepancy.time_left import LIMITED_STAGES, ONLY_LAWS, SearchClock
 from synthcam.library import add_effects
-from synthcam.model import read_model, settings_of, to_yaml
-from synthcam_shared.application import command_line, progress_bar, read_progress_interval, run
+from synthcam.model import list_model_settings, read_model, to_yaml
+from synthcam_shared.application import make_command_line, progress_bar, read_progress_interval, run
 from synthcam_shared.errors import InputError
 from synthcam_shared.interruption import raise_if_interrupted
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 from synthcam_shared.overwriting import check_not_read, check_replaceable
 from tracker.camera.camera import Camera
 
-app = command_line(
+app = make_command_line(
     "discrepancy", "Find the physical effects that measured tracks show and a model of the collision lacks."
 )
 MeasuredPath = Annotated[
@@ -178,7 +178,7 @@ def add(
     with show_stages(("noise", "fit", "search")) as progress:
         new = fitted(clips, given, effect, progress)
     with as_input_error(output):
-        write_atomically(output, f"{ADDED} {effect}\n{to_yaml(settings_of(new.fit.model))}")
+        write_atomically(output, f"{ADDED} {effect}\n{to_yaml(list_model_settings(new.fit.model))}")
     sorted_notes, lost = sort_notes(notes), count_lost_clips(notes)
     left_out, processed = [*map(str, sorted_notes.left_out), *new.left_out], list(map(str, sorted_notes.processed))
     if as_json:
@@ -262,7 +262,7 @@ def plan(
     given, wanted = read_scene(scene, tuple(changes or ()), model), _parse_limits(limit or [])
     with replace_folder(output, plan_page.FILES, "an earlier plan") as folder, progress_bar("experiments") as progress:
         found = planned(given, names or None, clips, noise, wanted, seed, progress=progress)
-        plan_page.write(found.outcome, folder)
+        plan_page.write_plan(found.outcome, folder)
     if as_json:
         print(json.dumps(found.document() | {"seconds": round(time.monotonic() - started, 2)}))
         return

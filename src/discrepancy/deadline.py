@@ -16,7 +16,7 @@ class OutOfTime(Exception):
 _running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 
-def check() -> None:
+def check_deadline() -> None:
     """Raise OutOfTime if an active deadline is over. Each prediction calls this, since some take a minute."""
     deadline = _running.get()
     if deadline is not None and deadline.over:

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from discrepancy.free_laws.shapes import Term
+from discrepancy.free_laws.shapes import FormulaTerm
 from synthcam.effect import VECTOR_INPUTS
 from synthcam.tabulated_law import REFERENCE_SPEED_M_S, TableKind, TabulatedLaw, kind_of
 
@@ -26,7 +26,7 @@ class ParameterValue:
 def render_formula_effect(
     name: str,
     law: str,
-    strengths: Sequence[tuple[Term, ParameterValue]],
+    strengths: Sequence[tuple[FormulaTerm, ParameterValue]],
     shape: Sequence[ParameterValue],
     source: Sequence[str],
 ) -> str:
@@ -165,7 +165,7 @@ def _describe_argument(kind: TableKind, x: str) -> str:
     return x if kind.x_unit == "1" else f"{x} in {kind.x_unit}"
 
 
-def _term_text(term: Term, x: str) -> str:
+def _term_text(term: FormulaTerm, x: str) -> str:
     """A term's code in the form of a formula."""
     out = term.code.format_map(_Bare(x="th" if "arctan2" in x else x)).replace("np.", "").replace("maximum(", "max(")
     return "" if out == "1" else out.replace(" ** ", "^").replace("**", "^").replace(" * ", " ")

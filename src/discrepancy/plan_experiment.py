@@ -23,9 +23,9 @@ from discrepancy.planning.compare import (
     largest_cosine,
     limits_with_changes,
 )
-from discrepancy.planning.from_scene import DesignedExperiment, design_experiment
-from discrepancy.planning.limits import Limit, Signatures, count_draws, median_limits
-from discrepancy.planning.pair_advice import AS_FILMED, ComparedDesign, advise
+from discrepancy.planning.from_scene import SceneExperiment, design_experiment
+from discrepancy.planning.limits import Signatures, StrengthLimits, count_draws, median_limits
+from discrepancy.planning.pair_advice import AS_FILMED, ComparedDesign, advise_on_pair
 from discrepancy.planning.plan_result import IndistinguishablePair, PlanResult
 from discrepancy.report import plan_page
 from synthcam.library import library
@@ -98,7 +98,7 @@ class Plan:
         dict
             docs/format.md lists the keys.
         """
-        return plan_page.document(self.outcome)
+        return plan_page.make_plan_document(self.outcome)
 
     def __repr__(self) -> str:
         return self.sentence()
@@ -126,7 +126,7 @@ class Plan:
             If the folder holds something else, or cannot be written.
         """
         with replace_folder(Path(folder), plan_page.FILES, "an earlier plan") as place:
-            plan_page.write(self.outcome, place)
+            plan_page.write_plan(self.outcome, place)
         return Path(folder) / "index.html"
 
 
@@ -216,7 +216,7 @@ def _typical_limits(
     seed: int,
     tick: Callable[[], None] = lambda: None,
     only: Sequence[str] = (),
-) -> tuple[Limit, ...]:
+) -> tuple[StrengthLimits, ...]:
     """The median limits over several draws of a scene's experiment."""
     draws = []
     for k in range(count_draws(count)):
@@ -227,9 +227,9 @@ def _typical_limits(
 
 def _count_wanted_collisions(
     wished: Mapping[str, float],
-    found: Sequence[Limit],
+    found: Sequence[StrengthLimits],
     clips: int,
-    repeat: Callable[..., Sequence[Limit]],
+    repeat: Callable[..., Sequence[StrengthLimits]],
     tick: Callable[[], None],
 ) -> tuple[CollisionsNeeded, ...]:
     """For each wished strength, how many collisions it takes. repeat: the limits of so many collisions as `count`."""
@@ -245,7 +245,7 @@ def _count_wanted_collisions(
     )
 
 
-def _limit_of(limits: Sequence[Limit], strength: str) -> Limit:
+def _limit_of(limits: Sequence[StrengthLimits], strength: str) -> StrengthLimits:
     return next(x for x in limits if x.strength == strength)
 
 
@@ -282,11 +282,11 @@ def _parse_wanted(limits: Mapping[str, float], known: Sequence[str]) -> dict[str
 
 
 def _pairs_with_advice(
-    found: tuple[Limit, ...],
-    before: tuple[Limit, ...],
+    found: tuple[StrengthLimits, ...],
+    before: tuple[StrengthLimits, ...],
     after: Sequence[ChangeLimits],
     chosen: Sequence[str],
-    here: DesignedExperiment,
+    here: SceneExperiment,
 ) -> tuple[IndistinguishablePair, ...]:
     """The indistinguishable pairs, each with the advice how to distinguish it."""
     known = {c.name: c for c in list_candidates(here.experiment.model, here.experiment.names)}
@@ -296,6 +296,6 @@ def _pairs_with_advice(
             ComparedDesign(AS_FILMED, largest_cosine(before, pair)),
             *(ComparedDesign(t.words, largest_cosine(t.limits, pair)) for t in after),
         ]
-        advice = advise(known[pair[0]], known[pair[1]], tries) if after else ""
+        advice = advise_on_pair(known[pair[0]], known[pair[1]], tries) if after else ""
         out.append(IndistinguishablePair(pair, largest_cosine(found, pair), advice))
     return tuple(out)

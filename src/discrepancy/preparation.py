@@ -66,7 +66,7 @@ class SearchData:
         return replace(self, clips=tuple(clips), held_out=tuple(held_out), scatter=scatter)
 
 
-def prepare(
+def prepare_data(
     clips: Sequence[MeasuredCollision], model: Model, progress: Progress, stretches: bool = False
 ) -> SearchData:
     """Remove outliers, hold some clips out, and estimate the noise of the others.

@@ -26,9 +26,9 @@ from discrepancy.fitting.stretch_scatter import fit_scatter
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.free_laws.tabulate import tabulate_and_refit
-from discrepancy.planning.pair_advice import advise, compare_designs
+from discrepancy.planning.pair_advice import advise_on_pair, compare_designs
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy
-from discrepancy.preparation import SearchData, prepare
+from discrepancy.preparation import SearchData, prepare_data
 from discrepancy.results import SearchResult
 from discrepancy.select.contact_effects import examine_contacts
 from discrepancy.select.effect_claim import EffectClaim
@@ -129,7 +129,7 @@ def search(
     """
     with threadpool_limits(1, "blas"):  # matrices here are small: threads wait for one another longer than they work
         clips = check_clips(clips, model)
-        data = prepare(clips, model, progress, stretches)
+        data = prepare_data(clips, model, progress, stretches)
         data, library, selection = select_until_stable(data, model, Deadline(progress, seconds))
         progress("gap")
         data, gap = measure_held_out_gap(data, selection, progress)
@@ -137,7 +137,7 @@ def search(
         if not (data.is_smoothed or selection.interrupted):
             held_out = HeldOutClips(data.held_out, data.noise, gap.before)
             validated = validate(selection, library, held_out, lambda: progress("gap"))
-        result = summarise(clips, data, validated, library, gap, progress)
+        result = finish_search(clips, data, validated, library, gap, progress)
         given = sort_notes(notes)
         return replace(
             result,
@@ -227,7 +227,7 @@ def _measure_gap(data: SearchData, selection: Selection, progress: Progress) -> 
         raise InputError(f"the fitted base model has no motion for the held-out collisions: {e}") from None
 
 
-def summarise(
+def finish_search(
     clips: Sequence[MeasuredCollision],
     data: SearchData,
     validated: ValidatedSelection,
@@ -299,5 +299,5 @@ def _advise_experiment(
         for rival in claim.aliases[1:2]:
             one, other = known[claim.effect], known[rival]
             pair = (one, claim.shapes), (other, shapes.get(rival, {}))
-            sentences.append(advise(one, other, compare_designs(data.clips, data.noise, best, *pair)))
+            sentences.append(advise_on_pair(one, other, compare_designs(data.clips, data.noise, best, *pair)))
     return " ".join(sentences)

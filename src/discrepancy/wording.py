@@ -41,7 +41,7 @@ def describe_search(found: SearchOutcome) -> str:
     """
     main = _describe_free_motion(found)
     return " ".join(
-        [main, *describe_scatter(found.data.scatter), *describe_contacts(found.contacts, found.base_fit.model)]
+        [main, *describe_stretch_scatter(found.data.scatter), *describe_contacts(found.contacts, found.base_fit.model)]
     )
 
 
@@ -239,7 +239,7 @@ def describe_small_closure(gap: Gap, unit: EvidenceUnit, most: float = 0.5) -> s
     return f"These claims {closed} of the gap on held-out {unit}: most of it has another cause."
 
 
-def describe_scatter(scatter: StretchScatter) -> list[str]:
+def describe_stretch_scatter(scatter: StretchScatter) -> list[str]:
     """Describe in sentences what differs from stretch to stretch, and what to do about it; empty if nothing does."""
     parts = []
     if scatter.friction:

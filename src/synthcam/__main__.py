@@ -1,11 +1,11 @@
 """The command synthcam, also as `python -m synthcam`."""
 
-from synthcam_shared.start import start
+from synthcam_shared.start import start_command
 
 
 def main() -> None:
     """Start the command `synthcam`."""
-    start("synthcam", run)
+    start_command("synthcam", run)
 
 
 def run() -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from synthcam_shared.application import command_line, progress_bar
+from synthcam_shared.application import make_command_line, progress_bar
 from synthcam_shared.application import run as run_command
 from synthcam_shared.errors import InputError, NoGL
 from synthcam_shared.settings import did_you_mean
@@ -23,7 +23,9 @@ from synthcam_shared.settings import did_you_mean
 if TYPE_CHECKING:
     from synthcam.effect import Parameter
 
-app = command_line("synthcam", "Simulate and render rolling balls that collide, with the ground truth of their motion.")
+app = make_command_line(
+    "synthcam", "Simulate and render rolling balls that collide, with the ground truth of their motion."
+)
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 Withhold = Annotated[
     Path | None,

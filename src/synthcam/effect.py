@@ -173,7 +173,7 @@ class Effect:
         return any(getattr(self, p.name) != 0.0 for p in self.strengths())
 
 
-class Laws:
+class ActiveLaws:
     """The laws of a model with its active effects: call it with a law, its value and the inputs of the instant."""
 
     def __init__(self, effects: Iterable[Effect]) -> None:

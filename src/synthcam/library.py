@@ -32,7 +32,7 @@ _folders: dict[Path, dict[str, type[Effect]]] = {}
 _forget: list[Callable[[], None]] = []
 
 
-def classes_in(package: ModuleType, base: type[T]) -> Iterator[type[T]]:
+def find_plugin_classes(package: ModuleType, base: type[T]) -> Iterator[type[T]]:
     """Find the plug-ins of a package, as the library does: the subclass of `base` in each module, by name."""
     for info in sorted(pkgutil.iter_modules(package.__path__), key=lambda i: i.name):
         yield _only_class(importlib.import_module(f"{package.__name__}.{info.name}"), base)
@@ -56,7 +56,7 @@ def cache_until_effects_change(make: Callable[[], T]) -> _lru_cache_wrapper[T]:
 @cache_until_effects_change
 def library() -> dict[str, type[Effect]]:
     """Return every effect by name: of synthcam, then of packages, then of folders that were added."""
-    found = {e.name(): e for e in classes_in(effects, Effect)}
+    found = {e.name(): e for e in find_plugin_classes(effects, Effect)}
     for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
         found[point.name] = _load_entry_point(point.name, point.load, found)
     for added in _folders.values():
@@ -123,7 +123,7 @@ def list_added_folders() -> tuple[Path, ...]:
     return tuple(_folders)
 
 
-def digest(name: str) -> str | None:
+def hash_effect_file(name: str) -> str | None:
     """Return the SHA-256 of the file of an effect from an added folder, or None."""
     for folder, found in _folders.items():
         if name in found:

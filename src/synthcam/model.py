@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError, create_model, model_validator
 
-from synthcam.effect import Effect, Laws
+from synthcam.effect import ActiveLaws, Effect
 from synthcam.library import cache_until_effects_change, library
 from synthcam.settings import read_yaml
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TabulatedLaw, kind_of, table_names
@@ -246,9 +246,9 @@ class Model:
         write_model(self, Path(path))
 
     @cached_property
-    def laws(self) -> Laws:
+    def laws(self) -> ActiveLaws:
         """The laws with the active effects applied."""
-        return Laws(self.effects)
+        return ActiveLaws(self.effects)
 
     def bodies(self, labels: Sequence[str]) -> Bodies:
         """Radii and masses of balls, with the active effects on them.
@@ -327,7 +327,7 @@ BASE_PARAMETERS = tuple(ModelSettings.model_fields)
 LAUNCH_SPIN = "launch.spin"  # what `free` may hold beside parameters: the spin about the vertical of each launch
 
 
-def build(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
+def build_model(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
     """Build the model of checked plain settings with the keys ball, model, effects and free_laws."""
     effects = tuple(
         library()[name](**values) for name, values in (settings.get("effects") or {}).items() if values is not None
@@ -340,7 +340,7 @@ def build(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
     return Model(ball=Ball(**settings["ball"]), effects=(*effects, *tables), free=free, **settings["model"])
 
 
-def settings_of(model: Model) -> dict[str, Any]:
+def list_model_settings(model: Model) -> dict[str, Any]:
     """Return the plain settings of a model: ball, model, effects (and free_laws and free, when there are any)."""
     numbers = {k: getattr(model, k) for k in BASE_PARAMETERS}
     plain: dict[str, Any] = {
@@ -426,7 +426,7 @@ def _validate(loaded: Mapping[str, Any], where: str) -> Model:
         plain = model_file().model_validate(known).model_dump()
     except ValidationError as e:
         raise to_input_error(e, where, model_file()) from None
-    return build(plain, check_free(plain["free"], where))
+    return build_model(plain, check_free(plain["free"], where))
 
 
 def as_model(given: Model | Mapping[str, Any] | str | Path) -> Model:
@@ -445,7 +445,7 @@ def as_model(given: Model | Mapping[str, Any] | str | Path) -> Model:
 
 def write_model(model: Model, path: Path) -> None:
     """Write a model file that `read_model` gives back and `synthcam generate` takes."""
-    path.write_text(to_yaml(settings_of(model)), encoding="utf-8")
+    path.write_text(to_yaml(list_model_settings(model)), encoding="utf-8")
 
 
 def to_yaml(settings: Mapping[str, Any]) -> str:

@@ -25,7 +25,7 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 
-def command_line(name: str, about: str) -> typer.Typer:
+def make_command_line(name: str, about: str) -> typer.Typer:
     """Make an application that has no commands yet but prints its version."""
     app = typer.Typer(help=about, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 

@@ -32,7 +32,7 @@ Progress = Callable[[int, int], None]  # takes the jobs done and the jobs in all
 
 
 @dataclass(frozen=True)
-class Trial:
+class JobForecast:
     """A forecast from the first jobs for the others.
 
     numbers: the jobs done so far, by this process. seconds: wall time of one job on one worker, s; the first job counts
@@ -52,7 +52,7 @@ def run_jobs(
     scheduler: str = "",
     *,
     trials: int = 2,
-    announce: Callable[[Trial], None] | None = None,
+    announce: Callable[[JobForecast], None] | None = None,
     worth_processes: float = 3.0,
 ) -> Iterator[JobValue[T] | LostJob]:
     """Do the work for each number, and yield the answers in the order in which the jobs end.
@@ -74,7 +74,7 @@ def run_jobs(
         Jobs, spread evenly over the numbers, that this process does first where the number of workers is open or
         `announce` is given.
     announce : callable, optional
-        Takes a `Trial` after the trial jobs if there is more to do.
+        Takes a `JobForecast` after the trial jobs if there is more to do.
     worth_processes : float
         Processor time of all remaining jobs, s, from which on more processes are started. A process takes half as
         long as the default to load its libraries.
@@ -98,7 +98,7 @@ def run_jobs(
             wall, processor = ((b - a) / (len(ends) - 1) for a, b in zip(ends[0], ends[-1], strict=True))
             workers = workers or (count_cores() if processor * len(numbers) > worth_processes else 1)
             if announce:
-                announce(Trial(tuple(first), wall, len(numbers), workers))
+                announce(JobForecast(tuple(first), wall, len(numbers), workers))
     yield from _run_in_processes(work, numbers, max(min(workers, len(numbers)) - 1, 0))
 
 
@@ -115,7 +115,7 @@ def run_all_jobs(
         yield result.value
 
 
-def in_order(given: Iterable[tuple[int, T]], numbers: Iterable[int]) -> Iterator[T]:
+def yield_in_order(given: Iterable[tuple[int, T]], numbers: Iterable[int]) -> Iterator[T]:
     """Yield the values of finished jobs, pairs (number, value), in the order of the numbers; early ones wait."""
     early: dict[int, T] = {}
     values = iter(given)

@@ -167,7 +167,7 @@ UNFINISHED = ".unfinished"  # in a folder that a command has made and not comple
 
 @contextmanager
 def open_scratch_folder(final: Path) -> Iterator[Path]:
-    """Make the empty folder `final`.tmp for one process; it is removed at the end unless `publish` has moved it.
+    """Make the empty folder `final`.tmp for one process; it is removed at the end unless `publish_folder` has moved it.
 
     Raises InputError if it exists and is not what a killed process left.
     """
@@ -187,7 +187,7 @@ def open_scratch_folder(final: Path) -> Iterator[Path]:
             shutil.rmtree(beside, ignore_errors=True)
 
 
-def publish(folder: Path, final: Path) -> None:
+def publish_folder(folder: Path, final: Path) -> None:
     """Move a complete scratch folder to its final place. The caller has checked that what is there may go."""
     (folder / UNFINISHED).unlink(missing_ok=True)  # Zarr empties its folder
     shutil.rmtree(final, ignore_errors=True)

@@ -1,7 +1,7 @@
 """Start a command so that Ctrl-C ends it in one line while its modules are imported, too.
 
-Until `start` has begun, Ctrl-C gives a traceback. So this module, `lazy_names`, and `__init__` and `__main__` of the
-packages import nothing at first that Python has not loaded by itself.
+Until `start_command` has begun, Ctrl-C gives a traceback. So this module, `lazy_names`, and `__init__` and `__main__`
+of the packages import nothing at first that Python has not loaded by itself.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def start(name: str, run: Callable[[], None]) -> None:
+def start_command(name: str, run: Callable[[], None]) -> None:
     """Run a command line. `run` imports its modules and calls its main function."""
     line = f"{name}: interrupted; nothing was written\n".encode()
 

@@ -32,7 +32,7 @@ def mot_box(frame: int, particle: int, x: float, y: float, side: float, rest: st
     return f"{frame + 1},{particle + 1},{left:.4f},{top:.4f},{side:.4f},{side:.4f},{rest}\n"
 
 
-def challenge_xml(tracks: Iterable[Track], snr: str = "0", scenario: str = "balls") -> str:
+def make_challenge_xml(tracks: Iterable[Track], snr: str = "0", scenario: str = "balls") -> str:
     """Make the XML of the Particle Tracking Challenge: Chenouard et al. 2014, Nature Methods 11, 281.
 
     snr: peak over its own noise. scenario: a name of letters, digits, dots, dashes and underscores.
@@ -44,7 +44,7 @@ def challenge_xml(tracks: Iterable[Track], snr: str = "0", scenario: str = "ball
     return _to_text(root)
 
 
-def trackmate_xml(tracks: Sequence[Track], fps: float, made_by: str) -> str:
+def make_trackmate_xml(tracks: Sequence[Track], fps: float, made_by: str) -> str:
     """Make the XML that TrackMate's "Export tracks to XML file" writes: Tinevez et al. 2017, Methods 115, 80."""
     about = {"nTracks": str(len(tracks)), "spaceUnits": "pixel", "frameInterval": repr(1 / fps)}
     root = ET.Element("Tracks", about | {"timeUnits": "sec", "from": made_by})

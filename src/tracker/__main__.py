@@ -1,11 +1,11 @@
 """The command tracker, also as `python -m tracker`."""
 
-from synthcam_shared.start import start
+from synthcam_shared.start import start_command
 
 
 def main() -> None:
     """Start the command `tracker`."""
-    start("tracker", run)
+    start_command("tracker", run)
 
 
 def run() -> None:

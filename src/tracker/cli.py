@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from synthcam_shared.application import command_line, progress_bar, run
+from synthcam_shared.application import make_command_line, progress_bar, run
 from synthcam_shared.errors import InputError
 from tracker.benchmark.commands import app as benchmark_app
 from tracker.camera.camera_keys import CHANNELS, PLANES
@@ -24,7 +24,7 @@ from tracker.detection import detectors as detector_files
 if TYPE_CHECKING:
     from tracker.pipeline import ClipOutcome
 
-app = command_line(
+app = make_command_line(
     "tracker",
     "Finds rolling steel balls by their glint, follows them, and measures the collision with standard errors.",
 )
@@ -228,7 +228,7 @@ def combine(
     """
     from synthcam_shared.overwriting import check_not_read
     from tracker.sets.combined_set import combine as combine_results
-    from tracker.sets.set_page import summarise
+    from tracker.sets.set_page import summarise_set
 
     check_not_read(output, *(folder / "estimates.parquet" for folder in results), *results)
     names = [name.strip() for name in quantities.split(",")] if quantities else None
@@ -239,7 +239,7 @@ def combine(
         return
     for note in found.notes:
         print(f"tracker: {note}", file=sys.stderr)
-    print("\n".join([*summarise(found.document(), found.quantities), f"{page}"]))
+    print("\n".join([*summarise_set(found.document(), found.quantities), f"{page}"]))
 
 
 @app.command()
@@ -257,19 +257,28 @@ def gas(
     Example: tracker gas out/crowd_tracks -o out/gas
     """
     from synthcam_shared.overwriting import check_not_read
-    from tracker.gas.gas_page import summarise
+    from tracker.gas.gas_page import summarise_gas
     from tracker.gas.observe import observe_gas, parse_area
-    from tracker.results import finite
+    from tracker.results import replace_non_finite
 
     check_not_read(output, results)
     found = observe_gas(results, number=clip, area=parse_area(area))
     page = found.report(output, _typed())
     if as_json:
-        print(json.dumps({"gas": str(output), "page": str(page), "values": finite(found.values), "notes": found.notes}))
+        print(
+            json.dumps(
+                {
+                    "gas": str(output),
+                    "page": str(page),
+                    "values": replace_non_finite(found.values),
+                    "notes": found.notes,
+                }
+            )
+        )
         return
     for note in found.notes:
         print(f"tracker: {note}", file=sys.stderr)
-    print("\n".join([*summarise(found), f"{page}"]))
+    print("\n".join([*summarise_gas(found), f"{page}"]))
 
 
 @app.command()
@@ -317,7 +326,7 @@ def score(
     from tracker.scoring.score import check_same_dataset
     from tracker.scoring.score import score as score_results
     from tracker.scoring.score_page import write_report
-    from tracker.scoring.summary import summarise
+    from tracker.scoring.summary import summarise_score
 
     new = not output.exists()
     with open_resumable(output, "tracker score", "a new folder for the report"):
@@ -344,7 +353,7 @@ def score(
     print(
         json.dumps(verdict.to_dict())
         if as_json
-        else "\n".join([*summarise(verdict), *filter(None, [verdict.note]), f"{path}"])
+        else "\n".join([*summarise_score(verdict), *filter(None, [verdict.note]), f"{path}"])
     )
 
 
@@ -360,14 +369,14 @@ def compare(
     Example: tracker compare out/benchmark --detectors maximum_likelihood,centroid -o out/compared
     """
     from tracker.scoring.detector_comparison import compare as compare_detectors
-    from tracker.scoring.detector_comparison import make_tables
+    from tracker.scoring.detector_comparison import make_comparison_tables
 
     with progress_bar("clips") as progress:
         whole = compare_detectors(dataset, detectors.split(","), output, progress)
     if as_json:
         print(json.dumps(whole))
         return
-    table = make_tables(whole["detectors"])[0]
+    table = make_comparison_tables(whole["detectors"])[0]
     lines = [table.heads, *table.rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(table.heads))]
     for first, *rest in lines:
@@ -401,7 +410,7 @@ def calibrate(
     Example: tracker calibrate film.mp4 --points corners.csv --diameter 0.0525 --fps 240 -o camera.json
     """
     from tracker.calibration.calibrate import calibrate as calibrate_camera
-    from tracker.calibration.calibrate import check_output, summary
+    from tracker.calibration.calibrate import check_output, summarise_calibration
 
     check_output(output)
     if points is not None or board:
@@ -418,7 +427,7 @@ def calibrate(
         result = calibrate_camera(video, diameter, fps, exposure, gamma, 0, progress, select)
     result.write(output)
     keys = {"camera": str(output), **result.to_dict()["calibration"], "scale": result.camera.scale}
-    print(json.dumps(keys) if as_json else "\n".join([*summary(result), f"{output}"]))
+    print(json.dumps(keys) if as_json else "\n".join([*summarise_calibration(result), f"{output}"]))
 
 
 @app.command()
@@ -539,10 +548,13 @@ def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
     """A row of estimates as --json has it: the recommended quantities in SI units, null for what is not known."""
     from tracker.measurement.collision.derived import QUANTITY_NAMES
     from tracker.measurement.local.recommendation import recommended_suffix
-    from tracker.results import finite
+    from tracker.results import replace_non_finite
 
     columns = {name: f"{name}{recommended_suffix(row)}" for name in QUANTITY_NAMES}
-    pairs = {name: {"value": finite(row[at]), "std": finite(row[f"{at}_std"])} for name, at in columns.items()}
+    pairs = {
+        name: {"value": replace_non_finite(row[at]), "std": replace_non_finite(row[f"{at}_std"])}
+        for name, at in columns.items()
+    }
     return {key: row[key] for key in ("clip", "collision", "status", "recommended", "why")} | pairs
 
 

@@ -6,10 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable, open_scratch_folder, publish, write_atomically
+from synthcam_shared.outputs import (
+    as_input_error,
+    check_writable,
+    open_scratch_folder,
+    publish_folder,
+    write_atomically,
+)
 from synthcam_shared.settings import did_you_mean
 from tracker.results import read_clip
-from tracker.tables.read import formats
+from tracker.tables.read import list_table_formats
 
 
 def export(results: Path, kind: str, output: Path) -> int:
@@ -17,7 +23,7 @@ def export(results: Path, kind: str, output: Path) -> int:
 
     output: a new file, where there is one clip; else a new folder, with a file for each.
     """
-    writers: dict[str, Any] = {name: one for name, one in formats().items() if hasattr(one, "write")}
+    writers: dict[str, Any] = {name: one for name, one in list_table_formats().items() if hasattr(one, "write")}
     if kind not in writers:
         hint = did_you_mean(kind, writers)
         raise InputError(f"--format {kind}: no such format; there are {', '.join(writers)}{hint}")
@@ -34,5 +40,5 @@ def export(results: Path, kind: str, output: Path) -> int:
         if len(numbers) == 1:
             (aside / f"{numbers[0]}{one.SUFFIX}").replace(output)
         else:
-            publish(aside, output)
+            publish_folder(aside, output)
     return len(numbers)

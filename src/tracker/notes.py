@@ -74,6 +74,6 @@ NO_CAMERA_FILE = Note(
 )
 
 
-def note_all(kind: NoteKind, texts: Iterable[str], clip: int | None = None) -> list[Note]:
+def make_notes(kind: NoteKind, texts: Iterable[str], clip: int | None = None) -> list[Note]:
     """Make notes of one kind; empty texts make none."""
     return [Note(kind, text, clip) for text in texts if text]

@@ -24,9 +24,9 @@ from tracker.camera.readers.labelled_array import is_zarr
 from tracker.camera.recordings import HelperProcesses, Recording, RecordingSource, digest_films, open_source
 from tracker.detection.choose import SelectedDetector, select_channel, select_detector
 from tracker.detection.detect import DEFAULT, detector_name, load_detector, load_linker
-from tracker.detection.own_detector import digest, is_outside
+from tracker.detection.own_detector import digest_detector, is_outside
 from tracker.edits import EditsSource, TrackEdits
-from tracker.notes import Note, NoteKind, note_all
+from tracker.notes import Note, NoteKind, make_notes
 from tracker.recording import Result, check_edits, measure_tracks, track_and_measure
 from tracker.report.misfits import MISFITS, draw_misfit, is_misfit
 from tracker.report.refusals import REFUSALS, NotedPicture, draw_refusals, is_failure
@@ -82,9 +82,11 @@ def run(
     if detector is not None:
         load_linker(detector, first.camera)
     edited.check_frames(first.number, first.frames.numbers)
-    films, said = replace(films, channel=first.channel), note_all(NoteKind.CHANNEL, [why])
+    films, said = replace(films, channel=first.channel), make_notes(NoteKind.CHANNEL, [why])
     if films.camera is None and (films.path.is_file() or is_zarr(films.path)):
-        said += note_all(NoteKind.ASSUMED, [f"camera: {file}; --camera takes another" for file in films.camera_files()])
+        said += make_notes(
+            NoteKind.ASSUMED, [f"camera: {file}; --camera takes another" for file in films.camera_files()]
+        )
     selected = select_detector(first) if detector is None else None
     clips, frames, notes = len(films), 0, Counter[Note]()
     # A film that is open is not decoded again; of one clip, progress counts the frames.
@@ -150,7 +152,7 @@ def measure_tables(
             if drawn := _draw_misfit(result, len(numbers)):
                 pictures[MISFITS] = drawn.png
                 notes[drawn.note] = notes.get(drawn.note, 0) + 1
-            results.write_clip(partial, number, result.found, result.motion, result.rows, own, pictures)
+            results.write_clip_results(partial, number, result.found, result.motion, result.rows, own, pictures)
 
     plan = {"made_by": "tracker measure", "input": digest} | _note_edits(edited)
     table, fresh = _fill_results(output.resolve(), plan, chosen, numbers, measure)
@@ -172,7 +174,7 @@ def _fill_results(
         plan = plan | {"settings": settings.changed()}
     if output.exists():
         _same_or_refuse(output, plan)
-        return results.gather(output, numbers), 0
+        return results.gather_estimates(output, numbers), 0
     check_writable(output)
     partial = output.with_name(output.name + ".partial")
     if partial.is_dir() and any(partial.iterdir()):
@@ -225,7 +227,7 @@ def _plan(source: RecordingSource, detector: str | None, selected: SelectedDetec
     name = detector or (selected.name if selected else DEFAULT)
     colour = {} if source.channel == GREY else {"channel": source.channel}
     film = {"film": source.options.changed()} if source.options.changed() else {}
-    own = {"detector_file": digest(name)} if is_outside(name) else {}
+    own = {"detector_file": digest_detector(name)} if is_outside(name) else {}
     run = {"made_by": "tracker track", "detector": detector_name(name), "clips": len(source)}
     return run | {"input": digest_films(source)} | colour | film | own
 
@@ -261,7 +263,7 @@ def _track_clip(
         files, notes = {MISFITS: drawn.png}, (*notes, drawn.note)
     if selected is not None and result.detector != selected.name:
         files[results.OTHER_DETECTOR] = json.dumps(result.detector).encode() + b"\n"
-    results.write_clip(partial, number, result.found, result.motion, result.rows, result.camera, files)
+    results.write_clip_results(partial, number, result.found, result.motion, result.rows, result.camera, files)
     return result.frames, notes
 
 

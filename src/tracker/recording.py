@@ -27,8 +27,8 @@ from tracker.detection.detect import (
     DetectorChoice,
     blank_outside,
     detect_until_blur_converges,
-    detected_point,
     detector_name,
+    find_detected_point,
     load_detector,
     load_linker,
     make_view,
@@ -43,14 +43,14 @@ from tracker.detection.diagnose import (
     warn_of_missed_examples,
     warn_of_moving_camera,
 )
-from tracker.detection.link import Tracks, link, to_centres
+from tracker.detection.link import Tracks, link_into_tracks, to_centres
 from tracker.edits import EditsSource, TrackEdits
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.contacts import MarkedContact
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.local.recommendation import recommended_suffix
 from tracker.measurement.track_repair import RepairedTracks, repair_tracks
-from tracker.notes import Note, NoteKind, note_all
+from tracker.notes import Note, NoteKind, make_notes
 from tracker.settings import FitSettings, SettingsSource, TrackerSettings
 from tracker.tables.read import ClipTracks, read_frame, read_tracks
 from tracker.tables.rows import tracks_table
@@ -269,7 +269,7 @@ def track(
     clip = clip if number is None else replace(clip, number=number)
     edited.check_clips([clip.number])
     result = track_and_measure(clip, detector, chosen, edited)
-    return replace(result, notes=_name_arguments(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
+    return replace(result, notes=_name_arguments(*make_notes(NoteKind.CHANNEL, [why]), *result.notes))
 
 
 def _open(film: Film, camera: CameraSource | None, options: FilmOptions) -> Recording:
@@ -442,9 +442,9 @@ def track_and_measure(
         rows = [row if row["status"] in MEASURED else row | {"status": tracked.reason} for row in rows]
     notes = (
         *clip.notes,
-        *note_all(NoteKind.DETECTOR, [selected.why if selected else ""], clip.number),
+        *make_notes(NoteKind.DETECTOR, [selected.why if selected else ""], clip.number),
         *tracked.notes,
-        *note_all(NoteKind.LINKING, tracked.loose_ends.warn(tracked.hint), clip.number),
+        *make_notes(NoteKind.LINKING, tracked.loose_ends.warn(tracked.hint), clip.number),
         *edited.notes,
         *describe_camera_gaps(tracked.camera),
         *describe_exposure(tracked.camera, f"{results.SEEN} in {results.RUN}"),
@@ -552,18 +552,18 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracke
         glints = glints.take(np.flatnonzero(clip.area[row, column]))
     takes = spans if view.takes is not None else ()
     linker = load_linker(name, view.camera, settings.link)
-    tracks = link(glints, view.camera, detected_point(name, clip.camera), takes, linker, settings.link)
+    tracks = link_into_tracks(glints, view.camera, find_detected_point(name, clip.camera), takes, linker, settings.link)
     if clip.frames.seconds is not None:
         tracks = replace(tracks, time=clip.frames.seconds[np.searchsorted(numbers, tracks.frame)])
     if view.takes is not None:
         why = "" if len(tracks) else explain_no_discs(clip.frames, view)
     else:
         why = explain_no_glints(clip.frames, view, found.glints)
-    notes = note_all(NoteKind.DETECTOR, found.notes, clip.number)
-    notes += note_all(NoteKind.DETECTOR, warn_of_missed_examples(tracks, clip.balls, view), clip.number)
+    notes = make_notes(NoteKind.DETECTOR, found.notes, clip.number)
+    notes += make_notes(NoteKind.DETECTOR, warn_of_missed_examples(tracks, clip.balls, view), clip.number)
     loose = count_loose_ends(tracks, view.camera.size, spans)
     moving = warn_of_moving_camera(clip.frames) if loose.are_most else ()
-    notes += note_all(NoteKind.LINKING, moving, clip.number)
+    notes += make_notes(NoteKind.LINKING, moving, clip.number)
     hint = LooseEnds.HINT_AT_BODIES if name == GLINTS else ""
     return TrackedClip(tracks, view.camera, why, tuple(notes), loose, hint)
 

@@ -27,7 +27,7 @@ from synthcam_shared.outputs import write_atomically
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.detection.link import Tracks
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.rows import check_columns, to_csv, to_tracks, tracks_table
 
 RUN = "run.json"
@@ -48,7 +48,7 @@ def is_done(results: Path, number: int) -> bool:
     return clip_folder(results, number).is_dir()
 
 
-def write_clip(
+def write_clip_results(
     results: Path,
     number: int,
     tracks: Tracks,
@@ -80,15 +80,15 @@ def write_clip(
 
 def finish_results(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
     """Finish RESULTS: gather all estimates, fit them together, move the whole into place; return the estimates."""
-    from tracker.measurement.estimate import fit_all
+    from tracker.measurement.estimate import fit_all_jointly
 
     order = sorted(numbers)
     calibrate_local(partial, order)
-    table = gather(partial, order)
+    table = gather_estimates(partial, order)
     # without pandas' own metadata, which names the versions of libraries
     plain = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None)
     _write_parquet(partial / "estimates.parquet", plain)
-    write_json(partial / "fit.json", fit_all(table))
+    write_json(partial / "fit.json", fit_all_jointly(table))
     _write_contacts(partial, order)
     cameras = {n: load_json(clip_folder(partial, n) / "camera.json") for n in order}
     if seen := {n: camera[SEEN] for n, camera in cameras.items() if SEEN in camera}:
@@ -122,12 +122,12 @@ def _write_contacts(results: Path, numbers: Sequence[int]) -> None:
         write_atomically(results / "contacts.csv", every.to_csv(index=False, lineterminator="\n"))
 
 
-def read_contacts(results: Path, number: int) -> pd.DataFrame:
+def read_contact_table(results: Path, number: int) -> pd.DataFrame:
     """Read the contacts of one clip of RESULTS with the columns of contacts.parquet, without clip."""
     from tracker.measurement.crowd.contact_table import tabulate_contacts
 
     if (results / CONTACTS).is_file():
-        every = Content.of(results / CONTACTS).cells()
+        every = FileContent.of(results / CONTACTS).cells()
         if "clip" in every and (every["clip"] == number).any():
             return every[every["clip"] == number].drop(columns="clip").reset_index(drop=True)
     return tabulate_contacts(*read_clip(results, number), read_rows(results, number))
@@ -144,7 +144,7 @@ def calibrate_local(results: Path, numbers: Sequence[int]) -> None:
     every = calibrate_set([row for rows in clips for row in rows])
     for number, rows in zip(numbers, clips, strict=True):
         changed, every = every[: len(rows)], every[len(rows) :]
-        if finite(changed) != finite(rows):
+        if replace_non_finite(changed) != replace_non_finite(rows):
             write_json(clip_folder(results, number) / "estimates.json", changed)
 
 
@@ -157,7 +157,7 @@ def read_rows(results: Path, number: int) -> list[dict[str, Any]]:
     return found
 
 
-def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
+def gather_estimates(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
     """Gather all clips' estimates of RESULTS, one row a collision, ``clip`` first."""
     rows = []
     for number in numbers:
@@ -167,7 +167,7 @@ def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
 
 def estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Make the table of estimates in RESULTS, one row a collision; None of JSON stands for NaN."""
-    table = pd.DataFrame([finite(row) for row in rows])
+    table = pd.DataFrame([replace_non_finite(row) for row in rows])
     text_columns = "cov status striker noise flags motion_local local local_shared recommended why".split()
     for name in table.columns:
         if table[name].dtype == object and name not in text_columns:
@@ -187,7 +187,7 @@ def load_json(path: Path) -> Any:
 
 def write_json(path: Path, value: Any) -> None:
     """Write a file of RESULTS as JSON, with null for what is not finite."""
-    write_atomically(path, json.dumps(finite(value), indent=1, sort_keys=False) + "\n")
+    write_atomically(path, json.dumps(replace_non_finite(value), indent=1, sort_keys=False) + "\n")
 
 
 def _write_parquet(path: Path, table: pa.Table) -> None:
@@ -196,12 +196,12 @@ def _write_parquet(path: Path, table: pa.Table) -> None:
         write_atomically(path, stream.getvalue())
 
 
-def finite(value: Any) -> Any:
+def replace_non_finite(value: Any) -> Any:
     """Convert values to those that JSON in RESULTS can hold: None for what is not finite."""
     if isinstance(value, Mapping):
-        return {str(k): finite(v) for k, v in value.items()}
+        return {str(k): replace_non_finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [finite(v) for v in value]
+        return [replace_non_finite(v) for v in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):
@@ -216,7 +216,7 @@ def read_clip(results: Path, number: int) -> tuple[Tracks, Camera]:
     folder = clip_folder(results, number)
     own = folder / "camera.json"
     camera = Camera.read(own if own.is_file() else results / "camera.json")
-    content = Content.of(folder / "tracks.parquet")
+    content = FileContent.of(folder / "tracks.parquet")
     table = content.cells()
     check_columns(table, content.where)
     return to_tracks(table, content.where), camera

@@ -13,9 +13,9 @@ from benchmarks.search.sealed.fisher import Fisher
 from benchmarks.search.sealed.ledger import Ledger
 from benchmarks.search.sealed.ordinary import ORDINARY
 from benchmarks.search.sealed.outsiders import OUTSIDERS
-from synthcam.effect import Laws
+from synthcam.effect import ActiveLaws
 from synthcam.library import library
-from synthcam.model import settings_of
+from synthcam.model import list_model_settings
 
 
 def at_least(wanted):
@@ -131,7 +131,7 @@ def test_one_wave_counted_from_its_other_side_is_the_same_wave():
     found = hidden | {"angle": 0.4 - np.pi, "b": 3e-6}
     place = np.random.default_rng(0).uniform(-0.03, 0.03, (50, 2))
     instant = {"position": place, "velocity": 2 * place, "gravity": 9.81}
-    waves = [Laws([library()["plate_waviness"](**values)]) for values in (hidden, found)]
+    waves = [ActiveLaws([library()["plate_waviness"](**values)]) for values in (hidden, found)]
     one, other = (wave("push", np.zeros((50, 2)), instant) for wave in waves)
     assert np.abs(one).max() > 1e-3
     np.testing.assert_allclose(one, other, atol=1e-12)
@@ -252,7 +252,7 @@ def test_a_model_without_a_motion_closes_nothing(spin, tmp_path):
         )
     analysis.keep(kept, tmp_path / "kept_out.npz")
     base = boxes.base_model(truth)
-    said = {"base": settings_of(base), "model": settings_of(base.replace({"plate_tilt.x": 5e-3}))}
+    said = {"base": list_model_settings(base), "model": list_model_settings(base.replace({"plate_tilt.x": 5e-3}))}
     found = oracle.gap(truth, said, tmp_path)
     assert found["augmented"] == found["base"] > 1
     assert found["oracle"] < 1e-6

@@ -8,7 +8,7 @@ from benchmarks.paper.kondic import GRAVITY, Laws
 from benchmarks.paper.models import candidates, contradictions, observed
 from benchmarks.paper.published import OBSERVED
 from benchmarks.paper.report import findings, page
-from tracker.measurement.joint_fit import predict
+from tracker.measurement.joint_fit import predict_quantities
 
 FPS, DIAMETER, FRAMES = 250.0, 2.38e-3, 100
 V0 = np.linspace(0.2, 0.6, 41)
@@ -28,7 +28,7 @@ def test_closed_forms_give_the_numbers_worked_out_by_hand():
 def test_oblique_hits_agree_with_the_trackers_and_the_papers_formulas():
     b = np.linspace(-0.95, 0.95, 39)
     velocity = kondic.final(b, LAWS)
-    fitted = predict(np.ones_like(b), b, np.array([LAWS.r, LAWS.mu, LAWS.C]))
+    fitted = predict_quantities(np.ones_like(b), b, np.array([LAWS.r, LAWS.mu, LAWS.C]))
     assert np.hypot(*velocity[0].T) == pytest.approx(fitted[:, 0], abs=1e-12)
     assert np.hypot(*velocity[1].T) == pytest.approx(fitted[:, 1], abs=1e-12)
     some = np.array([0.096, 0.25])

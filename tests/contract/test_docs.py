@@ -173,11 +173,11 @@ def test_the_free_law_of_the_page_is_found_and_a_model_holds_it(tmp_path, monkey
     page = [b for b in BLOCKS if b.where.startswith("howto/free_law.md")]
     (tmp_path / "friction_radius.py").write_text(page[0].text)
     monkeypatch.setattr(laws, "__path__", [*laws.__path__, str(tmp_path)])
-    library.library.cache_clear()
+    library.list_free_laws.cache_clear()
     try:
-        (found_law,) = (law for law in library.library() if law.base_name == "friction_radius")
+        (found_law,) = (law for law in library.list_free_laws() if law.base_name == "friction_radius")
     finally:
-        library.library.cache_clear()
+        library.list_free_laws.cache_clear()
         sys.modules.pop("discrepancy.free_laws.laws.friction_radius", None)
     (line,) = (b.text for b in page if b.asked("after"))
     held = eval(f"{{{line}}}", vars(tabulated_law))["friction_radius"]

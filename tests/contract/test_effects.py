@@ -17,7 +17,7 @@ from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.effect import LAWS
 from synthcam.library import library
-from synthcam.model import Model, build, read_model, settings_of, write_model
+from synthcam.model import Model, build_model, list_model_settings, read_model, write_model
 from synthcam.scene import scene as scene_module
 from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.scene import check_scene
@@ -116,11 +116,11 @@ def test_it_survives_yaml_and_back(kind, tmp_path):
     if defect(kind):
         line = rf"^here: effects\.{kind.name()}: a defect of trackers, expected none in a scene$"
         with pytest.raises(InputError, match=line):
-            check_scene(settings_of(model), "here")
+            check_scene(list_model_settings(model), "here")
     else:
-        scene = check_scene(settings_of(model), "here")
+        scene = check_scene(list_model_settings(model), "here")
         assert scene.draw(0, 0).model == dataclasses.replace(model, free=())
-    assert build(yaml.safe_load(yaml.safe_dump(settings_of(model))), model.free) == model
+    assert build_model(yaml.safe_load(yaml.safe_dump(list_model_settings(model))), model.free) == model
 
 
 @each

@@ -7,14 +7,14 @@ import pytest
 
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import SeriesEffect
-from discrepancy.free_laws.library import library
+from discrepancy.free_laws.library import list_free_laws
 from synthcam.effect import LAWS, VECTOR_INPUTS
 from synthcam.model import BASE_PARAMETERS, Model
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TABLE_KINDS, TabulatedLaw
 
 COUNT = 5
 PLACES = {"line": 121, "turn": 121, "place": 61}  # of a table, a side
-BY_NAME = {law.base_name: law for law in library()}
+BY_NAME = {law.base_name: law for law in list_free_laws()}
 
 
 def axes_of(kind):

@@ -14,7 +14,7 @@ from tracker import cli, pipeline, recording
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import Frames, Recording, open_source
 from tracker.detection.detect import detect, make_view
-from tracker.detection.link import link
+from tracker.detection.link import link_into_tracks
 
 SHAPE = (160, 200)
 
@@ -61,7 +61,7 @@ def test_dark_balls_with_a_bright_glint_are_followed():
     camera = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})
     clip = Recording(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
     view = make_view(clip)
-    tracks = link(detect(clip, view).glints, view.camera)
+    tracks = link_into_tracks(detect(clip, view).glints, view.camera)
     assert len(tracks) == 20
     assert np.abs(tracks.x - (20.3 + 7.0 * np.arange(20))).max() < 0.1
 

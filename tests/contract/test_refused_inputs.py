@@ -16,7 +16,7 @@ import tracker.cli
 from synthcam.library import add_effects, check_name
 from synthcam.model import as_model, read_model
 from synthcam.scene.scene import check_scene, read_scene
-from synthcam_shared.application import command_line, run
+from synthcam_shared.application import make_command_line, run
 from synthcam_shared.errors import InputError, PluginError
 from synthcam_shared.outputs import check_writable
 
@@ -89,7 +89,7 @@ def test_one_line_and_nothing_written(typed, bench, monkeypatch, capsys):
 
 def test_an_exit_of_a_users_file_is_reported(monkeypatch, capsys):
     """Status 0 would say that all is well."""
-    app = command_line("tool", "Does nothing.")
+    app = make_command_line("tool", "Does nothing.")
     app.command("work")(lambda: sys.exit(0))
     app.command("other")(lambda: None)
     monkeypatch.setattr(sys, "argv", ["tool", "work"])

@@ -76,7 +76,7 @@ def made_laws(monkeypatch, cost, scores):
     """Free laws with these scores, and a library's best model of this cost."""
     base, fit = Made(names=(), model=None, launches=None), Made(added_names=lambda base: {"hop": ["hop.share"]})
     monkeypatch.setattr(free_law_contest, "free_laws_over", lambda *_: (None,))
-    monkeypatch.setattr(free_law_contest, "cost_of", lambda f, base: cost)
+    monkeypatch.setattr(free_law_contest, "compute_cost", lambda f, base: cost)
     laws = FreeLawFits(Made(clips=()), base)
     laws.fitted = [Made(score=s, fit=fit, significances_of_effects=lambda base: {}) for s in scores]
     return laws, Opponent(fit, (), False)
@@ -113,7 +113,7 @@ def test_four_effects_are_named_at_most(monkeypatch):
     """Each in its turn better by far."""
     library = Made(cost_of=lambda state: -50.0 * len(state))
     monkeypatch.setattr(library_search, "choose_addition", lambda library, state: f"effect {len(state)}")
-    monkeypatch.setattr(library_search, "improve", lambda library, state: state)
+    monkeypatch.setattr(library_search, "improve_until_stable", lambda library, state: state)
     assert complete_search(library, ()) == tuple(f"effect {k}" for k in range(4))
 
 
@@ -200,7 +200,7 @@ def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
     """As likely as each other beforehand, one of n costs 2 ln n."""
     clips = exact(Model(), 4, 3)
     every = free_laws_over(Model(), np.array([c.launch for c in clips]), clips)
-    monkeypatch.setattr(law_fit, "cost_of", lambda fit, base: 100.0)
+    monkeypatch.setattr(law_fit, "compute_cost", lambda fit, base: 100.0)
     weight = CurveEvidence(share * 2 * np.log(len(every)), None, np.zeros(0))
     monkeypatch.setattr(law_fit, "maximise_evidence", lambda law, information, pull: weight)
     look = LawScore(every[0], None, 9.0, np.zeros((0, 0)), np.zeros(0))

@@ -12,7 +12,7 @@ from discrepancy.wording import (
     describe_contacts,
     describe_disagreement,
     describe_rejection,
-    describe_scatter,
+    describe_stretch_scatter,
     describe_verdict,
 )
 from synthcam.model import Model
@@ -39,11 +39,11 @@ def test_a_body_on_air_glides_and_a_ball_slides():
 
 
 def test_scatter_is_given_in_the_units_of_the_bench():
-    text = " ".join(describe_scatter(StretchScatter(0.054, 0.041, 5.7e-4, 0.15, 33.6)))
+    text = " ".join(describe_stretch_scatter(StretchScatter(0.054, 0.041, 5.7e-4, 0.15, 33.6)))
     for part in ("5.4 %", "0.041 m/s^2", "0.57 mm rms", "150 mm", "likelihood ratio is 34", "tracker warp"):
         assert part in text
-    assert "warp" not in " ".join(describe_scatter(StretchScatter(displacement_m=5.7e-4, reach_m=0.15)))
-    assert describe_scatter(StretchScatter()) == []
+    assert "warp" not in " ".join(describe_stretch_scatter(StretchScatter(displacement_m=5.7e-4, reach_m=0.15)))
+    assert describe_stretch_scatter(StretchScatter()) == []
 
 
 def test_the_verdict_on_stretches_is_not_that_on_contacts():

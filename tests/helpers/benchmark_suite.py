@@ -11,7 +11,7 @@ from tracker.benchmark.judging.defects import simulate_at_bound
 from tracker.benchmark.judging.tracker_results import ALL, ClipSample
 from tracker.benchmark.suite.definition import parse_definition
 from tracker.benchmark.suite.folder import covariances
-from tracker.benchmark.suite.make import make
+from tracker.benchmark.suite.make import make_suite
 from tracker.scoring.score import NO_TRACKS
 
 TINY = """
@@ -50,7 +50,7 @@ def tiny(size="full"):
 @cache
 def suite():
     folder = Path(mkdtemp()) / "suite"
-    return make(folder, tiny(), workers=1)
+    return make_suite(folder, tiny(), workers=1)
 
 
 @cache

@@ -46,8 +46,8 @@ def only(monkeypatch, free_laws=(), **effects):
     few = effects or {name: library()[name] for name in EFFECTS}
     names = free_laws or (() if effects else FREE_LAWS)
     if names:
-        kept = tuple(law for law in discrepancy.free_laws.library.library() if law.base_name in names)
-        monkeypatch.setattr(discrepancy.free_laws.library, "library", lambda: kept)
+        kept = tuple(law for law in discrepancy.free_laws.library.list_free_laws() if law.base_name in names)
+        monkeypatch.setattr(discrepancy.free_laws.library, "list_free_laws", lambda: kept)
     for module in (discrepancy.fitting.parameters, synthcam.model):
         monkeypatch.setattr(module, "library", lambda: few)
 

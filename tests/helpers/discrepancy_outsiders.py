@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions, only
 
-from discrepancy.free_laws.library import library as free_laws
+from discrepancy.free_laws.library import list_free_laws as free_laws
 from discrepancy.search import search
 from synthcam.effect import Effect, parameter
 from synthcam.library import library

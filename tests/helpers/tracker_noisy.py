@@ -15,7 +15,7 @@ from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement import estimate
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.estimate import fit_all, measure, motion_table
+from tracker.measurement.estimate import fit_all_jointly, measure, motion_table
 
 NOISE = 0.015  # px an axis
 BENCHMARK = {
@@ -108,5 +108,5 @@ def results(folder: Path, data: Path, clips: int, seed: int = 0, shift: float = 
         rows += [row | {"clip": clip} for row in found]
     estimates = pd.DataFrame(rows)
     estimates.to_parquet(folder / "estimates.parquet")
-    (folder / "fit.json").write_text(json.dumps(fit_all(estimates)))
+    (folder / "fit.json").write_text(json.dumps(fit_all_jointly(estimates)))
     return folder

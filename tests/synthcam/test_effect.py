@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from synthcam.effect import LAWS, Effect, Laws, parameter
-from synthcam.library import classes_in, library
+from synthcam.effect import LAWS, ActiveLaws, Effect, parameter
+from synthcam.library import find_plugin_classes, library
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,11 @@ def test_strengths_and_shapes():
 
 
 def test_laws_apply_the_active_ones_by_name():
-    laws = Laws([Rough(rise=0.5, slip=0.1), Rough(rise=0.0, slip=1e-9)])
+    laws = ActiveLaws([Rough(rise=0.5, slip=0.1), Rough(rise=0.0, slip=1e-9)])
     assert laws("friction", 0.2, {"slip_speed": 0.1}) == pytest.approx(0.3)
     assert laws.has_effect_on("friction")
     assert not laws.has_effect_on("push", "rolling")
-    assert Laws([])("friction", 0.2, {}) == 0.2
+    assert ActiveLaws([])("friction", 0.2, {}) == 0.2
     assert set(LAWS) >= {"restitution", "spin_transfer", "friction", "normal_load", "rolling", "push"}
 
 
@@ -86,7 +86,7 @@ def test_a_file_holds_one_effect(tmp_path, monkeypatch, text):
     monkeypatch.syspath_prepend(tmp_path)
     try:
         with pytest.raises(TypeError, match=r"shelf\.odd: expected one Effect in the file"):
-            list(classes_in(importlib.import_module("shelf"), Effect))
+            list(find_plugin_classes(importlib.import_module("shelf"), Effect))
     finally:
         for name in [m for m in sys.modules if m.partition(".")[0] == "shelf"]:
             del sys.modules[name]

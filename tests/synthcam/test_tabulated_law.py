@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.model import Model, build, read_model, settings_of, write_model
+from synthcam.model import Model, build_model, list_model_settings, read_model, write_model
 from synthcam.scene.scene import check_scene
 from synthcam.table import SmoothTable
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TABLE_KINDS, TabulatedLaw, kind_of, table_names
@@ -22,7 +22,7 @@ def held(numbers=None, **tables):
     """A model with these tables, of pairs (x, y), as from a file."""
     model = Model() if numbers is None else Model(**numbers)
     laws = {k: {"x": np.asarray(x).tolist(), "y": np.asarray(y).tolist()} for k, (x, y) in tables.items()}
-    return build(settings_of(model) | {"free_laws": laws})
+    return build_model(list_model_settings(model) | {"free_laws": laws})
 
 
 def hit(model, v0=0.5, b=0.0, labels="ab", heading=0.0):
@@ -146,7 +146,7 @@ def test_it_survives_yaml_also_where_its_number_was_changed(tmp_path):
     assert read_model(tmp_path / "m.yaml") == model == pickle.loads(pickle.dumps(model))
     pairs = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
     map_ = held(friction_place=(pairs, [0.2, 0.2, 0.3, 0.4])).replace({"sliding_friction": 0.242})
-    np.testing.assert_allclose(settings_of(map_)["free_laws"]["friction_place"]["y"], [0.21, 0.21, 0.31, 0.41])
+    np.testing.assert_allclose(list_model_settings(map_)["free_laws"]["friction_place"]["y"], [0.21, 0.21, 0.31, 0.41])
     raised = model.replace({"sliding_friction": model.sliding_friction + 0.01, "rolling_drag": 0.235})
     write_model(raised, tmp_path / "raised.yaml")
     again = read_model(tmp_path / "raised.yaml")

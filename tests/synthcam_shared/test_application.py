@@ -8,10 +8,10 @@ import sys
 import pytest
 
 from synthcam_shared import application
-from synthcam_shared.application import command_line, print_progress, run
+from synthcam_shared.application import make_command_line, print_progress, run
 from synthcam_shared.errors import InputError
 
-app = command_line("tool", "Does nothing.")
+app = make_command_line("tool", "Does nothing.")
 
 
 @app.command()

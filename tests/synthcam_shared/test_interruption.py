@@ -13,7 +13,7 @@ from repository import ROOT
 
 from synthcam.dataset import generate
 from synthcam_shared import jobs
-from synthcam_shared.application import command_line, print_progress, run
+from synthcam_shared.application import make_command_line, print_progress, run
 from synthcam_shared.errors import InputError
 from synthcam_shared.interruption import hold_ctrl_c, raise_if_interrupted, watch_ctrl_c
 from synthcam_shared.jobs import run_jobs
@@ -64,7 +64,7 @@ WAYS = {
 
 @pytest.mark.parametrize("way", WAYS)
 def test_a_lost_ctrl_c_still_ends_the_command(way, monkeypatch, capsys):
-    app = command_line("tool", "Does nothing.")
+    app = make_command_line("tool", "Does nothing.")
     app.command("work")(WAYS[way])
     app.command("other")(lambda: None)
     monkeypatch.setattr(sys, "argv", ["tool", "work"])

@@ -16,7 +16,7 @@ from processes import alive, until
 from synthcam_shared import jobs
 from synthcam_shared.errors import InputError
 from synthcam_shared.job_result import JobValue, LostJob
-from synthcam_shared.jobs import in_order, run_all_jobs, run_jobs
+from synthcam_shared.jobs import run_all_jobs, run_jobs, yield_in_order
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills processes by signals")
 HERE = os.getpid()
@@ -169,7 +169,7 @@ def test_values_are_put_in_order_as_soon_as_it_can_be():
         yield from [(7, "seven"), (5, "five"), (9, "nine")]
         raise AssertionError("asked for more before it was needed")
 
-    ordered = in_order(given(), [5, 7, 9, 11])
+    ordered = yield_in_order(given(), [5, 7, 9, 11])
     assert [next(ordered) for _ in range(3)] == ["five", "seven", "nine"]
     with pytest.raises(AssertionError):
         next(ordered)

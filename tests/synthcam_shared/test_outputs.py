@@ -97,7 +97,9 @@ def test_full_at_the_end_it_goes_on_too(table, tmp_path, monkeypatch):
 def test_full_before_the_first_clip_it_leaves_nothing(table, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         limited(patch, ROOM)
-        patch.setattr(pipeline.results, "write_clip", lambda *_: (tmp_path / "d.partial/x").write_bytes(bytes(10**6)))
+        patch.setattr(
+            pipeline.results, "write_clip_results", lambda *_: (tmp_path / "d.partial/x").write_bytes(bytes(10**6))
+        )
         with pytest.raises(InputError, match="No space left"):
             measure(table, tmp_path / "d")
     assert [p.name for p in tmp_path.iterdir()] == ["in"]
@@ -140,7 +142,7 @@ def test_a_folder_where_nothing_can_be_written_is_named_at_once(table, words, mo
 @pytest.mark.usefixtures("unfitted")
 def test_two_commands_do_not_make_the_same_results(table, tmp_path, monkeypatch):
     """The second is refused while the first is at work, and takes nothing of it away."""
-    write, refused, inside = pipeline.results.write_clip, [], []
+    write, refused, inside = pipeline.results.write_clip_results, [], []
 
     def write_clip(folder, number, *rest):
         assert not inside, "the second command is at work too"
@@ -152,7 +154,7 @@ def test_two_commands_do_not_make_the_same_results(table, tmp_path, monkeypatch)
         refused.append(inside.pop())
         write(folder, number, *rest)
 
-    monkeypatch.setattr(pipeline.results, "write_clip", write_clip)
+    monkeypatch.setattr(pipeline.results, "write_clip_results", write_clip)
     assert measure(table, tmp_path / "d").fresh == 3
     assert refused == [0, 1, 2]
 

@@ -230,17 +230,17 @@ def test_an_interrupted_run_takes_other_edits_of_the_clips_that_it_lacks(tmp_pat
     def measure_with(*edits):
         return measure_tables(tmp_path / "tracks.csv", out, tmp_path / "camera.json", edits={"edits": list(edits)})
 
-    track, good, write = TRACK | {"clip": 1}, POINT | {"clip": 2}, results.write_clip
+    track, good, write = TRACK | {"clip": 1}, POINT | {"clip": 2}, results.write_clip_results
 
     def write_one(partial, number, *values):
         if number == 2:
             raise KeyboardInterrupt
         write(partial, number, *values)
 
-    monkeypatch.setattr(results, "write_clip", write_one)
+    monkeypatch.setattr(results, "write_clip_results", write_one)
     with pytest.raises(KeyboardInterrupt):
         measure_with(track)
-    monkeypatch.setattr(results, "write_clip", write)
+    monkeypatch.setattr(results, "write_clip_results", write)
     with pytest.raises(InputError, match=r"of other options or files \(edits\)"):
         measure_with(good)  # clip 1 is measured with an edit
     measure_with(track, good)

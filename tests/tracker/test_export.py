@@ -17,10 +17,10 @@ from synthcam.dataset.generate import generate_dataset as generate
 from synthcam_shared.errors import InputError
 from tracker import cli, pipeline
 from tracker.export import export
-from tracker.tables.read import formats, read_tracks
+from tracker.tables.read import list_table_formats, read_tracks
 
 SMALL = {"camera": {"size": [200, 160], "scale": 3e-4}, "timing": {"frames": 30, "contact_frame": 10}}
-WRITTEN = sorted(name for name, one in formats().items() if hasattr(one, "write"))
+WRITTEN = sorted(name for name, one in list_table_formats().items() if hasattr(one, "write"))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from benchmarks.paper.report import findings, pdf, tables
 from benchmarks.paper.results import Results
 from synthcam_shared.outputs import write_atomically
-from synthcam_shared.report.page import Block, PageFigure, PageList, Section, write_page
+from synthcam_shared.report.page import Block, PageFigure, PageList, PageSection, write_page
 
 FIGURES = Path(__file__).parents[1] / "figures"
 COMMAND = "python -m benchmarks.paper.make"
@@ -91,13 +91,13 @@ def write(results: Results) -> Path:
         "Measurements that would decide": findings.decisive_measurements(results),
     }
     sections = [
-        Section("Figures", blocks),
-        Section(
+        PageSection("Figures", blocks),
+        PageSection(
             "Three contradictions in the paper",
             [Markup("<p><b>{}.</b> {}</p>").format(title, text) for title, text in contradictions.items()],
         ),
-        *(Section(title, [PageList(lines, ordered=True)]) for title, lines in lists.items()),
-        Section("Tables", made),
+        *(PageSection(title, [PageList(lines, ordered=True)]) for title, lines in lists.items()),
+        PageSection("Tables", made),
     ]
     quick = (
         "Quick run: a fifth of the clips and a few models, as a check that everything works. Do not use these numbers."

@@ -19,7 +19,7 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.reading import read_collisions
 from discrepancy.results import SearchResult
 from discrepancy.search import search
-from synthcam.model import read_model, settings_of
+from synthcam.model import list_model_settings, read_model
 from synthcam_shared.errors import InputError
 
 DIGITS = 7  # of an answer's numbers
@@ -41,7 +41,7 @@ def plain(value: Any) -> Any:
 
 def answer(found: SearchResult) -> dict[str, Any]:
     """Build the answer for the ledger: the document of the report and both models."""
-    models = {"base": settings_of(found.gap_fits.before.model), "model": settings_of(found.model)}
+    models = {"base": list_model_settings(found.gap_fits.before.model), "model": list_model_settings(found.model)}
     return found.document() | models
 
 

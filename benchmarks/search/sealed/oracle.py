@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.data.launch import find_free_columns as launch_numbers
-from synthcam.model import Model, build
+from synthcam.model import Model, build_model
 from tracker.camera.camera import Camera
 
 from .boxes import NOISES, Truth, camera_of, model_of, scene_of
@@ -100,7 +100,7 @@ def gap(truth: Truth, answer: dict[str, Any], folder: Path) -> dict[str, float]:
     ):  # one model does not hold all its clips
         return {}
     clips = read_held_out(path, truth, camera_of(truth))
-    models = {"base": build(answer["base"]), "augmented": build(answer["model"]), "oracle": model_of(truth)}
+    models = {"base": build_model(answer["base"]), "augmented": build_model(answer["model"]), "oracle": model_of(truth)}
     found = {"points": 2.0 * sum(map(_n, clips))}
     for name, model in models.items():
         try:

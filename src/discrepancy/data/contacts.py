@@ -20,7 +20,7 @@ from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER
 from tracker.measurement.local.recommendation import NONE, recommend
 from tracker.recording import Result
 from tracker.results import read_clip
-from tracker.results import read_contacts as read_all_contacts
+from tracker.results import read_contact_table as read_all_contacts
 
 NAMES = ("v0", "b", "r", "s", "mass_ratio")  # what is read of the local estimate
 NEEDED = ("v0_local", "b_local", "r_local", "s_local", "mass_ratio", "local", "local_shared", "status")

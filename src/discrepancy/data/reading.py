@@ -20,7 +20,7 @@ from discrepancy.data.track_checks import detect_wrong_units, find_exchange, rem
 from discrepancy.data.uneven_times import note_uneven_times
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy
 from synthcam_shared.errors import InputError as InputError
-from synthcam_shared.jobs import in_order, run_all_jobs
+from synthcam_shared.jobs import run_all_jobs, yield_in_order
 from tracker.camera.camera import Camera, CameraSource
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MISFIT
@@ -131,7 +131,7 @@ def _build_all(
     """Run `_build` for each source, in so many processes."""
     by_number = {source.number: source for source in sources}
     work, numbers = partial(_build_one, by_number, current_policy()), list(by_number)
-    return in_order(run_all_jobs(work, numbers, workers, where), numbers)
+    return yield_in_order(run_all_jobs(work, numbers, workers, where), numbers)
 
 
 def _build_one(

@@ -21,7 +21,7 @@ from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.crowd.track_contacts import find_track_contacts
 from tracker.measurement.positions import to_ball_tracks
-from tracker.measurement.stretch_cuts import CUTTER, measure_noise
+from tracker.measurement.stretch_cuts import CUTTER, measure_path_noise
 
 
 def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]:
@@ -37,7 +37,7 @@ def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]
             continue
         time, frame_s = clip.frame / clip.fps + clip.exposure / 2, 1 / clip.fps
         balls = [np.flatnonzero(clip.ball == ball) for ball in (0, 1)]
-        noise = measure_noise((clip.frame[rows], clip.xy[rows]) for rows in balls)
+        noise = measure_path_noise((clip.frame[rows], clip.xy[rows]) for rows in balls)
         late = time > clip.launch[T_C]
         for ball, side in ((1, ~late), (1, late), (0, late)):
             rows = np.flatnonzero((clip.ball == ball) & side)

@@ -56,7 +56,7 @@ def differentiate_all(
     nearly as they do without the push. Their derivatives are therefore taken without it, if that motion exists, unless
     `exact` is set. here: the predicted tracks.
     """
-    plain, there = (model, here) if exact else decouple(model, launches, clips, here)
+    plain, there = (model, here) if exact else drop_mutual_push(model, launches, clips, here)
     pushing = coupling_effects(model, plain)
     return [
         differentiate_tracks(model, launches, clips, name, here)
@@ -66,7 +66,7 @@ def differentiate_all(
     ]
 
 
-def decouple(
+def drop_mutual_push(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision], here: Sequence[Array] | None = None
 ) -> tuple[Model, Sequence[Array]]:
     """Choose the model to differentiate: without the push between balls, which is faster; and its predicted tracks.

@@ -10,7 +10,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.launch import MAX_SPIN_TO_SPEED, V0, WITH_SPIN
 from discrepancy.fitting.jacobian import differentiate_all, differentiate_launches
 from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
-from discrepancy.fitting.parameters import find_parameter, tried_range
+from discrepancy.fitting.parameters import find_parameter, find_tried_range
 from synthcam.dynamics.batch import LAUNCH_COLUMNS
 from synthcam.model import Model
 
@@ -44,7 +44,7 @@ def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple
     shapes = [find_parameter(model, n) if "." in n else None for n in names]
     spans = np.array(
         [
-            tried_range(p) * (model.value(n) if p.low > 0 else 1.0) if p and p.fixed else np.inf
+            find_tried_range(p) * (model.value(n) if p.low > 0 else 1.0) if p and p.fixed else np.inf
             for n, p in zip(names, shapes, strict=True)
         ]
     )

@@ -63,7 +63,7 @@ def _tries(p: Parameter, count: int) -> list[float]:
     return [f * p.typical for f in fractions if f * p.typical <= p.high]
 
 
-def tried_range(p: Parameter) -> float:
+def find_tried_range(p: Parameter) -> float:
     """The range in which a shape parameter of a candidate is tried; of its logarithm if it is always positive."""
     tries = _tries(p, 5)
     return math.log(tries[-1] / tries[0]) if p.low > 0 else tries[-1] - tries[0]

@@ -26,7 +26,7 @@ def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     the search is over.
     """
     farthest = 1e9  # m; squares of such residuals are still finite
-    deadline.check()
+    deadline.check_deadline()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         positions = map_by_frame_rate(clips, lambda rows, some: _predict_one_rate(model, launches[rows], some))
     if not all(np.abs(p).max(initial=0.0) < farthest for p in positions):  # NaN too

@@ -87,7 +87,7 @@ def compute_responses(
         parts = [slice(k, k + batch) for k in range(0, len(own), batch)]
         found = list[Array]()
         for part in parts:
-            deadline.check()  # the derivatives by one law of many clips may take minutes
+            deadline.check_deadline()  # the derivatives by one law of many clips may take minutes
             found += _respond_one_rate(model, launches[rows[part]], own[part], changes, size)
         return found
 

@@ -12,7 +12,7 @@ from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.free_laws.law_kinds import FreeLaw
-from discrepancy.free_laws.marginal_likelihood import Prior
+from discrepancy.free_laws.marginal_likelihood import CoefficientPrior
 from synthcam.model import Model
 
 
@@ -25,7 +25,7 @@ class FittedLaw:
 
     law: FreeLaw
     coefs: Array  # (size,)
-    prior: Prior
+    prior: CoefficientPrior
     fit: ModelFit  # of all other parameters
     model_without_law: Model
     evidence: WhitenedClips  # the clips

@@ -19,7 +19,7 @@ from synthcam_shared.errors import PluginError
 
 
 @cache
-def library() -> tuple[FreeLaw, ...]:
+def list_free_laws() -> tuple[FreeLaw, ...]:
     """List every free law, sorted by name, without axes yet.
 
     Raises PluginError where a module of `laws` has no tuple LAWS of free laws, or two laws have one name.
@@ -37,9 +37,9 @@ def library() -> tuple[FreeLaw, ...]:
     return tuple(found[name] for name in sorted(found))
 
 
-def law_count() -> int:
+def count_laws() -> int:
     """Count the free laws that a search chooses from, those of one ball included."""
-    return sum(3 if law.one_ball else 1 for law in library())
+    return sum(3 if law.one_ball else 1 for law in list_free_laws())
 
 
 def free_laws_over(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> tuple[FreeLaw, ...]:
@@ -47,7 +47,7 @@ def free_laws_over(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     does not cover are left out, and those of an effect that the library lacks.
     """
     covered, found = compute_ranges(model, launches, clips), []
-    for law in library():
+    for law in list_free_laws():
         if not all(is_known(name) for name, _ in law.owners):
             continue
         for ball in ("", "a", "b") if law.one_ball else ("",):

@@ -27,7 +27,7 @@ IDLE_VARIANCE = 1e-9  # prior variance of a part that does not act, relative to 
 
 
 @dataclass(frozen=True)
-class Prior:
+class CoefficientPrior:
     """A Gaussian prior of independent coefficients."""
 
     length: float  # over which its curves change, as a share of the range
@@ -46,7 +46,7 @@ class CurveEvidence:
     """The best prior of a free law, and how much the law then explains."""
 
     gain: float  # in chi^2 over no law, freedom subtracted; positive is better than no law
-    prior: Prior
+    prior: CoefficientPrior
     coefs: Array  # (J,): the most probable ones
 
 
@@ -123,7 +123,7 @@ def maximise_evidence(law: FreeLaw, information: Array, pull: Array) -> CurveEvi
             size = float(sizes[k])
             coefs = np.zeros(len(spread))
             coefs[acts] = root * (axes @ (size**2 / (1 + size**2 * values) * pulls))
-            best = CurveEvidence(gain, Prior(length, size, spread, cost), coefs)
+            best = CurveEvidence(gain, CoefficientPrior(length, size, spread, cost), coefs)
     assert best is not None
     mean = 2 * float(logsumexp(np.array(list(gains.values())) / 2) - np.log(len(gains)))
     prior = replace(best.prior, cost=best.prior.cost + best.gain - mean)

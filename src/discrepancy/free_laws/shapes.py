@@ -15,7 +15,7 @@ from discrepancy.free_laws.law_kinds import FreeLaw
 from synthcam.tabulated_law import REFERENCE_SPEED_M_S
 
 
-class Term(NamedTuple):
+class FormulaTerm(NamedTuple):
     """A term of a sum, without its factor. Only terms of curves have a name, code and a power."""
 
     text: str  # for people, with its numbers
@@ -25,7 +25,7 @@ class Term(NamedTuple):
     power: float = 0.0  # of {x}, in the unit of the factor
 
 
-Terms = list[Term]
+Terms = list[FormulaTerm]
 CONSTANT = "constant"
 
 
@@ -55,16 +55,16 @@ def iterate_shapes(law: FreeLaw, x: list[Array]) -> Iterator[LawShape]:
     return _iterate_maps(*x) if law.parts == 1 else _iterate_vector_maps(*x)
 
 
-def _constant(count: int) -> Term:
-    return Term("", np.ones(count), CONSTANT, "1")
+def _constant(count: int) -> FormulaTerm:
+    return FormulaTerm("", np.ones(count), CONSTANT, "1")
 
 
 def _sines(word: str, phase: Array, order: int | None = None) -> Terms:
     """A sine and a cosine of a phase: of `order` times an angle, or of a wave without `order`."""
     inside, name = ("{wave_number} * {x}", "") if order is None else (f"{order} * {{x}}" if order > 1 else "{x}", order)
     return [
-        Term(f"sin({word})", np.sin(phase), f"sine{name}", f"np.sin({inside})"),
-        Term(f"cos({word})", np.cos(phase), f"cosine{name}", f"np.cos({inside})"),
+        FormulaTerm(f"sin({word})", np.sin(phase), f"sine{name}", f"np.sin({inside})"),
+        FormulaTerm(f"cos({word})", np.cos(phase), f"cosine{name}", f"np.cos({inside})"),
     ]
 
 
@@ -72,7 +72,7 @@ def _vector_terms(one: str, other: str, word: str, column: Array) -> Terms:
     """A term along each of two directions, `one` and `other` in words."""
     zero = np.zeros(len(column))
     columns = np.stack([column, zero], 1), np.stack([zero, column], 1)
-    return [Term(f"{word} {axis}".strip(), each) for axis, each in zip((one, other), columns, strict=True)]
+    return [FormulaTerm(f"{word} {axis}".strip(), each) for axis, each in zip((one, other), columns, strict=True)]
 
 
 def _iterate_angular(th: Array) -> Iterator[LawShape]:
@@ -89,7 +89,7 @@ def _iterate_with_speed(shapes: Iterator[LawShape]) -> Iterator[LawShape]:
 
         def terms(*extra: float, shape: LawShape = shape, parts: tuple[int, ...] = parts) -> Terms:
             return [
-                Term(f"{t.text} {words[p]}".strip(), t.column[:, None] * np.eye(2)[p])
+                FormulaTerm(f"{t.text} {words[p]}".strip(), t.column[:, None] * np.eye(2)[p])
                 for p in parts
                 for t in shape.terms(*extra)
             ]
@@ -107,17 +107,17 @@ def _iterate_angular_vectors(th: Array) -> Iterator[LawShape]:
         yield LawShape(lambda sines=sines: [*constant, *sines])
     one = np.stack([np.cos(th), -np.sin(th)], 1)  # a drag on one component of the velocity alone
     other = np.stack([np.sin(th), np.cos(th)], 1)
-    yield LawShape(lambda: [Term("cos(th) ex", one * np.cos(th)[:, None])])
-    yield LawShape(lambda: [Term("sin(th) ey", other * np.sin(th)[:, None])])
+    yield LawShape(lambda: [FormulaTerm("cos(th) ex", one * np.cos(th)[:, None])])
+    yield LawShape(lambda: [FormulaTerm("sin(th) ey", other * np.sin(th)[:, None])])
 
 
 def _iterate_curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
     """Curves over v. owned: the powers of v that the model's own law has already."""
     span, top = float(np.ptp(x)), float(x[-1])
     powers = [
-        Term(v, x, "linear", "{x}", 1),
-        Term(f"{v}^2", x**2, "quadratic", "{x}**2", 2),
-        Term(f"{v}^3", x**3, "cubic", "{x}**3", 3),
+        FormulaTerm(v, x, "linear", "{x}", 1),
+        FormulaTerm(f"{v}^2", x**2, "quadratic", "{x}**2", 2),
+        FormulaTerm(f"{v}^3", x**3, "cubic", "{x}**3", 3),
     ]
     one = [_constant(len(x)), *powers[: max(owned, default=0)]]
     for count in range(len(one) - 1, 3):
@@ -129,18 +129,20 @@ def _iterate_curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
     exponents = np.array([-2, -1, -0.5, -0.2, 0.2, 0.5, 1.5, 2, 3] if low else [0.3, 0.5, 1.5, 2, 3])
     safe: Array = np.maximum(x, 1e-9)
 
-    def power_term(p: float) -> Term:
-        return Term(f"{v}^{p:.3g}", safe**p, "size", "np.maximum({x}, 1e-9) ** {power}", p)
+    def power_term(p: float) -> FormulaTerm:
+        return FormulaTerm(f"{v}^{p:.3g}", safe**p, "size", "np.maximum({x}, 1e-9) ** {power}", p)
 
     yield LawShape(lambda p: [power_term(p)], (exponents,), (("power", 0.0),), "power alone")
     yield LawShape(lambda p: [*one, power_term(p)], (exponents,), (("power", 0.0),), "power")
     if low:
-        yield LawShape(lambda: [*one, Term(f"/ {v}", 1 / x, "size", "1 / np.maximum({x}, 1e-9)", -1)], name="inverse")
+        yield LawShape(
+            lambda: [*one, FormulaTerm(f"/ {v}", 1 / x, "size", "1 / np.maximum({x}, 1e-9)", -1)], name="inverse"
+        )
     scales = span * np.geomspace(0.05, 1, 8)
 
     def fall(s: float) -> Terms:
         s = max(s, 1e-3 * span)
-        return [*one, Term(f"exp(-{v} / {s:.3g})", np.asarray(np.exp(-x / s)), "size", "np.exp(-{x} / {scale})")]
+        return [*one, FormulaTerm(f"exp(-{v} / {s:.3g})", np.asarray(np.exp(-x / s)), "size", "np.exp(-{x} / {scale})")]
 
     yield LawShape(fall, (scales,), (("scale", 1.0),), "fall")
     inner = x[0] + span * np.linspace(0.05, 0.95, 37)
@@ -148,18 +150,18 @@ def _iterate_curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
     def step(a: float) -> Terms:
         # as code a slope over a hundredth of the range, so that the motion can be integrated
         sharp = f"(1 + np.tanh(({{x}} - {{at}}) / {0.01 * span:.2g})) / 2"
-        return [*one, Term(f"[{v} > {a:.3g}]", np.where(x > a, 1.0, 0.0), "size", sharp)]
+        return [*one, FormulaTerm(f"[{v} > {a:.3g}]", np.where(x > a, 1.0, 0.0), "size", sharp)]
 
     yield LawShape(step, (inner,), (("at", 1.0),), "step")
     widths = span * np.array([0.03, 0.06, 0.12, 0.25])
 
     def bump(a: float, s: float) -> Terms:
         word, column = f"exp(-({v} - {a:.3g})^2 / (2 {s:.3g}^2))", np.asarray(np.exp(-(((x - a) / s) ** 2) / 2))
-        return [*one, Term(word, column, "size", "np.exp(-((({x} - {at}) / {width}) ** 2) / 2)")]
+        return [*one, FormulaTerm(word, column, "size", "np.exp(-((({x} - {at}) / {width}) ** 2) / 2)")]
 
     def rise(a: float, s: float) -> Terms:
         word, column = f"(1 + tanh(({v} - {a:.3g}) / {s:.3g})) / 2", np.asarray((1 + np.tanh((x - a) / s)) / 2)
-        return [*one, Term(word, column, "size", "(1 + np.tanh(({x} - {at}) / {width})) / 2")]
+        return [*one, FormulaTerm(word, column, "size", "(1 + np.tanh(({x} - {at}) / {width})) / 2")]
 
     yield LawShape(bump, (inner[::2], widths), (("at", 1.0), ("width", 1.0)), "bump")
     yield LawShape(rise, (inner[::2], widths), (("at", 1.0), ("width", 1.0)), "rise")
@@ -169,8 +171,8 @@ def _iterate_curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
 
 def _iterate_maps(x: Array, y: Array) -> Iterator[LawShape]:
     one, span = _constant(len(x)), float(np.ptp(x))
-    slopes = [Term("x", x), Term("y", y)]
-    for terms in ([], slopes, [*slopes, Term("x^2", x**2), Term("x y", x * y), Term("y^2", y**2)]):
+    slopes = [FormulaTerm("x", x), FormulaTerm("y", y)]
+    for terms in ([], slopes, [*slopes, FormulaTerm("x^2", x**2), FormulaTerm("x y", x * y), FormulaTerm("y^2", y**2)]):
         yield LawShape(lambda terms=terms: [one, *terms])
     waves, turns = 2 * np.pi / span * np.linspace(0.5, 4, 15), np.pi * np.arange(12) / 12
     yield LawShape(lambda k: [one, *_sines(f"x / {_over(k)} mm", k * x)], (waves,))
@@ -183,11 +185,11 @@ def _iterate_maps(x: Array, y: Array) -> Iterator[LawShape]:
     def streak(turn: float, a: float, s: float) -> Terms:
         across = x * np.cos(turn) + y * np.sin(turn)
         word = f"exp(-(x cos {turn:.3g} + y sin {turn:.3g} - {a:.3g})^2 / (2 {s:.3g}^2))"
-        return [one, Term(word, np.exp(-(((across - a) / s) ** 2) / 2))]
+        return [one, FormulaTerm(word, np.exp(-(((across - a) / s) ** 2) / 2))]
 
     def spot(a: float, b: float, s: float) -> Terms:
         word = f"exp(-((x - {a:.3g})^2 + (y - {b:.3g})^2) / (2 {s:.3g}^2))"
-        return [one, Term(word, np.exp(-((x - a) ** 2 + (y - b) ** 2) / (2 * s**2)))]
+        return [one, FormulaTerm(word, np.exp(-((x - a) ** 2 + (y - b) ** 2) / (2 * s**2)))]
 
     yield LawShape(oblique, (waves, turns))
     places, widths = span * np.linspace(-0.4, 0.4, 9), span * np.array([0.06, 0.12, 0.25])
@@ -201,7 +203,7 @@ def _iterate_vector_maps(x: Array, y: Array) -> Iterator[LawShape]:
     yield LawShape(lambda: constant)
     yield LawShape(lambda: [*constant, *linear])
     r2 = (x - x.mean()) ** 2 + (y - y.mean()) ** 2
-    barrel = Term("r^2 (x ex + y ey)", np.stack([(x - x.mean()) * r2, (y - y.mean()) * r2], 1))
+    barrel = FormulaTerm("r^2 (x ex + y ey)", np.stack([(x - x.mean()) * r2, (y - y.mean()) * r2], 1))
     yield LawShape(lambda: [*constant, *linear, barrel])
 
     places, widths = span * np.linspace(-0.4, 0.4, 9), span * np.array([0.04, 0.08, 0.16, 0.3])
@@ -209,7 +211,7 @@ def _iterate_vector_maps(x: Array, y: Array) -> Iterator[LawShape]:
     def hill(a: float, b: float, s: float) -> Terms:
         dx, dy = x - x.mean() - a, y - y.mean() - b
         word = f"exp(-r^2 / (2 {s:.3g}^2)) r, r from ({a + x.mean():.3g}, {b + y.mean():.3g})"
-        return [Term(word, np.stack([dx, dy], 1) * np.exp(-(dx**2 + dy**2) / (2 * s**2))[:, None])]
+        return [FormulaTerm(word, np.stack([dx, dy], 1) * np.exp(-(dx**2 + dy**2) / (2 * s**2))[:, None])]
 
     yield LawShape(hill, (places, places, widths))
 

@@ -14,7 +14,7 @@ from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.free_laws.credible_band import NormalMixture
 from discrepancy.free_laws.fitted_law import FittedLaw
-from synthcam.model import BASE_PARAMETERS, Model, build, settings_of
+from synthcam.model import BASE_PARAMETERS, Model, build_model, list_model_settings
 from synthcam.tabulated_law import TabulatedLaw, kind_of
 
 
@@ -36,7 +36,9 @@ def tabulate_and_refit(fitted_law: FittedLaw, progress: Callable[[], None] = lam
             start = linearise(fitted_law.evidence, model, fitted_law.fit.names, fitted_law.fit.launches)
             found.append(minimise_chi2(fitted_law.evidence, start, progress))
     best = min(found, key=lambda fit: fit.chi2, default=None)
-    return replace(best, model=build(settings_of(best.model), best.model.free)) if best else None  # as a file has it
+    if best is None:
+        return None
+    return replace(best, model=build_model(list_model_settings(best.model), best.model.free))  # as a file has it
 
 
 def _with_table(plain: Model, name: str, x: tuple[Array, ...], curve: Array) -> Model:

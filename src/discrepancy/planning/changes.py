@@ -11,12 +11,12 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.launch import HEADING, SIDE, SLIP, V0, B, X, Y
 from discrepancy.fitting.parameters import list_candidates
-from discrepancy.planning.experiment import Experiment
+from discrepancy.planning.experiment import PlannedExperiment
 
 ALL_LAUNCHES_CHANGED = (
     "balls exchanged, oblique hits, many speeds and headings, all over the picture, films twice as long: all at once"
 )
-ChangedExperiment = tuple[str, Experiment]  # the change in words, and the experiment, not yet observed
+ChangedExperiment = tuple[str, PlannedExperiment]  # the change in words, and the experiment, not yet observed
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class DesignChange:
     """
 
     name: str
-    make: Callable[[Experiment, np.random.Generator], ChangedExperiment | None]
+    make: Callable[[PlannedExperiment, np.random.Generator], ChangedExperiment | None]
     launches: bool = False
 
 
-def apply_change(change: DesignChange, experiment: Experiment) -> ChangedExperiment | None:
+def apply_change(change: DesignChange, experiment: PlannedExperiment) -> ChangedExperiment | None:
     """Apply a change to a planned experiment. Returns the change in words and the experiment; None if impossible.
 
     At least half of the collisions must stay in view. Raises ValueError if the model has no motion for it.
@@ -45,7 +45,7 @@ def apply_change(change: DesignChange, experiment: Experiment) -> ChangedExperim
     return (words, filmed) if 2 * len(filmed.clips) >= len(experiment.clips) else None
 
 
-def change_all_launches(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+def change_all_launches(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment:
     """Apply all changes of launches to a planned experiment at once."""
     for change in CHANGES:
         if change.launches and (made := change.make(experiment, rng)):
@@ -53,7 +53,9 @@ def change_all_launches(experiment: Experiment, rng: np.random.Generator) -> Cha
     return ALL_LAUNCHES_CHANGED, experiment
 
 
-def _spread_evenly(experiment: Experiment, rng: np.random.Generator, values: dict[int, Array]) -> Experiment:
+def _spread_evenly(
+    experiment: PlannedExperiment, rng: np.random.Generator, values: dict[int, Array]
+) -> PlannedExperiment:
     """Spread columns of the launches evenly over the collisions. values: lowest and highest value by column."""
     launches = experiment.launches.copy()
     for column, ends in values.items():
@@ -62,19 +64,19 @@ def _spread_evenly(experiment: Experiment, rng: np.random.Generator, values: dic
     return dataclasses.replace(experiment, launches=launches)
 
 
-def _exchange_balls(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+def _exchange_balls(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment:
     order = rng.permutation(len(experiment.clips))
     clips = tuple(dataclasses.replace(c, striker="ab"[k % 2]) for c, k in zip(experiment.clips, order, strict=True))
     return "the balls exchanged in half of the collisions", dataclasses.replace(experiment, clips=clips)
 
 
-def _vary_speeds(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+def _vary_speeds(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment:
     ends = np.median(experiment.launches[:, V0]) * np.array([0.3, 1.8])  # the paper's 0.1 to 0.6 m/s
     speeds = _spread_evenly(experiment, rng, {V0: ends}).launches[:, V0]
     return f"speeds from {ends[0]:.2g} to {ends[1]:.2g} m/s", _set_speeds(experiment, speeds)
 
 
-def _set_speeds(experiment: Experiment, speeds: Array) -> Experiment:
+def _set_speeds(experiment: PlannedExperiment, speeds: Array) -> PlannedExperiment:
     """Set the strikers' speeds (clips,), m/s; slips and spins change in proportion."""
     launches = experiment.launches.copy()
     launches[:, V0] = speeds
@@ -82,12 +84,12 @@ def _set_speeds(experiment: Experiment, speeds: Array) -> Experiment:
     return dataclasses.replace(experiment, launches=launches)
 
 
-def _vary_headings(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+def _vary_headings(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment:
     turn = 2 * np.pi * (1 - 1 / max(len(experiment.clips), 1))
     return "headings all round", _spread_evenly(experiment, rng, {HEADING: np.array([0.0, turn])})
 
 
-def _vary_positions(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+def _vary_positions(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment:
     camera, launches = experiment.camera, experiment.launches.copy()
     number, aside = rng.permutation(len(launches)), 0.25  # of the picture's size, from its middle
     corner = np.stack([np.where(number & 1, aside, -aside), np.where(number & 2, aside, -aside)], axis=-1)
@@ -95,12 +97,12 @@ def _vary_positions(experiment: Experiment, rng: np.random.Generator) -> Changed
     return "collisions spread over the picture", dataclasses.replace(experiment, launches=launches)
 
 
-def _double_length(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+def _double_length(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment:
     films = tuple(range(f.start, f.start + 2 * len(f)) for f in experiment.films)
     return "films twice as long", dataclasses.replace(experiment, films=films)
 
 
-def _double_frame_rate(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
+def _double_frame_rate(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment | None:
     """Film the same time in twice as many frames, with the same exposure if it fits between them."""
     camera = experiment.camera
     fps = 2 * camera.fps
@@ -113,7 +115,7 @@ def _double_frame_rate(experiment: Experiment, rng: np.random.Generator) -> Chan
     return f"{fps:g} frames a second{shorter}", changed
 
 
-def _set_possible_exposure(experiment: Experiment, exposure: float) -> ChangedExperiment | None:
+def _set_possible_exposure(experiment: PlannedExperiment, exposure: float) -> ChangedExperiment | None:
     camera = experiment.camera
     if not 0 < exposure <= 1 / camera.fps:
         return None
@@ -121,7 +123,7 @@ def _set_possible_exposure(experiment: Experiment, exposure: float) -> ChangedEx
     return None if changed is None else (f"exposures of {1e3 * exposure:.3g} ms", changed)
 
 
-def _set_exposure(experiment: Experiment, exposure: float) -> Experiment | None:
+def _set_exposure(experiment: PlannedExperiment, exposure: float) -> PlannedExperiment | None:
     """Set the exposure, with light in proportion; None if its effect on the errors is unknown."""
     camera = experiment.camera
     if exposure == camera.exposure:
@@ -131,17 +133,17 @@ def _set_exposure(experiment: Experiment, exposure: float) -> Experiment | None:
     return dataclasses.replace(experiment, errors=errors).through_camera(dataclasses.replace(camera, exposure=exposure))
 
 
-def _magnify(experiment: Experiment, times: float) -> Experiment:
+def _magnify(experiment: PlannedExperiment, times: float) -> PlannedExperiment:
     camera, matrix = experiment.camera, experiment.camera.K.copy()
     matrix[:2, :2] *= times
     return experiment.through_camera(dataclasses.replace(camera, K=matrix, scale=camera.scale / times))
 
 
-def _double_collisions(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+def _double_collisions(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment:
     return "twice as many collisions", experiment.select([*range(len(experiment.clips))] * 2)
 
 
-def _tilt_plate(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
+def _tilt_plate(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment | None:
     """Tilt the plate by half of the steepest tilt at which a ball stays at rest. The fit then finds the tilt."""
     model = experiment.model
     steepest = 7 / 5 * model.rolling_decel / model.gravity

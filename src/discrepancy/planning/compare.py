@@ -11,11 +11,11 @@ from itertools import combinations
 import numpy as np
 
 from discrepancy.planning.changes import CHANGES, TOGETHER, apply_change
-from discrepancy.planning.experiment import Experiment
-from discrepancy.planning.limits import Limit, Signatures
+from discrepancy.planning.experiment import PlannedExperiment
+from discrepancy.planning.limits import Signatures, StrengthLimits
 from discrepancy.policy import current_policy
 
-Limits = tuple[Limit, ...]
+Limits = tuple[StrengthLimits, ...]
 Pair = tuple[str, str]
 
 
@@ -45,7 +45,7 @@ class ChangeGain:
 
 
 def limits_with_changes(
-    experiment: Experiment, progress: Callable[[], None] = lambda: None
+    experiment: PlannedExperiment, progress: Callable[[], None] = lambda: None
 ) -> tuple[Limits, tuple[ChangeLimits, ...]]:
     """Compute the limits of all effects for the planned experiment, and with every possible change of it.
 
@@ -81,7 +81,7 @@ def compute_gain(before: Limits, after: ChangeLimits, of: Sequence[str]) -> Chan
     )
 
 
-def _naming_limit(limit: Limit) -> float:
+def _naming_limit(limit: StrengthLimits) -> float:
     cosine = limit.rivals[0].cosine if limit.rivals else 0.0
     return limit.limit / max(math.sqrt(1 - cosine**2), 1e-2)  # a change of a smaller sine is no gain
 
@@ -128,7 +128,7 @@ class CollisionsNeeded:
 
 
 def count_collisions_needed(
-    strength: str, wanted: float, here: Limit, count: int, limit_at: Callable[[int], float], most: int = 400
+    strength: str, wanted: float, here: StrengthLimits, count: int, limit_at: Callable[[int], float], most: int = 400
 ) -> CollisionsNeeded:
     """Compare a limit with the wanted one: estimate how many collisions bring it down to that.
 

@@ -70,7 +70,7 @@ Errors = StatedErrors | PredictedGlintErrors
 
 
 @dataclass(frozen=True)
-class Experiment:
+class PlannedExperiment:
     """Collisions as a search would fit them."""
 
     model: Model  # makes the tracks
@@ -102,21 +102,21 @@ class Experiment:
         squares = np.concatenate([c.claimed_std() ** 2 + (c.offset * (c.resting_offset > 0)) ** 2 for c in self.clips])
         return float(np.sqrt(squares.mean()) / self.camera.scale)
 
-    def through_camera(self, camera: Camera) -> Experiment:
+    def through_camera(self, camera: Camera) -> PlannedExperiment:
         """The same collisions through another camera."""
         return dataclasses.replace(self, clips=tuple(dataclasses.replace(c, camera=camera) for c in self.clips))
 
-    def select(self, rows: Sequence[int]) -> Experiment:
+    def select(self, rows: Sequence[int]) -> PlannedExperiment:
         """Select some of its collisions."""
         clips, films = tuple(self.clips[k] for k in rows), tuple(self.films[k] for k in rows)
         return dataclasses.replace(self, clips=clips, films=films, launches=self.launches[list(rows)])
 
-    def thin_out(self) -> Experiment:
+    def thin_out(self) -> PlannedExperiment:
         """Select at most 24 collisions, evenly, to change and compare: more would not change a cosine."""
         count = len(self.clips)
         return self.select(np.unique(np.linspace(0, count - 1, min(24, count)).astype(int)).tolist())
 
-    def observe(self) -> Experiment:
+    def observe(self) -> PlannedExperiment:
         """Predict the positions in every frame that shows a whole ball, with their errors there.
 
         Collisions with too few frames before or after the contact are left out; none may be left. Raises ValueError if

@@ -11,7 +11,13 @@ from discrepancy.arrays import Array
 from discrepancy.data.launch import equalise_launches
 from discrepancy.data.study_design import split_held_out
 from discrepancy.fitting.parameters import names_to_fit
-from discrepancy.planning.experiment import Errors, Experiment, PredictedGlintErrors, StatedErrors, make_unmeasured_clip
+from discrepancy.planning.experiment import (
+    Errors,
+    PlannedExperiment,
+    PredictedGlintErrors,
+    StatedErrors,
+    make_unmeasured_clip,
+)
 from discrepancy.policy import current_policy
 from synthcam.dynamics.launch import SPIN_COLUMNS
 from synthcam.model import Model
@@ -24,16 +30,16 @@ from tracker.camera.views import first_difference
 
 
 @dataclass(frozen=True)
-class DesignedExperiment:
+class SceneExperiment:
     """The experiment of a scene."""
 
-    experiment: Experiment  # the collisions that a search would fit; it holds out a quarter of them
+    experiment: PlannedExperiment  # the collisions that a search would fit; it holds out a quarter of them
     drawn: int  # collisions that were drawn
     usable: int  # collisions with enough frames in view
     notes: tuple[str, ...]  # influences that the errors do not include
 
 
-def design_experiment(scene: Scene, count: int, noise_px: float | None = None, seed: int = 0) -> DesignedExperiment:
+def design_experiment(scene: Scene, count: int, noise_px: float | None = None, seed: int = 0) -> SceneExperiment:
     """Draw the collisions of a scene and predict what its camera would see of them.
 
     count: collisions to record. noise_px: error of a position, each axis; default: the limit of the scene's camera and
@@ -50,7 +56,7 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
             raise InputError(f"{scene.where}: launch.kind: expected pair, found {kind}: no collision")
     model, camera = _shared_model_and_camera(scene, clips)
     launches = equalise_launches([_launch(c) for c in clips])
-    whole = Experiment(
+    whole = PlannedExperiment(
         model=model,
         names=names_to_fit(model),
         clips=tuple(
@@ -77,7 +83,7 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
     if noise_px is None and clips[0].drawn.get("video"):
         text = "the errors do not include the video encoder's loss; --noise PX sets the error of a position instead"
         notes = (name_arguments(text),)
-    return DesignedExperiment(experiment=rest, drawn=count, usable=usable, notes=notes)
+    return SceneExperiment(experiment=rest, drawn=count, usable=usable, notes=notes)
 
 
 def _shared_model_and_camera(scene: Scene, clips: list[Clip]) -> tuple[Model, Camera]:

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from discrepancy.arrays import Array
 from discrepancy.fitting.parameters import Candidate, find_parameter, list_candidates
 from discrepancy.fitting.significance import chi2_to_sigma
-from discrepancy.planning.experiment import Experiment
+from discrepancy.planning.experiment import PlannedExperiment
 from discrepancy.policy import current_policy
 from discrepancy.select.score_test import CandidateTrial, RealisticSizes, ScoreTests, detectable_axes
 from synthcam.effect import Parameter
@@ -34,7 +34,7 @@ class Rival:
 
 
 @dataclass(frozen=True)
-class Limit:
+class StrengthLimits:
     """The limits of one strength in an experiment.
 
     limit: the strength that half of such experiments detect at more than `SearchPolicy.detection_limit_sigma`; infinite
@@ -74,7 +74,7 @@ class Signatures:
     trials_factors: Mapping[str, float]  # by the candidate's name
 
     @classmethod
-    def of(cls, experiment: Experiment, only: Sequence[str] = ()) -> Signatures:
+    def of(cls, experiment: PlannedExperiment, only: Sequence[str] = ()) -> Signatures:
         """Compute the signatures of all candidates, or of those named in `only`.
 
         Raises ValueError if the model has no motion for these launches.
@@ -110,7 +110,7 @@ class Signatures:
         factor = self.trials_factors.get(self.trials[trial].candidate.name, 1.0)
         return math.sqrt(chi2_to_detect(axes.shape[1], factor) / shown)
 
-    def limits(self) -> tuple[Limit, ...]:
+    def limits(self) -> tuple[StrengthLimits, ...]:
         """Compute the limits of every strength of every candidate, in the candidates' order."""
         known = {c: self._least(c) for c in self._sizes}
         rivals = [k for k, t in enumerate(self.trials) if self._shows(t.candidate, known[t.candidate])]
@@ -127,13 +127,13 @@ class Signatures:
     def _shows(self, candidate: Candidate, least: float) -> bool:
         return bool(least <= min(current_policy().max_detection_limit, self._sizes[candidate].allowed))
 
-    def _row(self, candidate: Candidate, strength: int, others: Sequence[int]) -> Limit:
+    def _row(self, candidate: Candidate, strength: int, others: Sequence[int]) -> StrengthLimits:
         numbers, name = self._numbers(candidate), candidate.strengths[strength]
         at = min(numbers, key=lambda k: _distance_from_typical(self.model, self.trials[k].shapes))
         limit, every = self._limit(at, strength), [self._limit(k, strength) for k in numbers]
         p, seen = find_parameter(self.model, name), [x for x in every if math.isfinite(x)]
         rivals = self._rivals(at, strength, others) if math.isfinite(limit) else ()
-        return Limit(
+        return StrengthLimits(
             effect=candidate.name,
             strength=name,
             unit=p.unit,
@@ -203,7 +203,7 @@ def count_draws(clips: int) -> int:
     return min(5, math.ceil(150 / clips))
 
 
-def median_limits(draws: Sequence[tuple[Limit, ...]]) -> tuple[Limit, ...]:
+def median_limits(draws: Sequence[tuple[StrengthLimits, ...]]) -> tuple[StrengthLimits, ...]:
     """The median over draws of each strength's limits, and of its cosine with each other effect.
 
     draws: of the same scene, in the same order.
@@ -211,7 +211,7 @@ def median_limits(draws: Sequence[tuple[Limit, ...]]) -> tuple[Limit, ...]:
     return tuple(_median(rows) for rows in zip(*draws, strict=True))
 
 
-def _median(rows: Sequence[Limit]) -> Limit:
+def _median(rows: Sequence[StrengthLimits]) -> StrengthLimits:
     cosines: dict[str, list[Rival]] = {}
     for row in rows:
         for rival in row.rivals:

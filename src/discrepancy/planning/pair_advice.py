@@ -13,7 +13,7 @@ from discrepancy.fitting.parameters import Candidate
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
 from discrepancy.planning import changes
-from discrepancy.planning.experiment import Experiment, StatedErrors
+from discrepancy.planning.experiment import PlannedExperiment, StatedErrors
 from discrepancy.policy import current_policy
 from discrepancy.select.score_test import ScoreTests, derive_trial, largest_cosine
 
@@ -47,7 +47,7 @@ def compare_designs(
         fit = fit.drop(candidate.remove_from(fit.model), candidate.strengths + candidate.shapes)
     claimed = np.concatenate([c.claimed_std() for c in clips])
     error_px = float(np.sqrt((claimed**2).mean())) / clips[0].camera.scale
-    filmed = Experiment(
+    filmed = PlannedExperiment(
         model=fit.model,
         names=fit.names,
         clips=tuple(clips),
@@ -67,7 +67,7 @@ def compare_designs(
     return tuple(found)
 
 
-def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
+def _cosine(experiment: PlannedExperiment, one: Shaped, other: Shaped) -> float:
     """The cosine between two effects' signatures; 1 without a motion, or if the fit absorbs one of the two."""
     evidence, launches = experiment.evidence, experiment.launches
     try:
@@ -83,7 +83,7 @@ def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
     return 1.0 if second.absorbed else largest_cosine(first.signature, second.signature)
 
 
-def advise(one: Candidate, other: Candidate, found: Sequence[ComparedDesign]) -> str:
+def advise_on_pair(one: Candidate, other: Candidate, found: Sequence[ComparedDesign]) -> str:
     """Advise, in a sentence, on the design that distinguishes two effects best.
 
     A single change is preferred to all changes at once, unless these lower the cosine much more. found: from

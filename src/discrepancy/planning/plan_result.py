@@ -10,8 +10,8 @@ import numpy as np
 
 from discrepancy.data.launch import V0, B
 from discrepancy.planning.compare import ChangeGain, ChangeLimits, CollisionsNeeded
-from discrepancy.planning.from_scene import DesignedExperiment
-from discrepancy.planning.limits import Limit
+from discrepancy.planning.from_scene import SceneExperiment
+from discrepancy.planning.limits import StrengthLimits
 
 MIN_USEFUL_GAIN = 1.05  # a change that lowers limits by a smaller factor is not recommended
 
@@ -39,25 +39,25 @@ class PlanResult:
     """The effects that an experiment could detect and name, and the changes that help."""
 
     name: str  # of the scene
-    designed: DesignedExperiment  # the collisions, and the errors that their positions would have
-    limits: tuple[Limit, ...]  # of the requested effects
+    designed: SceneExperiment  # the collisions, and the errors that their positions would have
+    limits: tuple[StrengthLimits, ...]  # of the requested effects
     pairs: tuple[IndistinguishablePair, ...]  # of effects that the experiment could not distinguish
-    before: tuple[Limit, ...]  # of all effects, for the collisions that changes were applied to
+    before: tuple[StrengthLimits, ...]  # of all effects, for the collisions that changes were applied to
     tried: tuple[ChangeLimits, ...]  # each change of these collisions, with the limits of all effects
     gains: tuple[ChangeGain, ...]  # of each change, the best first
     wanted: tuple[CollisionsNeeded, ...]
 
     @property
-    def detectable(self) -> tuple[Limit, ...]:
+    def detectable(self) -> tuple[StrengthLimits, ...]:
         """The limits of the detectable strengths, the best first."""
         return tuple(sorted((x for x in self.limits if x.shows), key=lambda x: x.limit / x.typical))
 
     @property
-    def undetectable(self) -> tuple[Limit, ...]:
+    def undetectable(self) -> tuple[StrengthLimits, ...]:
         """The limits of the undetectable strengths."""
         return tuple(x for x in self.limits if not x.shows)
 
-    def best_change(self, limit: Limit) -> BestChange | None:
+    def best_change(self, limit: StrengthLimits) -> BestChange | None:
         """The change that lowers a strength's naming limit most."""
         now = next((x for x in self.before if x.strength == limit.strength), None)
         then = ((t.words, x) for t in self.tried for x in t.limits if x.strength == limit.strength and x.shows)
@@ -74,7 +74,7 @@ class PlanResult:
         """A row for each strength, as of `discrepancy.Plan.table`."""
         return [self._row(x) for x in (*self.detectable, *self.undetectable)]
 
-    def _row(self, x: Limit) -> dict[str, Any]:
+    def _row(self, x: StrengthLimits) -> dict[str, Any]:
         rival, best = x.rivals[0] if x.rivals else None, self.best_change(x)
         return {
             "effect": x.effect,

@@ -28,7 +28,7 @@ MAX_RANKED_EFFECTS = 20  # in the chart of candidates
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 
 
-def name_of_best(found: SearchOutcome) -> str:
+def name_best_model(found: SearchOutcome) -> str:
     """Name the best model for the figures, after what it has beside the base model: "with plate_tilt"."""
     effects = sorted({claim.effect for claim in found.claims})
     return f"with {' and '.join([*(['a free law'] if found.free_law else []), *effects])}"
@@ -36,14 +36,14 @@ def name_of_best(found: SearchOutcome) -> str:
 
 def list_models(found: SearchOutcome) -> list[str]:
     """List the models that the figures show: the base model and, where anything was found, the best one."""
-    return ["base model"] if found.is_empty else ["base model", name_of_best(found)]
+    return ["base model"] if found.is_empty else ["base model", name_best_model(found)]
 
 
 @matplotlib.rc_context(STYLE)
 def draw_search_figures(found: SearchOutcome) -> list[PageFigure]:
     """Draw all figures of a search's page."""
     unit = found.data.unit
-    compared = f", base model and model {name_of_best(found)}" if not found.is_empty else " of the base model"
+    compared = f", base model and model {name_best_model(found)}" if not found.is_empty else " of the base model"
     early = " stopped early and" if found.interrupted else ""
     only = "" if not found.is_empty else f" The search{early} names no effect, so the base model is shown alone."
     figures = [

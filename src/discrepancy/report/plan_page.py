@@ -13,17 +13,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from discrepancy.planning.changes import ALL_LAUNCHES_CHANGED
-from discrepancy.planning.limits import Limit
+from discrepancy.planning.limits import StrengthLimits
 from discrepancy.planning.plan_result import PlanResult
 from discrepancy.policy import current_policy
 from discrepancy.report.document import to_json_values
 from discrepancy.report.figures import COLOURS, STYLE
-from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, make_axes, write_page
+from synthcam_shared.report.page import Block, PageFigure, PageSection, PageTable, make_axes, write_page
 
 FILES = ("plan.json", "index.html")
 
 
-def document(found: PlanResult) -> dict[str, Any]:
+def make_plan_document(found: PlanResult) -> dict[str, Any]:
     """Return the contents of plan.json: plain values, None for what is not finite."""
     rows = [
         row | {"rivals": [dataclasses.asdict(r) for r in x.rivals[:3]]}
@@ -42,18 +42,18 @@ def document(found: PlanResult) -> dict[str, Any]:
     return whole
 
 
-def write(found: PlanResult, folder: Path) -> None:
+def write_plan(found: PlanResult, folder: Path) -> None:
     """Write plan.json and index.html into a folder, which is made where it is missing."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "plan.json").write_text(json.dumps(document(found), indent=1, allow_nan=False) + "\n")
+    (folder / "plan.json").write_text(json.dumps(make_plan_document(found), indent=1, allow_nan=False) + "\n")
     about = found.experiment()
     sections = [
-        Section("Experiment", [_describe_experiment(about)]),
-        *(Section(figure.title, [figure]) for figure in _draw_figures(found)),
-        Section("Number of collisions needed", [_wanted_table(found)] if found.wanted else []),
-        Section("Limits of each effect", _limit_blocks(found)),
-        Section("Effects that the experiment cannot distinguish", [_pair_table(found)]),
-        Section("Changes of the experiment", [_change_table(found)]),
+        PageSection("Experiment", [_describe_experiment(about)]),
+        *(PageSection(figure.title, [figure]) for figure in _draw_figures(found)),
+        PageSection("Number of collisions needed", [_wanted_table(found)] if found.wanted else []),
+        PageSection("Limits of each effect", _limit_blocks(found)),
+        PageSection("Effects that the experiment cannot distinguish", [_pair_table(found)]),
+        PageSection("Changes of the experiment", [_change_table(found)]),
     ]
     title = f"Detectable effects: {about['clips']['recorded']} collisions of {found.name}"
     write_page(folder / "index.html", title, sections, "discrepancy plan", [found.sentence()], about["notes"])
@@ -139,7 +139,7 @@ def _change_table(found: PlanResult) -> PageTable:
     return PageTable(heads, rows, note=note)
 
 
-def _unit(limit: Limit) -> str:
+def _unit(limit: StrengthLimits) -> str:
     return "" if limit.unit == "1" else limit.unit
 
 
@@ -166,7 +166,7 @@ def _draw_figures(found: PlanResult) -> list[PageFigure]:
     return figures
 
 
-def _limits_figure(shown: tuple[Limit, ...]) -> Figure:
+def _limits_figure(shown: tuple[StrengthLimits, ...]) -> Figure:
     figure, ax = make_axes(figsize=(8, 1.1 + 0.21 * len(shown)))
     place = np.arange(len(shown))
     sizes = np.array([x.typical for x in shown])

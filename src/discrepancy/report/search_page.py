@@ -11,7 +11,7 @@ import numpy as np
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.outcome import SearchOutcome
 from discrepancy.report.document import to_document
-from discrepancy.report.figures import draw_search_figures, list_models, name_of_best
+from discrepancy.report.figures import draw_search_figures, list_models, name_best_model
 from discrepancy.report.narrative import format_chi2, format_sigma, write_story
 from discrepancy.report.residual_table import tabulate_residuals
 from discrepancy.select.effect_claim import EffectClaim
@@ -27,7 +27,7 @@ from discrepancy.wording import (
 from synthcam.model import Model, write_model
 from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number, round_to_error
-from synthcam_shared.report.page import Block, PageList, PageTable, Section, write_page
+from synthcam_shared.report.page import Block, PageList, PageSection, PageTable, write_page
 
 FILES = ("discrepancy.json", "index.html", "model.yaml", "residuals.parquet")
 
@@ -51,20 +51,24 @@ def write(found: SearchOutcome, folder: Path) -> None:
         "A stretch is the motion of one ball between two contacts. It has its own start, whatever the impact was."
     )
     sections = [
-        Section("Effects that the model lacks", [named, *_describe_similar(found)] if named else []),
-        Section("How to read this page", [PageList([*([about_stretches] if found.data.is_cut else []), *definitions])]),
-        Section("Course of the search", [PageList(write_story(found), ordered=True)]),
-        Section("Experiment that would distinguish the candidates", [found.experiment] if found.experiment else []),
-        *(Section(figure.title, [figure]) for figure in figures),
-        Section(f"Residuals of held-out {unit}, in numbers", [_gap_table(found)]),
-        Section(f"Tests of each claim on {unit} that did not enter it", _test_table(found)),
-        Section("Disagreements of the base model", _list_disagreements(found, base, 10)),
-        Section(
-            f"Disagreements that remain {name_of_best(found)}",
+        PageSection("Effects that the model lacks", [named, *_describe_similar(found)] if named else []),
+        PageSection(
+            "How to read this page", [PageList([*([about_stretches] if found.data.is_cut else []), *definitions])]
+        ),
+        PageSection("Course of the search", [PageList(write_story(found), ordered=True)]),
+        PageSection("Experiment that would distinguish the candidates", [found.experiment] if found.experiment else []),
+        *(PageSection(figure.title, [figure]) for figure in figures),
+        PageSection(f"Residuals of held-out {unit}, in numbers", [_gap_table(found)]),
+        PageSection(f"Tests of each claim on {unit} that did not enter it", _test_table(found)),
+        PageSection("Disagreements of the base model", _list_disagreements(found, base, 10)),
+        PageSection(
+            f"Disagreements that remain {name_best_model(found)}",
             _list_disagreements(found, found.disagreements, 5, " remains") if not found.is_empty else [],
         ),
-        Section("Fitted parameters of the model", [_parameter_table(found)]),
-        Section(f"{str(unit).capitalize()} and positions that were not used", [PageList(left_out)] if left_out else []),
+        PageSection("Fitted parameters of the model", [_parameter_table(found)]),
+        PageSection(
+            f"{str(unit).capitalize()} and positions that were not used", [PageList(left_out)] if left_out else []
+        ),
     ]
     summary = [f"Verdict: {describe_verdict(found)}", describe_search(found)]
     write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", summary)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.jacobian import decouple
+from discrepancy.fitting.jacobian import drop_mutual_push
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
 from discrepancy.fitting.shape_scan import MIN_SCANNED_VALUES, can_scan
@@ -127,7 +127,7 @@ def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candi
     if len(tries) < 2 or (len(tries) >= MIN_SCANNED_VALUES and can_scan(candidate, tries)):
         return std
     found = {s: fit.model.value(s) for s in candidate.shapes}
-    plain, here = decouple(reduced.model, reduced.launches, evidence.clips)
+    plain, here = drop_mutual_push(reduced.model, reduced.launches, evidence.clips)
     if len(found) > 1:  # along a valley that runs between the points of a coarse grid
         near = [found | {s: shapes[s]} for s in found for shapes in tries]
         tries += [shapes for k, shapes in enumerate(near) if shapes not in near[:k]]

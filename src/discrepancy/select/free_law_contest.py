@@ -29,7 +29,7 @@ from discrepancy.select.library_search import (
     make_selection,
     search_from,
 )
-from discrepancy.select.model_cost import cost_of
+from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import CandidateScore, ScoreTests
 
 
@@ -88,7 +88,7 @@ class FreeLawFits:
         leaders = [test for test in seen if test.sigma > current_policy().free_law_sigma]
         leaders.sort(key=lambda test: test.score(self.base))
         for test in leaders[:3]:  # only these are fitted in full
-            slack = SCORE_ERROR_CHI2 + 0.01 * (cost_of(test.fit, self.base) - test.score(self.base))
+            slack = SCORE_ERROR_CHI2 + 0.01 * (compute_cost(test.fit, self.base) - test.score(self.base))
             if all(test.score(self.base) < f.score + slack for f in self.fitted):
                 with suppress(ValueError):  # on the way to this curve the model has no motion
                     self.fitted.append(fit_law(self.evidence, test, self.base, self.progress))
@@ -109,7 +109,7 @@ class FreeLawFits:
 
     def cost_of(self, opponent: Opponent) -> float:
         """The cost, in chi^2, of a model of the library or of its cheapest rival."""
-        return min(cost_of(fit, self.base) for fit in (opponent.fit, *opponent.rivals))
+        return min(compute_cost(fit, self.base) for fit in (opponent.fit, *opponent.rivals))
 
 
 def fit_each_alone(

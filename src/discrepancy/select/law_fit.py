@@ -22,7 +22,7 @@ from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.marginal_likelihood import CurveEvidence, compute_significance, maximise_evidence
 from discrepancy.free_laws.ranges import over_clips
 from discrepancy.noise.model import Noise
-from discrepancy.select.model_cost import cost_of, law_choice_cost
+from discrepancy.select.model_cost import compute_cost, law_choice_cost
 from discrepancy.select.score_test import CandidateScore
 from synthcam.model import Model
 
@@ -45,7 +45,7 @@ class LawScore:
 
     def score(self, base: ModelFit) -> float:
         """The cost of the model with the law, in chi^2."""
-        return cost_of(self.fit, base) + law_choice_cost() - self.weight.gain
+        return compute_cost(self.fit, base) + law_choice_cost() - self.weight.gain
 
 
 def whiten_law_columns(evidence: WhitenedClips, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
@@ -101,7 +101,7 @@ def fit_law(
             moves = whiten_law_columns(evidence, law, law.add_to(plain, coefs), fit.launches)
     freedom = np.linalg.slogdet(np.eye(law.size) + information / np.diag(weight.prior.precision)[:, None])
     paid = law_choice_cost() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
-    smooth = FittedLaw(law, coefs, weight.prior, fit, plain, here, moves, test.sigma, cost_of(fit, base) + paid)
+    smooth = FittedLaw(law, coefs, weight.prior, fit, plain, here, moves, test.sigma, compute_cost(fit, base) + paid)
     return dataclasses.replace(smooth, score=smooth.score - gain_of_steps(smooth))
 
 

@@ -17,7 +17,7 @@ from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.shape_scan import can_scan
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
-from discrepancy.select.model_cost import cost_of
+from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import CandidateScore, ScoreTests
 from synthcam.model import without_mutual_push
 
@@ -174,8 +174,8 @@ class LibraryFits:
             return linearise(self.evidence, model, reduced.names, base.launches)
 
     def cost_of(self, state: Iterable[Candidate]) -> float:
-        """The chi^2 of a fitted model plus the cost of its strengths and shape parameters (`model_cost.cost_of`)."""
-        return cost_of(self.fits[frozenset(state)], self.base)
+        """The chi^2 of a fitted model plus the cost of its strengths and shapes (`model_cost.compute_cost`)."""
+        return compute_cost(self.fits[frozenset(state)], self.base)
 
     def rivals(self, state: Collection[Candidate]) -> list[ModelFit]:
         """The fits of all models that have as many candidates as this one."""

@@ -1,6 +1,6 @@
 """Search the library for missing effects: add, drop and exchange effects until no model is better.
 
-This is forward selection with exchange. Models are compared by `model_cost.cost_of`.
+This is forward selection with exchange. Models are compared by `model_cost.compute_cost`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.policy import current_policy
 from discrepancy.select.effect_claim import EffectClaim, find_similar_pairs, profile_std
 from discrepancy.select.library_fits import Key, LibraryFits, State
-from discrepancy.select.model_cost import cost_of
+from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import CandidateScore, ScoreTests, largest_cosine
 from synthcam.model import Model
 
@@ -81,7 +81,7 @@ def iterate_models(library: LibraryFits, state: State = ()) -> Iterator[State]:
         if winner is None:
             return
         before = library.cost_of(state)  # it falls if a larger model shows a better fit
-        more = improve(library, (*state, winner))
+        more = improve_until_stable(library, (*state, winner))
         if len(more) <= len(state) and library.cost_of(more) >= before:  # back to an earlier model
             return
         state = more
@@ -91,7 +91,7 @@ def iterate_models(library: LibraryFits, state: State = ()) -> Iterator[State]:
 def complete_search(library: LibraryFits, begun: State) -> State:
     """Complete a search of the library from a model; if no model follows, drop effects that are not significant."""
     state = [begun, *iterate_models(library, begun)][-1]
-    return improve(library, state) if state == begun else state
+    return improve_until_stable(library, state) if state == begun else state
 
 
 def search_from(library: LibraryFits, found: Selection, effects: Iterable[str], model: Model) -> Selection | None:
@@ -100,16 +100,16 @@ def search_from(library: LibraryFits, found: Selection, effects: Iterable[str], 
     It must cost less than `found`; with more effects it must cost less by `rival_excluded_chi2`.
     """
     try:
-        begun = start_from(library, effects, model)
+        begun = fit_effects_from(library, effects, model)
     except ValueError:  # alone they have no motion
         return None
     again = make_selection(library, complete_search(library, begun))
-    less = cost_of(found.best, found.base) - cost_of(again.best, found.base)
+    less = compute_cost(found.best, found.base) - compute_cost(again.best, found.base)
     required = current_policy().rival_excluded_chi2 if len(again.state) > len(found.state) else 0.0
     return again if less > required else None
 
 
-def start_from(library: LibraryFits, effects: Iterable[str], model: Model) -> State:
+def fit_effects_from(library: LibraryFits, effects: Iterable[str], model: Model) -> State:
     """Fit these effects from a model's values, to start the library search. Raises ValueError without a motion."""
     base = library.base
     known = candidates_by_name(model, base.model, base.names)
@@ -202,7 +202,7 @@ def _choose_contenders(
 # --- Drop or exchange an effect ---
 
 
-def improve(library: LibraryFits, state: State) -> State:
+def improve_until_stable(library: LibraryFits, state: State) -> State:
     """Drop and exchange candidates until nothing is better, or a model comes up again."""
     before: set[Key] = set()
     while state:

@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.fitting.model_fit import ModelFit
-from discrepancy.fitting.parameters import find_parameter, tried_range
-from discrepancy.free_laws.library import law_count
+from discrepancy.fitting.parameters import find_parameter, find_tried_range
+from discrepancy.free_laws.library import count_laws
 from discrepancy.free_laws.marginal_likelihood import cost_of_choice, cost_of_strengths
 from synthcam.library import library
 
 
 def law_choice_cost() -> float:
     """The cost of choosing one law to leave free, in chi^2."""
-    return cost_of_choice(law_count())
+    return cost_of_choice(count_laws())
 
 
-def cost_of(fit: ModelFit, base: ModelFit) -> float:
+def compute_cost(fit: ModelFit, base: ModelFit) -> float:
     """The chi^2 of a fit plus the cost of each effect that the base lacks.
 
     The cost of an effect has three parts. Base parameters cost nothing.
@@ -39,7 +39,7 @@ def cost_of(fit: ModelFit, base: ModelFit) -> float:
         information = _information(fit, strengths + shapes)[: len(size), : len(size)] * np.outer(size, size)
         moved = (fit.values(strengths) - base.values(strengths)) / size
         paid += cost_of_strengths(information, moved)
-        span = np.array([tried_range(own[n]) * (fit.model.value(n) if own[n].low > 0 else 1.0) for n in shapes])
+        span = np.array([find_tried_range(own[n]) * (fit.model.value(n) if own[n].low > 0 else 1.0) for n in shapes])
         known = _information(fit, shapes) * np.outer(span, span) / (2 * np.pi)
         paid += np.linalg.slogdet(np.eye(len(span)) + known)[1]
     return float(paid)

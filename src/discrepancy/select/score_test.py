@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.jacobian import decouple, differentiate_tracks
+from discrepancy.fitting.jacobian import differentiate_tracks, drop_mutual_push
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, orthonormal_basis
 from discrepancy.fitting.parameters import Candidate, find_parameter, list_candidates, refine_tried_values
 from discrepancy.fitting.shape_scan import can_scan, scan_shapes
@@ -127,7 +127,7 @@ class ScoreTests:
         about: a model near the fit's, at which to take the derivatives; default: the fit's. If balls push each other,
         the motion takes some eight times as long to compute. The derivatives are then taken without that push.
         """
-        (plain, here), trials = decouple(about or fit.model, fit.launches, evidence.clips), []
+        (plain, here), trials = drop_mutual_push(about or fit.model, fit.launches, evidence.clips), []
         for candidate in only or list_candidates(fit.model, fit.names):
             grid = list(candidate.grid(fit.model))
             if can_scan(candidate, grid):
@@ -252,7 +252,7 @@ class ScoreTests:
             return scored
         left, absorbed = self._left(without)
         launches = self.fit.launches
-        plain, here = decouple(model, launches, evidence.clips)
+        plain, here = drop_mutual_push(model, launches, evidence.clips)
         for closer in range(2):  # the grid of a shape parameter is made finer twice
             for name in candidate.shapes:
                 for value in refine_tried_values(find_parameter(model, name), scored.shapes[name], closer):

@@ -28,7 +28,7 @@ from discrepancy.select.free_law_contest import find_replacements
 from discrepancy.select.law_fit import compare_scatter, fit_unseen_clips, fit_without_law, refit_without_effect
 from discrepancy.select.library_fits import LibraryFits
 from discrepancy.select.library_search import Selection, describe_claims, exchange_effect, make_selection
-from discrepancy.select.model_cost import cost_of
+from discrepancy.select.model_cost import compute_cost
 from discrepancy.validate.gap import weigh_clips
 from discrepancy.validate.residual_map import find_disagreements, is_unexplained
 
@@ -521,7 +521,7 @@ def _predict_with_law(
     gain, promised, std = compare_scatter(free_law, held_out.clips, without, held_out.noise)
     before, std = without.chi2 / without.points, max(std, 1e-9)
     unseen = HeldOutTest((before, before - gain / without.points), gain / std, promised / std)
-    gain += cost_of(empty, selection.base) - free_law.score  # in the clips fitted
+    gain += compute_cost(empty, selection.base) - free_law.score  # in the clips fitted
     return unseen, HeldOutTest((before, before - gain / without.points), own, own)
 
 

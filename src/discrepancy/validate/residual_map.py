@@ -26,7 +26,7 @@ Where = tuple[str, int, int]  # phase, ball, axis
 PhaseResult = tuple[str, float, int, float]  # what it changes with, chi^2, degrees of freedom, rms size in um
 
 
-class Stage(IntEnum):
+class MotionStage(IntEnum):
     """A stage of motion of one ball."""
 
     BEFORE = 0
@@ -50,16 +50,16 @@ class Disagreement:
 
 # Displacement of a term in each stage: factor and power of the time since the stage began (before: until the contact).
 # A velocity that a sliding ball gets decreases to 5/7 of it once the ball rolls, for any friction in between.
-TERMS: dict[str, dict[Stage, tuple[float, int]]] = {
-    **{f"before {power}": {Stage.BEFORE: (1.0, power)} for power in (1, 2, 3)},
-    "offset": {Stage.SLIDING: (1.0, 0)},
-    "drift": {Stage.SLIDING: (1.0, 1), Stage.ROLLING: (5 / 7, 1)},
-    "slide's bend": {Stage.SLIDING: (1.0, 2)},
-    "slide's twist": {Stage.SLIDING: (1.0, 3)},
-    "roll's offset": {Stage.ROLLING: (1.0, 0)},
-    "roll's drift": {Stage.ROLLING: (1.0, 1)},
-    "roll's bend": {Stage.ROLLING: (1.0, 2)},
-    "roll's twist": {Stage.ROLLING: (1.0, 3)},
+TERMS: dict[str, dict[MotionStage, tuple[float, int]]] = {
+    **{f"before {power}": {MotionStage.BEFORE: (1.0, power)} for power in (1, 2, 3)},
+    "offset": {MotionStage.SLIDING: (1.0, 0)},
+    "drift": {MotionStage.SLIDING: (1.0, 1), MotionStage.ROLLING: (5 / 7, 1)},
+    "slide's bend": {MotionStage.SLIDING: (1.0, 2)},
+    "slide's twist": {MotionStage.SLIDING: (1.0, 3)},
+    "roll's offset": {MotionStage.ROLLING: (1.0, 0)},
+    "roll's drift": {MotionStage.ROLLING: (1.0, 1)},
+    "roll's bend": {MotionStage.ROLLING: (1.0, 2)},
+    "roll's twist": {MotionStage.ROLLING: (1.0, 3)},
 }
 # For each phase: the tested terms, the terms that are free beside them, and the powers of time that the reported size
 # leaves out. A ball at rest has one power less.
@@ -133,8 +133,8 @@ def _phase_amplitudes(
     clip: MeasuredCollision, path: Array, fit: ModelFit, k: int, shared: Array, noise: Noise
 ) -> Iterator[tuple[Where, ClipAmplitudes]]:
     """Yield the amplitudes of one clip in every test."""
-    stage, time = stages(clip)
-    motion = directions(clip, stage, path)
+    stage, time = find_stages(clip)
+    motion = find_motion_directions(clip, stage, path)
     white = ClipWhitener.of(clip, noise)
     roller = (1, "before 1")  # the launch absorbs a roller's drift
     # The same for a free stretch. Its start absorbs an offset and a drift, so the test has no such terms.
@@ -271,12 +271,12 @@ def _ripple_terms(
     A stretch of fewer periods looks like a bend, so it does not count. Polynomials of this order are free beside
     the ripple.
     """
-    stage, _ = stages(clip)
-    motion = directions(clip, stage, path)
+    stage, _ = find_stages(clip)
+    motion = find_motion_directions(clip, stage, path)
     smooth: list[Array] = []
     waves: dict[tuple[int, int], list[Array]] = {}
     for ball in range(2):
-        for s in (Stage.BEFORE, Stage.ROLLING):
+        for s in (MotionStage.BEFORE, MotionStage.ROLLING):
             rows = np.flatnonzero((stage == s) & (clip.ball == ball))
             angle = times * _turned_angle(clip, rows, path)
             if len(rows) == 0 or angle[-1] < min_periods * 2 * np.pi:
@@ -303,24 +303,28 @@ def _turned_angle(clip: MeasuredCollision, rows: Ints, path: Array) -> Array:
 # --- Stages of motion ---
 
 
-def stages(clip: MeasuredCollision, unit_s: float = 0.05) -> tuple[Ints, Array]:
+def find_stages(clip: MeasuredCollision, unit_s: float = 0.05) -> tuple[Ints, Array]:
     """Find the phase (n,) in which each residual lies, and its time (n,) in it (before the contact: until it).
 
     Exposures that hold an event count as sliding.
     """
     opens = clip.frame / clip.fps
     closes, end, t_c = opens + clip.exposure, clip.slide_ends[clip.ball], clip.launch[T_C]
-    stage = np.where(closes <= t_c, Stage.BEFORE, np.where(opens >= end, Stage.ROLLING, Stage.SLIDING))
+    stage = np.where(
+        closes <= t_c, MotionStage.BEFORE, np.where(opens >= end, MotionStage.ROLLING, MotionStage.SLIDING)
+    )
     middle = (opens + closes) / 2
-    time = np.where(stage == Stage.BEFORE, t_c - middle, np.where(stage == Stage.SLIDING, middle - t_c, middle - end))
+    time = np.where(
+        stage == MotionStage.BEFORE, t_c - middle, np.where(stage == MotionStage.SLIDING, middle - t_c, middle - end)
+    )
     return stage, np.maximum(time, 0) / unit_s
 
 
-def directions(clip: MeasuredCollision, stage: Ints, path: Array, min_move_m: float = 1e-5) -> Array:
+def find_motion_directions(clip: MeasuredCollision, stage: Ints, path: Array, min_move_m: float = 1e-5) -> Array:
     """Find unit vectors along and across each ball's motion in each phase, (n, 2, 2), for the residuals."""
     heading = clip.launch[HEADING]
     along = np.tile([np.cos(heading), np.sin(heading)], (len(path), 1))
-    for s in Stage:
+    for s in MotionStage:
         for b in range(2):
             rows = np.flatnonzero((stage == s) & (clip.ball == b))
             if len(rows) < 2:

@@ -55,7 +55,7 @@ def find_glints(
     """
     eye, cells, axes, bounces = camera.centre, lamp.cells(settings.cell), lamp.axes, settings.bounces
     chains = settings.faintest, bounces[-1]
-    widest = radii.max() * reflections.find_widest(surface.head_on, *chains)
+    widest = radii.max() * reflections.find_reach_of_reflections(surface.head_on, *chains)
     reach = reflections.find_blocking_distance(cells.positions, eye, centres, radii, widest)
     near = reflections.find_neighbours(centres, reach)
     lengths = reflections.iterate_chains(len(centres), radii, near, surface.head_on, *chains)
@@ -72,7 +72,7 @@ def find_glints(
         flux = area * np.prod(surface.mirror(paths.cosines), axis=1) * light[moment, balls[:, -1]]
         u, v = shape[..., 0], shape[..., 1]
         spread = u * u * uu + v * v * vv + 2 * u * v * uv
-        seen = paths.exists & ~reflections.find_hidden(source, eye, paths, balls, centres, radii, moment, near)
+        seen = paths.exists & ~reflections.find_blocked_paths(source, eye, paths, balls, centres, radii, moment, near)
         if lamp.towards is not None:
             seen &= (paths.points[:, 0] - source) @ axes[:, 2] > 0
         order, ball = np.full(len(moment), balls.shape[1]), balls[:, -1]

@@ -24,7 +24,7 @@ def is_plain(lamp: Lamp, surface: Surface) -> bool:
     return even and lamp.second is None and lamp.towards is None and lamp.shape == "disc" and lamp.radius < SMALL_LAMP_M
 
 
-def irradiance(lamp: Lamp, points: Array) -> Array:
+def compute_irradiance(lamp: Lamp, points: Array) -> Array:
     """Irradiance of the plate at points (..., 3), m, over that below the first lamp if it faces down."""
     total = np.zeros(points.shape[:-1])
     factor = lamp.position[2] ** 2 / lamp.cells(np.inf).areas[0]
@@ -36,7 +36,7 @@ def irradiance(lamp: Lamp, points: Array) -> Array:
     return total
 
 
-def gloss(lamp: Lamp, surface: Surface, eye: Array, points: Array) -> Array:
+def compute_gloss(lamp: Lamp, surface: Surface, eye: Array, points: Array) -> Array:
     """Compute the gloss of the plate: radiance, over a lamp's own, that its rough mirror reflects to the eye.
 
     Beckmann's lobe without masking (Beckmann & Spizzichino 1963): reflectance D / (4 cos_in cos_out), times the
@@ -57,7 +57,7 @@ def gloss(lamp: Lamp, surface: Surface, eye: Array, points: Array) -> Array:
     return total
 
 
-def grain(surface: Surface, points: Array) -> Array:
+def compute_grain(surface: Surface, points: Array) -> Array:
     """Relative brightness (h, w) of the plate's grain at points (h, w, 3); the same grain on every plate.
 
     It is a sum of 60 waves of random directions, with wavelengths of 1 to 4 plate_grain.

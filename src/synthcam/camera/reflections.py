@@ -135,7 +135,7 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
     return slope, curvature, pressure, -turned[:, 0] @ across[:, 0]
 
 
-def find_hidden(
+def find_blocked_paths(
     lamp: Array, eye: Array, paths: Paths, balls: Index, centres: Array, radii: Array, moment: Index, near: "NearBalls"
 ) -> NDArray[np.bool_]:
     """Find the paths of light (M,) that a third ball blocks.
@@ -231,7 +231,7 @@ def tabulate_pair_brightness(mirror: float, faintest: float = FAINTEST, most_bou
     return apart, np.array(found) / found[0]
 
 
-def find_widest(mirror: float, faintest: float = FAINTEST, most_bounces: int = 24) -> float:
+def find_reach_of_reflections(mirror: float, faintest: float = FAINTEST, most_bounces: int = 24) -> float:
     """Find the distance of two balls, in mean radii, beyond which light reflected between them is below `faintest`."""
     apart, bright = tabulate_pair_brightness(mirror, faintest)
     if min(len(bright), most_bounces) == 1:
@@ -244,11 +244,11 @@ def iterate_chains(
 ) -> Iterator[tuple[Index, Index]]:
     """Iterate over the lengths k of chains of mirror spheres to follow: balls (M, k) and moments (M,), in order.
 
-    radii: (N,). near: at so many moments, within the reach of `find_widest`. mirror: reflectance of the balls. A chain
-    is left out if an upper limit of its brightness is below `faintest` of the primary. For this limit the legs are
-    taken from the longest to the shortest. Each dims the glint as one more bounce does between two balls at that
-    distance. Chains of more than 4
-    bounces are followed only between two balls: in a heap, all others would be too many.
+    radii: (N,). near: at so many moments, within the reach of `find_reach_of_reflections`. mirror: reflectance of the
+    balls. A chain is left out if an upper limit of its brightness is below `faintest` of the primary. For this limit
+    the legs are taken from the longest to the shortest. Each dims the glint as one more bounce does between two balls
+    at that distance. Chains of more than 4 bounces are followed only between two balls: in a heap, all others would be
+    too many.
     """
     balls = len(radii)
     apart, bright = tabulate_pair_brightness(mirror, faintest)

@@ -45,7 +45,7 @@ class Sensor:
         return float(np.hypot(self.read_noise / self.gain, 12**-0.5))
 
 
-class Chip:
+class SensorChip:
     """One copy of a sensor. Its fixed pattern depends on root_seed alone: it is the same in every clip.
 
     size: (w, h) px. exposure: s.
@@ -128,7 +128,7 @@ class _Background:
     pattern is approximated: pixels whose variances differ by less than `uneven` share one of at most 64 tables.
     """
 
-    def __init__(self, chip: Chip, plate: Float32, uneven: float = 0.01) -> None:
+    def __init__(self, chip: SensorChip, plate: Float32, uneven: float = 0.01) -> None:
         sensor = chip.sensor
         self.plate, self.sensor = plate, sensor
         means = chip.electrons(plate, slice(None), slice(None))

@@ -15,10 +15,10 @@ from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.dataset.recorded_dataset import Dataset, open_dataset
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
-from synthcam_shared.outputs import as_input_error, check_writable, open_scratch_folder, publish
+from synthcam_shared.outputs import as_input_error, check_writable, open_scratch_folder, publish_folder
 
 
-def formats() -> dict[str, str]:
+def list_export_formats() -> dict[str, str]:
     """Describe each format to which a dataset can be exported in one line, by its name."""
     names = sorted(info.name for info in pkgutil.iter_modules(exports.__path__))
     return {name: (_module(name).__doc__ or "").splitlines()[0] for name in names}
@@ -36,8 +36,8 @@ def export(dataset: Path, kind: str, output: Path, progress: Progress, truth: Pa
     withheld. Returns the number of clips. Raises InputError.
     """
     kind, _, wishes = kind.partition(":")
-    if kind not in formats():
-        raise InputError(f"--format {kind}: no such format; there are {', '.join(formats())}")
+    if kind not in list_export_formats():
+        raise InputError(f"--format {kind}: no such format; there are {', '.join(list_export_formats())}")
     write = _module(kind).write
     if wishes:
         if "wishes" not in inspect.signature(write).parameters:
@@ -53,7 +53,7 @@ def export(dataset: Path, kind: str, output: Path, progress: Progress, truth: Pa
     clips = open_dataset(dataset, truth)
     with as_input_error(output), open_scratch_folder(output) as beside:
         write(_iterate_clips(clips, progress), beside)
-        publish(beside, output)
+        publish_folder(beside, output)
     return len(clips)
 
 

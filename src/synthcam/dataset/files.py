@@ -99,7 +99,7 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
     write = partial(tifffile.imwrite, path, shape=shape, dtype=dtype, metadata=about)
     if compression != "none":
         write(data=hash_frames(), photometric=photometric, compression=compression)
-        return pixels.hexdigest(), sha256(path)
+        return pixels.hexdigest(), hash_file(path)
     kind: dict[str, Any] = {"imagej": True} if plain else {"photometric": photometric}
     placed = write(data=None, returnoffset=True, **kind)
     assert placed is not None
@@ -128,14 +128,14 @@ def finish_dataset(folder: Path, about: dict[str, Any], unlisted: str = "", secr
     holds = ("frames", "truth") if secret else ("all", "all")
     for where, what in {folder: holds[0], root: holds[1]}.items():
         (where / "README.md").write_text(write_card(about, count, names, what), encoding="utf-8")
-        write_sums(where, root, unlisted)
+        write_checksums(where, root, unlisted)
 
 
 def finish_shard(folder: Path, about: dict[str, Any], unlisted: str = "") -> None:
     """Write the files that complete a shard of a dataset: shard.json and the checksums."""
     (folder / "truth").mkdir(exist_ok=True)
     _write_json(folder / "truth" / "shard.json", about)
-    write_sums(folder, folder, unlisted)
+    write_checksums(folder, folder, unlisted)
 
 
 def _write_rows(root: Path) -> tuple[int, list[str]]:
@@ -155,7 +155,7 @@ def _write_rows(root: Path) -> tuple[int, list[str]]:
     return len(clips), list(names)
 
 
-def write_sums(folder: Path, root: Path, unlisted: str = "") -> None:
+def write_checksums(folder: Path, root: Path, unlisted: str = "") -> None:
     """Write SHA256SUMS of all files of a dataset but itself and `unlisted`. root: the folder with the truth."""
     with (folder / SUMS).open("w", encoding="utf-8") as sums:
         for path in _files(folder):
@@ -164,7 +164,7 @@ def write_sums(folder: Path, root: Path, unlisted: str = "") -> None:
                 # whole time, and miss changes since.
                 scene = root / "clips" / path.parent.name / "truth" / "scene.json"
                 recorded = json.loads(scene.read_text())["row"]["frames_sha256"] if path.name == VIDEO else None
-                sums.write(f"{recorded or sha256(path)}  {path.relative_to(folder).as_posix()}\n")
+                sums.write(f"{recorded or hash_file(path)}  {path.relative_to(folder).as_posix()}\n")
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -181,7 +181,7 @@ def clip_folders(folder: Path) -> list[Path]:
     return sorted(p for p in (folder / "clips").glob("[0-9]*") if p.is_dir() and p.name.isascii() and p.name.isdigit())
 
 
-def sha256(path: Path) -> str:
+def hash_file(path: Path) -> str:
     with path.open("rb") as f:
         return hashlib.file_digest(f, "sha256").hexdigest()
 
@@ -200,22 +200,22 @@ def _finite(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Check:
+class VerifyOutcome:
     """Outcome of `verify`."""
 
     files: int  # number of those checked
     problems: tuple[str, ...]  # a line each
 
 
-def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Check:
+def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> VerifyOutcome:
     """Verify the files of a dataset by its checksums and counts. Raises InputError if it is not a finished dataset."""
-    listed = read_sums(folder)
+    listed = read_checksums(folder)
     problems = []
     for k, (name, digest) in enumerate(listed.items(), 1):
         path = folder / name
         if not path.is_file():
             problems.append(f"{name}: missing")
-        elif sha256(path) != digest:
+        elif hash_file(path) != digest:
             problems.append(f"{name}: changed (its SHA-256 is not the one recorded)")
         progress(k, len(listed))
     for path in _files(folder):
@@ -224,10 +224,10 @@ def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, tot
             problems.append(f"{name}: not listed in {SUMS}")
     if not problems:
         problems += _counts(folder)
-    return Check(len(listed), tuple(problems))
+    return VerifyOutcome(len(listed), tuple(problems))
 
 
-def read_sums(folder: Path) -> dict[str, str]:
+def read_checksums(folder: Path) -> dict[str, str]:
     """Read SHA-256 by file. Raises InputError if the dataset is not finished, or a path leads out of it."""
     if not (folder / SUMS).is_file():
         raise InputError(f"{folder}: not a finished dataset (no {SUMS})")
@@ -256,6 +256,6 @@ def _counts(folder: Path) -> list[str]:
         problems.append(f"clips/: {len(clips)} folders for {len(table)} rows of truth/clips.parquet")
     for path, digest in zip(clips, table["frames_sha256"], strict=False):
         withheld = not (path / "camera.json").exists()
-        if digest and not withheld and digest != sha256(path / VIDEO):
+        if digest and not withheld and digest != hash_file(path / VIDEO):
             problems.append(f"clips/{path.name}/{VIDEO}: not the frames of truth/clips.parquet")
     return problems

@@ -17,13 +17,13 @@ import pandas as pd
 
 from synthcam.dataset.files import finish_dataset, finish_shard, write_clip
 from synthcam.dataset.partial_dataset import PLAN, PartialDataset, open_partial, place_clip
-from synthcam.library import add_effects, digest, list_added_folders
+from synthcam.library import add_effects, hash_effect_file, list_added_folders
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
 from synthcam_shared.errors import InputError, NoGL
 from synthcam_shared.interruption import raise_if_interrupted
 from synthcam_shared.job_result import LostJob
-from synthcam_shared.jobs import Progress, Trial, run_jobs
+from synthcam_shared.jobs import JobForecast, Progress, run_jobs
 
 MAX_CLIPS = 1_000_000  # of one folder: six digits number them
 
@@ -31,7 +31,7 @@ MAX_CLIPS = 1_000_000  # of one folder: six digits number them
 def hash_effect_files(*scenes: Scene) -> dict[str, str]:
     """Hash the effects of the scenes that users added, for the plan of a dataset: SHA-256 of each file, by name."""
     used = sorted({name for scene in scenes for name in scene.settings.get("effects") or {}})
-    return {name: found for name in used if (found := digest(name))}
+    return {name: found for name in used if (found := hash_effect_file(name))}
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def complete_dataset(plan: GenerationPlan, made: PartialDataset, machines: list[
     made.publish()
 
 
-def _estimate(made: PartialDataset, trial: Trial) -> str:
+def _estimate(made: PartialDataset, trial: JobForecast) -> str:
     """Describe the time and the disk that the remaining clips will take."""
     clips = trial.jobs_left
     seconds = trial.seconds * clips / min(trial.workers, clips)

@@ -91,7 +91,7 @@ class LabelledFrame:
 def label_frames(clip: Clip, every: int = 1) -> Iterator[LabelledFrame]:
     """Render every n-th frame of a clip, and label it. Raises ValueError if the clip cannot be made."""
     bodies = clip.launch.bodies
-    tracks = ground_truth.tracks(bodies, clip.view, clip.lamp, clip.frames, every=every, heights=clip.heights)
+    tracks = ground_truth.make_true_tracks(bodies, clip.view, clip.lamp, clip.frames, every=every, heights=clip.heights)
     return _label(clip, tracks, clip.pictures(every), every)
 
 

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, model_validator
 
-from synthcam.dataset.files import VIDEO, read_sums
+from synthcam.dataset.files import VIDEO, read_checksums
 from synthcam.dataset.generate import GenerationPlan, complete_dataset
 from synthcam.dataset.partial_dataset import PartialDataset, check_apart, open_partial, place_clip
 from synthcam.dataset.video import VIDEO_FILES
@@ -74,7 +74,7 @@ def merge(shards: list[Path], output: Path, progress: Progress, withheld: Path |
         progress(len(done), plan.total)
         if made:
             for shard, about in zip(shards, abouts, strict=True):
-                sums = read_sums(shard)
+                sums = read_checksums(shard)
                 for number in about["clips"]:
                     if number not in done:
                         _copy_clip(shard, sums, number, made)

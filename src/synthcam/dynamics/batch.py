@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from synthcam.dynamics import kinematics
 from synthcam.dynamics.contacts.contact_time import STAYING
-from synthcam.dynamics.contacts.impact import collide, land
+from synthcam.dynamics.contacts.impact import collide_pairs, land_on_plate
 from synthcam.dynamics.forces import (
     FLY,
     LAWS,
@@ -31,7 +31,7 @@ from synthcam.dynamics.forces import (
 )
 from synthcam.dynamics.integrated_motion import snap_to_goal
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_state, rolling_velocity
-from synthcam.dynamics.launch import NO_SPIN, Launch, touching
+from synthcam.dynamics.launch import NO_SPIN, Launch, launch_touching_pairs
 from synthcam.dynamics.propagate import IntegrationStep, propagate, propagate_back
 from synthcam.dynamics.segments import (
     FlightSegment,
@@ -152,7 +152,7 @@ def solve_collisions(
     free = np.abs(launches[:, 5]) > 1
     b = np.where(free, 0.0, launches[:, 5])
     # with a collision for each free striker too, whose outcome is not used
-    states = np.concatenate(touching(one, two, launches[:, 3], b, launches[:, 4], launches[:, :2], spin))
+    states = np.concatenate(launch_touching_pairs(one, two, launches[:, 3], b, launches[:, 4], launches[:, :2], spin))
     alone = np.flatnonzero(free)
     strikers, targets = states[alone + n], states[alone]
     strikers[:, :2] = targets[:, :2] = launches[alone, :2]
@@ -164,7 +164,7 @@ def solve_collisions(
         raise ValueError("a ball that meets nothing has no partner to push it")
     run.start_alone(alone, targets, strikers)
     states = run.solve_approach(states, ~free)
-    hit = collide(model, states[:n], states[n:], one, two)
+    hit = collide_pairs(model, states[:n], states[n:], one, two)
     if run.mutual and np.any(soft := hit.impulse_n < MIN_IMPACT_SPEED_OF_PAIR_M_S * one.mass):
         raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
     after = np.concatenate([hit.target, hit.striker])
@@ -428,7 +428,7 @@ class _BatchSolver:
 
     def _land(self, who: Ints, states: Array, now: Array) -> None:
         before = contact_velocity(states[who], self.bodies.radius[who])
-        after = land(self.model, states[who], self.bodies[who])
+        after = land_on_plate(self.model, states[who], self.bodies[who])
         slips = contact_velocity(after, self.bodies.radius[who])
         slip, left = np.hypot(before[:, 0], before[:, 1]), np.hypot(slips[:, 0], slips[:, 1])
         rolls = (slip > ZERO_SPEED_M_S) & (left <= 1e-9 * slip)

@@ -31,7 +31,7 @@ MAX_HALVINGS = 12
 RESOLVED = 1e-13  # largest size of the last coefficients of a resolved piece, over that of the values
 
 
-def series(coefficients: Array, x: Array) -> Array:
+def evaluate_series(coefficients: Array, x: Array) -> Array:
     """Evaluate Chebyshev series (c, problems, nodes) at x (problems, m): (c, problems, m).
 
     T_2k(x) = T_k(y) and T_(2k+1)(x) = x W_k(y), y = 2 x^2 - 1: half as many polynomials in y are
@@ -46,7 +46,7 @@ def series(coefficients: Array, x: Array) -> Array:
         np.multiply(polynomials[1], polynomials[k - 1], out=polynomials[k])
         polynomials[k] *= 2
         polynomials[k] -= polynomials[k - 2]
-    parts = multiply(coefficients, _halves(size)).reshape(c, problems, 2, half).transpose(1, 0, 2, 3)
+    parts = multiply_on_nodes(coefficients, _halves(size)).reshape(c, problems, 2, half).transpose(1, 0, 2, 3)
     found = parts.reshape(problems, 2 * c, half) @ polynomials.transpose(1, 0, 2)
     found = found.reshape(problems, c, 2, x.shape[1])
     out = np.empty((c, *x.shape))
@@ -68,7 +68,7 @@ def _halves(size: int) -> Array:
     return out
 
 
-def resample(values: Array, places: Array, size: int) -> Array:
+def resample_on_nodes(values: Array, places: Array, size: int) -> Array:
     """Interpolate values (c, k, n) at rising points (k, n) from -1 to 1 on `size` collocation nodes: (c, k, size).
 
     The places must be a smooth function of Chebyshev nodes. The interpolant is rational, with alternating signs for
@@ -76,7 +76,7 @@ def resample(values: Array, places: Array, size: int) -> Array:
     """
     signs = (-1.0) ** np.arange(places.shape[-1])
     signs[[0, -1]] /= 2
-    gap = matrices(size).nodes - places[..., None]
+    gap = make_matrices(size).nodes - places[..., None]
     gap += 1e-300  # a place on a node takes all the weight
     weighed = np.concatenate([values * signs, np.broadcast_to(signs, (1, *places.shape))]).swapaxes(0, 1)
     found = (weighed @ np.reciprocal(gap, out=gap)).swapaxes(0, 1)
@@ -84,7 +84,7 @@ def resample(values: Array, places: Array, size: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Matrices:
+class CollocationMatrices:
     """Matrices on the Chebyshev nodes of [-1, 1], to be multiplied from the right.
 
     coefficients, values: from values to coefficients and back. integral: from values to integrals from -1. slope,
@@ -100,7 +100,7 @@ class Matrices:
 
 
 @cache
-def matrices(size: int) -> Matrices:
+def make_matrices(size: int) -> CollocationMatrices:
     """Return the matrices of a collocation on `size` nodes."""
     nodes = -np.cos(np.pi * np.arange(size) / (size - 1))
     values = chebyshev.chebvander(nodes, size - 1)
@@ -110,17 +110,17 @@ def matrices(size: int) -> Matrices:
     slope[:-1] = chebyshev.chebder(np.eye(size), axis=0)
     lines = coefficients, values, integral, slope, slope @ slope
     c, v, i, s, ss = (np.ascontiguousarray(x.T, dtype=np.float64) for x in lines)
-    return Matrices(nodes, c, v, i, s, ss)
+    return CollocationMatrices(nodes, c, v, i, s, ss)
 
 
 @cache
 def refine_matrix(old: int, new: int, side: int) -> Array:
     """Return the collocation matrix from `old` to `new` nodes, of all of [-1, 1] (side 0), or of a half (-1, 1)."""
-    nodes = (matrices(new).nodes + side) / (2 if side else 1)
-    return np.ascontiguousarray(matrices(old).coefficients @ chebyshev.chebvander(nodes, old - 1).T)
+    nodes = (make_matrices(new).nodes + side) / (2 if side else 1)
+    return np.ascontiguousarray(make_matrices(old).coefficients @ chebyshev.chebvander(nodes, old - 1).T)
 
 
-def integrate(
+def integrate_by_collocation(
     right: Right,
     knots: Sequence[float],
     start: Array,
@@ -148,7 +148,7 @@ def integrate(
     while stack:
         end, depth, size, values = stack.pop()
         middle = (begin + end) / 2
-        x = middle + (end - begin) / 2 * matrices(size).nodes
+        x = middle + (end - begin) / 2 * make_matrices(size).nodes
         if values is None:
             values = np.repeat(y[..., None], size, axis=-1) if guess is None else guess(x)
             values += (y - values[..., 0])[..., None]
@@ -164,10 +164,14 @@ def integrate(
         wanted = size * np.log(RESOLVED) / np.log(tail) if decays else np.inf
         more = next((n for n in NODE_COUNTS if n >= max(wanted, size + 1)), None)
         if more is not None:
-            stack.append((end, depth, more, None if runaway else multiply(values, refine_matrix(size, more, 0))))
+            stack.append(
+                (end, depth, more, None if runaway else multiply_on_nodes(values, refine_matrix(size, more, 0)))
+            )
         elif depth < max_halvings:
             more = next((n for n in NODE_COUNTS if n >= wanted / 2), NODE_COUNTS[-1])
-            halves = [None if runaway else multiply(values, refine_matrix(size, more, side)) for side in (-1, 1)]
+            halves = [
+                None if runaway else multiply_on_nodes(values, refine_matrix(size, more, side)) for side in (-1, 1)
+            ]
             stack += [(end, depth + 1, more, halves[1]), (middle, depth + 1, more, halves[0])]
         else:
             raise ValueError("a leg could not be integrated: a law of motion is not smooth there")
@@ -185,7 +189,7 @@ def _solve_piece(
     tolerance, rounding = 3e-14, 1e-12  # of a change of the iteration: converged; what rounding may leave of it
     close = 1e-3  # a change so small shows whether the nodes are enough
     some = slice(1, None, 2)  # every other node is enough to measure a change
-    on = matrices(guess.shape[-1])
+    on = make_matrices(guess.shape[-1])
     x = (a + b) / 2 + (b - a) / 2 * on.nodes
     integral = (b - a) / 2 * on.integral
     y, change, fed = guess.copy(), np.inf, slice(None)
@@ -194,12 +198,12 @@ def _solve_piece(
         """Integrate these groups into y; return which components feed back."""
         fed = slice(0)
         for k, (part, slope) in enumerate(islice(right(x, y), parts)):
-            np.add(multiply(slope, integral), start[part, :, None], out=y[part])
+            np.add(multiply_on_nodes(slope, integral), start[part, :, None], out=y[part])
             fed = slice(part.stop) if feed is None or k < feed else fed
         return fed
 
     def last_ones(of: slice) -> float:
-        return float((_norm(multiply(y[of], on.coefficients[:, -3:])) / size[of]).max())
+        return float((_norm(multiply_on_nodes(y[of], on.coefficients[:, -3:])) / size[of]).max())
 
     with np.errstate(all="ignore"):  # overflows: such a piece is halved
         for k in range(40):
@@ -225,7 +229,7 @@ def _solve_piece(
     return y, False, 0.0
 
 
-def multiply(values: Array, matrix: Array) -> Array:
+def multiply_on_nodes(values: Array, matrix: Array) -> Array:
     """Multiply values (c, k, n) on collocation nodes by a matrix (n, m), in blocks that BLAS leaves to one core.
 
     OpenBLAS distributes products of more than 2^18 multiplications over cores, which costs far more than it saves.

@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipe, ellipk
 
 from synthcam.dynamics.kinematics import Array
-from synthcam.dynamics.trajectory import Leg, Numeric, Rest
+from synthcam.dynamics.trajectory import Leg, NumericLeg, RestLeg
 
 STOPPED_M_S = 1e-12
 LAST_LOG = 36.0  # of s: r is then 2e-16 of its first value
@@ -106,7 +106,7 @@ class DryBody:
         (x, y, vx, vy, spin), gyration = centre, self.gyration
         first = math.hypot(vx, vy, gyration * spin)
         if first <= STOPPED_M_S:
-            return [Rest(t, math.inf, (x + disc.x, y + disc.y, disc.z, *(0.0,) * 6)) for disc in self.discs]
+            return [RestLeg(t, math.inf, (x + disc.x, y + disc.y, disc.z, *(0.0,) * 6)) for disc in self.discs]
         turns = first * first / (self.slowing * gyration)
 
         def law(s: float, now: NDArray[np.float64]) -> list[float]:
@@ -139,7 +139,7 @@ class DryBody:
         whirl = self.slowing * reach / gyration**2 + (first / gyration) ** 2
         lasts = float(ends[-1]) * first / self.slowing
         return [
-            Numeric(
+            NumericLeg(
                 t,
                 t + lasts,
                 lambda times, disc=disc: _place(disc, follow(times)),  # type: ignore[misc]

@@ -76,8 +76,10 @@ class Forces:
         - twist: the rate of change of the spin about the vertical, rad/s^2.
         """
         laws = self.model.laws
-        instant = self.constants | dict(position=last_axis(place), velocity=last_axis(v), spin=spin, other=other)
-        instant |= dict(slip_speed=slip, slip=last_axis(hat))
+        instant = self.constants | dict(
+            position=move_vectors_to_last_axis(place), velocity=move_vectors_to_last_axis(v), spin=spin, other=other
+        )
+        instant |= dict(slip_speed=slip, slip=move_vectors_to_last_axis(hat))
         friction = laws("friction", self.model.sliding_friction, instant)
         load = laws("normal_load", self.model.gravity, instant)
         slowing = slip_rate(self.inertia) * friction * load + np.zeros_like(slip)
@@ -86,14 +88,16 @@ class Forces:
             twist = laws("drilling", 0.0, instant | {"friction": friction, "load": load})
         if not laws.has_effect_on("push"):
             return slowing, 0.0, 0.0, twist
-        push = laws("push", last_axis(np.zeros_like(v)), instant).transpose(2, 0, 1)
+        push = laws("push", move_vectors_to_last_axis(np.zeros_like(v)), instant).transpose(2, 0, 1)
         slowing -= push[0] * hat[0] + push[1] * hat[1]
         return slowing, hat[0] * push[1] - hat[1] * push[0], push, twist
 
     def accelerate_rolling(self, place: Array, v: Array, other: Any) -> Array:
         """Return the acceleration of rolling balls, (2, m, n) m/s^2."""
         model, speed = self.model, np.hypot(v[0], v[1])
-        instant = self.constants | dict(position=last_axis(place), velocity=last_axis(v), other=other, speed=speed)
+        instant = self.constants | dict(
+            position=move_vectors_to_last_axis(place), velocity=move_vectors_to_last_axis(v), other=other, speed=speed
+        )
         loss = model.laws("rolling", model.rolling_drag * speed + model.rolling_decel, instant)
         out = v * (-loss / np.maximum(speed, TINY))
         if model.laws.has_effect_on("push"):
@@ -102,8 +106,12 @@ class Forces:
 
     def push(self, place: Array, v: Array, other: Any) -> Array:
         """Return the push on balls at these positions with these velocities, (2, m, n) m/s^2."""
-        instant = self.constants | dict(position=last_axis(place), velocity=last_axis(v), other=other)
-        return np.asarray(self.model.laws("push", last_axis(np.zeros_like(v)), instant)).transpose(2, 0, 1)
+        instant = self.constants | dict(
+            position=move_vectors_to_last_axis(place), velocity=move_vectors_to_last_axis(v), other=other
+        )
+        return np.asarray(self.model.laws("push", move_vectors_to_last_axis(np.zeros_like(v)), instant)).transpose(
+            2, 0, 1
+        )
 
 
 @dataclass(frozen=True)
@@ -185,6 +193,6 @@ def find_ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NO
     return np.where(late < first, late, np.inf)
 
 
-def last_axis(vectors: Array) -> Array:
+def move_vectors_to_last_axis(vectors: Array) -> Array:
     """Turn the vectors of forces (2, m, n) into (m, n, 2), as effects take them."""
     return vectors.transpose(1, 2, 0)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.collocation import matrices, multiply, resample, series
+from synthcam.dynamics.collocation import evaluate_series, make_matrices, multiply_on_nodes, resample_on_nodes
 from synthcam.dynamics.forces import Flags, Ints
 from synthcam.dynamics.kinematics import Array, fly, plate_state
 from synthcam.model import Bodies
@@ -99,13 +99,13 @@ class IntegratedMotion:
         half = np.minimum(np.abs(wide / self.durations), 1.0)[:, None]  # a longer span would leave the motion
         worth = np.flatnonzero(_norms(c) > NEGLIGIBLE_M).max(initial=1)
         term = mean = c[:, :, : worth + 1]
-        curvature = matrices(term.shape[-1]).curvature
+        curvature = make_matrices(term.shape[-1]).curvature
         for j in range(1, (term.shape[-1] + 1) // 2):
-            term = multiply(term, curvature) * (half * half / (2 * j * (2 * j + 1)))
+            term = multiply_on_nodes(term, curvature) * (half * half / (2 * j * (2 * j + 1)))
             mean = mean + term
             if _norms(term).max() < NEGLIGIBLE_M:
                 break
-        return series(mean, 2 * elapsed / self.durations[:, None] - 1)
+        return evaluate_series(mean, 2 * elapsed / self.durations[:, None] - 1)
 
     @cached_property
     def _knots(self) -> Array:
@@ -127,12 +127,12 @@ class IntegratedMotion:
         out: list[Array] = []
         for (times, y), first, last in zip(self.pieces, self._knots[:-1], self._knots[1:], strict=True):
             if self.power == 0:
-                out.append(multiply(y[part], matrices(y.shape[-1]).coefficients))
+                out.append(multiply_on_nodes(y[part], make_matrices(y.shape[-1]).coefficients))
                 continue
             here = 2 * (first[:, None] - self._root_of_time_left(times)) / (first - last)[:, None] - 1
             limit = 3e-15 + 3e-16 * np.abs(y[part][:6]).max()
             for size in node_counts[len(out) == 0 :]:
-                c = multiply(resample(y[part], here, size), matrices(size).coefficients)
+                c = multiply_on_nodes(resample_on_nodes(y[part], here, size), make_matrices(size).coefficients)
                 if np.abs(c[:6, :, -2:]).max() < limit:
                     break
             out.append(c)
@@ -149,11 +149,11 @@ class IntegratedMotion:
         sofar, out, knots = np.zeros_like(self._midpoint), [], self._knots[..., None]
         for c, first, last in zip(self._position_series, knots[:-1], knots[1:], strict=True):
             size, wide = c.shape[-1], first - last
-            on = matrices(size + self.power)
+            on = make_matrices(size + self.power)
             w = first - wide / 2 * (1 + on.nodes)
-            place = multiply(c, on.values[:size]) - self._midpoint
-            total = multiply(place * (self.power * w ** (self.power - 1) * wide / 2), on.integral) + sofar
-            out.append(multiply(total, on.coefficients))
+            place = multiply_on_nodes(c, on.values[:size]) - self._midpoint
+            total = multiply_on_nodes(place * (self.power * w ** (self.power - 1) * wide / 2), on.integral) + sofar
+            out.append(multiply_on_nodes(total, on.coefficients))
             sofar = total[..., -1:]
         return out
 
@@ -167,7 +167,7 @@ class IntegratedMotion:
             columns = np.flatnonzero(here.any(axis=0))
             if len(columns):
                 part = slice(columns[0], columns[-1] + 1)
-                found = series(c, np.clip((a + b - 2 * w[:, part]) / (a - b), -1.0, 1.0))
+                found = evaluate_series(c, np.clip((a + b - 2 * w[:, part]) / (a - b), -1.0, 1.0))
                 np.copyto(out[..., part], found, where=here[:, part])
         return out
 

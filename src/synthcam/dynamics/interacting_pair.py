@@ -32,7 +32,7 @@ from synthcam.dynamics.start_from_rest import (
     solve_approach,
     solve_start,
 )
-from synthcam.dynamics.trajectory import Event, Leg, Motion, Numeric, Rest
+from synthcam.dynamics.trajectory import Event, Leg, Motion, NumericLeg, RestLeg
 from synthcam.model import Bodies, Model
 
 LEAD_TIME_S = 0.2  # of motion beyond the end that was asked for
@@ -46,9 +46,11 @@ def make_leg(motion: IntegratedMotion, ball: int, mode: int, now: float) -> Leg:
     own = motion[np.array([ball])].shift(np.array([now]))
     ends = sorted((now + float(motion.begins[ball]), now + float(motion.begins[ball] + motion.durations[ball])))
     if mode == REST:
-        return Rest(ends[0], ends[1], to_rest(tuple(motion.states[ball].tolist()), float(motion.bodies.radius[ball])))
+        return RestLeg(
+            ends[0], ends[1], to_rest(tuple(motion.states[ball].tolist()), float(motion.bodies.radius[ball]))
+        )
     lift = motion.gravity if mode == FLY else 0.0
-    return Numeric.of(ends[0], ends[1], NAMES[mode], lambda times: own.at(times[None])[0], lift)
+    return NumericLeg.of(ends[0], ends[1], NAMES[mode], lambda times: own.at(times[None])[0], lift)
 
 
 class InteractingPair:
@@ -122,7 +124,11 @@ class InteractingPair:
         for k in loose:
             started.append(make_start_event(self.model, self.bodies[k : k + 1], k, states[k], t, rows[1 - k]))
         if np.all(modes == REST) and not loose:
-            return [Rest(t, math.inf, to_rest(states[k], float(self.bodies.radius[k]))) for k in (0, 1)], math.inf, []
+            return (
+                [RestLeg(t, math.inf, to_rest(states[k], float(self.bodies.radius[k]))) for k in (0, 1)],
+                math.inf,
+                [],
+            )
         goal = np.array([max(self.end - t, 0.0) + LEAD_TIME_S])
         motion, over = self._propagate(rows, modes, loose, goal)
         until = t + float(motion.durations[0])
@@ -146,7 +152,7 @@ class InteractingPair:
                         return motion[order], np.zeros(2, dtype=bool)
                 lasts = lasts / 2
         for k in loose:  # the other ball does not roll: a small speed is enough
-            rows[k] = nudge(self.model, self.bodies[k : k + 1], rows[k], rows[1 - k])
+            rows[k] = give_small_speed(self.model, self.bodies[k : k + 1], rows[k], rows[1 - k])
         ((_, step),) = propagate(BallStates(self.model, self.bodies, rows, self.floor, 2), goal)
         return step.motion, step.ended
 
@@ -176,10 +182,10 @@ def _separation_rate(states: Array) -> float:
 def make_start_event(model: Model, body: Bodies, k: int, state: State, t: float, other: Array) -> Event:
     """Make the event at which ball k of an interacting pair starts from rest; the other is at `other` (2 or more,)."""
     still = to_rest(state, float(body.radius[0]))
-    return Event(t, "start", k, before=np.array([still]), after=np.array([nudge(model, body, still, other)]))
+    return Event(t, "start", k, before=np.array([still]), after=np.array([give_small_speed(model, body, still, other)]))
 
 
-def nudge(model: Model, body: Bodies, still: State | Array, other: Array) -> State:
+def give_small_speed(model: Model, body: Bodies, still: State | Array, other: Array) -> State:
     """Give a ball of an interacting pair that rests a small speed along the push on it."""
     push = push_at_rest(model, body, np.array([still]), other[:2, None, None])[:, 0, 0]
     velocity = 2 * STOP_SPEED_M_S * push / np.hypot(*push)

@@ -68,7 +68,7 @@ def after_rolling(state: State, radius: Real, drag: float, decel: float, t: Real
     """Roll straight on for the time t, which may be negative, with a = -(drag v + decel). The speed must not be 0."""
     x, y, _, vx, vy, _, _, _, wz = state
     slowing = decel / (vx * vx + vy * vy) ** 0.5
-    decay, slack = coast(drag, t)
+    decay, slack = integrate_drag(drag, t)
     path, left = decay - slowing * slack, 1 - (drag + slowing) * decay
     return x + path * vx, y + path * vy, radius, left * vx, left * vy, 0.0, -left * vy / radius, left * vx / radius, wz
 
@@ -86,7 +86,7 @@ def after_gliding(state: State, drag: float, decel: float, curl: float, spin_dra
     """
     x, y, z, vx, vy, vz, wx, wy, wz = state
     slowing = decel / (vx * vx + vy * vy) ** 0.5
-    decay, slack = coast(drag, t)
+    decay, slack = integrate_drag(drag, t)
     left = 1 - (drag + slowing) * decay
     exp, cos, sin = (np.exp, np.cos, np.sin) if isinstance(t, np.ndarray) else (math.exp, math.cos, math.sin)
     along, across, c, s = decay - slowing * slack, 0 * t, 1.0 + 0 * t, 0 * t
@@ -109,7 +109,7 @@ def _turning_path(drag: float, slowing: float, curl: float, t: Array) -> NDArray
     nodes, weights = np.polynomial.legendre.leggauss(24)
     shares = ((np.arange(panels)[:, None] + (1 + nodes) / 2) / panels).ravel()
     times = t[..., None] * shares
-    decay, _ = coast(drag, times)
+    decay, _ = integrate_drag(drag, times)
     values = (1 - (drag + slowing) * decay) * np.exp(1j * curl * times)
     return np.asarray(values @ np.tile(weights / 2 / panels, panels) * t)
 
@@ -231,7 +231,7 @@ def stop_time(speed: Real, drag: float, decel: float) -> Any:
     return speed / decel * np.where(small, 1 - x / 2, np.log1p(x) / np.where(small, 1, x))
 
 
-def coast(drag: float, t: Real) -> tuple[Real, Real]:
+def integrate_drag(drag: float, t: Real) -> tuple[Real, Real]:
     """Return the closed forms of a drag: (1 - e^(-drag t))/drag and its integral over t, accurate at small drag t."""
     if drag == 0 and isinstance(t, float):
         return t, t * t / 2

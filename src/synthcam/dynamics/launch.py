@@ -73,7 +73,9 @@ class Launch:
         if it rolls. The third is R times its spin about the vertical.
         """
         numbers = np.array([v0]), np.array([b]), np.array([heading])
-        states = touching(bodies[:1], bodies[1:], *numbers, np.array([contact]), np.array([spin], dtype=float))
+        states = launch_touching_pairs(
+            bodies[:1], bodies[1:], *numbers, np.array([contact]), np.array([spin], dtype=float)
+        )
         return cls(time, np.concatenate(states), bodies)
 
     @classmethod
@@ -83,7 +85,7 @@ class Launch:
         return cls(time, rolling_state(np.array([place], dtype=float), v[None], 0.0, bodies.radius), bodies)
 
 
-def touching(
+def launch_touching_pairs(
     one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, contact: Array, spin: Array | None = None
 ) -> tuple[Array, Array]:
     """Launch balls at their contacts: the states (k, 9) of targets at rest, and of strikers that touch them.

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.collocation import MAX_HALVINGS, NODE_COUNTS, Parts, integrate, matrices
+from synthcam.dynamics.collocation import MAX_HALVINGS, NODE_COUNTS, Parts, integrate_by_collocation, make_matrices
 from synthcam.dynamics.forces import (
     END_SLIP_SHARE,
     FLY,
@@ -37,14 +37,14 @@ from synthcam.dynamics.forces import (
     Ints,
     classify_modes,
     find_ending_slip,
-    last_axis,
+    move_vectors_to_last_axis,
 )
 from synthcam.dynamics.integrated_motion import IntegratedMotion, Pieces, snap_to_goal
 from synthcam.dynamics.kinematics import Array, contact_velocity, flight_time, push_share, rolling_velocity, slip_rate
 
 MAX_SPEED_M_S = 1e3  # a ball that would have had to come faster has no past
 LOG_SLIP_BREAK = 0.33  # share of the fall of ln(slip) at which two pieces of a slide meet
-END_TIMES = 1 - ((1 - matrices(10).nodes) / 2) ** 3  # nodes of an even end, in the cube root of the time left
+END_TIMES = 1 - ((1 - make_matrices(10).nodes) / 2) ** 3  # nodes of an even end, in the cube root of the time left
 FLOOR_TOLERANCE = 1e-9  # of the slip at which a spin no longer drills
 
 
@@ -128,7 +128,7 @@ class PhaseIntegrator:
         at, rows = self.at, self.rows
         q, place, shape = y[at : at + 2], y[at + 2 : at + 4], y[at].shape
         v = q + self.slip_share * slip * y[:2] if self.slides else q
-        other = last_axis(place[:, self.balls.partner] - place) if self.balls.each > 1 else NOWHERE
+        other = move_vectors_to_last_axis(place[:, self.balls.partner] - place) if self.balls.each > 1 else NOWHERE
         spins = np.where(self.ends, 0.0, self.spins) if late and self.drills else self.spins
 
         def known(mode: int) -> tuple[Any, ...]:
@@ -220,7 +220,9 @@ class PhaseIntegrator:
         few = first_nodes if len(knots) > 2 else NODE_COUNTS[0]
         guess, feed, pieces = self.make_guess(), self.count_feedback_parts(), list[tuple[Array, Array]]()
         sound = np.ones(len(self.modes), dtype=bool)
-        for z, y in integrate(self.right_hand_side, knots, self.start[..., 0], guess, few=few, feed=feed):
+        for z, y in integrate_by_collocation(
+            self.right_hand_side, knots, self.start[..., 0], guess, few=few, feed=feed
+        ):
             slip, _ = self.slip_speed(z, y)
             if self.free:
                 sound &= (self.modes != SLIDE) | self.ends[:, 0] | (y[3] > self.least).all(axis=1)
@@ -259,7 +261,7 @@ class PhaseIntegrator:
         both = np.tile(balls.min_of_unit(np.where(ends, late, np.inf)[:, 0]), balls.each)[:, None]
         ends = ends & (late <= both)
         dq = np.where(ends & ~slides, -q / np.maximum(both, TINY), dq)
-        t = both * (END_TIMES if self.paced else (1 + matrices(3).nodes) / 2)
+        t = both * (END_TIMES if self.paced else (1 + make_matrices(3).nodes) / 2)
         v, dv, kept = q, dq, [q + dq * t]
         if self.slides:
             u = slip * y[:2]

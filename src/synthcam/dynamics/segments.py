@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from synthcam.dynamics.forces import Ints
 from synthcam.dynamics.integrated_motion import IntegratedMotion, snap_to_goal
-from synthcam.dynamics.kinematics import Array, Real, coast, contact_velocity, fly, roll, slide
+from synthcam.dynamics.kinematics import Array, Real, contact_velocity, fly, integrate_drag, roll, slide
 from synthcam.dynamics.trajectory import Trajectory
 
 
@@ -108,7 +108,7 @@ class RollSegment(Segment):
 
     def average_centres(self, middle: Array, wide: Real) -> Array:
         slowing = (self.decel / np.hypot(self.state[:, 3], self.state[:, 4]))[:, None]
-        decay, slack = coast(self.drag, middle - self.time[:, None])
+        decay, slack = integrate_drag(self.drag, middle - self.time[:, None])
         path = decay - slowing * slack
         z = self.drag * wide / 2  # the mean of an exponential is sinh(z)/z times that in the middle
         mean = wide * wide / 24 * (1 + z * z / 20 * (1 + z * z / 42 * (1 + z * z / 72)))

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from synthcam.dynamics.contacts.calendar import Calendar, ContactDistances
+from synthcam.dynamics.contacts.calendar import ContactDistances, EventCalendar
 from synthcam.dynamics.contacts.contact_time import MIN_IMPACT_SPEED_M_S, STAYING
-from synthcam.dynamics.contacts.impact import MIN_BOUNCE_SPEED_M_S, hit_wall, land, strike
+from synthcam.dynamics.contacts.impact import MIN_BOUNCE_SPEED_M_S, collide_pair, hit_wall, land_on_plate
 from synthcam.dynamics.contacts.lasting import STICKING_M_S, TouchingBodies
 from synthcam.dynamics.contacts.sticking import StickingBodies
 from synthcam.dynamics.forces import (
@@ -38,7 +38,18 @@ from synthcam.dynamics.propagate import MAX_SPEED_M_S, propagate, propagate_back
 from synthcam.dynamics.start_from_rest import MIN_IMPACT_SPEED_OF_PAIR_M_S, excess_push
 from synthcam.dynamics.supports import Support
 from synthcam.dynamics.tabletop import ContactChanges, Table
-from synthcam.dynamics.trajectory import Carried, Event, Fly, Leg, Numeric, Push, Rest, Roll, Slide, Trajectory
+from synthcam.dynamics.trajectory import (
+    CarriedLeg,
+    Event,
+    FlightLeg,
+    Leg,
+    NumericLeg,
+    PushLeg,
+    RestLeg,
+    RollLeg,
+    SlideLeg,
+    Trajectory,
+)
 from synthcam.model import Bodies, Model
 
 MAX_TIME_S = 1e4  # beyond it the last bit of the time is too coarse for an event
@@ -127,7 +138,7 @@ class _EventLoop:
             self.past = [self._past_legs(k, states[k], launch.time) for k in states]
         width, seed = table.scatter.distance, table.scatter.seed
         distances = ContactDistances(width, seed) if width else None
-        self.calendar = Calendar(self.radius, table.walls, max(end, self.t), distances)
+        self.calendar = EventCalendar(self.radius, table.walls, max(end, self.t), distances)
         self.legs: list[Leg] = []
         self.unsettled: set[int] = set()  # balls that slide or fly
         self._start_legs(states)
@@ -189,7 +200,7 @@ class _EventLoop:
         """Move the present leg of a ball to its past; a rest that continued stays one leg."""
         leg, past = self.legs[k], self.past[k]
         leg.t1 = self.t
-        if past and type(leg) is Rest and isinstance(past[-1], Rest) and leg.state == past[-1].state:
+        if past and type(leg) is RestLeg and isinstance(past[-1], RestLeg) and leg.state == past[-1].state:
             past[-1].t1 = self.t
         else:
             past.append(leg)
@@ -205,7 +216,7 @@ class _EventLoop:
             return []
         if (support := self.supports[k]) is not None:
             leg = support.leg(state, self.radius[k], time)
-            if isinstance(leg, Numeric):
+            if isinstance(leg, NumericLeg):
                 raise ValueError("a disc that slides at its launch has no past: start the run at the launch")
             leg.t0, leg.t1 = self.start, time
             return [leg]
@@ -216,7 +227,7 @@ class _EventLoop:
             still = to_rest(state, self.radius[k])
             if self._excess(k, still) > 0:
                 raise ValueError(HELD)
-            return [Rest(self.start, time, still)]
+            return [RestLeg(self.start, time, still)]
         if not (self.slides if slides else self.rolls):
             legs = [self._slide(k, state, time) if slides else self._roll(k, state, time, self.start)]
             legs[0].t0, legs[0].t1 = self.start, time
@@ -243,7 +254,7 @@ class _EventLoop:
         radius, support = self.radius[k], self.supports[k]
         if (hand := self.pushed.get(k)) is not None:
             rolling = radius if support is None else math.inf
-            return Push(t, hand.until, t, state, hand.acceleration, rolling)
+            return PushLeg(t, hand.until, t, state, hand.acceleration, rolling)
         if support is not None:
             return support.leg(state, radius, t)
         if state[5] > 0 or _is_airborne(state, radius):
@@ -260,7 +271,7 @@ class _EventLoop:
             if slowing == 0:
                 raise ValueError("sliding friction does not end the slide: there is none")
             lasts = math.hypot(*slip_velocity(state, self.radius[k])) / (slip_rate(self.inertia[k]) * slowing)
-            return Slide(t, t + lasts, t, state, self.radius[k], slowing, self.inertia[k])
+            return SlideLeg(t, t + lasts, t, state, self.radius[k], slowing, self.inertia[k])
         floor = find_ending_slip(self.model, np.array([state]), self._body(k)) if self.drills else np.full(1, math.inf)
         return self._integrate_leg(k, state, t, math.inf, floor)
 
@@ -268,13 +279,13 @@ class _EventLoop:
         model = self.model
         if not self.rolls:
             stop = t + stop_time(math.hypot(state[3], state[4]), model.rolling_drag, model.rolling_decel)
-            return Roll(t, stop, t, state, self.radius[k], model.rolling_drag, model.rolling_decel)
+            return RollLeg(t, stop, t, state, self.radius[k], model.rolling_drag, model.rolling_decel)
         return self._integrate_leg(k, state, t, until - t)
 
     def _fly(self, k: int, state: State, t: float) -> Leg:
         gravity, up, height = self.model.gravity, state[5], max(state[2] - self.radius[k], 0.0)
         lasts = (up + math.sqrt(up * up + 2 * gravity * height)) / gravity
-        return self._integrate_leg(k, state, t, lasts) if self.pushes else Fly(t, t + lasts, t, state, gravity)
+        return self._integrate_leg(k, state, t, lasts) if self.pushes else FlightLeg(t, t + lasts, t, state, gravity)
 
     def _integrate_leg(self, k: int, state: State, t: float, goal: float, floor: Array | None = None) -> Leg:
         """Integrate a leg without closed form, or as much of it as one step covers."""
@@ -285,7 +296,7 @@ class _EventLoop:
 
     def _rest(self, k: int, state: State, t: float) -> Leg:
         still = to_rest(state, self.radius[k])
-        return Rest(t, t if self._excess(k, still) > 0 else math.inf, still)
+        return RestLeg(t, t if self._excess(k, still) > 0 else math.inf, still)
 
     def _excess(self, k: int, state: State) -> float:
         """By how much 5/7 of the push on a ball at rest exceeds what holds it, m/s^2."""
@@ -299,7 +310,7 @@ class _EventLoop:
         """The end of a leg: of a slide, a roll, a rest, a flight; no event where a numerical roll was solved to."""
         leg, radius = self.legs[k], self.radius[k]
         before = leg.now(leg.t1)
-        if self.joint and (self.joint.find_fellows(k) - {k} or isinstance(leg, Carried)):
+        if self.joint and (self.joint.find_fellows(k) - {k} or isinstance(leg, CarriedLeg)):
             self._end_joint_legs(k)
         elif leg.motion == "push":
             self._part({k: before})
@@ -319,7 +330,7 @@ class _EventLoop:
     def _land(self, k: int, before: State) -> State:
         radius = self.radius[k]
         down = np.array([(*before[:2], radius, *before[3:])])
-        up = land(self.model, down, self._body(k))
+        up = land_on_plate(self.model, down, self._body(k))
         after: State = tuple(up[0].tolist())
         slips = [math.hypot(*slip_velocity(s, radius)) for s in (before, after)]
         self.events.append(Event(self.t, "land", k, before=down, after=up))
@@ -353,7 +364,7 @@ class _EventLoop:
             return
         if lasts:
             states[j] = _approach(states[i], states[j])
-        target, striker, n, along_n, along_t = strike(
+        target, striker, n, along_n, along_t = collide_pair(
             self.model, states[i], states[j], self.own[i], self.own[j], change
         )
         slowest = MIN_IMPACT_SPEED_OF_PAIR_M_S if self.pairing else MIN_IMPACT_SPEED_M_S

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from synthcam.dynamics.collocation import matrices, multiply
-from synthcam.dynamics.forces import STOP_SPEED_M_S, TINY, BallStates, Flags, Forces, Ints, last_axis
+from synthcam.dynamics.collocation import make_matrices, multiply_on_nodes
+from synthcam.dynamics.forces import STOP_SPEED_M_S, TINY, BallStates, Flags, Forces, Ints, move_vectors_to_last_axis
 from synthcam.dynamics.integrated_motion import IntegratedMotion
 from synthcam.dynamics.kinematics import Array, push_share, rolling_state
 from synthcam.dynamics.propagate import propagate_back
@@ -29,7 +29,7 @@ NEVER = (
 def push_at_rest(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
     """Return the push on balls at rest, states (k, 9), with the others at (2, k, n): (2, k, n), m/s^2."""
     place = np.broadcast_to(states[:, :2].T[..., None], (2, len(states), other.shape[-1]))
-    return Forces.of(model, bodies).push(place, np.zeros(place.shape), last_axis(other - place))
+    return Forces.of(model, bodies).push(place, np.zeros(place.shape), move_vectors_to_last_axis(other - place))
 
 
 def excess_push(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
@@ -38,8 +38,10 @@ def excess_push(model: Model, bodies: Bodies, states: Array, other: Array) -> Ar
     size = np.hypot(push[0], push[1])
     place = np.broadcast_to(states[:, :2].T[..., None], push.shape)
     velocity, speed = STOP_SPEED_M_S * push / np.maximum(size, TINY), np.full(size.shape, STOP_SPEED_M_S)
-    known = Forces.of(model, bodies).constants | dict(position=last_axis(place), other=last_axis(other - place))
-    known |= dict(velocity=last_axis(velocity), speed=speed)
+    known = Forces.of(model, bodies).constants | dict(
+        position=move_vectors_to_last_axis(place), other=move_vectors_to_last_axis(other - place)
+    )
+    known |= dict(velocity=move_vectors_to_last_axis(velocity), speed=speed)
     loss = model.laws("rolling", model.rolling_decel, known)
     return np.asarray(size * push_share(bodies.inertia)[:, None] - np.maximum(model.rolling_decel, loss))
 
@@ -99,7 +101,7 @@ def solve_start(
     iterations, whole_steps = 120, 5  # the start moves in whole steps at first, then in half steps
     converged = 2e-13  # m/s, of the change of an iteration
     accurate_m, accurate_m_s = 3e-14, 5e-13  # of the last coefficients
-    on, k = matrices(size), len(lasts)
+    on, k = make_matrices(size), len(lasts)
     integral = on.integral / 2
     slope = 2 * on.coefficients @ on.slope @ on.values
     one, two, decel = Forces.of(model, bodies[:k]), Forces.of(model, bodies[k:]), model.rolling_decel
@@ -113,10 +115,10 @@ def solve_start(
     gain = np.maximum(np.hypot(pull[0], pull[1]) - decel, 0.0)
     s = np.abs(long * (on.nodes - on.nodes[anchor]) / 2) * gain / 2
     e = np.repeat(hat, size, axis=-1)
-    place[:, :k] += long * multiply(s * e, integral)
+    place[:, :k] += long * multiply_on_nodes(s * e, integral)
     with np.errstate(all="ignore"):
         for turn in range(iterations):
-            apart = last_axis(place[:, k:] - place[:, :k])
+            apart = move_vectors_to_last_axis(place[:, k:] - place[:, :k])
             pull, loss = _pull_and_loss(one, place[:, :k], s, e, apart)
             force = two.accelerate_rolling(place[:, k:], v1, -apart)
             strength = np.maximum(np.hypot(pull[0], pull[1]), TINY)
@@ -130,15 +132,15 @@ def solve_start(
             lag = _solve_lag(weight, slope, phi, lag)
             c, d = np.cos(phi - lag), np.sin(phi - lag)
             e = np.stack([c * hat[0] - d * hat[1], d * hat[0] + c * hat[1]])
-            v1 = v_in + long * multiply(force, integral)
+            v1 = v_in + long * multiply_on_nodes(force, integral)
             old, v = place, np.concatenate([s * e, v1], axis=1)
-            place = where + np.tile(long, (2, 1)) * multiply(v, integral)
+            place = where + np.tile(long, (2, 1)) * multiply_on_nodes(v, integral)
             moved = np.abs(place - old).max(axis=(0, 2)).reshape(2, k).max(axis=0) / np.abs(long[:, 0])
             last, change = change, moved
             to_come = change * np.minimum(change / np.maximum(last, TINY), 1.0)
             if turn > 0 and not np.any((to_come >= converged) & (to_come < np.inf)):
                 break
-    last_ones = np.abs(multiply(np.concatenate([place, v]), on.coefficients)[..., -2:])
+    last_ones = np.abs(multiply_on_nodes(np.concatenate([place, v]), on.coefficients)[..., -2:])
     rough = np.maximum(last_ones[:2].max(axis=(0, 2)) / accurate_m, last_ones[2:].max(axis=(0, 2)) / accurate_m_s)
     resolved = (rough.reshape(2, k).max(axis=0) < 1) & (to_come < converged)
     good = resolved & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
@@ -151,7 +153,9 @@ def _pull_and_loss(one: Forces, place: Array, s: Array, e: Array, apart: Array) 
     """Return 5/7 of the push, (2, k, n), and the rolling loss, (k, n), of balls with speeds s along e."""
     model, speed = one.model, np.maximum(s, STOP_SPEED_M_S)
     v = speed * e
-    known = one.constants | dict(position=last_axis(place), velocity=last_axis(v), other=apart, speed=speed)
+    known = one.constants | dict(
+        position=move_vectors_to_last_axis(place), velocity=move_vectors_to_last_axis(v), other=apart, speed=speed
+    )
     base = model.rolling_drag * np.maximum(s, 0.0) + model.rolling_decel
     return push_share(one.inertia) * one.push(place, v, apart), model.laws("rolling", base, known) + 0 * s
 

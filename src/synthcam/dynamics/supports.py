@@ -10,7 +10,7 @@ import numpy as np
 
 from synthcam.dynamics.dry_discs import DISC, STOPPED_M_S, DryBody, DryDisc, friction_of_disc
 from synthcam.dynamics.kinematics import State
-from synthcam.dynamics.trajectory import Glide, Leg, Rest
+from synthcam.dynamics.trajectory import GlideLeg, Leg, RestLeg
 
 FADING_M_S = 1e-6  # friction in a contact that lasts fades at speeds below it
 
@@ -60,9 +60,9 @@ class Air(Support):
         if math.hypot(state[3], state[4]) <= STOPPED_M_S:
             still: State = (*state[:3], 0.0, 0.0, 0.0, 0.0, 0.0, state[8])
             if self.spin_drag == 0 or state[8] == 0:
-                return Rest(t, math.inf, still)
-            return Glide(t, math.inf, t, still, 0.0, 0.0, 0.0, self.spin_drag, motion="rest")
-        return Glide.of(t, state, self.decel, self.drag, self.curl, self.spin_drag)
+                return RestLeg(t, math.inf, still)
+            return GlideLeg(t, math.inf, t, still, 0.0, 0.0, 0.0, self.spin_drag, motion="rest")
+        return GlideLeg.of(t, state, self.decel, self.drag, self.curl, self.spin_drag)
 
     def accelerate(self, state: State, radius: float) -> tuple[float, float, float]:
         vx, vy = state[3], state[4]

@@ -14,7 +14,7 @@ from synthcam.dynamics.supports import Support
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ContactScatter:
     """How contacts of bodies differ by chance, each drawn from a normal distribution.
 
     Attributes
@@ -77,7 +77,7 @@ class Table:
     walls: tuple[Wall, ...] = ()
     supports: tuple[Support | None, ...] = ()
     contact_duration: float = 0.0
-    scatter: Scatter = Scatter()
+    scatter: ContactScatter = ContactScatter()
     sticks: tuple[float, ...] = ()
     spring: ContactSpring | None = None
     plate_share: float = 0.0

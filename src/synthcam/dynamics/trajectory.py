@@ -45,7 +45,7 @@ class Leg:
 
 
 @dataclass(slots=True)
-class Rest(Leg):
+class RestLeg(Leg):
     """A ball at rest, which may spin about the vertical. state: nine floats, here and below."""
 
     state: State
@@ -63,7 +63,7 @@ class Rest(Leg):
 
 
 @dataclass(slots=True)
-class Roll(Leg):
+class RollLeg(Leg):
     """Rolling on a straight line with a = -(drag v + decel); `state` holds at `time`."""
 
     time: float
@@ -86,7 +86,7 @@ class Roll(Leg):
 
 
 @dataclass(slots=True)
-class Slide(Leg):
+class SlideLeg(Leg):
     """Sliding with constant friction: a parabola. `state` holds at `time`; `slowing` is mu g, m/s^2."""
 
     time: float
@@ -112,7 +112,7 @@ class Slide(Leg):
 
 
 @dataclass(slots=True)
-class Fly(Leg):
+class FlightLeg(Leg):
     """Free flight above the plate; `state` holds at `time`."""
 
     time: float
@@ -131,7 +131,7 @@ class Fly(Leg):
 
 
 @dataclass(slots=True)
-class Glide(Leg):
+class GlideLeg(Leg):
     """Gliding on air, v' = -(decel + drag v) v/|v| + curl z x v; `state` holds at `time`."""
 
     time: float
@@ -143,7 +143,7 @@ class Glide(Leg):
     motion: Motion = field(default="glide", kw_only=True)
 
     @classmethod
-    def of(cls, t: float, state: State, decel: float, drag: float, curl: float, spin_drag: float) -> Glide:
+    def of(cls, t: float, state: State, decel: float, drag: float, curl: float, spin_drag: float) -> GlideLeg:
         """Glide from the time t, s, until the body stops."""
         lasts = kinematics.stop_time(math.hypot(state[3], state[4]), drag, decel)
         return cls(t, t + lasts, t, state, drag, decel, curl, spin_drag)
@@ -169,7 +169,7 @@ class Glide(Leg):
 
 
 @dataclass(slots=True)
-class Push(Leg):
+class PushLeg(Leg):
     """Moving with a constant acceleration (x, y), m/s^2, as a hand pushes; `state` holds at `time`.
 
     rolling_radius, m: the spin changes as that of a ball that rolls; infinite: it stays.
@@ -198,7 +198,7 @@ class Push(Leg):
 
 
 @dataclass(slots=True)
-class Carried(Leg):
+class CarriedLeg(Leg):
     """The motion of one of several bodies that move as one rigid body, whose centre of mass has the leg `centre`.
 
     offset: from the centre of mass at `time`, m. spin_drag: rate at which the common spin decays, 1/s.
@@ -219,7 +219,7 @@ class Carried(Leg):
     def _around(self, centre: State, t: Real) -> State:
         x, y, _, vx, vy, _, _, _, wz = centre
         (dx, dy), elapsed = self.offset, t - self.time
-        turned = self.centre.now(self.time)[8] * kinematics.coast(self.spin_drag, elapsed)[0]
+        turned = self.centre.now(self.time)[8] * kinematics.integrate_drag(self.spin_drag, elapsed)[0]
         c, s = (np.cos(turned), np.sin(turned)) if isinstance(t, np.ndarray) else (math.cos(turned), math.sin(turned))
         ox, oy = c * dx - s * dy, s * dx + c * dy
         return x + ox, y + oy, self.height, vx - wz * oy, vy + wz * ox, 0.0, 0.0, 0.0, wz
@@ -230,14 +230,16 @@ class Carried(Leg):
 
 
 @dataclass(slots=True)
-class Numeric(Leg):
+class NumericLeg(Leg):
     """A leg without closed form: `states` maps times (m,) to states (m, 9); `steepest` bounds the acceleration."""
 
     states: Callable[[Array], Array]
     steepest: float
 
     @classmethod
-    def of(cls, t0: float, t1: float, motion: Motion, states: Callable[[Array], Array], lift: float = 0.0) -> Numeric:
+    def of(
+        cls, t0: float, t1: float, motion: Motion, states: Callable[[Array], Array], lift: float = 0.0
+    ) -> NumericLeg:
         """Bound the acceleration by twice the largest one found between 65 samples, plus a vertical `lift`."""
         times = np.linspace(t0, t1, 65)
         v = states(times)[:, 3:5]

@@ -14,7 +14,7 @@ from synthcam.dynamics.contacts.walls import Rim, StraightWall, Wall
 from synthcam.dynamics.kinematics import plate_state, push_share
 from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.supports import Air, DryPlate, Support
-from synthcam.dynamics.tabletop import Scatter, Table
+from synthcam.dynamics.tabletop import ContactScatter, Table
 from synthcam.model import Ball, Bodies, Model
 from synthcam.scene.materials import BallFinishSettings
 from synthcam_shared.errors import InputError
@@ -249,7 +249,7 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
         walls=walls,
         supports=supports,
         contact_duration=drawn["contact_duration"],
-        scatter=Scatter(**drawn["scatter"], seed=seed),
+        scatter=ContactScatter(**drawn["scatter"], seed=seed),
         sticks=sticks if any(sticks) else (),
         spring=ContactSpring(**force) if force else None,
     )

@@ -19,7 +19,7 @@ from synthcam.dynamics.launch import SPIN_COLUMNS, Launch
 from synthcam.dynamics.solve import PLATE
 from synthcam.dynamics.tabletop import Table
 from synthcam.dynamics.trajectory import Trajectory
-from synthcam.model import Model, build
+from synthcam.model import Model, build_model
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, camera_json, find_video_problem
 from synthcam.scene.bodies import build_table, find_heights, list_kinds
@@ -245,7 +245,7 @@ class Clip:
     @property
     def truth(self) -> dict[str, float]:
         """The scalars of the collision, SI units, by the names of docs/format.md; NaN if nothing collides."""
-        return ground_truth.scalars(self.model, self.launch, self.view.motion)
+        return ground_truth.make_true_scalars(self.model, self.launch, self.view.motion)
 
     @property
     def tracks(self) -> pd.DataFrame:
@@ -259,7 +259,7 @@ class Clip:
         - qx, qy, qz, qw, of balls with a pattern: the rotation from the ball's axes to the world's
         """
         bodies, turning = self.launch.bodies, self.orientation
-        return ground_truth.tracks(bodies, self.view, self.lamp, self.frames, turning, heights=self.heights)
+        return ground_truth.make_true_tracks(bodies, self.view, self.lamp, self.frames, turning, heights=self.heights)
 
     @property
     def energy(self) -> pd.DataFrame:
@@ -271,12 +271,12 @@ class Clip:
         - given_by_hand: by launches and pushes
         """
         times = np.clip(self.view.spans(self.frames).mean(axis=1), self.view.motion.t0, self.view.motion.t1)
-        return ground_truth.energies(self.launch.bodies, self.view.motion, times, self.model.gravity)
+        return ground_truth.make_true_energies(self.launch.bodies, self.view.motion, times, self.model.gravity)
 
 
 def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
     """Build one clip from settings without distributions. Raises InputError if they contradict each other."""
-    model, where = build(drawn), where or drawn["name"]
+    model, where = build_model(drawn), where or drawn["name"]
     timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
     for effect in model.effects:
         if effect.active and "measure" in effect.laws:

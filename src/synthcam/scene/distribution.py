@@ -99,7 +99,7 @@ def replace_at(plain: Any, key: tuple[str, ...], value: Any) -> Any:
     return plain | {key[0]: replace_at(plain[key[0]], key[1:], value)}
 
 
-def draw(value: Any, number: int, seed: int, key: str = "") -> Any:
+def draw_settings(value: Any, number: int, seed: int, key: str = "") -> Any:
     """Draw every distribution in settings, each from its own random stream: (seed, clip number, key)."""
     found = parse_distribution(value, key, "")
     if found:
@@ -112,7 +112,7 @@ def draw(value: Any, number: int, seed: int, key: str = "") -> Any:
             return float(args[0] + args[1] * np.clip(rng.standard_normal(), -NORMAL_CUT_SIGMA, NORMAL_CUT_SIGMA))
         return args[int(rng.integers(len(args)))]
     if isinstance(value, dict):
-        return {k: draw(v, number, seed, f"{key}.{k}" if key else str(k)) for k, v in value.items()}
+        return {k: draw_settings(v, number, seed, f"{key}.{k}" if key else str(k)) for k, v in value.items()}
     if isinstance(value, list):
-        return [draw(v, number, seed, f"{key}.{k}") for k, v in enumerate(value)]
+        return [draw_settings(v, number, seed, f"{key}.{k}") for k, v in enumerate(value)]
     return value

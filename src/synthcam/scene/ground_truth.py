@@ -28,7 +28,7 @@ COLLISION_COLUMNS = (
 ).split()
 
 
-def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float]:
+def make_true_scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float]:
     """Compute the scalars of `truth/clips.parquet`, SI units; NaN without a collision, or with many bodies."""
     row = dict.fromkeys(COLLISION_COLUMNS, np.nan)
     row |= {"mu_k": model.sliding_friction, "drag": model.rolling_drag, "decel": model.rolling_decel}
@@ -86,7 +86,7 @@ def _spin_transfer(bodies: Bodies, hit: Event) -> float:
     return float(impulse / (2 * joint * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
 
 
-def tracks(
+def make_true_tracks(
     bodies: Bodies,
     view: FilmedMotion,
     lamp: Lamp,
@@ -135,7 +135,7 @@ def _is_whole(camera: PinholeCamera, centres: Array, radius: float, height: floa
     return inside.all(axis=(1, 2))
 
 
-def events(motion: Trajectory, fps: float) -> pd.DataFrame:
+def make_true_events(motion: Trajectory, fps: float) -> pd.DataFrame:
     """Make the true events, the table `truth/events.parquet`; impulses in N s."""
     names = "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
     kinds = {"kind": "str", "i": "int64", "j": "int64"}
@@ -160,7 +160,7 @@ SINKS = {
 }
 
 
-def energies(bodies: Bodies, motion: Trajectory, times: Array, gravity: float) -> pd.DataFrame:
+def make_true_energies(bodies: Bodies, motion: Trajectory, times: Array, gravity: float) -> pd.DataFrame:
     """Make the true energies, the table `truth/energy.parquet`: energy at times (m,), s, and by what it went, J.
 
     The energy is that of translation, spin and height. An event takes what the bodies lose in that instant, a kind of

@@ -124,7 +124,7 @@ class Motion:
         - nx, ny: at a contact, the unit vector n from the centre of ball j, or from the wall, to that of ball i
         - impulse_n, impulse_t: impulse on ball i along n, and along z x n, N s
         """
-        return ground_truth.events(self.trajectory, self.fps)
+        return ground_truth.make_true_events(self.trajectory, self.fps)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Plot the paths from above, with the events on them.

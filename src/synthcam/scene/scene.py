@@ -18,18 +18,18 @@ from synthcam.model import (
     ModelSettings,
     check_free,
     effect_settings,
+    list_model_settings,
     model_file,
     read_model,
     refuse_search_only_laws,
     resolve_symbols,
-    settings_of,
     table_settings,
 )
 from synthcam.scene.apparatus import CameraSettings, SceneLampSettings, SensorSettings, SurfaceSettings, VideoSettings
 from synthcam.scene.bodies import MAX_BODIES, MAX_WALLS, ManyBodiesSettings
 from synthcam.scene.clip import Clip, build_clip
 from synthcam.scene.distribution import (
-    draw,
+    draw_settings,
     find_choices,
     find_distributions,
     pick_representatives,
@@ -232,7 +232,7 @@ class Scene:
             if value < 0:
                 raise InputError(f"{name}: expected 0 or more, not {value}")
         where = f"{self.where}, clip {number}"
-        return build_clip(number, _validate(draw(self.settings, number, seed), where), seed, where)
+        return build_clip(number, _validate(draw_settings(self.settings, number, seed), where), seed, where)
 
 
 def rebuild_clip(number: int, drawn: dict[str, Any], where: str) -> Clip:
@@ -259,7 +259,7 @@ def read_scene(path: Path, overrides: tuple[str, ...] = (), model: Path | None =
     """
     loaded = read_yaml(path)
     if model is not None:
-        physics = settings_of(read_model(model))
+        physics = list_model_settings(read_model(model))
         loaded = {k: v for k, v in loaded.items() if k not in model_file().model_fields} | physics
     return check_scene(loaded, str(path), overrides)
 

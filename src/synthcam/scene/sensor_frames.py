@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.reflections import FAINTEST
 from synthcam.camera.room.finish import SurfaceFinish
-from synthcam.camera.sensor import Chip, Sensor
+from synthcam.camera.sensor import Sensor, SensorChip
 from synthcam.camera.surface import Surface
 from synthcam.scene.film_time import FilmedMotion
 
@@ -113,4 +113,5 @@ def _lower(lamp: Lamp, by: float) -> Lamp:
     return replace(lamp, position=lamp.position - [0, 0, by], second=second)
 
 
-_chip = lru_cache(maxsize=6)(Chip)  # of all clips of a camera: its fixed pattern takes as long to draw as many frames
+# of all clips of a camera: its fixed pattern takes as long to draw as many frames
+_chip = lru_cache(maxsize=6)(SensorChip)

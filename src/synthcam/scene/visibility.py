@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from synthcam.scene.clip import Clip
-from synthcam.scene.distribution import draw
+from synthcam.scene.distribution import draw_settings
 from synthcam.scene.scene import Scene
 
 
@@ -49,7 +49,7 @@ def _find_keys(scene: Scene, clip: Clip, ball: int, seed: int) -> tuple[float, s
     if not launches:
         return clip.drawn["launch"]["v0"], "launch.v0", "launch"
     speed = math.hypot(*launches[ball]["velocity"])
-    groups = draw(scene.settings, clip.number, seed).get("groups") or []
+    groups = draw_settings(scene.settings, clip.number, seed).get("groups") or []
     first = len(launches) - sum(group["count"] for group in groups)
     if ball < first:
         return speed, f"launches.{ball}.velocity", f"launches.{ball}.position"

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable, open_scratch_folder, publish
+from synthcam_shared.outputs import as_input_error, check_writable, open_scratch_folder, publish_folder
 
 
 @contextmanager
@@ -25,4 +25,4 @@ def replace_folder(output: Path, files: Sequence[str], what: str) -> Iterator[Pa
     check_writable(output)
     with as_input_error(output), open_scratch_folder(output) as folder:
         yield folder
-        publish(folder, output)
+        publish_folder(folder, output)

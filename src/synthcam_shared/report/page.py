@@ -72,7 +72,7 @@ Block = str | PageTable | PageFigure | PageList
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A heading and what follows it. A plain string is a paragraph; a `Markup` string is inserted unchanged."""
 
     title: str
@@ -82,7 +82,7 @@ class Section:
 def write_page(
     path: Path,
     title: str,
-    sections: Sequence[Section],
+    sections: Sequence[PageSection],
     command: str,
     summary: Sequence[str] = (),
     warnings: Sequence[str] = (),

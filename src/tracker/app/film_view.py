@@ -27,7 +27,7 @@ STEPS_BACK = 12  # frames that are decoded at once when one goes back: a video i
 
 
 @dataclass(frozen=True)
-class Look:
+class PictureLook:
     """The look of a picture."""
 
     channel: str = GREY
@@ -164,7 +164,7 @@ class FilmView:
             self._planes[channel] = self.clip.frames.select_channel(channel)
         return np.asarray(self._planes[channel][k])
 
-    def draw(self, k: int, look: Look, kind: str) -> bytes:
+    def draw(self, k: int, look: PictureLook, kind: str) -> bytes:
         """A frame as a picture, of the kind "jpg" or "png". Raises InputError."""
         picture = self.read(k, look.channel)
         if look.box is not None:

@@ -14,8 +14,8 @@ from tracker.camera.recordings import Recording
 from tracker.detection.choose import select_channel, select_detector
 from tracker.detection.detect import (
     blank_outside,
-    detected_point,
     detector_name,
+    find_detected_point,
     load_detector,
     make_view,
     run_detector,
@@ -41,7 +41,7 @@ class PreparedDetector:
     @property
     def point(self) -> str:
         """The point that a position gives: "glint" or "centre"."""
-        return detected_point(self.name, self.clip.camera)
+        return find_detected_point(self.name, self.clip.camera)
 
     @property
     def radius_px(self) -> float:
@@ -83,7 +83,7 @@ def prepare_detector(clip: Recording, channel: str | None) -> PreparedDetector:
     selected = select_detector(clip)
     name = selected.name
     rows, surveyed = None, clip
-    if detected_point(name, clip.camera) == "centre" and len(clip.frames) > MAX_SURVEYED_FRAMES:
+    if find_detected_point(name, clip.camera) == "centre" and len(clip.frames) > MAX_SURVEYED_FRAMES:
         rows = np.linspace(0, len(clip.frames) - 1, MAX_SURVEYED_FRAMES).round().astype(np.int64)
         surveyed = replace(clip, frames=clip.frames.take(rows), balls=())
     view = make_view(surveyed, name)

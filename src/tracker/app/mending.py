@@ -12,14 +12,14 @@ from synthcam_shared.settings import Settings, build_settings
 from tracker.edits import TrackEdits
 
 
-class MendingStep(Settings):
+class EditStep(Settings):
     """A step that the page asks for: an edit more, or one back or forth."""
 
     step: Literal["add", "undo", "redo"] = "add"
     edit: dict[str, Any] | None = None
 
 
-class Mending:
+class EditHistory:
     """Edits, and the file that holds them. Without a file they begin with `given`."""
 
     def __init__(self, file: Path, given: Sequence[dict[str, Any]] = ()) -> None:
@@ -30,7 +30,7 @@ class Mending:
 
     def take(self, values: Any, check: Callable[[list[dict[str, Any]]], object]) -> None:
         """Take a step, and write the file. Raises InputError where `check` does, or the file was changed elsewhere."""
-        order = build_settings(values, MendingStep, "edits")
+        order = build_settings(values, EditStep, "edits")
         edits, undone = list(self.edits), list(self.undone)
         if order.step == "undo":
             if not edits:

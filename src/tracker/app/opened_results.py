@@ -140,7 +140,7 @@ def list_columns(tracks: Tracks, camera: Camera, metres: NDArray[Any]) -> list[d
     columns |= {f"{name}_off_um": (1e6 * metres[:, axis]).round(2) for axis, name in enumerate("xy")}
     columns["flags"] = tracks.flags
     return [
-        {"particle": int(number), **{key: results.finite(v[own].tolist()) for key, v in columns.items()}}
+        {"particle": int(number), **{key: results.replace_non_finite(v[own].tolist()) for key, v in columns.items()}}
         for number in np.unique(tracks.particle)
         for own in [tracks.particle == number]
     ]

@@ -25,7 +25,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from synthcam_shared.errors import InputError
-from tracker.app.film_view import Look
+from tracker.app.film_view import PictureLook
 from tracker.app.local_only import LocalOnly, make_redirect
 from tracker.app.workbench import Workbench
 
@@ -44,7 +44,7 @@ KINDS = {  # of the files that are served, by their endings
 }
 
 
-class Presence:
+class OpenPages:
     """Counts the pages that are open, to end the session when the last one is closed."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -67,7 +67,7 @@ class Presence:
 class SessionAddresses:
     """All addresses of a session's page: each method answers the requests to one of them."""
 
-    def __init__(self, bench: Workbench, presence: Presence) -> None:
+    def __init__(self, bench: Workbench, presence: OpenPages) -> None:
         self.bench, self.presence = bench, presence
 
     def list_routes(self) -> list[Route]:
@@ -122,7 +122,7 @@ class SessionAddresses:
             raise InputError("expected numbers as low, high, reduce, box") from None
         if box is not None and len(box) != 4:
             raise InputError("box: expected left,top,width,height")
-        look = Look(channel=values.get("channel", "grey"), reduce=reduce, box=box, **numbers)
+        look = PictureLook(channel=values.get("channel", "grey"), reduce=reduce, box=box, **numbers)
         picture = self.bench.view.draw(request.path_params["index"], look, kind)
         return Response(picture, media_type=KINDS[f".{kind}"], headers={"Cache-Control": "private, max-age=3600"})
 
@@ -217,9 +217,9 @@ class SessionAddresses:
             self.presence.leave()
 
 
-def make_application(bench: Workbench, port: int, token: str, presence: Presence | None = None) -> ASGIApp:
+def make_application(bench: Workbench, port: int, token: str, presence: OpenPages | None = None) -> ASGIApp:
     """Build the web application of a session: all addresses of the page, behind `LocalOnly`."""
-    routes = SessionAddresses(bench, presence or Presence()).list_routes()
+    routes = SessionAddresses(bench, presence or OpenPages()).list_routes()
     application = Starlette(routes=routes, exception_handlers={InputError: _explain_error})
     return LocalOnly(application, port, token, bench.report_key)
 
@@ -252,7 +252,7 @@ def serve(bench: Workbench, browser: bool) -> None:
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen()  # before the address is known to anybody
-        port, presence = listener.getsockname()[1], Presence()
+        port, presence = listener.getsockname()[1], OpenPages()
         token = secrets.token_urlsafe(24)
         address = f"http://127.0.0.1:{port}/?token={token}"
         server = uvicorn.Server(
@@ -288,7 +288,7 @@ def serve(bench: Workbench, browser: bool) -> None:
                 bench.close()
 
 
-def remind_of_address(presence: Presence, over: threading.Event, wait_s: float = 5.0) -> None:
+def remind_of_address(presence: OpenPages, over: threading.Event, wait_s: float = 5.0) -> None:
     """Say where the page is if no browser has asked for it: some may not read the file that they are to open."""
     if not over.wait(wait_s) and not presence.asked:
         print("tracker: no page has connected: open the address above", file=sys.stderr, flush=True)

@@ -22,7 +22,7 @@ from synthcam_shared.outputs import check_writable, write_atomically
 from synthcam_shared.settings import build_settings
 from tracker.app.film_view import FilmView
 from tracker.app.frame_detector import PreparedDetector, list_balls, prepare_detector
-from tracker.app.mending import Mending
+from tracker.app.mending import EditHistory
 from tracker.app.opened_results import OpenedResults, TracksAlone
 from tracker.app.run_settings import (
     KnownPoints,
@@ -40,7 +40,7 @@ from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource, open_source
 from tracker.edits import EDITS, TrackEdits
-from tracker.results import clip_folder, finite
+from tracker.results import clip_folder, replace_non_finite
 
 FILES_OF_RUNS = (
     *("command_{}.txt", "edits_{}.yaml", "camera_{}.json", "calibrated_{}.json", "points_{}.csv", "model_{}.yaml"),
@@ -160,13 +160,13 @@ class Workbench:
                 self.results, self.others, self.pages, self.searches = {}, [], {}, {}
                 self._show(*shown, mending)
 
-    def _read_edits(self, view: FilmView, source: RecordingSource, folder: Path, runs: Sequence[int]) -> Mending:
+    def _read_edits(self, view: FilmView, source: RecordingSource, folder: Path, runs: Sequence[int]) -> EditHistory:
         """The edits of a clip: those of its file, else those of the results that have the most."""
         file = folder / (EDITS if len(source) == 1 else f"edits_clip_{view.number:06d}.yaml")
         applied = [self._list_applied(number, view.number) for number in runs]
-        return Mending(file, max(applied, key=len, default=[]))
+        return EditHistory(file, max(applied, key=len, default=[]))
 
-    def _show(self, view: FilmView, given: Mapping[str, Any] | None, plan: RunPlan, mending: Mending) -> None:
+    def _show(self, view: FilmView, given: Mapping[str, Any] | None, plan: RunPlan, mending: EditHistory) -> None:
         """Put a clip in place of the one in view."""
         if "view" in vars(self):
             self.view.close()
@@ -199,7 +199,7 @@ class Workbench:
             "fps": round(frames.fps, 6),
             "channels": view.channels,
             "notes": [str(note) for note in view.clip.notes],
-            "given": None if self.given is None else finite(dict(self.given)),
+            "given": None if self.given is None else replace_non_finite(dict(self.given)),
             "folder": f"{self.folder}",
             "has_film": self.has_film,
             "opened": self.results[OPENED].describe_clips() if OPENED in self.results else [],
@@ -226,7 +226,7 @@ class Workbench:
             command = join_words(self._write_command(number))
             camera = self._camera_file(number)
             return {
-                "camera": None if plan.keys is None else json.dumps(finite(plan.keys), indent=1),
+                "camera": None if plan.keys is None else json.dumps(replace_non_finite(plan.keys), indent=1),
                 "camera_file": f"{camera}" if plan.needs_file else "",
                 "command": command,
             }
@@ -405,7 +405,7 @@ class Workbench:
         with self._lock:
             number, plan = self._claim_number(), self.plan
             if plan.needs_file and self.has_film:
-                write_atomically(self._camera_file(number), json.dumps(finite(plan.keys), indent=1) + "\n")
+                write_atomically(self._camera_file(number), json.dumps(replace_non_finite(plan.keys), indent=1) + "\n")
             if self.mending.edits:
                 write_atomically(self._edits_file(number), TrackEdits.of({"edits": self.mending.edits}).write())
             self.results[number] = OpenedResults(self._results(number))

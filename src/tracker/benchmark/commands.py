@@ -46,7 +46,7 @@ def make(
     Example: tracker benchmark make -o out/suite
     """
     from tracker.benchmark.suite.definition import read_definition
-    from tracker.benchmark.suite.make import make as make_suite
+    from tracker.benchmark.suite.make import make_suite as make_suite
 
     with progress_bar("steps") as progress:
         chosen = read_definition(definition, size)
@@ -77,8 +77,8 @@ def run(
     """
     from tracker.benchmark.contest import SUITE, open_report, run_contest
     from tracker.benchmark.suite.definition import read_definition
-    from tracker.benchmark.suite.folder import open_suite, with_truth
-    from tracker.benchmark.suite.make import make as make_suite
+    from tracker.benchmark.suite.folder import check_truth, open_suite
+    from tracker.benchmark.suite.make import make_suite as make_suite
     from tracker.benchmark.trackers import parse_names
 
     parse_names(trackers)  # before films are made for minutes
@@ -89,7 +89,7 @@ def run(
                 pass
             made = make_suite(output / SUITE, chosen, progress=progress, scheduler=scheduler)
         else:
-            made = with_truth(open_suite(suite, truth))
+            made = check_truth(open_suite(suite, truth))
     with progress_bar("trackers") as progress:
         entries, notes = run_contest(made, output, trackers, _command_line(), progress, scheduler)
     _print_leaderboard(entries, notes, output, as_json)
@@ -110,11 +110,11 @@ def submit(
     Example: tracker benchmark submit out/suite my_tables -o out/benchmark
     """
     from tracker.benchmark.submission import score_submission
-    from tracker.benchmark.suite.folder import open_suite, with_truth
+    from tracker.benchmark.suite.folder import check_truth, open_suite
 
     with progress_bar("films") as progress:
         entries, notes = score_submission(
-            with_truth(open_suite(suite, truth)), tables, output, _command_line(), progress
+            check_truth(open_suite(suite, truth)), tables, output, _command_line(), progress
         )
     _print_leaderboard(entries, notes, output, as_json)
 
@@ -125,11 +125,11 @@ def _command_line() -> str:
 
 
 def _print_leaderboard(entries: Sequence[Mapping[str, Any]], notes: Sequence[str], output: Path, as_json: bool) -> None:
-    from tracker.benchmark.report.leaderboard import row
+    from tracker.benchmark.report.leaderboard import make_leaderboard_row
 
     for note in notes:
         print(f"tracker: {note}", file=sys.stderr)
-    rows = [row(rank, one) for rank, one in enumerate(entries, 1)]
+    rows = [make_leaderboard_row(rank, one) for rank, one in enumerate(entries, 1)]
     if as_json:
         print(json.dumps({"report": str(output), "notes": list(notes), "leaderboard": rows}))
         return

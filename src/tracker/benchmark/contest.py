@@ -13,10 +13,10 @@ from synthcam_shared.jobs import Progress, run_all_jobs
 from synthcam_shared.outputs import open_resumable
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import TrackerResults
-from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, save, write_leaderboard
+from tracker.benchmark.report.leaderboard import ENTRIES, name_entry_file, read_entries, write_entry, write_leaderboard
 from tracker.benchmark.report.page import write_report
 from tracker.benchmark.suite.folder import Suite
-from tracker.benchmark.trackers import RUN_HERE, Entrant, describe, entrants, run_tracker
+from tracker.benchmark.trackers import RUN_HERE, Entrant, describe_tracker_run, make_entrants, run_tracker
 from tracker.results import load_json
 
 RESULTS, SUITE = "results", "suite"
@@ -40,7 +40,7 @@ def run_contest(
     """
     if scheduler:  # the workers may stand elsewhere
         suite, report = replace(suite, path=suite.path.resolve(), truth=suite.truth.resolve()), report.resolve()
-    chosen, notes = entrants(suite, names)
+    chosen, notes = make_entrants(suite, names)
     with open_report(report):
         (report / RESULTS).mkdir(exist_ok=True)
         steps, found = 2 * len(chosen), []
@@ -50,15 +50,15 @@ def run_contest(
         todo = [k for k, one in enumerate(chosen) if not _has_score(report, suite, one.name)]
         task = partial(_make_entry, suite, chosen, found, report)
         for done, scored in enumerate(run_all_jobs(task, todo, 0, report, scheduler), 1):
-            save(report, scored)
+            write_entry(report, scored)
             progress(len(chosen) + len(chosen) - len(todo) + done, steps)
-        whole = publish(suite, report, how)
+        whole = write_contest_report(suite, report, how)
     return whole, notes
 
 
-def publish(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
+def write_contest_report(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
     """Write the leaderboard and the page after a contest, with all entries of a report."""
-    whole = entries(report, suite.about)
+    whole = read_entries(report, suite.about)
     write_leaderboard(report, whole)
     write_report(report, whole, suite.definition, suite.about, how)
     return whole
@@ -71,7 +71,7 @@ def open_report(report: Path) -> AbstractContextManager[None]:
 
 
 def _has_score(report: Path, suite: Suite, name: str) -> bool:
-    path = report / ENTRIES / file_name(name)
+    path = report / ENTRIES / name_entry_file(name)
     if not path.is_file():
         return False
     there = load_json(path)
@@ -82,4 +82,4 @@ def _has_score(report: Path, suite: Suite, name: str) -> bool:
 def _make_entry(
     suite: Suite, chosen: list[Entrant], found: list[TrackerResults], report: Path, k: int
 ) -> dict[str, Any]:
-    return make_entry(suite, found[k], describe(chosen[k], report / RESULTS / chosen[k].name))
+    return make_entry(suite, found[k], describe_tracker_run(chosen[k], report / RESULTS / chosen[k].name))

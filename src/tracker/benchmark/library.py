@@ -19,8 +19,8 @@ from synthcam_shared.errors import InputError
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
 from tracker.benchmark.suite.definition import read_definition
-from tracker.benchmark.suite.folder import Suite, open_suite, with_truth
-from tracker.benchmark.suite.make import make
+from tracker.benchmark.suite.folder import Suite, check_truth, open_suite
+from tracker.benchmark.suite.make import make_suite
 from tracker.camera.recordings import open_source
 from tracker.detection.detect import DetectorChoice, detector_name
 from tracker.detection.own_detector import as_detector
@@ -166,7 +166,9 @@ def run(
 def _suite(given: Path | str | None) -> Suite:
     """The suite, with its truth; the small one is made where none is given."""
     if given is not None:
-        return with_truth(open_suite(Path(given)))
+        return check_truth(open_suite(Path(given)))
     definition = read_definition(size="small")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return make(cache / "synthcam" / f"benchmark-{definition.version}-{definition.digest[:8]}", definition, workers=1)
+    return make_suite(
+        cache / "synthcam" / f"benchmark-{definition.version}-{definition.digest[:8]}", definition, workers=1
+    )

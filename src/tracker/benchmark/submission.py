@@ -15,10 +15,10 @@ from typing import Any
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from synthcam_shared.settings import did_you_mean
-from tracker.benchmark.contest import open_report, publish
+from tracker.benchmark.contest import open_report, write_contest_report
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
-from tracker.benchmark.report.leaderboard import save
+from tracker.benchmark.report.leaderboard import write_entry
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
@@ -40,14 +40,14 @@ def score_submission(
     films and clips without a table. Raises InputError for a wrong submission.json or table, and where no table has a
     position.
     """
-    about = read_form(folder)
+    about = read_submission_form(folder)
     found, notes = read_tables(suite, folder, about.get("point", "centre"), progress)
     with open_report(report):
-        save(report, make_entry(suite, found, {**about, "made": "submitted"}))
-        return publish(suite, report, how), notes
+        write_entry(report, make_entry(suite, found, {**about, "made": "submitted"}))
+        return write_contest_report(suite, report, how), notes
 
 
-def read_form(folder: Path) -> dict[str, Any]:
+def read_submission_form(folder: Path) -> dict[str, Any]:
     """Read submission.json. Raises InputError."""
     path = folder / "submission.json"
     if not path.is_file():

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.judging.tracker_results import ALL, ClipSample, TrackerResults, read_clip
+from tracker.benchmark.judging.tracker_results import ALL, ClipSample, TrackerResults, read_clip_results
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.recordings import Recording, open_source
 from tracker.detection.choose import choose_detector
@@ -50,7 +50,7 @@ def parse_names(names: str) -> list[str]:
     return wanted
 
 
-def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
+def make_entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
     """Make trackers from names separated by commas; '': the list of the suite, without those that cannot run here.
 
     The second value has a line for each that was left out, with the reason. Raises InputError for a name that is
@@ -84,7 +84,7 @@ def run_tracker(suite: Suite, one: Entrant, folder: Path, workers: int = 0, sche
             run(replace(source, clips=wanted), folder / film, one.detector, workers, scheduler=scheduler)
     if not (folder / "pace.json").is_file():
         write_json(folder / "pace.json", {"ms_per_frame": _time_frame(suite, one)})
-    return TrackerResults(partial(read_clip, folder), one.sample, one.own)
+    return TrackerResults(partial(read_clip_results, folder), one.sample, one.own)
 
 
 def _time_frame(suite: Suite, one: Entrant) -> float:
@@ -96,7 +96,7 @@ def _time_frame(suite: Suite, one: Entrant) -> float:
     return 1e3 * (time.process_time() - started) / len(clip.frames)
 
 
-def describe(one: Entrant, folder: Path) -> Mapping[str, Any]:
+def describe_tracker_run(one: Entrant, folder: Path) -> Mapping[str, Any]:
     """Describe a tracker that was run here, for its entry."""
     spent = load_json(folder / "pace.json")["ms_per_frame"]
     limits = {"clips_of_each_part": one.sample.clips, "not_run_on": list(one.sample.without)}

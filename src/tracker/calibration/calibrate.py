@@ -15,7 +15,7 @@ import numpy as np
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress, run_all_jobs
 from synthcam_shared.outputs import as_input_error, check_writable
-from tracker.calibration.survey import BallSighting, survey, without_scale
+from tracker.calibration.survey import BallSighting, survey_sizes, without_scale
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.camera.film_options import FilmOptions
@@ -126,7 +126,7 @@ def calibrate(
         source: RecordingSource, picks: Sequence[int], known: dict[str, Any], detector: str
     ) -> list[BallSighting]:
         found = []
-        look = functools.partial(survey, source, known, detector, bool(ways))
+        look = functools.partial(survey_sizes, source, known, detector, bool(ways))
         for one in run_all_jobs(look, picks, workers, video):
             found.append(one)
             progress(min(next(steps), total), total)
@@ -238,7 +238,7 @@ def _of_scale(
     return []
 
 
-def summary(result: Calibration) -> list[str]:
+def summarise_calibration(result: Calibration) -> list[str]:
     """Summarise a calibration in lines for people."""
     sensor = result.camera.sensor
     lines = [

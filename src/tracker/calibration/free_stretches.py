@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.positions import BallTrack
-from tracker.measurement.stretch_cuts import CUTTER, measure_noise
+from tracker.measurement.stretch_cuts import CUTTER, measure_path_noise
 
 Floats = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ class FreeStretch:
 
 def find_free_stretches(balls: Sequence[BallTrack], diameter: float) -> list[FreeStretch]:
     """Find and fit the free stretches of the balls of one recording; diameter: m, or NaN if unknown."""
-    noise, out = measure_noise((ball.frame, ball.position) for ball in balls), []
+    noise, out = measure_path_noise((ball.frame, ball.position) for ball in balls), []
     for ball in balls:
         if len(ball) < RULES.min_positions or not np.isfinite(noise):
             continue

@@ -11,7 +11,7 @@ import numpy as np
 
 from synthcam_shared.errors import InputError
 from tracker.calibration.calibrate import keys_from_options, write_camera_file
-from tracker.calibration.plate_points import PlatePoints, find_board, read_points, size_of
+from tracker.calibration.plate_points import PlatePoints, find_board, read_picture_size, read_points
 from tracker.calibration.plate_view import PlateView, fit_view
 from tracker.camera.camera import Camera
 from tracker.camera.views import perturb_view, scale_at
@@ -102,7 +102,7 @@ def calibrate_plate(
     for name, value in (("--error", error), ("--height", height)):
         if value is not None and not 1e-3 <= value <= 1e3:
             raise InputError(f"{name}: expected a number from 0.001 to 1000, not {value!r}")
-    size = size_of(source)
+    size = read_picture_size(source)
     known = find_board(source, board) if points is None else read_points(points)
     # px: a person marks points to 0.5, a program finds corners of a board to 0.2
     used = error if error is not None else 0.5 if points is not None else 0.2

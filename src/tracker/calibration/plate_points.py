@@ -12,11 +12,11 @@ import numpy as np
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import did_you_mean
-from tracker.camera.camera_keys import format_value
+from tracker.camera.camera_keys import format_wrong_value
 from tracker.camera.lens import Array
 from tracker.camera.readers.picture_folder import PICTURES, read_picture
 from tracker.camera.recordings import open_source
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.rows import to_numbers
 
 POINT_COLUMNS = ("x_px", "y_px", "x", "y")
@@ -34,10 +34,10 @@ class PlatePoints:
 
 def read_points(path: Path) -> PlatePoints:
     """Points of a table with x_px, y_px (pixel centres at whole numbers), x, y (m on the plate). Raises InputError."""
-    content = Content.of(path)
+    content = FileContent.of(path)
     table = content.cells()
     if missing := [name for name in POINT_COLUMNS if name not in table]:
-        there = format_value(", ".join(map(str, table.columns)), quoted=False)
+        there = format_wrong_value(", ".join(map(str, table.columns)), quoted=False)
         raise content.wrong(
             f"no column {', '.join(missing)}, expected {', '.join(POINT_COLUMNS)} (px, m); found {there}"
         )
@@ -50,7 +50,7 @@ def read_points(path: Path) -> PlatePoints:
     return PlatePoints(pixels, metres, content.where)
 
 
-def size_of(source: Path) -> tuple[int, int]:
+def read_picture_size(source: Path) -> tuple[int, int]:
     """Read the size of the picture, or film, in which points of the plate are seen: width and height, px."""
     height, width = _pictures(source)[0].shape[:2]
     return int(width), int(height)
@@ -95,18 +95,18 @@ def _board(board: str) -> tuple[str, dict[str, Any]]:
         elif key == "dict" and value:
             sizes["dict"] = value.upper().removeprefix("DICT_")
         else:
-            raise InputError(f"--board: {format_value(part)}: {syntax}")
+            raise InputError(f"--board: {format_wrong_value(part)}: {syntax}")
     names = {n.lower(): n for n in (n.removeprefix("DICT_") for n in dir(cv2.aruco) if n.startswith("DICT_"))}
     if sizes["dict"] not in names.values():
         hint = did_you_mean(sizes["dict"], names, written=names)
         raise InputError(
-            f"--board: dict={format_value(sizes['dict'], quoted=False)}: no such dictionary of OpenCV{hint}"
+            f"--board: dict={format_wrong_value(sizes['dict'], quoted=False)}: no such dictionary of OpenCV{hint}"
         )
     given = set(sizes) - {"dict"}
     kinds = {"chessboard": {"columns", "rows", "square"}, "charuco": {"columns", "rows", "square", "marker"}}
     kind = next((kind for kind, keys in {**kinds, "marker": {"marker"}}.items() if keys == given), None)
     if kind is None or (kind != "marker" and not min(sizes["columns"], sizes["rows"]) > 2):
-        raise InputError(f"--board: {format_value(board)}: {syntax}, of at least 3x3")
+        raise InputError(f"--board: {format_wrong_value(board)}: {syntax}, of at least 3x3")
     if kind == "charuco" and sizes["marker"] >= sizes["square"]:
         raise InputError(f"--board: marker {sizes['marker']:g}: expected less than the square, {sizes['square']:g}")
     return kind, sizes

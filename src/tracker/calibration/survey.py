@@ -13,9 +13,9 @@ from tracker.camera.frames import GREY
 from tracker.camera.recordings import Recording, RecordingSource, make_recording
 from tracker.detection.choose import DISCS
 from tracker.detection.contact_distance import ContactDistance, contact_distances
-from tracker.detection.detect import detect, detected_point, make_view
+from tracker.detection.detect import detect, find_detected_point, make_view
 from tracker.detection.detector import OutlineRadius
-from tracker.detection.link import link
+from tracker.detection.link import link_into_tracks
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class BallSighting:
     encoded: bool  # with loss
 
 
-def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: bool, index: int) -> BallSighting:
+def survey_sizes(source: RecordingSource, known: dict[str, Any], name: str, sized: bool, index: int) -> BallSighting:
     """Survey the size of the balls in clip ``index`` of a source, found by the detector ``name``.
 
     known: keys of camera.json; sized: whether the scale among them is more than a guess.
@@ -51,7 +51,7 @@ def without_scale(clip: Recording) -> Recording:
 def _survey_glints(clip: Recording, name: str, index: int) -> BallSighting:
     view = make_view(clip)
     glints = detect(clip, view, name).glints
-    tracks = link(glints, view.camera)
+    tracks = link_into_tracks(glints, view.camera)
     encoded = view.camera.sensor.codec_noise > 0
     seen = None if encoded else measure_outline(clip.frames, view.plate, glints, view.sigma)
     if seen is not None:
@@ -66,7 +66,7 @@ def _survey_discs(clip: Recording, index: int, sized: bool) -> BallSighting:
     found = detect(looked_at, view, DISCS)
     lossy = clip.frames.lossy
     takes = view.takes.spans if view.takes else ()
-    tracks = link(found.glints, view.camera, detected_point(DISCS, view.camera), takes)
+    tracks = link_into_tracks(found.glints, view.camera, find_detected_point(DISCS, view.camera), takes)
     # px, of a contact in lossy video: read from ten drawn films of discs at H.264, crf 28
     contacts = [replace(c, std=math.hypot(c.std, 0.3 * lossy)) for c in contact_distances(tracks)]
     outline = found.outline_radius

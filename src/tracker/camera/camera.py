@@ -17,7 +17,14 @@ from numpy.typing import ArrayLike
 
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_json import BODIES, STANDARD_ERRORS, HasCameraJson, LampSettings, parse, read_source
+from tracker.camera.camera_json import (
+    BODIES,
+    STANDARD_ERRORS,
+    HasCameraJson,
+    LampSettings,
+    parse_camera_keys,
+    read_source,
+)
 from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import SensorSpec
@@ -349,7 +356,7 @@ class Camera:
         -------
         Camera
         """
-        camera = Camera(**parse(data, where))
+        camera = Camera(**parse_camera_keys(data, where))
         if camera.position[2] <= camera.radius:
             raise InputError(f"{where}: R, t: expected a camera above the plate, not at z = {camera.position[2]:g} m")
         most = 3.0  # between scale and the scale of the view anywhere in the picture

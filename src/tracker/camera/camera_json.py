@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationErr
 
 from synthcam_shared.errors import InputError as InputError
 from synthcam_shared.settings import did_you_mean
-from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, NUMBERS, format_value, read_json
+from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, NUMBERS, format_wrong_value, read_json
 from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
 from tracker.camera.warp import Warp
@@ -77,9 +77,9 @@ def _number(low: float, high: float, whole: bool = False) -> PlainValidator:
 
     def check(value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:  # nor NaN
-            raise ValueError(f"a number from {low:g} to {high:g}, not {format_value(value)}")
+            raise ValueError(f"a number from {low:g} to {high:g}, not {format_wrong_value(value)}")
         if whole and value != int(value):
-            raise ValueError(f"a whole number from {low:g} to {high:g}, not {format_value(value)}")
+            raise ValueError(f"a whole number from {low:g} to {high:g}, not {format_wrong_value(value)}")
         return int(value) if whole else float(value)
 
     return PlainValidator(check)
@@ -98,13 +98,13 @@ def _check_array(given: Any, low: float, high: float, shape: tuple[int, ...]) ->
     numbers = value.shape == shape and all(type(v) in (int, float) for v in value.flat)
     if not numbers or not all(low <= v <= high for v in value.flat):
         size = " x ".join(map(str, shape))
-        raise ValueError(f"{size} numbers from {low:g} to {high:g}, not {format_value(given)}")
+        raise ValueError(f"{size} numbers from {low:g} to {high:g}, not {format_wrong_value(given)}")
     return value.astype(np.float64)
 
 
 def _check_rows(value: Any) -> Array:
     if not isinstance(value, list) or len(value) > NUMBERS:
-        raise ValueError(f"at most {NUMBERS} rows of {NUMBERS} numbers, not {format_value(value)}")
+        raise ValueError(f"at most {NUMBERS} rows of {NUMBERS} numbers, not {format_wrong_value(value)}")
     return _check_array(value, -1e3, 1e3, (len(value), NUMBERS)) if value else np.zeros((0, NUMBERS))
 
 
@@ -113,7 +113,7 @@ def _anything_that(is_right: Callable[[Any], bool], expected: str) -> PlainValid
 
     def check(value: Any) -> Any:
         if not is_right(value):
-            raise ValueError(f"{expected}, not {format_value(value)}")
+            raise ValueError(f"{expected}, not {format_wrong_value(value)}")
         return value
 
     return PlainValidator(check)
@@ -132,7 +132,7 @@ def _check_size(value: Any) -> tuple[int, int]:
     if not (isinstance(value, list | tuple) and len(value) == 2):
         raise ValueError("[width, height] in pixels")
     if not all(isinstance(v, int) and not isinstance(v, bool) and 0 < v <= LONGEST_SIDE for v in value):
-        raise ValueError(f"two whole numbers from 1 to {LONGEST_SIDE}, not {format_value(value)}")
+        raise ValueError(f"two whole numbers from 1 to {LONGEST_SIDE}, not {format_wrong_value(value)}")
     if value[0] * value[1] > MOST_PIXELS:
         raise ValueError(f"at most {MOST_PIXELS} pixels, not {value[0] * value[1]}")
     return int(value[0]), int(value[1])
@@ -142,7 +142,7 @@ def _check_body(value: Any) -> float:
     if isinstance(value, str) and value in BODIES:
         return BODIES[value]
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.01 <= value <= 1.0:
-        raise ValueError(f"ball, disc, or I/(m R^2) from 0.01 to 1, not {format_value(value)}")
+        raise ValueError(f"ball, disc, or I/(m R^2) from 0.01 to 1, not {format_wrong_value(value)}")
     return float(value)
 
 
@@ -271,10 +271,11 @@ def _describe_unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
         for key in table if isinstance(table, Mapping) else ():
             if key not in keys:
                 hint = did_you_mean(str(key), known, written=known)
-                yield f"{format_value(f'{section}.{key}'.lstrip('.'), quoted=False)}: not a key of camera.json{hint}"
+                name = format_wrong_value(f"{section}.{key}".lstrip("."), quoted=False)
+                yield f"{name}: not a key of camera.json{hint}"
 
 
-def parse(data: Any, where: str) -> dict[str, Any]:
+def parse_camera_keys(data: Any, where: str) -> dict[str, Any]:
     """The fields of a `Camera` from the keys of camera.json. Raises InputError, which names `where` and the key."""
     if not isinstance(data, Mapping):
         raise InputError(f"{where}: the file: expected a table of keys and values")

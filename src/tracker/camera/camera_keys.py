@@ -29,11 +29,11 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
         keys = [key for key, _ in pairs]
-        raise ValueError(f"key {next(format_value(k) for k in keys if keys.count(k) > 1)} given twice")
+        raise ValueError(f"key {next(format_wrong_value(k) for k in keys if keys.count(k) > 1)} given twice")
     return table
 
 
-def format_value(value: Any, quoted: bool = True, most: int = 40) -> str:
+def format_wrong_value(value: Any, quoted: bool = True, most: int = 40) -> str:
     """Format a wrong value as one line of a message, of at most so many characters."""
     try:
         text = repr(value) if quoted else str(value)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from tracker.camera.camera import Camera
-from tracker.camera.frame_times import agree
-from tracker.notes import Note, NoteKind, note_all
+from tracker.camera.frame_times import rates_agree
+from tracker.notes import Note, NoteKind, make_notes
 
 
 def describe_camera_gaps(camera: Camera) -> list[Note]:
     """Make notes of what the camera file leaves out and of what in it is not accounted for."""
     assumed = [name for name in camera.assumed if name != "ball_diameter" and camera.metric]
-    notes = note_all(NoteKind.ASSUMED, [f"assumed or estimated: {', '.join(assumed)}"] if assumed else [])
+    notes = make_notes(NoteKind.ASSUMED, [f"assumed or estimated: {', '.join(assumed)}"] if assumed else [])
     if camera.metric and not camera.knows_diameter:
         text = "ball_diameter: not given; collisions are not measured, and glints are not taken to centres"
         notes.append(Note(NoteKind.MISSING, text))
-    return notes + note_all(NoteKind.UNMODELLED, camera.unmodelled)
+    return notes + make_notes(NoteKind.UNMODELLED, camera.unmodelled)
 
 
 def describe_exposure(camera: Camera, key: str) -> list[Note]:
@@ -30,7 +30,7 @@ def describe_frame_rate(camera: Camera, claimed: float) -> list[Note]:
 
     claimed: in frames per second; 0 where the film claims none.
     """
-    if not camera.metric or not claimed > 0 or agree(claimed, camera.fps):
+    if not camera.metric or not claimed > 0 or rates_agree(claimed, camera.fps):
         return []
     text = (
         f"fps: {camera.fps:g} in the camera file, {claimed:.5g} by the film's own times, a factor of "

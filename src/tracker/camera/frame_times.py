@@ -90,7 +90,7 @@ def describe_missing(numbers: Ints, fps: float, source: str) -> tuple[str, ...]:
     return (f"{lost} {are} missing by {source}, after frame {places}{more}; frame numbers and times allow for that",)
 
 
-def find_changes(count: int, pieces: Sequence[Callable[[int], Any]]) -> Array:
+def find_changed_frames(count: int, pieces: Sequence[Callable[[int], Any]]) -> Array:
     """Find which frames repeat: 1 where one differs from the frame before it, 0 where they are the same; (count - 1,).
 
     pieces: functions that give a part of a frame, the quickest first; the next is asked only if the last is the same.
@@ -155,6 +155,6 @@ def find_stride(numbers: Ints) -> int:
     return max(int(np.gcd.reduce(steps)), 1) if len(steps) else 1
 
 
-def agree(one: float, other: float, tolerance: float = 0.01) -> bool:
+def rates_agree(one: float, other: float, tolerance: float = 0.01) -> bool:
     """True for frame rates of a film and a clock that are the same: 29.97 counts as 30."""
     return other > 0 and math.isfinite(one) and abs(one / other - 1) < tolerance

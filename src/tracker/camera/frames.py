@@ -181,7 +181,7 @@ def make_grey_frames(
     return out
 
 
-def linearise(frames: Frames, gamma: float) -> Frames:
+def linearise_counts(frames: Frames, gamma: float) -> Frames:
     """Linearise frames whose counts are light to the power of 1/gamma: in proportion to light, in 16 bits."""
     top = 2.0 ** (8 * frames.dtype.itemsize) - 1
     table = np.rint((np.arange(top + 1) / top) ** gamma * (2**16 - 1)).astype(np.uint16)

@@ -22,13 +22,13 @@ from tracker.camera.camera import Camera
 from tracker.camera.camera_notes import describe_frame_rate
 from tracker.camera.fields import separate_or_note
 from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_area
-from tracker.camera.frame_times import agree, find_stride
-from tracker.camera.frames import GREY, Frame, Frames, linearise
+from tracker.camera.frame_times import find_stride, rates_agree
+from tracker.camera.frames import GREY, Frame, Frames, linearise_counts
 from tracker.camera.readers.array_file import ARRAYS, read_array_file
 from tracker.camera.readers.labelled_array import HDF5, is_zarr, read_labelled_array
 from tracker.camera.readers.picture_folder import PICTURES, TIFF, is_hidden, list_pictures, read_picture_folder
 from tracker.camera.readers.tiff_stack import read_tiff_stack
-from tracker.notes import COLOUR_TO_GREY, MADE_LINEAR, NO_CAMERA_FILE, Note, NoteKind, note_all
+from tracker.notes import COLOUR_TO_GREY, MADE_LINEAR, NO_CAMERA_FILE, Note, NoteKind, make_notes
 
 VIDEOS = tuple(
     ".avi .mkv .mp4 .mov .m4v .mpg .mpeg .webm .qt .mts .m2ts .m2t .ts .vob .dv .3gp .3g2 .wmv .asf .flv .f4v .gif "
@@ -157,15 +157,15 @@ def _make_whole_recording(
     notes = [] if frames.colours is None else [COLOUR_TO_GREY]
     if camera is None:
         frames, _, _ = _set_times(frames, Camera.unknown(size, bits), options)
-        notes += note_all(NoteKind.FILM, (*frames.faults, *said), number)
+        notes += make_notes(NoteKind.FILM, (*frames.faults, *said), number)
         return Recording(number, Camera.unknown(size, bits), frames, (*notes, NO_CAMERA_FILE))
     if camera.size != size:
         asked = "x".join(map(str, camera.size))
         raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")
     frames, camera, timing = _set_times(frames, camera, options)
-    notes += [*note_all(NoteKind.FILM, (*frames.faults, *said), number), *timing]
+    notes += [*make_notes(NoteKind.FILM, (*frames.faults, *said), number), *timing]
     if camera.sensor.gamma != 1:
-        frames, notes = linearise(frames, camera.sensor.gamma), [*notes, MADE_LINEAR]
+        frames, notes = linearise_counts(frames, camera.sensor.gamma), [*notes, MADE_LINEAR]
         camera = replace(camera, sensor=replace(camera.sensor, bits=16))
     elif "sensor.bits" in camera.assumed:
         camera = replace(camera, sensor=replace(camera.sensor, bits=bits))
@@ -186,7 +186,11 @@ def _make_pixels_square(frames: Frames, camera: Camera | None) -> tuple[Frames, 
     if camera is None or camera.size == (wide, height) or camera.size != (width, height):
         return shown, camera, (note,)
     matrix = camera.K.copy()
-    if camera.metric and "K" not in camera.assumed and agree(matrix[0, 0], matrix[1, 1], 0.3 * abs(frames.aspect - 1)):
+    if (
+        camera.metric
+        and "K" not in camera.assumed
+        and rates_agree(matrix[0, 0], matrix[1, 1], 0.3 * abs(frames.aspect - 1))
+    ):
         return frames, camera, (f"{says}, but K of the camera file has them square: K is used",)
     stretch = wide / width
     matrix[0, 2] = (matrix[0, 2] + 0.5) * stretch - 0.5
@@ -209,13 +213,13 @@ def _set_times(frames: Frames, camera: Camera, options: FilmOptions) -> tuple[Fr
         if not rate > 0:
             raise InputError("--times file: the film states no times, expected a film that does, or --times auto")
         camera = replace(camera, fps=rate) if camera.metric else camera
-    elif frames.fields and not agree(rate, camera.fps):
+    elif frames.fields and not rates_agree(rate, camera.fps):
         camera = replace(camera, fps=2 * camera.fps, exposure=min(camera.exposure, 0.5 / camera.fps))
         said.append(f"fps: {camera.fps:g} fields a second, twice the frames of the camera file")
     if stride > 1:
         frames.numbers = frames.numbers // stride
-        is_clock = stride >= 1000 and any(agree(unit / stride, camera.fps, 0.02) for unit in (1e3, 1e6, 1e9))
-        if not agree(rate / stride, camera.fps) and not is_clock and camera.metric:
+        is_clock = stride >= 1000 and any(rates_agree(unit / stride, camera.fps, 0.02) for unit in (1e3, 1e6, 1e9))
+        if not rates_agree(rate / stride, camera.fps) and not is_clock and camera.metric:
             fps = camera.fps / stride
             said.append(
                 f"fps: one frame in {stride} is there, {fps:g} of {camera.fps:g} a second; if fps in the camera file "
@@ -227,11 +231,11 @@ def _set_times(frames: Frames, camera: Camera, options: FilmOptions) -> tuple[Fr
     notes = describe_frame_rate(camera, rate)
     if frames.seconds is not None:
         mean = (len(frames) - 1) / float(frames.seconds[-1]) if len(frames) > 1 else rate
-        if camera.metric and not agree(rate, camera.fps, 0.02) and not agree(mean, camera.fps, 0.02):
+        if camera.metric and not rates_agree(rate, camera.fps, 0.02) and not rates_agree(mean, camera.fps, 0.02):
             frames.seconds = frames.seconds * (rate / camera.fps)
     if not camera.metric:
         frames.seconds = None
-    return frames, camera, [*note_all(NoteKind.TIMING, said), *notes]
+    return frames, camera, [*make_notes(NoteKind.TIMING, said), *notes]
 
 
 def open_source(

@@ -11,7 +11,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tracker.detection.motion_filter import DENSE, Hits, MotionNoise, PredictedBalls, find_near_balls, predict_hits
+from tracker.detection.motion_filter import (
+    DENSE,
+    MotionNoise,
+    PredictedBalls,
+    PredictedHits,
+    find_near_balls,
+    predict_hits,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -64,7 +71,13 @@ def _match_plainly(free: PredictedBalls, found: Floats, noise: MotionNoise, *, m
 
 
 def _find_near(
-    free: PredictedBalls, hits: Hits, found: Floats, frames: int, noise: MotionNoise, *, max_detections: int = 8
+    free: PredictedBalls,
+    hits: PredictedHits,
+    found: Floats,
+    frames: int,
+    noise: MotionNoise,
+    *,
+    max_detections: int = 8,
 ) -> Ints:
     """The detections (n, k) nearest to each ball, by number; m for none.
 
@@ -85,7 +98,13 @@ def _limit(free: PredictedBalls, noise: MotionNoise, frames: int) -> float:
 
 
 def _weigh(
-    before: PredictedBalls, free: PredictedBalls, hits: Hits, found: Floats, near: Ints, frames: int, noise: MotionNoise
+    before: PredictedBalls,
+    free: PredictedBalls,
+    hits: PredictedHits,
+    found: Floats,
+    near: Ints,
+    frames: int,
+    noise: MotionNoise,
 ) -> tuple[Floats, Ints]:
     """The log likelihood (n, k) of each detection as that of a ball over that of a false one, and how the ball came.
 
@@ -222,7 +241,7 @@ def _find_least_distance(start: Floats, end: Floats) -> Floats:
 def _update(
     before: PredictedBalls,
     free: PredictedBalls,
-    hits: Hits | None,
+    hits: PredictedHits | None,
     found: Floats,
     links: tuple[Ints, Ints, Ints],
     frames: int,

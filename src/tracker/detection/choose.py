@@ -41,7 +41,7 @@ def select_detector(clip: Recording) -> SelectedDetector:
     """Choose the detector of a recording: `choose_detector`, and the user's hints."""
     if clip.balls:
         return SelectedDetector(DISCS)
-    return SelectedDetector(*choose_detector(look_at(clip), clip.camera))
+    return SelectedDetector(*choose_detector(sample_frames(clip), clip.camera))
 
 
 def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
@@ -228,7 +228,7 @@ def select_channel(clip: Recording, name: str | None) -> tuple[Recording, str]:
     if clip.balls:
         best, why = choose_channel_by_examples(clip)
         return clip.select_channel(best), why
-    best, why = choose_channel(look_at(clip), clip.camera)
+    best, why = choose_channel(sample_frames(clip), clip.camera)
     return clip.select_channel(best), why
 
 
@@ -300,7 +300,7 @@ def name_channel(channel: str | None, colour: str) -> str | None:
     return parse_colour(colour)
 
 
-def look_at(clip: Recording) -> Frames:
+def sample_frames(clip: Recording) -> Frames:
     """Return the frames from which a detector is chosen, cut to the area of the search."""
     return clip.frames if clip.area is None else clip.frames.crop(clip.area)
 

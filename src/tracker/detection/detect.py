@@ -122,7 +122,7 @@ def detector_name(name: DetectorChoice) -> str:
     return short_name(name) if is_outside(name) else name
 
 
-def detected_point(name: DetectorChoice, camera: Camera) -> Point:
+def find_detected_point(name: DetectorChoice, camera: Camera) -> Point:
     """Find by the name of a detector which point it finds with this camera: "glint" or "centre" of an outline.
 
     It is the optional attribute ``point`` of the detector's class; see `tracker.detection.detector`.
@@ -134,7 +134,7 @@ def detected_point(name: DetectorChoice, camera: Camera) -> Point:
 def make_view(clip: Recording, name: DetectorChoice = DEFAULT, settings: TrackerSettings | None = None) -> View:
     """Make the view of a clip; for a detector of glints it estimates what the camera file leaves open."""
     settings = settings or TrackerSettings()
-    if detected_point(name, clip.camera) == "centre":
+    if find_detected_point(name, clip.camera) == "centre":
         takes, camera = find_takes(clip.frames), clip.camera
         if getattr(clip.frames, "lossy", False) and not camera.sensor.codec_noise:  # marks the tracks as encoded
             sensor = replace(camera.sensor, codec_noise=max(float(takes.noise), 0.5))

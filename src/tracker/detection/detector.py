@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera
 from tracker.camera.frames import GREY
-from tracker.detection.background.takes import Takes
+from tracker.detection.background.takes import FilmTakes
 from tracker.detection.candidates import EmptyPlate
 from tracker.detection.glints import Glints
 from tracker.detection.motion_blur import MotionBlurEvidence
@@ -43,7 +43,7 @@ class View:
     """The picture without balls: ``level`` (h, w) counts, ``noise`` counts a pixel a frame, ``hot`` pixels."""
     frames: Sequence[Any] = ()
     """All frames, grey (h, w), uint8 or uint16; each is read when it is indexed."""
-    takes: Takes | None = None
+    takes: FilmTakes | None = None
     """For a detector of centres: the takes of the film, repeated frames, and the noise of a pixel."""
     settings: TrackerSettings = field(default_factory=TrackerSettings)
     """The user's settings; detectors use ``settings.detection``."""

@@ -72,7 +72,7 @@ class Tracks:
         return np.stack([self.x, self.y], axis=1)
 
 
-def link(
+def link_into_tracks(
     glints: Glints,
     camera: Camera,
     point: str = "glint",
@@ -93,7 +93,7 @@ def link(
     takes : sequence of (int, int)
         First and last frames of takes. No track leads from one to the next.
     linker : callable, optional
-        Another program in place of `assign`: glints -> particles.
+        Another program in place of `assign_track_numbers`: glints -> particles.
     settings : LinkSettings, optional
     """
     settings = settings or LinkSettings()
@@ -104,10 +104,10 @@ def link(
         ids = np.full(len(glints), -1, dtype=np.int64)
         for first, last in takes:  # particles are numbered on through all takes
             rows = np.flatnonzero((glints.frame >= first) & (glints.frame <= last))
-            own = assign(glints.take(rows), camera, diameter, settings)
+            own = assign_track_numbers(glints.take(rows), camera, diameter, settings)
             ids[rows] = np.where(own >= 0, own + ids.max(initial=-1) + 1, -1)
     else:
-        ids = assign(glints, camera, diameter, settings)
+        ids = assign_track_numbers(glints, camera, diameter, settings)
     kept = np.flatnonzero(ids >= 0)
     order = kept[np.lexsort((glints.frame[kept], ids[kept]))]
     chosen, particle = glints.take(order), ids[order]
@@ -131,7 +131,9 @@ def link(
     )
 
 
-def assign(glints: Glints, camera: Camera, diameter: float | None = None, settings: LinkSettings | None = None) -> Ints:
+def assign_track_numbers(
+    glints: Glints, camera: Camera, diameter: float | None = None, settings: LinkSettings | None = None
+) -> Ints:
     """Link the detections of all frames: the number of the track (n,) to which each belongs.
 
     Particles count from 0 by first appearance, then by position; -1 stands for detections of no track. `diameter` is

@@ -88,7 +88,7 @@ class PredictedBalls:
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class PredictedHits:
     """Two balls each that may meet before a frame: a row for either, with its state after the hit."""
 
     ball: Ints  # (h,) index
@@ -100,7 +100,7 @@ class Hits:
 
 def predict_hits(
     before: PredictedBalls, after: PredictedBalls, pairs: tuple[Ints, Ints], frames: int, noise: MotionNoise
-) -> Hits:
+) -> PredictedHits:
     """Predict the hits of pairs of balls before the next frame, from their states in the last one.
 
     after: the same balls in the second frame, if they do not meet.
@@ -123,7 +123,7 @@ def predict_hits(
     error = noise.hit**2 * square
     wider = np.column_stack([error * left**2, error * left, error])
     sides = ((i, push), (j, -push))
-    return Hits(
+    return PredictedHits(
         ball=np.concatenate([i, j]),
         chance=np.tile(chance, 2),
         xy=np.concatenate([after.xy[k] + kick * left[:, None] for k, kick in sides]),

@@ -33,7 +33,7 @@ def short_name(name: str) -> str:
     return attribute or Path(where).stem
 
 
-def digest(name: str) -> str:
+def digest_detector(name: str) -> str:
     """Digest the file of a user's own detector (SHA-256); nothing for a module."""
     file = Path(_split(name)[0])
     return hashlib.sha256(file.read_bytes()).hexdigest() if file.suffix == ".py" else ""

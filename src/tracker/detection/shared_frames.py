@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.job_result import JobValue, LostJob
-from synthcam_shared.jobs import count_cores, in_order, run_jobs, use_one_thread
+from synthcam_shared.jobs import count_cores, run_jobs, use_one_thread, yield_in_order
 from tracker.camera.frames import Frames
 from tracker.camera.recordings import HelperProcesses, Recording
 from tracker.detection.detector import SharedDetector
@@ -71,7 +71,7 @@ def _examine_all(clip: Recording, detector: SharedDetector, numbers: Sequence[in
             yield from examiner.examine(stretch)
         return
     answers = (_check(answer) for answer in run_jobs(examiner, stretches, workers))
-    for examined in in_order(answers, stretches):
+    for examined in yield_in_order(answers, stretches):
         yield from examined
 
 

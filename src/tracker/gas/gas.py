@@ -23,7 +23,7 @@ from tracker.gas.temperature import (
 )
 from tracker.gas.velocities import FreePath, PathCuts, cut_free_paths, extrapolate_to_contact
 from tracker.measurement.positions import BallTrack
-from tracker.measurement.stretch_cuts import measure_noise as measure_scatter_of_paths
+from tracker.measurement.stretch_cuts import measure_path_noise as measure_scatter_of_paths
 
 Floats = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]

@@ -11,11 +11,11 @@ import numpy as np
 from synthcam_shared.outputs import write_atomically
 from synthcam_shared.report.folder import replace_folder
 from synthcam_shared.report.numbers import format_number, format_with_error
-from synthcam_shared.report.page import Block, PageFigure, PageList, PageTable, Section, make_axes, write_page
+from synthcam_shared.report.page import Block, PageFigure, PageList, PageSection, PageTable, make_axes, write_page
 from tracker.gas.energy import SINKS
 from tracker.gas.gas import GasObservables
 from tracker.gas.kinetic_theory import contact_pair_correlation
-from tracker.results import finite
+from tracker.results import replace_non_finite
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,22 +50,25 @@ METHOD = (
 def write_gas(gas: GasObservables, folder: Path, command: str) -> Path:
     """Write gas.json, the tables and index.html into a folder, which replaces an earlier gas; return the page."""
     sections = [
-        Section("", [_values_table(gas)]),
-        Section("Temperature", [PageFigure.of(temperature_figure(gas), "Temperature against time")]),
-        Section("Energy", [PageFigure.of(energy_figure(gas), "Energy lost against time"), *_energy_text(gas)]),
-        Section("Velocities and order", [PageFigure.of(order_figure(gas), "Velocities and pair correlation")]),
-        Section("Method", [PageList(METHOD)]),
+        PageSection("", [_values_table(gas)]),
+        PageSection("Temperature", [PageFigure.of(draw_temperature(gas), "Temperature against time")]),
+        PageSection("Energy", [PageFigure.of(draw_energy_sinks(gas), "Energy lost against time"), *_energy_text(gas)]),
+        PageSection(
+            "Velocities and order",
+            [PageFigure.of(draw_velocities_and_pair_correlation(gas), "Velocities and pair correlation")],
+        ),
+        PageSection("Method", [PageList(METHOD)]),
     ]
     with replace_folder(folder, FILES, "an earlier gas of tracker gas") as aside:
         document = {"values": gas.values, "area": gas.area, "notes": list(gas.notes)}
-        write_atomically(aside / FILES[0], json.dumps(finite(document), indent=1) + "\n")
+        write_atomically(aside / FILES[0], json.dumps(replace_non_finite(document), indent=1) + "\n")
         for attribute, file in TABLES.items():
             write_atomically(aside / file, getattr(gas, attribute).to_csv(index=False, lineterminator="\n"))
-        write_page(aside / FILES[1], f"Gas {gas.name}".rstrip(), sections, command, summarise(gas), gas.notes)
+        write_page(aside / FILES[1], f"Gas {gas.name}".rstrip(), sections, command, summarise_gas(gas), gas.notes)
     return folder / FILES[1]
 
 
-def summarise(gas: GasObservables) -> list[str]:
+def summarise_gas(gas: GasObservables) -> list[str]:
     """Summarise a gas in lines for a terminal: balls, temperature, contacts and energies."""
     time, values = gas.time, gas.values
     first, last = time.iloc[0], time.iloc[-1]
@@ -113,7 +116,7 @@ def _energy_text(gas: GasObservables) -> list[Block]:
     return [PageTable(["lost to", "10⁻³ m²/s², all balls", "%"], rows, "Until the last frame, per unit mass")]
 
 
-def temperature_figure(gas: GasObservables) -> Figure:
+def draw_temperature(gas: GasObservables) -> Figure:
     """Draw the figure of a gas's temperature against time, with both errors."""
     figure, axes = make_axes(figsize=(7.2, 3.6))
     time = gas.time[gas.time["temperature"] > 0]
@@ -137,7 +140,7 @@ def temperature_figure(gas: GasObservables) -> Figure:
     return figure
 
 
-def energy_figure(gas: GasObservables) -> Figure:
+def draw_energy_sinks(gas: GasObservables) -> Figure:
     """Draw the figure of the energies that a gas has lost against time, one line for each sink."""
     figure, axes = make_axes(figsize=(7.2, 3.6))
     time = gas.time
@@ -153,7 +156,7 @@ def energy_figure(gas: GasObservables) -> Figure:
     return figure
 
 
-def order_figure(gas: GasObservables) -> Figure:
+def draw_velocities_and_pair_correlation(gas: GasObservables) -> Figure:
     """Draw the distribution of velocities beside a Maxwellian, and the pair correlation beside theory."""
     figure, (left, right) = make_axes(1, 2, figsize=(9.6, 3.6))
     _draw_velocities(left, gas)

@@ -13,11 +13,11 @@ from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.gas.gas import GasCamera, GasObservables, GasSettings, Rectangle, measure_gas
-from tracker.gas.gas_page import summarise, write_gas
+from tracker.gas.gas_page import summarise_gas, write_gas
 from tracker.measurement.camera_errors import camera_errors
 from tracker.measurement.positions import to_ball_tracks
 from tracker.recording import Result
-from tracker.results import read_clip, read_contacts
+from tracker.results import read_clip, read_contact_table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,7 +52,7 @@ class Gas(GasObservables):
     """
 
     def __repr__(self) -> str:
-        return "\n".join([f"Gas of {self.name}", *(f"  {line}" for line in summarise(self))])
+        return "\n".join([f"Gas of {self.name}", *(f"  {line}" for line in summarise_gas(self))])
 
     def report(self, folder: Path | str, command: str = "tracker.observe_gas") -> Path:
         """Write gas.json, the tables and index.html into a folder.
@@ -135,7 +135,7 @@ def _read(results: Path, number: int | None) -> tuple[str, Tracks, Camera, pd.Da
     chosen = numbers[0] if number is None else number
     if chosen not in numbers:
         raise InputError(f"--clip {chosen}: not in {results}, which has {len(numbers)}, {numbers[0]} to {numbers[-1]}")
-    return f"{results.resolve().name}, clip {chosen}", *read_clip(results, chosen), read_contacts(results, chosen)
+    return f"{results.resolve().name}, clip {chosen}", *read_clip(results, chosen), read_contact_table(results, chosen)
 
 
 def parse_area(text: str) -> list[float] | None:

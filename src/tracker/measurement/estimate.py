@@ -43,8 +43,8 @@ from tracker.measurement.collision.adequacy import (
     TOGETHER,
     TOO_FEW,
     Flag,
+    compute_p_value_of_free_fits,
     flag_contact_distance,
-    p_free,
 )
 from tracker.measurement.collision.collision_fit import (
     AFTER_SLIDES,
@@ -64,18 +64,18 @@ from tracker.measurement.collision.contacts import (
     find_slow_contacts,
     prepare_contact,
 )
-from tracker.measurement.collision.departures import Departure
+from tracker.measurement.collision.departures import LawDeparture
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_frames_within
 from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
 from tracker.measurement.collision.rolling_losses import compare_losses
 from tracker.measurement.collision.slip_friction import find_slope_of_friction
-from tracker.measurement.collision.staying_together import MAX_DISTANCE, Stay, find_stays
+from tracker.measurement.collision.staying_together import MAX_DISTANCE, StayingPair, find_staying_pairs
 from tracker.measurement.crowd.crowd_rows import estimate_contacts
 from tracker.measurement.crowd.track_contacts import find_track_contacts
 from tracker.measurement.energy_momentum import BEFORE, motion_table
-from tracker.measurement.joint_fit import fit_all
+from tracker.measurement.joint_fit import fit_all_jointly
 from tracker.measurement.local.local_columns import empty_columns, local_columns
 from tracker.measurement.local.local_estimate import LocalEstimate, estimate_locally
 from tracker.measurement.local.recommendation import recommend
@@ -88,7 +88,7 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
     from tracker.detection.link import Tracks
 
-__all__ = ["fit_all", "fit_collision", "measure", "motion_table", "select_claims"]
+__all__ = ["fit_all_jointly", "fit_collision", "measure", "motion_table", "select_claims"]
 
 Floats = NDArray[np.float64]
 
@@ -132,11 +132,12 @@ def measure(
         return measure_balls(resized if size.ratio > 1 else balls)
     if size.ratio > 1:
         rows = measure_balls(resized)
-        too_good = p_free(rows, size) > 1 - settings.rejection_level
+        too_good = compute_p_value_of_free_fits(rows, size) > 1 - settings.rejection_level
         return _measure_between(rows, balls, size, measure_balls, settings) if too_good else rows
     rows = measure_balls(balls)
     correlated = any(row["noise"] == "scatter" for row in rows)  # such errors scatter little from frame to frame
-    confirmed = p_free(rows, size, size.ratio) > 1e-3  # whole fits confirm that errors are smaller than claimed
+    # whole fits confirm that errors are smaller than claimed
+    confirmed = compute_p_value_of_free_fits(rows, size, size.ratio) > 1e-3
     return measure_balls(resized) if confirmed and not correlated else rows
 
 
@@ -153,7 +154,7 @@ def _measure_between(
     them. Otherwise the residuals of the free fits give the size of the errors.
     """
     rows = measure_balls(balls)
-    if p_free(rows, replace(size, dof=np.inf)) >= settings.rejection_level:
+    if compute_p_value_of_free_fits(rows, replace(size, dof=np.inf)) >= settings.rejection_level:
         return rows
     square, dof = np.sum([(row["chi2_free"], row["dof_free"]) for row in wide if row["dof_free"] > 0], axis=0)
     left = ScatterRatio(size.ratio * float(square / dof), float(dof))
@@ -172,7 +173,7 @@ def _measure_balls(
         return _measure_crowd(balls, camera, settings) or [empty_row(camera, "no_collision") | noise]
     found = find_contacts(balls, camera.ball_diameter, marked=marked) if len(balls) > 1 else []
     near = find_near_pairs(balls, MAX_DISTANCE * camera.ball_diameter, 1.0) if len(balls) > 1 else ()
-    together = [stay for a, b in near for stay in find_stays(a, b, camera.ball_diameter)]
+    together = [stay for a, b in near for stay in find_staying_pairs(a, b, camera.ball_diameter)]
     candidates = [candidate for candidate in found if candidate.is_marked(marked)]
     together = [stay for stay in together if not any(_is_within(candidate, stay) for candidate in candidates)]
     stays = [stay for stay in together if not stay.bounces]
@@ -213,15 +214,19 @@ def _measure_crowd(balls: list[BallTrack], camera: Camera, settings: FitSettings
 
 
 def _measure_collisions(
-    found: list[ContactCandidate], stays: list[Stay], noise: dict[str, Any], camera: Camera, settings: FitSettings
+    found: list[ContactCandidate],
+    stays: list[StayingPair],
+    noise: dict[str, Any],
+    camera: Camera,
+    settings: FitSettings,
 ) -> list[dict[str, Any]]:
     """A row for each contact, in order of time; balls that stay together have no further contacts."""
     found = [candidate for candidate in found if not any(_is_within(candidate, stay) for stay in stays)]
     rows, earlier, letters = [], dict[int, EarlierHit](), dict[int, str]()
-    every: list[tuple[int, ContactCandidate | Stay]] = [(candidate.frame, candidate) for candidate in found]
+    every: list[tuple[int, ContactCandidate | StayingPair]] = [(candidate.frame, candidate) for candidate in found]
     every = sorted([*every, *((stay.first, stay) for stay in stays)], key=lambda event: event[0])
     for i, (_, event) in enumerate(every):
-        if isinstance(event, Stay):
+        if isinstance(event, StayingPair):
             row = empty_row(camera, TOGETHER, i) | _stay_columns(event) | noise
             rows.append(row | recommend(row))
             earlier |= dict.fromkeys((event.struck.particle, event.striker.particle), EarlierHit(np.inf))
@@ -238,13 +243,13 @@ def _measure_collisions(
     return rows
 
 
-def _is_within(candidate: ContactCandidate, stay: Stay) -> bool:
+def _is_within(candidate: ContactCandidate, stay: StayingPair) -> bool:
     """Test whether a contact is one of balls that stay together."""
     same = {candidate.one.particle, candidate.other.particle} == {stay.struck.particle, stay.striker.particle}
     return same and stay.first - 2 <= candidate.frame <= stay.last + 2
 
 
-def _stay_columns(stay: Stay) -> dict[str, Any]:
+def _stay_columns(stay: StayingPair) -> dict[str, Any]:
     """The columns of two balls that stay together."""
     row: dict[str, Any] = {"particle1": stay.struck.particle, "particle2": stay.striker.particle}
     values = {"v0": (stay.speed, stay.speed_std), "b": (stay.offset, stay.offset_std), "r": (0.0, stay.r_std)}
@@ -309,7 +314,7 @@ def _measure_collision(
     flags = [*flags, *([] if again is None else [Flag.TOUCH_AGAIN])]
     flags += [] if read.rejected_law is None else [read.rejected_law]
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
-    row |= painter_behringer.paper_columns(contact, camera, read.lasting)
+    row |= painter_behringer.make_paper_columns(contact, camera, read.lasting)
     if read.tied_is_straight:  # differences of noise
         row |= {f"{name}_paper{kind}": np.nan for name in AFTER_SLIDES for kind in ("", "_std")}
     nothing_known = "the positions show no quantity well enough; check their unit, the scale and fps"
@@ -411,7 +416,7 @@ def _fit(
 
 def _find_departures(
     tied: CollisionFit, free: CollisionFit, camera: Camera
-) -> tuple[dict[Flag, Departure], dict[Flag, Departure]]:
+) -> tuple[dict[Flag, LawDeparture], dict[Flag, LawDeparture]]:
     """Find departures from laws that the fits assume, by the tied and by the free fit.
 
     Those that the parameters of a fit absorb are left out. The free fit hardly shows how friction changes.

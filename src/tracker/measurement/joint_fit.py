@@ -24,7 +24,7 @@ ROLLING = ("drag", "decel")
 MIN_EIGENVALUE = 1e-12  # of a correlation matrix that is positive definite beyond rounding
 
 
-def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
+def fit_all_jointly(estimates: pd.DataFrame) -> dict[str, Any]:
     """Fit all clips of estimates.parquet by one joint fit: the contents of fit.json.
 
     It leaves out misfits, and tied fits that the local estimate contradicts. A clip whose covariance is not positive
@@ -47,7 +47,7 @@ def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
     return {"clips": len(ok), "chi2": _paper_chi2(ok), "scatter": scatter, "rolling": _rolling(roll)}
 
 
-def predict(v0: Floats, b: Floats, shared: Floats) -> Floats:
+def predict_quantities(v0: Floats, b: Floats, shared: Floats) -> Floats:
     """Predict v1f, v2f, tau1, tau2, (n, 4), for the joint fit, from v0 and b/2R (n,); shared = (r, mu_k, C).
 
     These are the paper's F, G, H, I (eqs 1-4) for any b. The normal part is scaled by sqrt(1 - b^2), and the tangential
@@ -83,7 +83,7 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
 
         def residual(p: Floats, whiten: Floats = whiten) -> Floats:
             off = common @ p[3:]
-            model = predict(v0 - off[:, 4], np.clip(b - off[:, 5], -steepest, steepest), p[:3])
+            model = predict_quantities(v0 - off[:, 4], np.clip(b - off[:, 5], -steepest, steepest), p[:3])
             return np.append(np.matmul(whiten, (model - seen + off[:, :4])[..., None]).ravel(), p[3:])
 
         found = least_squares(residual, start, method="lm", x_scale="jac")
@@ -135,7 +135,9 @@ def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
     slope = np.zeros((n, 4, 6))
     slope[:, range(4), range(4)] = 1.0
     for column, (dv, db) in enumerate(((1e-6, 0.0), (0.0, 1e-6)), start=4):
-        slope[:, :, column] = -(predict(v0 + dv, b + db, shared) - predict(v0 - dv, b - db, shared)) / 2e-6
+        slope[:, :, column] = (
+            -(predict_quantities(v0 + dv, b + db, shared) - predict_quantities(v0 - dv, b - db, shared)) / 2e-6
+        )
     cov = slope @ covs @ np.swapaxes(slope, 1, 2)
     size, axes = np.linalg.eigh(cov)
     least = np.maximum(size, MIN_EIGENVALUE * size[:, -1:])

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-def paper_columns(contact: Contact, camera: Camera, lasting: LastingContact | None = None) -> dict[str, float]:
+def make_paper_columns(contact: Contact, camera: Camera, lasting: LastingContact | None = None) -> dict[str, float]:
     """Make the columns NAME_paper and NAME_paper_std of the paper's measurement, with the errors of the camera file.
 
     A contact that lasts leaves only the speed before it: the differences after it are as far from its beginning as its

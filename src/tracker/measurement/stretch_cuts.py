@@ -103,7 +103,7 @@ class StretchCutter:
 CUTTER = StretchCutter()
 
 
-def measure_noise(paths: Iterable[tuple[Rows, Floats]]) -> float:
+def measure_path_noise(paths: Iterable[tuple[Rows, Floats]]) -> float:
     """Measure the noise of paths, beside which a cut must stand out: from third differences, m; NaN without any.
 
     paths: frames (n,) and positions (n, 2) of each ball.

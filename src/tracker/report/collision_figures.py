@@ -80,7 +80,7 @@ def list_residuals(views: Iterable[CollisionView | None]) -> dict[tuple[int, int
     return residuals
 
 
-def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera) -> Figure:
+def draw_frame(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera) -> Figure:
     """Draw the figure of a collision's frame with its detections, and the balls enlarged.
 
     image: counts (h, w); spots: the rows of tracks.parquet at that frame.
@@ -109,7 +109,7 @@ def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera)
     return figure
 
 
-def tracks_figure(view: CollisionView) -> Figure:
+def draw_tracks(view: CollisionView) -> Figure:
     """Draw both tracks with a mark every 0.02 s, and the collision enlarged (figure 2 of the paper)."""
     figure, (axes, inset) = make_axes(1, 2, figsize=(8.2, 4.4), width_ratios=[1.5, 1])
     every = max(round(0.02 * view.camera.fps), 1)
@@ -143,7 +143,7 @@ def tracks_figure(view: CollisionView) -> Figure:
     return figure
 
 
-def separation_figure(view: CollisionView) -> Figure:
+def draw_separation(view: CollisionView) -> Figure:
     """Draw the separation of the centres and its residuals against time (figure 3 of the paper)."""
     figure, (axes, rest) = make_axes(2, 1, figsize=(8.2, 4.6), sharex=True, height_ratios=[2.2, 1])
     one, two = view.balls[1], view.balls[2]
@@ -171,7 +171,7 @@ def separation_figure(view: CollisionView) -> Figure:
     return figure
 
 
-def energy_figure(view: CollisionView, tracks: Tracks) -> Figure:
+def draw_energy(view: CollisionView, tracks: Tracks) -> Figure:
     """Draw the figure of a collision's energy of translation, with the tied fit and the loss in the impact."""
     figure, axes = make_axes(figsize=(8.2, 3.6))
     row = view.row
@@ -210,7 +210,7 @@ def _mark_times(panels: tuple[Axes, ...], view: CollisionView) -> None:
         )
 
 
-def residuals_figure(view: CollisionView) -> Figure:
+def draw_residuals(view: CollisionView) -> Figure:
     """Draw the residuals of a collision, position minus tied fit, for each ball and axis, with standard errors."""
     figure, panels = make_axes(2, 1, figsize=(8.2, 4.2), sharex=True, sharey=True)
     for axes, (ball, course) in zip(panels, sorted(view.balls.items()), strict=True):
@@ -229,7 +229,7 @@ def residuals_figure(view: CollisionView) -> Figure:
     return figure
 
 
-def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
+def draw_speeds(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
     """Draw the figure of the speed of each ball by differences of neighbouring frames; contacts: times, s."""
     figure, axes = make_axes(figsize=(8.2, 3.4))
     for particle, rows in motion.groupby("particle"):
@@ -243,7 +243,7 @@ def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
     return figure
 
 
-def all_tracks_figure(tracks: Tracks, camera: Camera) -> Figure:
+def draw_all_tracks(tracks: Tracks, camera: Camera) -> Figure:
     """Draw all tracks of a film in the picture, px."""
     figure, axes = make_axes(figsize=(8.2, 4.2))
     for particle in np.unique(tracks.particle):

@@ -109,7 +109,7 @@ def format_value(row: Mapping[str, Any], column: str) -> str:
     return format_with_error(*(None if x is None else float(x) * factor for x in (value, std)))
 
 
-def describe_contacts(table: pd.DataFrame) -> str:
+def describe_contact_count(table: pd.DataFrame) -> str:
     """Say in a sentence how many contacts were measured in a film of more than two balls, and how many have values."""
     walls = int((table["kind"] == "wall").sum())
     known = int(table["r"].notna().sum())

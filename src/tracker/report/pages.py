@@ -18,8 +18,8 @@ from synthcam_shared.report.numbers import format_with_error
 from synthcam_shared.report.page import (
     Block,
     PageFigure,
+    PageSection,
     PageTable,
-    Section,
     make_data_uri,
     render,
     typeset_symbol,
@@ -37,18 +37,18 @@ from tracker.measurement.messages import list_messages
 from tracker.notes import Note
 from tracker.report.collision_figures import (
     CollisionView,
-    all_tracks_figure,
-    energy_figure,
+    draw_all_tracks,
+    draw_energy,
+    draw_residuals,
+    draw_separation,
+    draw_speeds,
+    draw_tracks,
     list_residuals,
-    residuals_figure,
-    separation_figure,
-    speed_figure,
-    tracks_figure,
     view_collision,
 )
 from tracker.report.estimates_text import (
     describe_contact,
-    describe_contacts,
+    describe_contact_count,
     describe_fit,
     describe_frames,
     describe_recommendation,
@@ -111,16 +111,16 @@ class RecordingPage:
         results_tables = [block for row in fitted for block in self._results(row)]
         titles = [f"Collision {row['collision']}" for row in fitted]
         sections = [
-            Section("", results_tables),
+            PageSection("", results_tables),
             *([self._refusals(folder)] if self.refusals else []),
-            *([] if self.contacts.empty else [Section("Contacts", self._contacts())]),
-            Section("How to read the table", [self._how_to_read()] if results_tables else []),
-            Section("Film with measured positions", [self._film(folder, views)]),
-            *(Section(title, self._figures(view)) for title, view in zip(titles, views, strict=True)),
-            Section("Whole recording", self._overview()),
-            Section("Camera settings used", [self._camera_table()]),
+            *([] if self.contacts.empty else [PageSection("Contacts", self._contacts())]),
+            PageSection("How to read the table", [self._how_to_read()] if results_tables else []),
+            PageSection("Film with measured positions", [self._film(folder, views)]),
+            *(PageSection(title, self._figures(view)) for title, view in zip(titles, views, strict=True)),
+            PageSection("Whole recording", self._overview()),
+            PageSection("Camera settings used", [self._camera_table()]),
         ]
-        summary = [] if self.contacts.empty else [describe_contacts(self.contacts)]
+        summary = [] if self.contacts.empty else [describe_contact_count(self.contacts)]
         summary += [self._describe(row) for row in fitted]
         estimates = pd.DataFrame([{"clip": 0, **row} for row in self.rows])
         warnings = [*map(str, list_messages(estimates)), *map(str, self.notes)]
@@ -179,11 +179,11 @@ class RecordingPage:
         parts += [describe_contact(row), describe_fit(row)]
         return number + " ".join(f"{part}." for part in parts if part)
 
-    def _refusals(self, folder: Path) -> Section:
+    def _refusals(self, folder: Path) -> PageSection:
         write_atomically(folder / REFUSALS, self.refusals)
         caption = "Green circles: balls that were found. Red boxes: what differs from the other frames and was refused."
         picture = PageFigure("Found and refused", make_data_uri(self.refusals, "image/png"), caption)
-        return Section("Why this film could not be measured", [picture])
+        return PageSection("Why this film could not be measured", [picture])
 
     def _results(self, row: Mapping[str, Any]) -> list[Block]:
         rows = [
@@ -238,7 +238,7 @@ class RecordingPage:
     def _figures(self, view: CollisionView | None) -> list[Block]:
         if view is None:
             return []
-        tracks = PageFigure.of(tracks_figure(view), "Tracks of both balls", CAPTIONS["tracks"])
+        tracks = PageFigure.of(draw_tracks(view), "Tracks of both balls", CAPTIONS["tracks"])
         if not view.is_instantaneous:
             return [tracks]
         residuals = (
@@ -247,19 +247,19 @@ class RecordingPage:
         )
         return [
             tracks,
-            PageFigure.of(residuals_figure(view), "Residuals of the tied fit", residuals),
-            PageFigure.of(separation_figure(view), "Separation of the balls", CAPTIONS["separation"]),
-            PageFigure.of(energy_figure(view, self.tracks), "Translational energy", CAPTIONS["energy"]),
+            PageFigure.of(draw_residuals(view), "Residuals of the tied fit", residuals),
+            PageFigure.of(draw_separation(view), "Separation of the balls", CAPTIONS["separation"]),
+            PageFigure.of(draw_energy(view, self.tracks), "Translational energy", CAPTIONS["energy"]),
         ]
 
     def _overview(self) -> list[Block]:
         blocks: list[Block] = []
         if len(self.motion):
-            figure = speed_figure(self.motion, [float(row["t_c"]) for row in self.collisions])
+            figure = draw_speeds(self.motion, [float(row["t_c"]) for row in self.collisions])
             caption = "Speed of each ball, from differences of neighbouring frames."
             blocks.append(PageFigure.of(figure, "Speed against time", caption))
         if len(self.tracks):
-            figure = all_tracks_figure(self.tracks, self.camera)
+            figure = draw_all_tracks(self.tracks, self.camera)
             blocks.append(PageFigure.of(figure, "All tracks", "All tracks in the picture."))
         return blocks
 
@@ -319,7 +319,7 @@ class ResultPages:
         name = self.name if self.is_single else f"{self.name}, clip {number}"
         with as_input_error(self.output):
             refusals = (folder / REFUSALS).read_bytes() if (folder / REFUSALS).is_file() else b""
-            contacts = results.read_contacts(self.output, number)
+            contacts = results.read_contact_table(self.output, number)
             page = RecordingPage(name, camera, tracks, rows, motion, frames, self.notes, refusals, contacts)
             page.write(self._folder(index), self.command)
 
@@ -343,7 +343,7 @@ class ResultPages:
         summary = f"{len(estimates)} rows of estimates from {len(self.numbers)} clips: {counts}."
         warnings = [*map(str, list_messages(estimates)), *map(str, self.notes)]
         with as_input_error(self.output):
-            write_page(self.output / PAGE, self.name, [Section("", [table])], self.command, [summary], warnings)
+            write_page(self.output / PAGE, self.name, [PageSection("", [table])], self.command, [summary], warnings)
 
     def _folder(self, index: int) -> Path:
         return self.output if self.is_single else results.clip_folder(self.output, self.numbers[index])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.frames import spread_frames
-from tracker.detection.background.windows import Region, find_regions
+from tracker.detection.background.windows import PixelRegion, find_regions
 from tracker.detection.candidates import estimate_pixel_noise, median_of_nine
 from tracker.measurement.collision.adequacy import CROWD, MEASURED, NO_SCALE, ONE_BALL
 from tracker.notes import Note, NoteKind
@@ -69,7 +69,9 @@ def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28) -> 
     )
 
 
-def _explain(region: Region, clip: Recording, tracks: Tracks, k: int, frame: NDArray[Any], level: NDArray[Any]) -> str:
+def _explain(
+    region: PixelRegion, clip: Recording, tracks: Tracks, k: int, frame: NDArray[Any], level: NDArray[Any]
+) -> str:
     """Why a region that differs from the background is no ball; '' where one was found in it."""
     rows, columns = np.nonzero(region.own)
     x, y = region.left + columns.mean(), region.top + rows.mean()
@@ -101,7 +103,7 @@ def paint_frame(frames: Frames, k: int) -> NDArray[np.uint8]:
 
 
 def _draw(
-    clip: Recording, k: int, balls: NDArray[np.float64], refused: Sequence[tuple[Region, str]]
+    clip: Recording, k: int, balls: NDArray[np.float64], refused: Sequence[tuple[PixelRegion, str]]
 ) -> NDArray[np.uint8]:
     """The frame with circles about what was found and boxes with reasons about what was refused, (h, w, 3)."""
     picture: Any = paint_frame(clip.frames, k)

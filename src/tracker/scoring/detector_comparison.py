@@ -12,7 +12,7 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from synthcam_shared.outputs import open_resumable
 from synthcam_shared.report.numbers import format_number
-from synthcam_shared.report.page import PageTable, Section, write_page
+from synthcam_shared.report.page import PageSection, PageTable, write_page
 from tracker import results
 from tracker.detection.detect import detector_name, load_detector
 from tracker.pipeline import run
@@ -49,7 +49,7 @@ def compare(
             f"Dataset {whole['suite']}. All detectors have the same linking and the same fits, in one process; the "
             "time per frame includes everything from the file to the estimates."
         )
-        sections = [Section("", make_tables(whole["detectors"]))]
+        sections = [PageSection("", make_comparison_tables(whole["detectors"]))]
         write_page(report / "index.html", "Comparison of detectors", sections, "tracker compare", [summary])
         results.write_json(report / "score.json", whole)
     return whole
@@ -70,7 +70,7 @@ def _track_and_score(dataset: Path, name: str, report: Path, progress: Progress)
     return score(folder, dataset, detector_name(name), spent)
 
 
-def make_tables(detectors: dict[str, Any]) -> list[PageTable]:
+def make_comparison_tables(detectors: dict[str, Any]) -> list[PageTable]:
     """Make the tables of a comparison of detectors: positions and speed, tracks, and errors of quantities."""
     positions = [
         [name, *format_positions(d["localisation"]), format_number(d["ms_per_frame"])] for name, d in detectors.items()

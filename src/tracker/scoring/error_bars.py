@@ -59,7 +59,7 @@ def error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) ->
     return out
 
 
-def true_motion(truth: pd.DataFrame, scalars: Mapping[str, Any] | pd.Series) -> Floats | None:
+def compute_true_parameters(truth: pd.DataFrame, scalars: Mapping[str, Any] | pd.Series) -> Floats | None:
     """Compute the true parameters (16,) of a tied fit, for its bound; None unless both balls are tracked before.
 
     Positions and velocities are those of the last frame before it, extrapolated by less than a frame.
@@ -83,7 +83,7 @@ def quantity_bounds(matched: MatchedDetections, cov: Floats, tied: Floats | None
     """Compute the Cramér-Rao bounds Q_bound and Q_free_bound of both fits at the true motion, for the positions found.
 
     cov (n, 2, 2) px^2: the bound of each position, not the error that the tracker claims. The error that a resting ball
-    shares between frames is included. tied (16,): the true parameters, from `true_motion`.
+    shares between frames is included. tied (16,): the true parameters, from `compute_true_parameters`.
     """
     if tied is None or len(cov) == 0 or not np.isfinite(cov).all():
         return {}

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 COLOURS = {"": "#14508c", "_free": "#c1440e", "_local": "#6a3d9a", "_paper": "#5b7f1c"}  # by the suffix of a column
 
 
-def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
+def draw_quantity_errors(table: pd.DataFrame, kind: str) -> Figure:
     """Draw estimate minus truth with error bars against v0, one panel for each quantity.
 
     kind: "" for the tied fit, "_free" for the free fit, "_local" for the local estimate, "_paper" for finite
@@ -46,7 +46,7 @@ def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
     return figure
 
 
-def error_bars_figure(table: pd.DataFrame) -> Figure:
+def draw_error_bars(table: pd.DataFrame) -> Figure:
     """Draw a histogram of errors over standard errors, all quantities together, and the normal distribution."""
     figure, panels = make_axes(1, 3, figsize=(11.0, 3.0))
     bins = np.linspace(-5, 5, 41)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.report.page import PageTable, Section, write_page
-from tracker.notes import Note, NoteKind, note_all
-from tracker.results import finite, write_json
+from synthcam_shared.report.page import PageSection, PageTable, write_page
+from tracker.notes import Note, NoteKind, make_notes
+from tracker.results import replace_non_finite, write_json
 from tracker.scoring.tracking_metrics import GATE_PX, TrackPoints, score_tracks
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.read import recognise_format
 from tracker.tables.rows import to_numbers, to_whole_numbers
 from tracker.tables.table import TrackTable
@@ -51,7 +51,7 @@ class TableScore:
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of score.json."""
         parts = {"localisation": self.localisation, "tracking": self.tracking, "by": self.by}
-        whole_table: dict[str, Any] = finite({"suite": self.truth, "detectors": {self.name: parts}})
+        whole_table: dict[str, Any] = replace_non_finite({"suite": self.truth, "detectors": {self.name: parts}})
         return whole_table
 
     def summary(self) -> list[str]:
@@ -76,7 +76,7 @@ class TableScore:
         write_json(report / "score.json", self.to_dict())
         title = f"{self.name} compared with {self.truth}"
         return write_page(
-            report / "index.html", title, [Section("", [table])], "tracker score", [summary, *map(str, self.notes)]
+            report / "index.html", title, [PageSection("", [table])], "tracker score", [summary, *map(str, self.notes)]
         )
 
 
@@ -87,7 +87,7 @@ def score_table(found: Path, truth: Path, gate: float | None = None, name: str =
     overlap where both files have boxes. `name` of the table; default: that of its file. Raises InputError.
     """
     one, other = (
-        recognise_format(Content.of(path)).leave_out_unassigned(path.name, str(path)) for path in (truth, found)
+        recognise_format(FileContent.of(path)).leave_out_unassigned(path.name, str(path)) for path in (truth, found)
     )
     one = _leave_out_ignored(one, truth.name)
     units = [
@@ -113,7 +113,7 @@ def score_table(found: Path, truth: Path, gate: float | None = None, name: str =
         by="boxes that overlap by half or more" if boxes else f"points, up to {reach:g} {units[0]} apart",
         localisation=_score_positions(pairs, reach) | {"unit": units[0]},
         tracking=score_tracks(pairs, reach),
-        notes=tuple(note_all(NoteKind.TABLE, (*one.notes, *other.notes))),
+        notes=tuple(make_notes(NoteKind.TABLE, (*one.notes, *other.notes))),
     )
 
 

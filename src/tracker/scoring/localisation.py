@@ -58,7 +58,7 @@ class MatchedDetections:
         return np.asarray(pace.reindex(self.truth.index).to_numpy(float)[self.pairs[:, 0]] > min_motion_px)
 
 
-def find_whole(truth: pd.DataFrame, *, max_hidden: float = 0.5) -> NDArray[np.bool_]:
+def find_required_rows(truth: pd.DataFrame, *, max_hidden: float = 0.5) -> NDArray[np.bool_]:
     """Find the rows (n,) of true tracks whose balls have to be found: in view, and not hidden by more than a share."""
     whole = truth["visible"].to_numpy(bool)
     if "hidden" not in truth:
@@ -73,7 +73,7 @@ def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float)
     than half hidden by others (column hidden, if there is one), need not be found. A detection on it does not count.
     """
     position, seen = _true(truth), _xy(found)
-    whole = find_whole(truth)
+    whole = find_required_rows(truth)
     pairs: list[tuple[int, int]] = []
     counted = np.ones(len(found), bool)
     then, now = truth["frame"].to_numpy(), found["frame"].to_numpy()

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.jobs import in_order, run_all_jobs
+from synthcam_shared.jobs import run_all_jobs, yield_in_order
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.results import finite, write_json
-from tracker.scoring.error_bars import quantity_bounds, score_quantities, true_motion
-from tracker.scoring.localisation import MatchedDetections, PositionSums, find_whole, match, position_bounds
+from tracker.results import replace_non_finite, write_json
+from tracker.scoring.error_bars import compute_true_parameters, quantity_bounds, score_quantities
+from tracker.scoring.localisation import MatchedDetections, PositionSums, find_required_rows, match, position_bounds
 from tracker.scoring.tracking_metrics import GATE_PX, TrackingCounts, TrackPoints
 
 NO_TRACKS = pd.DataFrame({"frame": [], "particle": [], "x": [], "y": []}).astype({"frame": int, "particle": int})
@@ -50,7 +50,7 @@ class DetectorScore:
             "clips": self.statuses,
             "ms_per_frame": self.ms_per_frame,
         }
-        whole: dict[str, Any] = finite({"suite": self.suite, "detectors": {self.detector: parts}})
+        whole: dict[str, Any] = replace_non_finite({"suite": self.suite, "detectors": {self.detector: parts}})
         return whole
 
     def write(self, report: Path | str) -> Path:
@@ -82,7 +82,7 @@ def score(
     task = partial(_score_clip, results, dataset)
     numbers = [int(clip) for clip in scalars["clip"]]
     positions, tracking, limits = PositionSums.none(), TrackingCounts.none(), []
-    for errors, counts, bounds in in_order(run_all_jobs(task, numbers, 1, results, scheduler), numbers):
+    for errors, counts, bounds in yield_in_order(run_all_jobs(task, numbers, 1, results, scheduler), numbers):
         positions, tracking = positions + errors, tracking + counts
         limits.append(bounds)
     table = join_truth(scalars, estimates, pd.DataFrame(limits).assign(clip=numbers))
@@ -144,7 +144,7 @@ def _score_clip(results: Path, dataset: Path, clip: int) -> tuple[int, ClipSums]
     matched = match(truth, found, GATE_PX, camera.diameter_px)
     cov = position_bounds(matched, camera)
     scalars = _scalars(dataset)
-    tied = true_motion(truth, scalars[scalars["clip"] == clip].iloc[0])
+    tied = compute_true_parameters(truth, scalars[scalars["clip"] == clip].iloc[0])
     counts = TrackingCounts.of(*to_track_points(matched))
     return clip, (PositionSums.of(matched, cov), counts, quantity_bounds(matched, cov, tied, camera))
 
@@ -165,7 +165,7 @@ def _read_clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, p
 
 def to_track_points(matched: MatchedDetections) -> tuple[TrackPoints, TrackPoints]:
     """Make the tracks that are scored, of balls that have to be found and of the detections that count."""
-    truth = matched.truth[find_whole(matched.truth)]
+    truth = matched.truth[find_required_rows(matched.truth)]
     found = matched.found[matched.counted]
     tables = ((truth, ["x_mean_px", "y_mean_px"]), (found, ["x", "y"]))
     one, other = (

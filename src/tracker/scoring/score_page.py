@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import format_number, format_percent
-from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, write_page
+from synthcam_shared.report.page import Block, PageFigure, PageSection, PageTable, write_page
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.collision_figures import (
     CollisionView,
-    energy_figure,
-    frame_figure,
-    separation_figure,
-    tracks_figure,
+    draw_energy,
+    draw_frame,
+    draw_separation,
+    draw_tracks,
 )
 from tracker.report.estimates_text import METHODS
 from tracker.report.pages import CAPTIONS
 from tracker.report.quantities import QUANTITIES
 from tracker.results import read_clip
-from tracker.scoring.error_figures import error_bars_figure, residual_figure
+from tracker.scoring.error_figures import draw_error_bars, draw_quantity_errors
 from tracker.scoring.external_tables import MEASURES
 from tracker.scoring.score import DetectorScore
 from tracker.scoring.summary import format_ratio
@@ -87,7 +87,7 @@ def write_report(
         name: PageFigure.of(figure, *FIGURES[name])
         for name, figure in draw_score_figures(score, Path(results), Path(dataset)).items()
     }
-    clip = choose_clip(score)
+    clip = choose_example_clip(score)
     if clip is None:
         misfits = score.statuses.get("misfit", 0)
         why = (
@@ -106,12 +106,12 @@ def write_report(
     if score.ms_per_frame is not None:
         summary += f" {score.ms_per_frame:.2f} ms per frame."
     sections = [
-        Section("Positions and tracks", make_position_tables(score)),
-        Section("Example of a collision" + ("" if clip is None else f": clip {clip}"), example),
-        Section(
+        PageSection("Positions and tracks", make_position_tables(score)),
+        PageSection("Example of a collision" + ("" if clip is None else f": clip {clip}"), example),
+        PageSection(
             "Estimates minus truth", [figures[n] for n in ("tied", "free", "local", "honesty", "paper") if n in figures]
         ),
-        Section("Accuracy of each quantity", make_quantity_tables(score)),
+        PageSection("Accuracy of each quantity", make_quantity_tables(score)),
     ]
     return write_page(Path(report) / "index.html", "Tracker results against the truth", sections, command, [summary])
 
@@ -119,7 +119,7 @@ def write_report(
 def draw_score_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str, Figure]:
     """Draw the figures of a score's page that the data allow, by name."""
     out: dict[str, Figure] = {}
-    clip = choose_clip(score)
+    clip = choose_example_clip(score)
     if clip is not None:
         tracks, camera = read_clip(results, clip)
         row = score.table[score.table["clip"] == clip].iloc[0]
@@ -128,18 +128,18 @@ def draw_score_figures(score: DetectorScore, results: Path, dataset: Path) -> di
         frame = int(spots["frame"].iloc[0])
         image = _read_picture(dataset, clip, frame)
         if image is not None:
-            out["frame"] = frame_figure(image, spots, frame, camera)
-        out["tracks"] = tracks_figure(view)
-        out["separation"] = separation_figure(view)
-        out["energy"] = energy_figure(view, tracks)
+            out["frame"] = draw_frame(image, spots, frame, camera)
+        out["tracks"] = draw_tracks(view)
+        out["separation"] = draw_separation(view)
+        out["energy"] = draw_energy(view, tracks)
         for name, method in (("tied", ""), ("free", "_free"), ("local", "_local"), ("paper", "_paper")):
             if f"r{method}" in score.table:
-                out[name] = residual_figure(score.table, method)
-        out["honesty"] = error_bars_figure(score.table)
+                out[name] = draw_quantity_errors(score.table, method)
+        out["honesty"] = draw_error_bars(score.table)
     return out
 
 
-def choose_clip(score: DetectorScore, typical_speed: float = 0.3) -> int | None:
+def choose_example_clip(score: DetectorScore, typical_speed: float = 0.3) -> int | None:
     """Choose the example on the page of a score: a clip of typical speed (m/s) whose tied fit gives every quantity."""
     table = score.table[score.table["status"] == "ok"]
     if len(table):

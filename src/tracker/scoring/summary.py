@@ -14,7 +14,7 @@ from tracker.scoring.score import DetectorScore
 JUDGED = ("r", "mu_k", "tau1", "tau2")
 
 
-def summarise(score: DetectorScore) -> Iterator[str]:
+def summarise_score(score: DetectorScore) -> Iterator[str]:
     """Yield lines for a terminal; the last one says what the tracks are good enough for."""
     where, swaps = score.localisation, score.tracking["swaps"]
     yield f"{score.statuses['n']} clips: " + ", ".join(f"{v} {k}" for k, v in score.statuses.items() if k != "n")
@@ -27,10 +27,10 @@ def summarise(score: DetectorScore) -> Iterator[str]:
         quantity = QUANTITIES[name]
         tied, free = (_format_errors(score.quantities[f"{name}{fit}"], quantity.factor) for fit in ("", "_free"))
         yield f"{f'{name} {quantity.unit}':<10}{tied}  {free}"
-    yield judge(score)
+    yield describe_fitness(score)
 
 
-def judge(score: DetectorScore, min_clips: int = 20) -> str:
+def describe_fitness(score: DetectorScore, min_clips: int = 20) -> str:
     """Say in a sentence of the summary what the results are good enough for, and warn if there are few clips."""
     few = f" Fewer than {min_clips} clips: the spread of z is uncertain." if score.statuses["n"] < min_clips else ""
     return _judge(score) + few

@@ -22,11 +22,11 @@ from synthcam_shared.errors import InputError, first_line
 from synthcam_shared.report.numbers import format_with_error
 from synthcam_shared.settings import did_you_mean
 from tracker.measurement.camera_errors import shared_effects
-from tracker.measurement.joint_fit import fit_all
+from tracker.measurement.joint_fit import fit_all_jointly
 from tracker.measurement.local.local_columns import calibrate_set
 from tracker.measurement.messages import SAME_BODIES
 from tracker.recording import Result
-from tracker.results import RUN, clip_folder, finite, load_json
+from tracker.results import RUN, clip_folder, load_json, replace_non_finite
 from tracker.sets.combined_quantity import (
     WITHOUT_COLLISION,
     CombinedQuantity,
@@ -105,7 +105,7 @@ class CombinedSet:
         dict
         """
         counts = self.table["result"].value_counts(sort=False)
-        document: dict[str, Any] = finite(
+        document: dict[str, Any] = replace_non_finite(
             {
                 "results": {str(name): int(count) for name, count in counts.items()},
                 "collisions": len(self.table),
@@ -196,7 +196,7 @@ def combine(
     notes += [note for one in found.values() for note in list_warnings(one)]
     if "mass_ratio" in found:
         notes.append(f"mass_ratio is that of the particle with the lower number over the other. {SAME_BODIES}")
-    return CombinedSet(table, found, fit_all(table), tuple(notes))
+    return CombinedSet(table, found, fit_all_jointly(table), tuple(notes))
 
 
 def _combine_values(table: pd.DataFrame, name: str, values: pd.DataFrame) -> CombinedQuantity:

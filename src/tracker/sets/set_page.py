@@ -17,8 +17,8 @@ from synthcam_shared.report.page import (
     Block,
     PageFigure,
     PageList,
+    PageSection,
     PageTable,
-    Section,
     make_axes,
     typeset_symbol,
     write_page,
@@ -61,23 +61,23 @@ def write_set(
 ) -> Path:
     """Write the page of a set, and set.json, which is `document`, into a folder, which replaces an earlier set."""
     sections = [
-        Section("", [_means_table(quantities)]),
+        PageSection("", [_means_table(quantities)]),
         *(
-            Section(f"{name}: {find_quantity(name).meaning}", _blocks(one, "" if number else CAPTION))
+            PageSection(f"{name}: {find_quantity(name).meaning}", _blocks(one, "" if number else CAPTION))
             for number, (name, one) in enumerate(quantities.items())
         ),
-        Section("Joint fit of the paper", _chi2_blocks(document["chi2"]["chi2"])),
-        Section("Method", [PageList(METHOD)]),
+        PageSection("Joint fit of the paper", _chi2_blocks(document["chi2"]["chi2"])),
+        PageSection("Method", [PageList(METHOD)]),
     ]
     with replace_folder(folder, FILES, "an earlier set of tracker combine") as aside:
         write_atomically(aside / FILES[0], json.dumps(document, indent=1) + "\n")
         title = f"Set {folder.resolve().name}"
-        summary = summarise(document, quantities)[:1]
+        summary = summarise_set(document, quantities)[:1]
         write_page(aside / FILES[1], title, sections, command, summary, document["notes"])
     return folder / FILES[1]
 
 
-def summarise(document: Mapping[str, Any], quantities: Mapping[str, CombinedQuantity]) -> list[str]:
+def summarise_set(document: Mapping[str, Any], quantities: Mapping[str, CombinedQuantity]) -> list[str]:
     """Summarise a set in lines for a terminal: how many collisions enter, then each quantity."""
     several = len(document["results"])
     out = ", ".join(f"{count} {status}" for status, count in document["left_out"].items())
@@ -126,7 +126,7 @@ def _means_table(quantities: Mapping[str, CombinedQuantity]) -> PageTable:
 
 def _blocks(one: CombinedQuantity, caption: str) -> list[Block]:
     quantity = find_quantity(one.name)
-    blocks: list[Block] = [PageFigure.of(set_figure(one), f"{one.name} of all collisions", caption)]
+    blocks: list[Block] = [PageFigure.of(draw_set(one), f"{one.name} of all collisions", caption)]
     if len(one.by_result) > 1:
         rows = [
             (
@@ -174,7 +174,7 @@ def _chi2_blocks(fit: Mapping[str, Any]) -> list[Block]:
     return [CHI2, PageTable(["symbol", "value"], rows, "", note)]
 
 
-def set_figure(one: CombinedQuantity, *, max_named: int = 40) -> Figure:
+def draw_set(one: CombinedQuantity, *, max_named: int = 40) -> Figure:
     """Draw the forest plot, the funnel plot and the values against v_n.
 
     max_named: collisions of a forest plot that have a name.

@@ -16,12 +16,21 @@ import numpy as np
 import pandas as pd
 
 from synthcam_shared.errors import InputError, first_line
-from tracker.camera.camera_keys import format_value
-from tracker.tables.dialect import LINE, MISSING_MARKS, Dialect, Line, find_dialect, is_number, split_cells, split_lines
+from tracker.camera.camera_keys import format_wrong_value
+from tracker.tables.dialect import (
+    LINE,
+    MISSING_MARKS,
+    Dialect,
+    TableLine,
+    find_dialect,
+    is_number,
+    split_cells,
+    split_lines,
+)
 
 
 @dataclass(frozen=True)
-class Content:
+class FileContent:
     """A file's bytes, and what messages call it."""
 
     data: bytes
@@ -29,14 +38,14 @@ class Content:
     decimal: str = ""  # of numbers, "," or "."; "": as the numbers show
 
     @staticmethod
-    def of(path: Path, decimal: str = "") -> Content:
+    def of(path: Path, decimal: str = "") -> FileContent:
         """Raises InputError for what is no file."""
         if decimal not in ("", ",", "."):
-            raise InputError(f"--decimal: expected , or . and not {format_value(decimal)}")
+            raise InputError(f"--decimal: expected , or . and not {format_wrong_value(decimal)}")
         if not path.is_file():
             what = "a folder" if path.is_dir() else "no such file"
             raise InputError(f"{path}: {what}, expected a table of tracks (CSV, Excel, Parquet, ...)")
-        return Content(path.read_bytes(), str(path), decimal)
+        return FileContent(path.read_bytes(), str(path), decimal)
 
     def wrong(self, what: str) -> InputError:
         """An error that names the file."""
@@ -113,12 +122,12 @@ class Content:
         return builder.close()
 
     @cached_property
-    def lines(self) -> list[Line]:
+    def lines(self) -> list[TableLine]:
         """The lines of the table, without empty lines and comments."""
         return self._parts[0]
 
     @cached_property
-    def _parts(self) -> tuple[list[Line], str, str]:
+    def _parts(self) -> tuple[list[TableLine], str, str]:
         return split_lines(self.text)
 
     @cached_property
@@ -172,7 +181,7 @@ class Content:
             names, lines = self.dialect.split(lines[0].text), lines[1:]
         return self._parse(lines, names)
 
-    def _parse(self, lines: list[Line], names: list[str]) -> pd.DataFrame:
+    def _parse(self, lines: list[TableLine], names: list[str]) -> pd.DataFrame:
         """Lines as a table with these names of columns."""
         mark = self.dialect.delimiter
         quoted = any('"' in line.text for line in lines)
@@ -212,7 +221,7 @@ class Content:
         texts = {name: self._plain(table[name]) for name in names if not pd.api.types.is_numeric_dtype(table[name])}
         return table.assign(**texts) if texts else table
 
-    def _complete(self, lines: list[Line], names: list[str], counts: Any) -> list[str]:
+    def _complete(self, lines: list[TableLine], names: list[str], counts: Any) -> list[str]:
         """Names of columns where lines have more cells: row numbers without a name come first.
 
         An empty cell at the end of a line has no name. Raises InputError for any other cell.
@@ -269,7 +278,7 @@ class Content:
     def attribute(self, element: ET.Element, name: str) -> str:
         """Of an element of XML. Raises InputError where it is missing."""
         if name not in element.attrib:
-            raise self.wrong(f"<{format_value(element.tag, quoted=False)}> without {name}")
+            raise self.wrong(f"<{format_wrong_value(element.tag, quoted=False)}> without {name}")
         return element.attrib[name]
 
     def number(self, element: ET.Element, name: str) -> float:
@@ -284,8 +293,8 @@ class Content:
         try:
             return float(text)
         except ValueError:
-            tag = format_value(f"<{element.tag}> {name}", quoted=False)
-            raise self.wrong(f"{tag}: expected a number, not {format_value(text)}") from None
+            tag = format_wrong_value(f"<{element.tag}> {name}", quoted=False)
+            raise self.wrong(f"{tag}: expected a number, not {format_wrong_value(text)}") from None
 
 
 def _read_hdf5(data: bytes) -> pd.DataFrame:

@@ -15,7 +15,7 @@ _EITHER = r"(?<![\d.,])[-+]?\d{1,3},\d{3}(?![\d.,])"
 
 
 @dataclass(frozen=True)
-class Line:
+class TableLine:
     """A line of a text that is part of the table, with its number in the file, from 1."""
 
     number: int
@@ -36,9 +36,9 @@ class Dialect:
         return split_cells(text, self.delimiter)
 
 
-def split_lines(text: str) -> tuple[list[Line], str, str]:
+def split_lines(text: str) -> tuple[list[TableLine], str, str]:
     """The lines of a table, the delimiter that a first line `sep=` names, and the last comment line above the table."""
-    lines, delimiter, comment = list[Line](), "", ""
+    lines, delimiter, comment = list[TableLine](), "", ""
     comment_marks = ("#", "%", "//")
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():
@@ -48,11 +48,11 @@ def split_lines(text: str) -> tuple[list[Line], str, str]:
         elif line.lstrip().startswith(comment_marks):
             comment = comment if lines else line.lstrip().lstrip("#%/").strip()
         else:
-            lines.append(Line(number, line))
+            lines.append(TableLine(number, line))
     return lines, delimiter, comment
 
 
-def find_dialect(lines: Sequence[Line], delimiter: str = "", decimal: str = "") -> Dialect:
+def find_dialect(lines: Sequence[TableLine], delimiter: str = "", decimal: str = "") -> Dialect:
     """The dialect of a table. delimiter, decimal: where they are known."""
     delimiter = delimiter or _find_delimiter(lines)
     text = "\n".join(line.text for line in lines)
@@ -78,7 +78,7 @@ def find_dialect(lines: Sequence[Line], delimiter: str = "", decimal: str = "") 
     return Dialect(delimiter, "," if doubt else ".", "", doubt[0] if doubt else "")
 
 
-def _mixes_whole_numbers(lines: Sequence[Line], delimiter: str) -> bool:
+def _mixes_whole_numbers(lines: Sequence[TableLine], delimiter: str) -> bool:
     """Tell whether a column has numbers such as 1,234 and others such as 987.
 
     A program that writes three decimals always does; one that drops zeros writes fewer in some numbers too.
@@ -110,7 +110,7 @@ def is_number(cell: str) -> bool:
     return _NUMBER.fullmatch(re.sub(r"(?<=\d)[\s'’](?=\d{3})", "", cell.strip())) is not None
 
 
-def _find_delimiter(lines: Sequence[Line]) -> str:
+def _find_delimiter(lines: Sequence[TableLine]) -> str:
     """The mark that cuts most lines into equally many cells, most of which are numbers."""
     # the lines above the numbers are a few; a hundred lines show the rest
     sample = [line.text for line in (*lines[:60], *lines[60 :: max(len(lines) // 40, 1)])]

@@ -19,16 +19,16 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.settings import did_you_mean
 from tracker.camera.camera import Camera, CameraSource
 from tracker.camera.camera_json import read_source
-from tracker.camera.camera_keys import format_value
+from tracker.camera.camera_keys import format_wrong_value
 from tracker.detection.link import Tracks
-from tracker.notes import Note, NoteKind, note_all
+from tracker.notes import Note, NoteKind, make_notes
 from tracker.tables import formats as format_files
 from tracker.tables.column_names import read_named_columns
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.rows import REQUIRED_COLUMNS, check_columns, split_tracks, to_numbers
-from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
+from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, parse_unit
 from tracker.tables.table_options import DEFAULT_TABLE_OPTIONS, TableOptions
-from tracker.tables.unit_check import check_unit, common_frames
+from tracker.tables.unit_check import check_unit, find_common_frames
 
 NO_STRIKER = (
     "no column striker, so that ball {} counts as the striker of every clip; if the balls change roles, add a column"
@@ -45,7 +45,7 @@ class ClipTracks:
     notes: tuple[Note, ...] = ()
 
 
-def formats() -> dict[str, Any]:
+def list_table_formats() -> dict[str, Any]:
     """List the formats of tables that can be read, as modules by name."""
     names = sorted(info.name for info in pkgutil.iter_modules(format_files.__path__))
     return {name: importlib.import_module(f"{format_files.__name__}.{name}") for name in names}
@@ -56,7 +56,7 @@ def read_tracks(path: Path, camera: CameraSource, options: TableOptions = DEFAUL
 
     path: CSV or Parquet with frame, particle, x, y, or a file of one of the formats; camera: of the tracks.
     """
-    content = Content.of(path, options.decimal)
+    content = FileContent.of(path, options.decimal)
     if content.archive == "zip" and not content.is_excel:
         if path.suffix.lower() in (".xlsx", ".xlsm", ".ods"):
             raise content.wrong("not a workbook that can be read, expected a table of tracks; save it as CSV")
@@ -70,12 +70,12 @@ def read_tracks(path: Path, camera: CameraSource, options: TableOptions = DEFAUL
     return to_pixels(table, path.name, camera, options.unit, str(path))
 
 
-def recognise_format(content: Content) -> TrackTable:
+def recognise_format(content: FileContent) -> TrackTable:
     """Read a table of tracks in the format that its content shows; an empty file is one without rows.
 
     Raises InputError for what is none.
     """
-    every = formats().values()
+    every = list_table_formats().values()
     if not content.is_binary and not content.text.strip():
         note = f"{Path(content.where).name}: an empty file, a result without a detection"
         return TrackTable(pd.DataFrame(columns=list(REQUIRED_COLUMNS), dtype=float), notes=(note,))
@@ -87,7 +87,7 @@ def recognise_format(content: Content) -> TrackTable:
         raise content.wrong("JSON, expected a table of tracks; camera.json belongs behind --camera")
     if content.root is not None:
         known = ", ".join(sorted(one.NAME for one in every if getattr(one, "FROM_XML", False)))
-        raise content.wrong(f"XML of <{format_value(content.root.tag, quoted=False)}>, expected one of {known}")
+        raise content.wrong(f"XML of <{format_wrong_value(content.root.tag, quoted=False)}>, expected one of {known}")
     more = ", or those of another program (docs/format.md); --columns x=NAME,y=NAME,... names or counts others"
     check_columns(content.cells(), content.where, more)
     raise AssertionError("a table with these columns is trackpy's")
@@ -101,10 +101,10 @@ def _pick_columns(rows: pd.DataFrame, columns: str, where: str, notes: Iterable[
     for key, name in pairs.items():
         if key not in known or not name:
             hint = did_you_mean(key, known, written=known)
-            raise InputError(f"--columns: {format_value(key)}: expected NAME=COLUMN of {', '.join(known)}{hint}")
+            raise InputError(f"--columns: {format_wrong_value(key)}: expected NAME=COLUMN of {', '.join(known)}{hint}")
     pairs = {key: _find_column(name, rows) for key, name in pairs.items()}
     if missing := [name for name in pairs.values() if name not in rows]:
-        there = format_value(", ".join(map(str, rows.columns)), quoted=False)
+        there = format_wrong_value(", ".join(map(str, rows.columns)), quoted=False)
         raise InputError(f"{where}: no column {', '.join(missing)}, as --columns says; found {there}")
     rows = pd.DataFrame({key: rows[name] for key, name in pairs.items()}).rename(columns={"track": "particle"})
     fps = math.nan
@@ -131,7 +131,7 @@ def read_frame(
     return to_pixels(table.number_names(where), where, camera, options.unit)
 
 
-def _count_columns(content: Content) -> list[str]:
+def _count_columns(content: FileContent) -> list[str]:
     """Names of columns that have none: their numbers, from 1."""
     return [f"{k}" for k in range(1, len(content.head[0]) + 1)]
 
@@ -148,7 +148,7 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
     where = where or name
     table = table.leave_out_unassigned(name, where)
     notes = list(table.notes)
-    given = unit_of(unit, "--unit") if unit else table.find_unit(where)
+    given = parse_unit(unit, "--unit") if unit else table.find_unit(where)
     used = given or ("m" if table.up else "px")
     if table.format:
         notes.append(f"{name}: read as {table.format}, lengths in {used}{'' if given else '; --unit if not so'}")
@@ -172,7 +172,7 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
     if not given:
         notes += check_unit([tracks for tracks, _ in clips.values()], known, where)
     notes += [text for n, (tracks, _) in clips.items() if (text := _describe_overlaps(tracks, known, f"clip {n}"))]
-    said = note_all(NoteKind.TABLE, notes)
+    said = make_notes(NoteKind.TABLE, notes)
     if len(clips) > 1 and "striker" not in table.rows and not _names_striker(camera):
         clips, note = _infer_strikers(clips, table.balls, known.striker)
         said.append(replace(note, text=f"{name}: {note}"))
@@ -207,7 +207,7 @@ def _infer_strikers(
 
 def find_first_mover(tracks: Tracks) -> int | None:
     """Find the striker in tracks that were read: the particle that moves before both come nearest, or None."""
-    pair = common_frames(tracks)
+    pair = find_common_frames(tracks)
     if pair is None:
         return None
     particles, one, two, _ = pair

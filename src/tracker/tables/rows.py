@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.csv
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import format_value
+from tracker.camera.camera_keys import format_wrong_value
 from tracker.detection.link import Tracks
 from tracker.tables.dialect import LINE
 
@@ -87,7 +87,7 @@ def check_columns(table: pd.DataFrame, where: str, more: str = "") -> None:
     """Check that a table of tracks has the columns frame, particle, x and y. Raises InputError."""
     missing = [name for name in REQUIRED_COLUMNS if name not in table]
     if missing:
-        there = format_value(", ".join(map(str, table.columns)), quoted=False)
+        there = format_wrong_value(", ".join(map(str, table.columns)), quoted=False)
         raise InputError(
             f"{where}: no column {', '.join(missing)}, expected {', '.join(REQUIRED_COLUMNS)}{more}; found {there}"
         )
@@ -165,7 +165,7 @@ def to_numbers(values: Any, name: str, where: str) -> Any:
         column = pd.Series(values) if not isinstance(values, pd.Series) else values
         wrong = (pd.to_numeric(column, errors="coerce").isna() & column.notna()).to_numpy()
         at = int(np.argmax(wrong))
-        text = format_value(column.iloc[at] if wrong.any() else column.dtype)
+        text = format_wrong_value(column.iloc[at] if wrong.any() else column.dtype)
         help_with = "; --decimal says which mark numbers have" if re.search(r"\d[,.]\d", text) else ""
         raise InputError(f"{where}: {_row_of(column, at)}{name}: expected numbers, not {text}{help_with}") from None
 

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import format_value
+from tracker.camera.camera_keys import format_wrong_value
 from tracker.tables.rows import to_numbers
 
 LENGTH_UNITS = {  # what one of a unit is in m, and what it is called; "px" has no length of its own
@@ -43,7 +43,7 @@ class TrackTable:
         """The unit of lengths, a key of LENGTH_UNITS; "" where nothing says it. Raises InputError."""
         # names that stand for no unit
         unknown = ("", "unit", "units", "a.u.", "au", "arb. unit", "arb. units", "none", "null", "-")
-        return "" if self.unit.strip().strip("()").lower() in unknown else unit_of(self.unit, where)
+        return "" if self.unit.strip().strip("()").lower() in unknown else parse_unit(self.unit, where)
 
     def number_names(self, name: str) -> TrackTable:
         """The same with numbers for names of particles and of clips, in the order of the alphabet.
@@ -61,7 +61,7 @@ class TrackTable:
             rows = rows.assign(**{column: np.where(texts.isna(), np.nan, numbers)})
             if column == "particle":
                 balls = tuple(names)
-            listed = ", ".join(f"{k} is {format_value(one, quoted=False)}" for k, one in enumerate(names[:4]))
+            listed = ", ".join(f"{k} is {format_wrong_value(one, quoted=False)}" for k, one in enumerate(names[:4]))
             notes.append(f"{name}: column {column} has names: {listed}{', ...' if len(names) > 4 else ''}")
         return replace(self, rows=rows, notes=tuple(notes), balls=balls)
 
@@ -106,13 +106,13 @@ def _natural_order(text: str) -> list[tuple[bool, int, str]]:
     return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
-def unit_of(name: str, where: str) -> str:
+def parse_unit(name: str, where: str) -> str:
     """Find the unit of a table's lengths by its name. Raises InputError."""
     found = [unit for unit, (_, names) in LENGTH_UNITS.items() if name.strip().strip("()").lower() in names.split()]
     if not found:
         option = "" if where == "--unit" else "; --unit says which it is"
         known = ", ".join(LENGTH_UNITS)
-        raise InputError(f"{where}: {format_value(name)}: expected a unit of length, one of {known}{option}")
+        raise InputError(f"{where}: {format_wrong_value(name)}: expected a unit of length, one of {known}{option}")
     return found[0]
 
 

@@ -96,7 +96,7 @@ def check_unit(clips: Sequence[Tracks], camera: Camera, where: str) -> list[str]
     a diameter. Hardly any track lies outside the picture, in any unit. Where px and another unit explain the tracks
     equally well, the note names both.
     """
-    pairs = [(tracks, pair) for tracks in clips if (pair := common_frames(tracks)) is not None]
+    pairs = [(tracks, pair) for tracks in clips if (pair := find_common_frames(tracks)) is not None]
     if not pairs or not camera.metric or not camera.knows_diameter:
         return []
     return _judge_unit(_measure_unit(pairs, camera), camera, where)
@@ -252,7 +252,7 @@ def _closest_approach(particles: Any, one: Any, two: Any, frame: Any) -> tuple[f
     return float(distance[nearest]), float(steps.max(initial=0.0))
 
 
-def common_frames(tracks: Tracks) -> CommonFrames | None:
+def find_common_frames(tracks: Tracks) -> CommonFrames | None:
     """The numbers of the two balls seen most often, their positions (k, 2) in the frames of both, and these frames."""
     particles, counts = np.unique(tracks.particle, return_counts=True)
     if len(particles) < 2:

@@ -13,7 +13,8 @@ from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.policy import SearchPolicy
-from discrepancy.search import prepare, search
+from discrepancy.preparation import prepare_data
+from discrepancy.search import search
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -186,7 +187,7 @@ def test_one_note_lists_what_all_stretches_of_a_clip_lose():
 @pytest.mark.parametrize("frame", [1.0, pytest.param(40.0, marks=pytest.mark.gate), 78.0, 79.0])
 def test_a_lost_frame_is_none_however_near_the_end(frame):
     lost = Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame})
-    assert prepare(collisions(lost, 8, 3), Model(), lambda stage: None).left_out == ()
+    assert prepare_data(collisions(lost, 8, 3), Model(), lambda stage: None).left_out == ()
 
 
 def test_a_lost_frame_at_the_end_is_named(monkeypatch):

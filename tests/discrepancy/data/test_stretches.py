@@ -12,7 +12,7 @@ from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting.base_fit import fit_base_model
 from discrepancy.free_laws.ranges import compute_ranges
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.preparation import prepare
+from discrepancy.preparation import prepare_data
 from discrepancy.search import search
 from discrepancy.validate.residual_map import find_disagreements
 from synthcam import Scene
@@ -81,7 +81,7 @@ def test_the_phase_that_disagrees_is_found_and_none_without_a_fault():
 
 
 def test_stretches_of_one_recording_are_all_fitted_or_all_held_out():
-    data = prepare(noisy(exact(Model(), 6, 3), 3), Model(), lambda stage: None, stretches=True)
+    data = prepare_data(noisy(exact(Model(), 6, 3), 3), Model(), lambda stage: None, stretches=True)
     fitted, held_out = ({c.clip for c in clips} for clips in (data.clips, data.held_out))
     assert fitted.isdisjoint(held_out)
     assert len(fitted | held_out) == 6
@@ -108,7 +108,9 @@ def test_the_balls_of_a_crowd_give_stretches_that_hold_no_event():
 def test_recordings_without_a_long_stretch_are_refused_in_one_line():
     short = [c.select(np.flatnonzero(np.abs(c.frame / c.fps - c.launch[2]) < 0.03)) for c in exact(Model(), 8, 3)]
     with pytest.raises(InputError, match="no clip has free stretches that are long enough"):
-        prepare([dataclasses.replace(c, xy=c.xy + STD) for c in short], Model(), lambda stage: None, stretches=True)
+        prepare_data(
+            [dataclasses.replace(c, xy=c.xy + STD) for c in short], Model(), lambda stage: None, stretches=True
+        )
 
 
 def test_the_ranges_of_free_laws_are_those_that_stretches_cover():

@@ -15,7 +15,7 @@ from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.law_summary import LawSummary, describe_law
-from discrepancy.free_laws.library import free_laws_over, law_count, library
+from discrepancy.free_laws.library import count_laws, free_laws_over, list_free_laws
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import search
 from synthcam.effect import Effect, parameter
@@ -49,9 +49,9 @@ def constant(law, part=0):
 
 
 def test_all_are_there_and_counted():
-    both = {law.base_name for law in library()}
+    both = {law.base_name for law in list_free_laws()}
     assert set(FREE) == {*both, *(f"{name}_{ball}" for name in ALONE for ball in "ab")}
-    assert len(FREE) == law_count()
+    assert len(FREE) == count_laws()
 
 
 @pytest.mark.parametrize("name", ALONE)
@@ -215,15 +215,15 @@ def one_more(tmp_path, monkeypatch):
     """A free law in a file that is dropped into the folder."""
     (tmp_path / "restitution_side.py").write_text(SIDE)
     monkeypatch.setattr(laws, "__path__", [*laws.__path__, str(tmp_path)])
-    before = law_count()
-    library.cache_clear()
+    before = count_laws()
+    list_free_laws.cache_clear()
     yield before
     sys.modules.pop("discrepancy.free_laws.laws.restitution_side", None)
-    library.cache_clear()
+    list_free_laws.cache_clear()
 
 
 def test_a_file_dropped_into_the_folder_is_found(one_more):
-    assert law_count() == one_more + 1
+    assert count_laws() == one_more + 1
 
 
 @pytest.mark.gate

@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
 from discrepancy.free_laws.axis import Axis
-from discrepancy.free_laws.library import library
+from discrepancy.free_laws.library import list_free_laws
 from discrepancy.free_laws.marginal_likelihood import (
     PRIOR_LENGTHS,
     compute_significance,
@@ -16,7 +16,7 @@ from discrepancy.free_laws.marginal_likelihood import (
     maximise_evidence,
 )
 
-LAWS = {law.base_name: law for law in library()}
+LAWS = {law.base_name: law for law in list_free_laws()}
 LAW = dataclasses.replace(LAWS["restitution_speed"], axes=(Axis("normal speed", "m/s", 0.1, 0.6, 8),))
 RNG = np.random.default_rng(5)
 DESIGN = LAW.basis(RNG.uniform(0.1, 0.6, 30)) @ np.diag(RNG.uniform(1, 4, 8))

@@ -9,7 +9,7 @@ from discrepancy_clips import CAMERA, STD, exact, noise_of_pair, noisy
 from discrepancy.data.notes import SearchNoteKind
 from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.preparation import prepare
+from discrepancy.preparation import prepare_data
 from synthcam.model import Model
 
 PIXEL = CAMERA.scale
@@ -88,6 +88,6 @@ def test_a_search_is_prepared_with_both():
         dataclasses.replace(guess, xy=made.xy)
         for guess, made in zip(noisy(exact(Model(), 8, 4), 4), clips, strict=True)
     ]
-    data = prepare(begun, Model(), lambda stage: None)
+    data = prepare_data(begun, Model(), lambda stage: None)
     assert kinds(data.error_notes) == {SearchNoteKind.FRAME_SHIFT, SearchNoteKind.NOISE_BY_SPEED}
     assert data.noise.own.partial_autocorrelations == ()

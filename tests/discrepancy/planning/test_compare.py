@@ -12,13 +12,13 @@ from discrepancy.planning.compare import (
     indistinguishable_pairs,
     largest_cosine,
 )
-from discrepancy.planning.limits import Limit, Rival
+from discrepancy.planning.limits import Rival, StrengthLimits
 
 
 def limit(effect, size, rival="other", cosine=0.5, shows=True):
     naming = size / math.sqrt(1 - cosine**2)
     rivals = (Rival(rival, cosine, {}),)
-    return Limit(effect, f"{effect}.x", "1", 1.0, {}, size, naming, shows, rivals, size, size, (size, size))
+    return StrengthLimits(effect, f"{effect}.x", "1", 1.0, {}, size, naming, shows, rivals, size, size, (size, size))
 
 
 BEFORE = (limit("one", 0.4, "two", 0.95), limit("two", 0.1, "one", 0.95))

@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from discrepancy.planning.limits import Limit, Rival, count_draws, median_limits
+from discrepancy.planning.limits import Rival, StrengthLimits, count_draws, median_limits
 
 
 def limit(size, shows=True, **cosines):
     rivals = tuple(Rival(name, c, {}) for name, c in sorted(cosines.items(), key=lambda pair: -pair[1]))
-    return Limit("one", "one.x", "1", 1.0, {}, size, size, shows, rivals, size, size, (size, size))
+    return StrengthLimits("one", "one.x", "1", 1.0, {}, size, size, shows, rivals, size, size, (size, size))
 
 
 def test_limits_and_cosines_are_medians():

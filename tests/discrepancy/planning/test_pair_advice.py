@@ -8,7 +8,7 @@ from discrepancy_clips import collisions
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.noise.model import estimate_noise
-from discrepancy.planning.pair_advice import ComparedDesign, advise, compare_designs
+from discrepancy.planning.pair_advice import ComparedDesign, advise_on_pair, compare_designs
 from synthcam.model import Model
 
 CANDIDATES = {s.name: s for s in list_candidates(Model(), BASE_PARAMETERS)}
@@ -36,13 +36,13 @@ def test_nothing_parts_a_heavier_ball_from_a_larger_one():
 
 
 def test_the_advice_is_the_best_of_the_designs():
-    said = advise(
+    said = advise_on_pair(
         CANDIDATES["hop"],
         CANDIDATES["mass_mismatch"],
         [ComparedDesign(w, c) for w, c in found("hop", "mass_mismatch").items()],
     )
     assert said.startswith("To distinguish hop and mass_mismatch: the balls exchanged in half of the collisions;")
-    hopeless = advise(
+    hopeless = advise_on_pair(
         CANDIDATES["mass_mismatch"], CANDIDATES["diameter_mismatch"], [ComparedDesign("these collisions", 1.0)] * 3
     )
     assert "No collisions" in hopeless
@@ -54,14 +54,14 @@ def test_nothing_parts_an_effect_from_one_that_the_fit_absorbs():
     pair = ("clock_error", "rolling_quadratic")
     cosines = found(*pair)
     assert set(cosines.values()) == {1.0}
-    said = advise(*(CANDIDATES[n] for n in pair), [ComparedDesign(w, c) for w, c in cosines.items()])
+    said = advise_on_pair(*(CANDIDATES[n] for n in pair), [ComparedDesign(w, c) for w, c in cosines.items()])
     assert said.startswith("No collisions of two balls distinguish ")
 
 
 @pytest.mark.parametrize(("cosine", "parted"), [(0.87, True), (0.93, False)])
 def test_two_effects_are_parted_under_nine_tenths(cosine, parted):
     pair = CANDIDATES["hop"], CANDIDATES["mass_mismatch"]
-    said = advise(
+    said = advise_on_pair(
         *pair,
         [ComparedDesign("these collisions", 0.99), ComparedDesign("longer films", cosine), ComparedDesign("all", 0.99)],
     )

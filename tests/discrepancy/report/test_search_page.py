@@ -10,7 +10,7 @@ from discrepancy_clips import searched
 from discrepancy_outsiders import OUTSIDERS, outsider
 
 from discrepancy.report import search_page as report
-from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw_search_figures, name_of_best
+from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw_search_figures, name_best_model
 from discrepancy.report.narrative import write_story
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
@@ -87,7 +87,7 @@ def test_the_caption_counts_the_effects(written):
 def test_a_model_that_lacks_nothing_is_drawn_once(written):
     found, _ = written
     labels = [bars.get_label() for bars in _gap_by_phase_figure(found).axes[0].containers]
-    assert labels == ["base model", *(() if found.is_empty else [name_of_best(found)]), "noise alone"]
+    assert labels == ["base model", *(() if found.is_empty else [name_best_model(found)]), "noise alone"]
     assert len(_fits_to_draw(found)) == len(labels) - 1
 
 

@@ -16,7 +16,7 @@ from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
 from discrepancy.select.free_law_contest import FreeLawFits, find_better_law, find_winning_law, is_beaten
 from discrepancy.select.law_fit import fit_law, fit_unseen_clips, score_law, whiten_law_columns
-from discrepancy.select.model_cost import cost_of
+from discrepancy.select.model_cost import compute_cost
 from synthcam.model import Model
 
 NOISE = Noise(NoiseComponent(1.0))
@@ -62,7 +62,7 @@ def test_the_free_law_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
     best, base = min(laws.fitted, key=lambda f: f.score), laws.base
     assert best.law.name == "restitution_heading"
     assert best.sigma > 20
-    assert best.score < cost_of(base, base) - current_policy().effect_preferred_chi2
+    assert best.score < compute_cost(base, base) - current_policy().effect_preferred_chi2
     freedom = best.fit.points - best.fit.parameters - best.law.size
     assert abs(best.fit.chi2 / freedom - 1) < 4 * np.sqrt(2 / freedom)
 

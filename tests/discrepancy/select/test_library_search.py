@@ -21,11 +21,11 @@ from discrepancy.select.library_search import (
     complete_search,
     describe_claims,
     find_undetectable,
+    fit_effects_from,
     improve_once,
     iterate_models,
     make_selection,
     search_from,
-    start_from,
 )
 from synthcam.library import library
 from synthcam.model import Model
@@ -139,14 +139,16 @@ def test_a_wrong_beginning_is_shed_and_what_is_not_claimed_dropped(monkeypatch):
     truth = Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.07})
     clips, base, noise = started(truth)
     steps, found = selected(clips, base, noise)
-    assert [s.name for s in complete_search(steps, start_from(steps, ["rolling_quadratic"], Model()))] == ["stribeck"]
-    (own,) = start_from(steps, ["stribeck"], Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2}))
+    assert [s.name for s in complete_search(steps, fit_effects_from(steps, ["rolling_quadratic"], Model()))] == [
+        "stribeck"
+    ]
+    (own,) = fit_effects_from(steps, ["stribeck"], Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2}))
     fitted = steps.fits[frozenset([own])]
     assert "stribeck.slip" in fitted.names
     assert fitted.chi2 == pytest.approx(found.best.chi2, abs=0.1)
     clips, base, noise = started(Model())
     steps, _ = selected(clips, base, noise)
-    assert complete_search(steps, start_from(steps, ["velocity_restitution"], Model())) == ()
+    assert complete_search(steps, fit_effects_from(steps, ["velocity_restitution"], Model())) == ()
 
 
 def test_the_best_fit_holds_the_named_effects_and_no_other(monkeypatch):
@@ -309,7 +311,7 @@ def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
         "discrepancy.select.library_search.minimise_chi2", lambda evidence, fit, progress: fit
     )  # it stays
     for each in (alone, steps):
-        state = start_from(each, ["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
+        state = fit_effects_from(each, ["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
     assert alone.fits[frozenset(state)].chi2 > found.best.chi2 + 10
     assert steps.fits[frozenset(state)] is found.best
 

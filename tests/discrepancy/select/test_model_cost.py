@@ -9,7 +9,7 @@ from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, find_parameter
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.select.model_cost import cost_of
+from discrepancy.select.model_cost import compute_cost
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -25,8 +25,8 @@ def test_a_strength_is_paid_for_and_a_shape_by_how_well_it_is_known():
     z, known = (f.model.value(n) / f.std[n] for f, n in ((alone, "stribeck.rise"), (fit, "stribeck.slip")))
     shape = 2 * np.log(np.log(25) * known / np.sqrt(2 * np.pi))  # of a range 1 : 25
     wanted = 2 * np.log(len(library())) + 1 + np.log(z**2) + shape
-    assert cost_of(fit, base) - fit.chi2 == pytest.approx(wanted, abs=0.05)
-    assert cost_of(base, base) == base.chi2
+    assert compute_cost(fit, base) - fit.chi2 == pytest.approx(wanted, abs=0.05)
+    assert compute_cost(base, base) == base.chi2
 
 
 def test_what_no_data_tell_apart_is_paid_for_once():
@@ -44,4 +44,4 @@ def test_what_no_data_tell_apart_is_paid_for_once():
     span = np.ptp(find_parameter(truth, "ball_friction.mu").tries)
     hardly = np.log1p(span**2 / (2 * np.pi * both.std["ball_friction.mu"] ** 2))
     assert hardly < 0.2
-    assert cost_of(both, base) - cost_of(one, base) == pytest.approx(hardly, abs=0.05)
+    assert compute_cost(both, base) - compute_cost(one, base) == pytest.approx(hardly, abs=0.05)

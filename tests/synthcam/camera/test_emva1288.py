@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from synthcam.camera.exposure import Picture
-from synthcam.camera.sensor import Chip, Sensor
+from synthcam.camera.sensor import Sensor, SensorChip
 
 pytest.importorskip("emva1288")
 
@@ -25,7 +25,7 @@ def measured(sensor):
     from emva1288.process.data import Data1288
     from emva1288.process.results import Results1288
 
-    chip = Chip(sensor, SIZE, EXPOSURE, root_seed=1)
+    chip = SensorChip(sensor, SIZE, EXPOSURE, root_seed=1)
     temporal, spatial = {}, {}
     for clip, level in enumerate(np.linspace(0, 0.9, 13)):
         pair = stack(chip, level, clip, 2)

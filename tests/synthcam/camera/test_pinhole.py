@@ -130,5 +130,5 @@ def test_a_third_ball_in_the_way_hides_the_glint():
     radii = np.full(2, RADIUS)
     paths = reflections.reflect(lamp, eye, centres[:, :1], np.full((2, 1), RADIUS))
     near = reflections.find_neighbours(centres, reflections.find_blocking_distance(lamp, eye, centres, radii, 0.0))
-    hidden = reflections.find_hidden(lamp, eye, paths, np.zeros((2, 1), int), centres, radii, np.arange(2), near)
+    hidden = reflections.find_blocked_paths(lamp, eye, paths, np.zeros((2, 1), int), centres, radii, np.arange(2), near)
     np.testing.assert_array_equal(hidden, [True, False])

@@ -27,11 +27,12 @@ def test_a_wide_lamp_lights_the_plate_as_its_area_does():
     side = (np.arange(400) + 0.5) / 200 * 0.12 - 0.12
     u, v = np.meshgrid(side, side)
     inside = u * u + v * v < 0.12**2
-    for point, got in zip(points, plate.irradiance(lamp, points), strict=True):
+    for point, got in zip(points, plate.compute_irradiance(lamp, points), strict=True):
         square = (lamp.position[0] + u - point[0]) ** 2 + (lamp.position[1] + v - point[1]) ** 2 + 0.3**2
         assert got == pytest.approx(np.mean((0.3**4 / square**2)[inside]), rel=2e-3)
     turned = Lamp(SIDE.position, 0.002, towards=np.zeros(3))
-    assert plate.irradiance(turned, np.zeros(3)) == pytest.approx(0.8 * (0.4 / 0.5) ** 2)  # cos .8, twice as near
+    # the cosine is 0.8, and the lamp is twice as near
+    assert plate.compute_irradiance(turned, np.zeros(3)) == pytest.approx(0.8 * (0.4 / 0.5) ** 2)
 
 
 def test_pixels_of_the_plate():
@@ -131,7 +132,7 @@ def test_gloss_throws_the_lamp_to_the_eye():
     surface = Surface(plate_gloss=0.04, plate_roughness=0.1)
     lamp, eye = Lamp(np.array([0.1, 0, 0.5]), 0.01), np.array([-0.1, 0, 0.5])
     points = np.stack([np.linspace(-0.1, 0.1, 201), np.zeros(201), np.zeros(201)], axis=1)
-    light = plate.gloss(lamp, surface, eye, points)
+    light = plate.compute_gloss(lamp, surface, eye, points)
     assert abs(points[light.argmax(), 0]) < 6e-3
     turn = np.linspace(-0.6, 0.6, 61)
     x, y = np.meshgrid(np.tan(turn), np.tan(turn))
@@ -139,7 +140,9 @@ def test_gloss_throws_the_lamp_to_the_eye():
     square = 1 + x * x + y * y
     total = 0.0
     eyes = np.stack([x, y, np.ones_like(x)], -1) / np.sqrt(square)[..., None] * high
-    seen = np.array([plate.gloss(Lamp(np.array([0, 0, 0.5]), 0.001), surface, e, point) for e in eyes.reshape(-1, 3)])
+    seen = np.array(
+        [plate.compute_gloss(Lamp(np.array([0, 0, 0.5]), 0.001), surface, e, point) for e in eyes.reshape(-1, 3)]
+    )
     steps = np.gradient(np.tan(turn))
     solid = (steps[:, None] * steps).ravel() / square.ravel() ** 1.5
     total = (seen * solid / np.sqrt(square.ravel())).sum()
@@ -150,7 +153,7 @@ def test_gloss_throws_the_lamp_to_the_eye():
 def test_grain_has_the_contrast_asked_for():
     points = np.zeros((300, 300, 3))
     points[..., :2] = np.stack(np.meshgrid(np.arange(300), np.arange(300)), -1) * 1e-4
-    grain = plate.grain(Surface(plate_texture=0.1), points)
+    grain = plate.compute_grain(Surface(plate_texture=0.1), points)
     assert grain.std() == pytest.approx(0.1, rel=0.1)
     assert grain.mean() == pytest.approx(1, abs=0.01)
-    np.testing.assert_array_equal(grain, plate.grain(Surface(plate_texture=0.1), points))
+    np.testing.assert_array_equal(grain, plate.compute_grain(Surface(plate_texture=0.1), points))

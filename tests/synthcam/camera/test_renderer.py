@@ -68,7 +68,7 @@ def test_the_truth_stands_where_the_picture_shows_it(shutter):
     settings = {"name": "r", "camera": camera, "launch": launch, "timing": {"frames": 8, "contact_frame": 4.2}}
     clip = check_scene(settings | {"lamp": {"room": 0.0}}, "r").draw(0, 0)
     view = clip.view
-    table = ground_truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames)
+    table = ground_truth.make_true_tracks(clip.launch.bodies, view, clip.lamp, clip.frames)
     drawn, (down, across) = view.as_drawn(), np.mgrid[:240, :320]
     film = MirrorRenderer(clip.camera, clip.lamp, [clip.model.ball.radius], clip.room)
     pictures = film.frames(lambda t: drawn.at(t)[:, :, :3].transpose(1, 0, 2), drawn.spans(8), drawn.breaks())

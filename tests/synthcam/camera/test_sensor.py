@@ -8,7 +8,7 @@ from scipy import stats
 
 from synthcam.camera import sensor as module
 from synthcam.camera.exposure import Picture
-from synthcam.camera.sensor import Chip, Sensor
+from synthcam.camera.sensor import Sensor, SensorChip
 
 SIZE = (320, 200)
 EVEN = {"prnu": 0.0, "dsnu": 0.0}
@@ -54,7 +54,7 @@ CASES = {
 @pytest.mark.parametrize("path", ["plate", "boxes", "pixels"])
 def test_counts_have_the_exact_distribution(name, path):
     sensor, level = CASES[name]
-    chip = Chip(sensor, SIZE, 5e-4, root_seed=1)
+    chip = SensorChip(sensor, SIZE, 5e-4, root_seed=1)
     everything = ((slice(None), slice(None)),) if path != "plate" else ()
     picture = flat(level, everything)
     if path == "pixels":
@@ -103,7 +103,7 @@ def test_tables_follow_the_exact_quantiles_into_the_tails(read_noise):
 def test_the_far_tail_is_drawn():
     """16 random bits alone would end at 4.2 sigma."""
     sensor = Sensor(bits=16, gain=0.01, read_noise=20, black_level=30000, full_well=1e9, **EVEN)
-    chip = Chip(sensor, (1000, 1000), 5e-4, root_seed=3)
+    chip = SensorChip(sensor, (1000, 1000), 5e-4, root_seed=3)
     plate = np.zeros((1000, 1000), np.float32)
     picture = Picture(plate, (), ())
     far = sum(int((np.abs(chip.expose(picture, 0, k).astype(float) - 30000) > 4.5 * 2000).sum()) for k in range(8))
@@ -114,7 +114,7 @@ def test_the_far_tail_is_drawn():
 def test_photon_transfer_gives_the_gain_back():
     """EMVA 1288: the variance of counts against their mean is a line of slope 1/gain; offset read^2/gain^2 + 1/12."""
     sensor = Sensor(bits=12, gain=4.0, read_noise=10, black_level=50, full_well=1e5, glint_peak=3000)
-    chip = Chip(sensor, SIZE, 5e-4, root_seed=4)
+    chip = SensorChip(sensor, SIZE, 5e-4, root_seed=4)
     means, variances = [], []
     for k, level in enumerate([0.0, 0.1, 0.25, 0.5, 0.9]):
         pair = [chip.expose(np.full(SIZE[::-1], level), k, frame).astype(float) for frame in range(2)]
@@ -127,7 +127,7 @@ def test_photon_transfer_gives_the_gain_back():
 
 def test_the_fixed_pattern_is_that_of_the_camera():
     sensor = Sensor(bits=12, gain=1, prnu=0.02, dsnu=30, read_noise=5, black_level=500, glint_peak=2000, full_well=1e5)
-    chip = Chip(sensor, SIZE, 5e-4, root_seed=5)
+    chip = SensorChip(sensor, SIZE, 5e-4, root_seed=5)
 
     def mean_image(chip, level, clip):
         return np.mean([chip.expose(flat(level), clip, k) for k in range(40)], axis=0)
@@ -137,13 +137,13 @@ def test_the_fixed_pattern_is_that_of_the_camera():
     lit = np.mean([chip.expose(np.full(SIZE[::-1], 1.0), 1, k) for k in range(40)], axis=0)
     assert (lit - dark).std() / (lit - dark).mean() == pytest.approx(0.02, rel=0.05)
     assert np.corrcoef(dark.ravel(), mean_image(chip, 0.0, 7).ravel())[0, 1] > 0.99
-    other = Chip(sensor, SIZE, 5e-4, root_seed=6)
+    other = SensorChip(sensor, SIZE, 5e-4, root_seed=6)
     assert abs(np.corrcoef(dark.ravel(), mean_image(other, 0.0, 0).ravel())[0, 1]) < 0.02
 
 
 def test_an_uneven_plate_is_drawn_with_each_pixels_own_noise():
     sensor = Sensor(bits=12, gain=1, read_noise=2, black_level=20, glint_peak=1000, full_well=1e5, **EVEN)
-    chip = Chip(sensor, SIZE, 5e-4, root_seed=8)
+    chip = SensorChip(sensor, SIZE, 5e-4, root_seed=8)
     plate = np.tile(np.linspace(0.075, 0.1, SIZE[0], dtype=np.float32), (SIZE[1], 1))
     counts = np.stack([chip.expose(Picture(plate, (), ()), 0, k) for k in range(30)]).astype(float)
     for column in (0, 100, 319):
@@ -154,27 +154,27 @@ def test_an_uneven_plate_is_drawn_with_each_pixels_own_noise():
 
 
 def test_noise_depends_on_seed_clip_and_frame_alone():
-    chip = Chip(Sensor(), SIZE, 5e-4, root_seed=9)
+    chip = SensorChip(Sensor(), SIZE, 5e-4, root_seed=9)
     box = ((slice(20, 60), slice(30, 90)),)
     first = chip.expose(flat(0.001, box), 3, 4)
     chip.expose(flat(0.5), 1, 1)
     np.testing.assert_array_equal(first, chip.expose(flat(0.001, box), 3, 4))
-    np.testing.assert_array_equal(first, Chip(Sensor(), SIZE, 5e-4, root_seed=9).expose(flat(0.001, box), 3, 4))
+    np.testing.assert_array_equal(first, SensorChip(Sensor(), SIZE, 5e-4, root_seed=9).expose(flat(0.001, box), 3, 4))
     others = [chip.expose(flat(0.001, box), 4, 3), chip.expose(flat(0.001, box), 3, 5)]
-    others += [Chip(Sensor(**EVEN), SIZE, 5e-4, root_seed=10).expose(flat(0.001, box), 3, 4)]
+    others += [SensorChip(Sensor(**EVEN), SIZE, 5e-4, root_seed=10).expose(flat(0.001, box), 3, 4)]
     for other in others:
         assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.1
-    zero = Chip(Sensor(), SIZE, 5e-4, root_seed=0)
+    zero = SensorChip(Sensor(), SIZE, 5e-4, root_seed=0)
     assert (zero.expose(flat(0.001), 0, 0) != chip.expose(flat(0.001), 0, 0)).any()
 
 
 def test_saturation_and_types():
-    chip = Chip(Sensor(), SIZE, 5e-4, root_seed=11)
+    chip = SensorChip(Sensor(), SIZE, 5e-4, root_seed=11)
     assert (chip.expose(np.full(SIZE[::-1], 5.0), 0, 0) == 255).all()
-    full = Chip(Sensor(bits=10, full_well=6000, read_noise=0, dsnu=0), SIZE, 5e-4, root_seed=11)
+    full = SensorChip(Sensor(bits=10, full_well=6000, read_noise=0, dsnu=0), SIZE, 5e-4, root_seed=11)
     assert (full.expose(np.full(SIZE[::-1], 5.0), 0, 0) == 308).all()  # 6000 e- / 20 + 8
     for bits, kind, top in ((6, np.uint8, 63), (8, np.uint8, 255), (10, np.uint16, 1023), (16, np.uint16, 65535)):
-        chip = Chip(Sensor(bits=bits, gain=1, read_noise=1, black_level=2 * top), SIZE, 5e-4, root_seed=12)
+        chip = SensorChip(Sensor(bits=bits, gain=1, read_noise=1, black_level=2 * top), SIZE, 5e-4, root_seed=12)
         counts = chip.expose(flat(0.001), 0, 0)
         assert counts.dtype == kind
         assert (counts == top).all()
@@ -183,7 +183,7 @@ def test_saturation_and_types():
 def test_hot_pixels_leak_their_share():
     hot = {"hot_pixels": 0.02, "hot_dark": 1e6}
     sensor = Sensor(bits=16, gain=1, read_noise=2, black_level=100, full_well=1e6, **hot, **EVEN)
-    chip = Chip(sensor, SIZE, 5e-4, root_seed=13)
+    chip = SensorChip(sensor, SIZE, 5e-4, root_seed=13)
     mean = np.mean([chip.expose(flat(0.001), 0, k) for k in range(20)], axis=0) - 100
     usual = np.median(mean)
     leaking = mean > usual + 5
@@ -199,7 +199,7 @@ def test_hot_pixels_leak_their_share():
 
 def test_plates_in_changing_light_keep_their_tables(monkeypatch):
     monkeypatch.setattr(module, "MAX_TABLES", 4)
-    chip = Chip(Sensor(), SIZE, 5e-4, root_seed=14)
+    chip = SensorChip(Sensor(), SIZE, 5e-4, root_seed=14)
     plates = [np.full(SIZE[::-1], level, np.float32) for level in (0.02, 0.03)]
     first = [chip.expose(Picture(p, (), ()), 0, k) for k, p in enumerate(plates)]
     kept = list(chip._backgrounds)

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from synthcam_stub import SCENE, make
 
-from synthcam.dataset.export import export, formats
+from synthcam.dataset.export import export, list_export_formats
 from synthcam_shared.errors import InputError
 
 CLIPS = 3
@@ -47,8 +47,8 @@ def xy(table, ball):
 
 
 def test_formats_are_found():
-    assert set(formats()) >= {"mot", "ptc", "trackmate", "zarr", "ffv1", "gltf"}
-    assert formats()["mot"].startswith("MOTChallenge: ")
+    assert set(list_export_formats()) >= {"mot", "ptc", "trackmate", "zarr", "ffv1", "gltf"}
+    assert list_export_formats()["mot"].startswith("MOTChallenge: ")
 
 
 def test_mot(dataset, tmp_path):

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import tifffile
 
-from synthcam.dataset.files import clip_folders, finish_dataset, sha256, verify, write_clip
+from synthcam.dataset.files import clip_folders, finish_dataset, hash_file, verify, write_clip
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -94,7 +94,7 @@ def test_clips_parquet(dataset):
     assert table["clip"].tolist() == [0, 1]
     assert table.seed_key.tolist() == ["3/0", "3/1"]
     assert json.loads(table.effects[0]) == {"plate_tilt": {"x": 1e-4, "y": 0.0}}
-    assert table.frames_sha256[0] == sha256(dataset / "clips/000000/frames.tif")
+    assert table.frames_sha256[0] == hash_file(dataset / "clips/000000/frames.tif")
     assert table.pixels_sha256.nunique() == 1  # the same noise twice
     assert table.v0.between(0.2, 0.5).all()
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 from synthcam.dynamics import collocation
-from synthcam.dynamics.collocation import NODE_COUNTS, matrices, resample, series
+from synthcam.dynamics.collocation import NODE_COUNTS, evaluate_series, make_matrices, resample_on_nodes
 
 
 class Solved:
@@ -18,11 +18,11 @@ class Solved:
     def __call__(self, x):
         out = np.full((len(self.pieces[0][1]), *x.shape), np.nan)
         for nodes, y in self.pieces:
-            series = [[Chebyshev.fit(nodes, row, len(nodes) - 1) for row in component] for component in y]
+            fits = [[Chebyshev.fit(nodes, row, len(nodes) - 1) for row in component] for component in y]
             low, high = sorted((nodes[0], nodes[-1]))
             for k, times in enumerate(x):
                 here = (times >= low - 1e-14) & (times <= high + 1e-14)
-                out[:, k, here] = [component[k](times[here]) for component in series]
+                out[:, k, here] = [component[k](times[here]) for component in fits]
         return out
 
     def last(self):
@@ -30,7 +30,7 @@ class Solved:
 
 
 def in_parts(*rest, **more):
-    return Solved(collocation.integrate(*rest, **more))
+    return Solved(collocation.integrate_by_collocation(*rest, **more))
 
 
 def integrate(right, *rest, **more):
@@ -119,10 +119,10 @@ def test_a_runaway_is_refused_quietly():
 
 
 def test_slope_and_curvature_of_a_series():
-    on, x = matrices(20), np.linspace(-1, 1, 30)
+    on, x = make_matrices(20), np.linspace(-1, 1, 30)
     c = (np.exp(1.5 * on.nodes) @ on.coefficients)[None, None]
-    np.testing.assert_allclose(series(c @ on.slope, x[None])[0, 0], 1.5 * np.exp(1.5 * x), rtol=1e-11)
-    np.testing.assert_allclose(series(c @ on.curvature, x[None])[0, 0], 2.25 * np.exp(1.5 * x), rtol=1e-9)
+    np.testing.assert_allclose(evaluate_series(c @ on.slope, x[None])[0, 0], 1.5 * np.exp(1.5 * x), rtol=1e-11)
+    np.testing.assert_allclose(evaluate_series(c @ on.curvature, x[None])[0, 0], 2.25 * np.exp(1.5 * x), rtol=1e-9)
 
 
 def test_parts_one_after_the_other():
@@ -145,10 +145,10 @@ def test_parts_one_after_the_other():
 
 
 def test_values_at_images_of_nodes_are_read_on_nodes():
-    z = matrices(32).nodes
+    z = make_matrices(32).nodes
     places = np.stack([z, np.tanh(0.8 * z) / np.tanh(0.8), (z + 0.2 * (z * z - 1))])
-    read = resample(np.exp(np.stack([places, -2 * places])), places, 20)
-    on = matrices(20).nodes
+    read = resample_on_nodes(np.exp(np.stack([places, -2 * places])), places, 20)
+    on = make_matrices(20).nodes
     np.testing.assert_allclose(read, np.exp([[on] * 3, [-2 * on] * 3]), rtol=0, atol=2e-13)
 
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from synthcam.dynamics.collocation import matrices
+from synthcam.dynamics.collocation import make_matrices
 from synthcam.dynamics.forces import END_SLIP_SHARE
 from synthcam.dynamics.integrated_motion import IntegratedMotion
 from synthcam.dynamics.propagate import END_TIMES, LOG_SLIP_BREAK
@@ -35,10 +35,10 @@ def led(pieces, power):
 
 def read(logarithmic):
     if logarithmic:
-        nodes = [(a + b) / 2 + (b - a) / 2 * matrices(28).nodes for a, b in itertools.pairwise(KNOTS)]
+        nodes = [(a + b) / 2 + (b - a) / 2 * make_matrices(28).nodes for a, b in itertools.pairwise(KNOTS)]
         shares = [*(1 - np.exp(x) for x in nodes), 1 - END_SLIP_SHARE * (1 - END_TIMES)]
         return led([(s * LASTS[:, None], place(s * LASTS[:, None])) for s in shares], 3)
-    z = matrices(20).nodes  # an uneven image of nodes
+    z = make_matrices(20).nodes  # an uneven image of nodes
     times = LASTS[:, None] * (1 + z + 0.1 * (z * z - 1)) / 2
     return led([(times, place(times)[:1].repeat(2, axis=0))], 1)
 
@@ -65,7 +65,7 @@ def test_the_narrower_the_nearer_to_an_instant(logarithmic):
 
 
 def test_a_path_with_a_sharp_bend_takes_more_nodes():
-    z = matrices(64).nodes
+    z = make_matrices(64).nodes
     times = LASTS[:, None] * (1 + z) / 2
     bend = np.tanh(10 * (times / LASTS[:, None] - 0.5))
     reading = led([(times, np.stack([bend, bend]) * 1e-5)], 1)

@@ -12,7 +12,7 @@ from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.effects.drilling_spin import DrillingSpin
 from synthcam.model import Model
-from synthcam.scene.ground_truth import scalars
+from synthcam.scene.ground_truth import make_true_scalars
 
 R, DECEL, DRAG = 1.19e-3, 0.0103, 0.135
 T_C = 0.1
@@ -104,7 +104,7 @@ def test_what_led_to_a_contact_does_not_hang_on_when_the_run_starts():
 def test_truth_tells_of_the_balls_relative_speed():
     model, launch, motion = launched(0.4, 0.15, 0.6)
     before = motion.first("contact").before
-    row = scalars(model, launch, motion)
+    row = make_true_scalars(model, launch, motion)
     assert row["v0"] == pytest.approx(np.hypot(*(before[1] - before[0])[3:5]), rel=1e-14)
     assert row["v0"] - 0.15 > 1e-4  # the target came to meet the striker
     assert row["r"] == pytest.approx(model.restitution, abs=1e-12)

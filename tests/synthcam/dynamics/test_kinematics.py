@@ -7,19 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synthcam.dynamics.contacts.impact import collide, strike
+from synthcam.dynamics.contacts.impact import collide_pair, collide_pairs
 from synthcam.dynamics.kinematics import (
     after_flight,
     after_rolling,
     after_sliding,
-    coast,
     fly,
+    integrate_drag,
     roll,
     rolling_state,
     slide,
     stop_time,
 )
-from synthcam.dynamics.launch import touching
+from synthcam.dynamics.launch import launch_touching_pairs
 from synthcam.model import Model
 
 R = 1.19e-3
@@ -59,7 +59,7 @@ def test_coasting_in_long_arithmetic(drag, t):
         two = sum((-x) ** k / math.factorial(k + 2) for k in range(25))
         expected = float(long * one), float(long**2 * two)
     lost = 1e-15 * abs(t) / max(drag, 1e-3)  # of the integral, metres per unit of deceleration
-    for found in (coast(drag, t), [v[0] for v in coast(drag, np.array([t]))]):
+    for found in (integrate_drag(drag, t), [v[0] for v in integrate_drag(drag, np.array([t]))]):
         assert found[0] == pytest.approx(expected[0], rel=1e-15)
         assert found[1] == pytest.approx(expected[1], rel=1e-14, abs=lost)
 
@@ -69,10 +69,10 @@ def test_impacts(v0, b, heading):
     model = Model().replace({"hop.share": 0.7, "mass_mismatch.excess": 0.2, "velocity_restitution.e": 0.2})
     model = model.replace({"ball_friction.share": 0.5, "ball_friction.mu": 0.1})
     one, two = model.bodies("a"), model.bodies("b")
-    target, striker = touching(one, two, *(np.array([x]) for x in (v0, b, heading)), np.zeros((1, 2)))
-    many = collide(model, target, striker, one, two)
+    target, striker = launch_touching_pairs(one, two, *(np.array([x]) for x in (v0, b, heading)), np.zeros((1, 2)))
+    many = collide_pairs(model, target, striker, one, two)
     bodies = ((x.radius.item(), x.mass.item(), x.inertia.item()) for x in (one, two))
-    single = strike(model, tuple(target[0].tolist()), tuple(striker[0].tolist()), *bodies)
+    single = collide_pair(model, tuple(target[0].tolist()), tuple(striker[0].tolist()), *bodies)
     assert all(type(x) is float for state in single[:3] for x in state)
     for ours, theirs in zip(single, (many.target[0], many.striker[0], many.n[0]), strict=False):
         np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-13)

@@ -18,7 +18,7 @@ from synthcam.dynamics.kinematics import contact_velocity, plate_state, rolling_
 from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.solve import solve
 from synthcam.dynamics.supports import Air, DryPlate
-from synthcam.dynamics.tabletop import Scatter, Table
+from synthcam.dynamics.tabletop import ContactScatter, Table
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
 from synthcam.effects.plate_tilt import PlateTilt
@@ -379,7 +379,7 @@ def test_discs_on_air_swap_spin_by_friction():
 def test_contacts_differ_by_chance_as_told():
     """The draws are in the events, have the widths asked for, and are what each impact shows."""
     states, side = tray(60, seed=6)
-    scatter = Scatter(restitution=0.02, friction=0.2, normal=0.05, seed=(3, 1))
+    scatter = ContactScatter(restitution=0.02, friction=0.2, normal=0.05, seed=(3, 1))
     launch, table = Launch(0.0, states, bodies(60)), Table(box(side, side), (), 1e-9, scatter)
     motion = solve(Model(), launch, 0.0, 0.4, False, table)
     hits = [e for e in motion.events if e.kind == "contact"]
@@ -525,7 +525,7 @@ def test_a_hand_pushes_a_body_until_a_time_or_a_hit(air, obstacle):
 def test_balls_hit_at_distances_that_differ_by_chance():
     """The distance at each contact is that of its draw, or less where the balls were nearer when they turned back."""
     states, side = tray(30, seed=8)
-    table = Table(box(side, side), (), 1e-9, Scatter(distance=0.01, seed=(5, 2)))
+    table = Table(box(side, side), (), 1e-9, ContactScatter(distance=0.01, seed=(5, 2)))
     motion = solve(Model(), Launch(0.0, states, bodies(30)), 0.0, 0.3, False, table)
     hits = [e for e in motion.events if e.kind == "contact"]
     apart = np.array([np.linalg.norm((e.before[0] - e.before[1])[:3]) for e in hits]) - 2 * R
@@ -545,7 +545,7 @@ def test_air_is_drawn_for_each_stretch():
     states, side = tray(6, seed=9)
     air = Air(drag=0.1, decel_range=(0.05, 0.3), curl_range=(-1.0, 1.0))
     model = Model(restitution=0.9, spin_transfer=0.0)
-    table = Table(box(side, side, restitution=0.9), (air,) * 6, 1e-9, Scatter(seed=(1,)))
+    table = Table(box(side, side, restitution=0.9), (air,) * 6, 1e-9, ContactScatter(seed=(1,)))
     motion = solve(model, Launch(0.0, states, bodies(6, 0.5)), 0.0, 0.3, False, table)
     stretches = [e for e in motion.events if e.kind == "stretch"]
     assert len(stretches) > 40

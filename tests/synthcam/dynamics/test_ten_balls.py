@@ -12,7 +12,7 @@ from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.dynamics.supports import Air, DryPlate
-from synthcam.dynamics.tabletop import Scatter, Table
+from synthcam.dynamics.tabletop import ContactScatter, Table
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
 from synthcam.model import Bodies, Model
@@ -167,7 +167,7 @@ def test_the_books_of_each_event_close(supports, sticks, end, expected):
     bodies.inertia[:2] = 0.5 if flat[0] else 2 / 3
     states[flat, 6:8], states[:, 8] = 0.0, rng.normal(0, 30, 10)
     model = Model(restitution=0.8, effects=(BallFriction(mu=0.15), Hop(share=1.0)))
-    table = Table(walls, supports, 1e-7, Scatter(seed=(1,)), sticks)
+    table = Table(walls, supports, 1e-7, ContactScatter(seed=(1,)), sticks)
     motion = solve(model, Launch(0.0, states, bodies), 0.0, end, False, table)
     assert book_events(motion, bodies) >= expected
     assert not motion.at(motion.t1)[flat, 0, 5:8].any()  # discs lie flat

@@ -6,7 +6,7 @@ import pytest
 from synthcam.dynamics.kinematics import contact_velocity, rolling_state, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.dynamics.trajectory import Roll, Slide
+from synthcam.dynamics.trajectory import RollLeg, SlideLeg
 from synthcam.model import Model
 
 R = Model().ball.radius
@@ -91,7 +91,7 @@ def test_the_contact_velocity_is_that_of_the_lowest_point():
 
 def test_a_slide_is_a_parabola_in_long_arithmetic():
     state = np.array([0.01, 0.02, R, 0.3, -0.1, 0, 10.0, 20.0, 30.0])
-    leg = Slide(0.5, 0.6, 0.5, tuple(state), R, 2.3, 0.4)
+    leg = SlideLeg(0.5, 0.6, 0.5, tuple(state), R, 2.3, 0.4)
     t = np.linspace(0, 0.03, 5).astype(np.longdouble)
     u = np.array([0.3 - R * 20, -0.1 + R * 10], np.longdouble)
     a = -2.3 * u / np.sqrt(u @ u)
@@ -106,7 +106,7 @@ def test_a_slide_is_a_parabola_in_long_arithmetic():
 @pytest.mark.parametrize("drag", [0.0, 1e-12, 1e-6, 0.0199, 0.0201, 0.135, 5.0])
 def test_a_roll_in_long_arithmetic(drag):
     state = rolling_state(np.array([0.01, 0.0]), np.array([0.3, 0.0]), 0.0, R)
-    leg = Roll(0.0, 1.0, 0.0, tuple(state), R, drag, 0.01)
+    leg = RollLeg(0.0, 1.0, 0.0, tuple(state), R, drag, 0.01)
     t = np.linspace(0, 0.5, 7)
     k, s = np.longdouble(drag or 1e-30), t.astype(np.longdouble)
     if drag < 1e-4:  # three terms of the series are exact

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.effect import Laws
+from synthcam.effect import ActiveLaws
 from synthcam.effects.adhesion import Adhesion
 from synthcam.effects.drilling_spin import DrillingSpin
 from synthcam.effects.viscous_friction import ViscousFriction
@@ -40,7 +40,7 @@ def test_drilling_spin_is_coulomb_friction_over_a_hertz_contact(ratio, spin):
 
 def test_drilling_spin_takes_friction_and_load_as_others_bend_them():
     """Thrice the load and friction that grows with slip: the torque is that of both."""
-    laws = Laws([DrillingSpin(a=2e-5), Adhesion(pull=2.0), ViscousFriction(k=0.5)])
+    laws = ActiveLaws([DrillingSpin(a=2e-5), Adhesion(pull=2.0), ViscousFriction(k=0.5)])
     instant = {"slip_speed": 1e-3, "spin": 100.0, "gravity": G, "radius": R}
     instant["friction"] = laws("friction", 0.2, instant)
     instant["load"] = laws("normal_load", G, instant)

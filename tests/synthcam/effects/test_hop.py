@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from synthcam.dynamics.batch import solve_collisions
-from synthcam.dynamics.contacts.impact import collide
-from synthcam.dynamics.launch import Launch, touching
+from synthcam.dynamics.contacts.impact import collide_pairs
+from synthcam.dynamics.launch import Launch, launch_touching_pairs
 from synthcam.dynamics.solve import solve
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
@@ -151,7 +151,9 @@ def stiff_pair(states, mass, mu):
 )
 def test_the_impact_in_small_steps_of_a_stiff_contact(b, mu, heavier):
     """Slip all the way, or slip that ends within the contact and sticks; nothing holds the balls down."""
-    one, two = touching(PAIR[:1], PAIR[1:], np.array([0.3]), np.array([b]), np.array([0.5]), np.zeros((1, 2)))
+    one, two = launch_touching_pairs(
+        PAIR[:1], PAIR[1:], np.array([0.3]), np.array([b]), np.array([0.5]), np.zeros((1, 2))
+    )
     mass = PAIR.mass * [heavier, 1]
     before = np.concatenate([one, two])
     theirs = stiff_pair(before, mass, mu)
@@ -160,7 +162,7 @@ def test_the_impact_in_small_steps_of_a_stiff_contact(b, mu, heavier):
     assert 0.88 < restitution < 0.96
     model = Model(restitution=restitution, effects=(Hop(share=1.0), BallFriction(mu=mu)))
     balls = [Bodies(np.array([R]), mass[k : k + 1], np.zeros(1), np.full(1, 0.4)) for k in (0, 1)]
-    ours = collide(model, one, two, *balls)
+    ours = collide_pairs(model, one, two, *balls)
     after = np.concatenate([ours.target, ours.striker])
     np.testing.assert_allclose(after[:, 3:6], theirs[:, 3:6], rtol=0, atol=0.3 * 3e-6)
     np.testing.assert_allclose(after[:, 6:9] * R, theirs[:, 6:9] * R, rtol=0, atol=0.3 * 3e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from synthcam.scene.distribution import draw, find_choices, parse_distribution, replace_at, replace_by_extremes
+from synthcam.scene.distribution import draw_settings, find_choices, parse_distribution, replace_at, replace_by_extremes
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -14,7 +14,7 @@ SCENE = {"launch": {"v0": {"uniform": [0.1, 0.6]}, "b": {"normal": [0.0, 0.1]}},
 
 
 def values(kind, args, n=2000):
-    return [draw({"x": {kind: args}}, k, 7)["x"] for k in range(n)]
+    return [draw_settings({"x": {kind: args}}, k, 7)["x"] for k in range(n)]
 
 
 def test_each_has_its_law():
@@ -32,22 +32,22 @@ def test_a_normal_is_cut():
 
 
 def test_no_value_moves_another():
-    alone = [draw(SCENE, k, 3)["launch"]["v0"] for k in range(5)]
+    alone = [draw_settings(SCENE, k, 3)["launch"]["v0"] for k in range(5)]
     more = {"sensor": {"gain": {"uniform": [1, 2]}}, **SCENE, "model": {"restitution": {"uniform": [0.8, 0.9]}}}
     fewer = {"launch": {"v0": {"uniform": [0.1, 0.6]}}}
     for other in (more, fewer):
-        assert [draw(other, k, 3)["launch"]["v0"] for k in range(5)] == alone
+        assert [draw_settings(other, k, 3)["launch"]["v0"] for k in range(5)] == alone
 
 
 def test_same_draw_whatever_the_order():
-    forth = [draw(SCENE, k, 3) for k in range(6)]
-    back = [draw(SCENE, k, 3) for k in reversed(range(6))]
+    forth = [draw_settings(SCENE, k, 3) for k in range(6)]
+    back = [draw_settings(SCENE, k, 3) for k in reversed(range(6))]
     assert forth == back[::-1]
 
 
 def test_clip_seed_and_key_each_make_another_stream():
     def v(number, seed, key="v0"):
-        return draw({"launch": {key: {"uniform": [0, 1]}}}, number, seed)["launch"][key]
+        return draw_settings({"launch": {key: {"uniform": [0, 1]}}}, number, seed)["launch"][key]
 
     found = [v(k, s, key) for k in range(20) for s in range(20) for key in ("v0", "b")]
     assert len(set(found)) == 800
@@ -58,7 +58,7 @@ def test_clip_seed_and_key_each_make_another_stream():
 def test_pinned():
     """A dataset's seed means the same in every version: this number may change only with a line in the CHANGELOG."""
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(3, spawn_key=(1, zlib.crc32(b"launch.v0")))))
-    assert draw(SCENE, 1, 3)["launch"]["v0"] == rng.uniform(0.1, 0.6)
+    assert draw_settings(SCENE, 1, 3)["launch"]["v0"] == rng.uniform(0.1, 0.6)
 
 
 @pytest.mark.parametrize(

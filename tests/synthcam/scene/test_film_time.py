@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.scene.ground_truth import tracks
+from synthcam.scene.ground_truth import make_true_tracks
 from synthcam.scene.scene import Scene, check_scene
 
 FPS = 250.0
@@ -39,7 +39,7 @@ def pixels(clip):
 def test_the_camera_file_stays_nominal(name, values):
     clip = clip_of(**{name: values})
     assert clip.camera_json == PLAIN.camera_json
-    base, bent = (tracks(c.launch.bodies, c.view, c.lamp, 60) for c in (PLAIN, clip))
+    base, bent = (make_true_tracks(c.launch.bodies, c.view, c.lamp, 60) for c in (PLAIN, clip))
     moved = np.abs(bent[["x_mean_px", "y_mean_px"]] - base[["x_mean_px", "y_mean_px"]]).to_numpy().max()
     assert moved > 0.01
 

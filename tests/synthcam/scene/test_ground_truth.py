@@ -27,7 +27,7 @@ def camera(**changes):
 
 
 def scalars(model, launch, end=0.3):
-    return ground_truth.scalars(model, launch, solve(model, launch, 0.0, end))
+    return ground_truth.make_true_scalars(model, launch, solve(model, launch, 0.0, end))
 
 
 @given(
@@ -121,7 +121,7 @@ def test_relaxation_beyond_the_clip():
     late = solve(clip.model, clip.launch, 0.0, 27 / 250)
     assert late.t1 > 27 / 250
     view = FilmedMotion.solve(clip.model, clip.launch, clip.camera, 27)
-    assert ground_truth.tracks(clip.launch.bodies, view, clip.lamp, 27)["t_s"].max() < 27 / 250
+    assert ground_truth.make_true_tracks(clip.launch.bodies, view, clip.lamp, 27)["t_s"].max() < 27 / 250
 
 
 def test_both_moving():
@@ -131,7 +131,7 @@ def test_both_moving():
     launch = Launch(0.0, np.stack([one, two]), PAIR)
     model = Model(rolling_drag=0, rolling_decel=0)
     motion = solve(model, launch, 0.0, 0.5)
-    row = ground_truth.scalars(model, launch, motion)
+    row = ground_truth.make_true_scalars(model, launch, motion)
     hit = motion.first("contact")
     finals = np.array([motion.first("slide_end", k).after[0, 3:5] for k in (0, 1)])
     total = np.array([0.6, 0.1])
@@ -162,7 +162,7 @@ def test_the_mean_over_the_exposure(exposure, distortion):
     seen = camera(exposure=exposure, distortion=distortion, tilt=(0.05, -0.02))
     t_c = (10 + 0.4 * exposure * 250) / 250  # within frame 10's exposure
     motion = solve(Model(), Launch.pair(PAIR, t_c, 0.6, 0.3, 0.7, (0.01, 0.0)), 0.0, 0.4)
-    table = ground_truth.tracks(PAIR, FilmedMotion(Model(), seen, motion), LAMP, 40)
+    table = ground_truth.make_true_tracks(PAIR, FilmedMotion(Model(), seen, motion), LAMP, 40)
     slides = [e.t for e in motion.events if e.kind == "slide_end"]
     frames = [0, 9, 10, 11, *(int(t * 250) for t in slides)]
     for k in frames:
@@ -178,14 +178,14 @@ def test_the_mean_over_the_exposure(exposure, distortion):
 
 def test_no_exposure_has_its_instant_for_a_mean():
     motion = solve(Model(), Launch.pair(PAIR, 0.04, 0.6, 0.3, 0.7, (0, 0)), 0.0, 0.4)
-    table = ground_truth.tracks(PAIR, FilmedMotion(Model(), camera(exposure=0.0), motion), LAMP, 20)
+    table = ground_truth.make_true_tracks(PAIR, FilmedMotion(Model(), camera(exposure=0.0), motion), LAMP, 20)
     np.testing.assert_allclose(table.x_mean_px, table.x_px, rtol=0, atol=1e-10)
     np.testing.assert_allclose(table.t_s[:20], np.arange(20) / 250, rtol=0, atol=1e-15)
 
 
 def test_tracks_columns_and_states():
     motion = solve(Model(), Launch.pair(PAIR, 0.1, 0.3, 0.2, 0.0, (0, 0)), 0.0, 0.4)
-    table = ground_truth.tracks(PAIR, FilmedMotion(Model(), camera(), motion), LAMP, 100)
+    table = ground_truth.make_true_tracks(PAIR, FilmedMotion(Model(), camera(), motion), LAMP, 100)
     columns = "frame t_s particle x_px y_px glint_x_px glint_y_px x y z vx vy vz wx wy wz"
     columns += " x_mean_px y_mean_px state visible hidden"
     assert list(table) == columns.split()
@@ -215,14 +215,14 @@ def test_visible_means_the_whole_ball():
         position = ((x - 319.5) * 1.6e-4, 0.0)
         motion = solve(Model(rolling_decel=0), Launch.single(ALONE, 0.0, 1e-9, 0, position), 0.0, 0.01)
         view = FilmedMotion(Model(), camera(), motion)
-        row = ground_truth.tracks(ALONE, view, LAMP, 1, heights=np.array([height])).iloc[0]
+        row = ground_truth.make_true_tracks(ALONE, view, LAMP, 1, heights=np.array([height])).iloc[0]
         assert row.visible == seen
         assert np.isnan(row.glint_x_px) == np.isnan(row.glint_y_px) == (height > 0)
 
 
 def test_events_table():
     motion = solve(Model(), Launch.pair(PAIR, 0.1, 0.3, 0.2, 0.4, (0, 0)), 0.0, 0.4)
-    table = ground_truth.events(motion, 250)
+    table = ground_truth.make_true_events(motion, 250)
     assert list(table) == "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
     hit = table.iloc[0]
     mass = 7800 * np.pi / 6 * 2.38e-3**3
@@ -234,7 +234,7 @@ def test_events_table():
     assert (table.j[1:] == -1).all()
     assert table.impulse_n[1:].isna().all()
     alone = solve(Model(), Launch.single(ALONE, 0.1, 0.3, 0.4, (0, 0)), 0.0, 0.4)
-    assert ground_truth.events(alone, 250).dtypes.to_dict() == table.dtypes.to_dict()
+    assert ground_truth.make_true_events(alone, 250).dtypes.to_dict() == table.dtypes.to_dict()
 
 
 PUCKS = {

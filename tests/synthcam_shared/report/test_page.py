@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from synthcam_shared.report.page import (
     PageFigure,
     PageList,
+    PageSection,
     PageTable,
-    Section,
     render,
     typeset_symbol,
     write_page,
@@ -28,7 +28,11 @@ def figure():
 def test_a_page_holds_everything_and_asks_for_nothing(tmp_path):
     table = PageTable(["name", "value"], [["<b>", "1.2(3)"]], "title of the table", "note of the table")
     blocks = ["a < b", Markup("<p id='x'>as it is</p>"), table, PageFigure.of(figure(), "a picture", "its caption")]
-    sections = [Section("first", blocks), Section("empty"), Section("", [PageList(["one", "two"], ordered=True)])]
+    sections = [
+        PageSection("first", blocks),
+        PageSection("empty"),
+        PageSection("", [PageList(["one", "two"], ordered=True)]),
+    ]
     path = write_page(tmp_path / "new" / "index.html", "T & C", sections, "tool run", ["it is so"], ["mind this"])
     assert [p.name for p in path.parent.iterdir()] == ["index.html"]
     text = path.read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ import tifffile
 
 from synthcam_shared.errors import InputError
 from tracker.app import film_view
-from tracker.app.film_view import COLOUR, FilmView, Look
+from tracker.app.film_view import COLOUR, FilmView, PictureLook
 from tracker.camera.film_options import FilmOptions
 from tracker.camera.recordings import open_source
 
@@ -18,7 +18,7 @@ def view_of(tmp_path, frames, **kwargs):
 
 
 def decoded(view, k, **look):
-    return cv2.imdecode(np.frombuffer(view.draw(k, Look(**look), "png"), np.uint8), cv2.IMREAD_UNCHANGED)
+    return cv2.imdecode(np.frombuffer(view.draw(k, PictureLook(**look), "png"), np.uint8), cv2.IMREAD_UNCHANGED)
 
 
 def test_a_picture_has_the_counts_of_the_film(tmp_path):
@@ -104,4 +104,4 @@ def test_a_pass_over_a_closed_film_ends_in_all_channels(tmp_path):
 def test_what_cannot_be_shown_is_refused(tmp_path, k, look, message):
     view = view_of(tmp_path, np.zeros((3, 20, 30), np.uint8), imagej=True)
     with pytest.raises(InputError, match=message):
-        view.draw(k, Look(**look), "jpg")
+        view.draw(k, PictureLook(**look), "jpg")

@@ -16,7 +16,7 @@ from starlette.testclient import TestClient
 
 from synthcam_shared.errors import InputError
 from tracker.app import workbench
-from tracker.app.server import STATIC, Presence, make_application, remind_of_address, write_opening_page
+from tracker.app.server import STATIC, OpenPages, make_application, remind_of_address, write_opening_page
 from tracker.app.track_process import RunStatus
 from tracker.app.workbench import Workbench
 from tracker.camera.recordings import open_source
@@ -195,7 +195,7 @@ def test_the_file_that_a_browser_opens_is_for_this_user_alone(tmp_path):
 
 
 def test_the_address_is_told_again_where_no_page_has_asked(bench, capsys):
-    presence, over = Presence(), threading.Event()
+    presence, over = OpenPages(), threading.Event()
     remind_of_address(presence, over, wait_s=0)
     assert capsys.readouterr().err == "tracker: no page has connected: open the address above\n"
     client = TestClient(make_application(bench, 8000, "secret", presence), HOME)
@@ -203,7 +203,7 @@ def test_the_address_is_told_again_where_no_page_has_asked(bench, capsys):
         client.get(path)
     remind_of_address(presence, over, wait_s=0)
     over.set()
-    remind_of_address(Presence(), over)
+    remind_of_address(OpenPages(), over)
     assert capsys.readouterr().err == ""
 
 
@@ -283,7 +283,7 @@ def test_folders_that_cannot_hold_results(tmp_path, pictures):
 
 def test_the_session_ends_some_seconds_after_the_last_page():
     now = [100.0]
-    presence = Presence(lambda: now[0])
+    presence = OpenPages(lambda: now[0])
     assert not presence.is_over()  # no page yet
     presence.enter()
     presence.enter()

@@ -12,8 +12,8 @@ from benchmark_suite import simulated, suite
 from synthcam_shared.errors import InputError
 from tracker.benchmark import contest as module
 from tracker.benchmark.contest import run_contest
-from tracker.benchmark.report.leaderboard import row
-from tracker.benchmark.trackers import Entrant, entrants, run_tracker
+from tracker.benchmark.report.leaderboard import make_leaderboard_row
+from tracker.benchmark.trackers import Entrant, make_entrants, run_tracker
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_the_likelihood_is_ahead_of_the_centroid_and_at_the_bound(report):
 def test_leaderboard_and_page(report):
     folder, entries = report
     found = list(csv.DictReader((folder / "leaderboard.csv").read_text().splitlines()))
-    assert list(found[0]) == list(row(1, entries[0]))
+    assert list(found[0]) == list(make_leaderboard_row(1, entries[0]))
     assert [(line["rank"], line["name"]) for line in found] == [("1", "synthcam"), ("2", "centroid")]
     assert found[0]["truth"] == "open to the tracker's authors"
     page = (folder / "index.html").read_text()
@@ -84,11 +84,11 @@ def test_a_tracker_needs_no_truth(report, tmp_path):
 
 def test_an_unknown_tracker_and_another_suites_report(report, tmp_path):
     with pytest.raises(InputError, match=r"no detector 'centriod'.*did you mean"):
-        entrants(suite(), "centriod")
+        make_entrants(suite(), "centriod")
     other = replace(suite(), about={**suite().about, "truth_sha256": "0"})
     copy = shutil.copytree(report[0], tmp_path / "copy")
     with pytest.raises(InputError, match="scores another suite"):
-        module.publish(other, copy, "")
+        module.write_contest_report(other, copy, "")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("")
     with pytest.raises(InputError, match="holds something else"):
@@ -99,7 +99,7 @@ def test_a_peer_that_is_not_installed_is_left_out_and_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "trackpy", None)
     made = suite()
     data = {**made.definition.data, "trackers": ["synthcam", "trackpy_locate"]}
-    found, notes = entrants(replace(made, definition=replace(made.definition, data=data)))
+    found, notes = make_entrants(replace(made, definition=replace(made.definition, data=data)))
     assert [one.name for one in found] == ["synthcam"]
     assert "trackpy_locate: left out" in notes[0]
     assert json.dumps(notes).count("pip install synthcam[peers]") == 1

@@ -9,8 +9,8 @@ import pytest
 from benchmark_suite import Given, noisy, simulated, suite
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.report.leaderboard import save
-from tracker.benchmark.submission import read_form, score_submission
+from tracker.benchmark.report.leaderboard import write_entry
+from tracker.benchmark.submission import read_submission_form, score_submission
 from tracker.cli import main
 
 
@@ -128,7 +128,7 @@ def test_a_withheld_truth_is_scored_where_it_lies(tmp_path, monkeypatch, capsys)
 def test_a_wrong_form_is_one_line(tmp_path, form, said):
     (tmp_path / "submission.json").write_text(json.dumps(form))
     with pytest.raises(InputError, match=said):
-        read_form(tmp_path)
+        read_submission_form(tmp_path)
 
 
 def test_a_clip_that_the_suite_does_not_have(tmp_path):
@@ -175,7 +175,7 @@ def test_a_submission_may_be_replaced_by_its_like_alone(tmp_path):
     submit("s", "mine")
     assert len(submit("t", "mine")[0]) == 1
     with pytest.raises(InputError, match=r"mine.json: is of 'mine', submitted; expected another name than 'mine'"):
-        save(tmp_path / "r", {"tracker": {"name": "mine", "made": "run here"}})
+        write_entry(tmp_path / "r", {"tracker": {"name": "mine", "made": "run here"}})
     submit("u", "a b")
     with pytest.raises(InputError, match=r"a_b.json: is of 'a b', submitted; expected another name than 'a_b'"):
         submit("v", "a_b")

@@ -16,7 +16,7 @@ from tracker_video import encode
 from synthcam_shared.errors import InputError
 from tracker.calibration import calibrate as calibration
 from tracker.calibration.ball_outline import measure_outline
-from tracker.calibration.calibrate import calibrate, inverse_variance_mean, summary
+from tracker.calibration.calibrate import calibrate, inverse_variance_mean, summarise_calibration
 from tracker.camera.camera import Camera
 from tracker.detection import contact_distance
 from tracker.detection.candidates import EmptyPlate
@@ -92,7 +92,7 @@ def test_contacts_of_noise_in_the_first_look_do_not_hide_the_true_one(tmp_path, 
     path = stack(
         tmp_path, film(np.random.default_rng(0), collision(60, contact=25.3, speed=2.5), sigma=1.2, profile=0.0)
     )
-    whole, sizes = calibration.survey, []
+    whole, sizes = calibration.survey_sizes, []
 
     def survey(source, known, detector, sized, index):
         sizes.append(DIAMETER / known["scale"])
@@ -100,7 +100,7 @@ def test_contacts_of_noise_in_the_first_look_do_not_hide_the_true_one(tmp_path, 
         wrong = [contact_distance.ContactDistance(60.0, 0.1, 10.0)] if len(sizes) == 1 else []
         return replace(found, contact_distances=wrong) if len(sizes) < 3 else found
 
-    monkeypatch.setattr(calibration, "survey", survey)
+    monkeypatch.setattr(calibration, "survey_sizes", survey)
     found = calibrate(path, DIAMETER, 250.0, 5e-4)
     assert np.allclose(sizes, [sizes[0], 60.0, sizes[0]])
     assert abs(found.camera.scale - DIAMETER / 14.875) < 3 * found.scale_std
@@ -175,7 +175,7 @@ def test_width_and_noise(told):
 
 
 def test_what_was_not_found_is_said(told):
-    text = "\n".join(summary(told))
+    text = "\n".join(summarise_calibration(told))
     assert "no outline is bright enough" in text
     assert "lamp" in text
     assert "height" in text
@@ -252,7 +252,7 @@ def test_the_scale_of_discs_is_that_of_their_hit_and_of_their_outlines(tmp_path)
     assert found.scale_from == "contact"
     assert abs(found.camera.scale / 1e-3 - 1) < 3 * found.scale_std / 1e-3 < 0.005
     assert abs(found.ways["outline"][0] / 1e-3 - 1) < 0.001  # the half brightness of a blurred disc lies further in
-    text = "\n".join(summary(found))
+    text = "\n".join(summarise_calibration(found))
     assert not re.search("lamp|glint|sensor", text)
     found.write(tmp_path / "camera.json")
     written = json.loads((tmp_path / "camera.json").read_text())

@@ -16,10 +16,10 @@ from tracker.camera.camera import Camera
 from tracker.camera.mirror_images import locate_secondary_glints
 from tracker.camera.recordings import Frames, Recording, open_frames
 from tracker.detection import detect as detect_module
-from tracker.detection.detect import detect, detected_point, list_detectors, make_view
+from tracker.detection.detect import detect, find_detected_point, list_detectors, make_view
 from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.likelihood.cramer_rao import localisation_bound
-from tracker.detection.link import assign
+from tracker.detection.link import assign_track_numbers
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the profile is centred on the glint
 CODED = {"bits": 8, "gain": 124.0, "read_noise": 3.4, "black_level": 8.0, "codec_noise": 17.0}
@@ -238,7 +238,7 @@ def test_two_balls_two_detections_through_a_collision():
     shown = clip(frames)
     found = detect(shown, make_view(shown)).glints
     assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
-    assert set(assign(found, CAM).tolist()) == {0, 1}
+    assert set(assign_track_numbers(found, CAM).tolist()) == {0, 1}
 
 
 def test_a_neighbour_takes_the_learnt_profile_from_no_clipped_glint():
@@ -352,7 +352,7 @@ def test_every_detector_keeps_the_promise():
     for name, make in list_detectors().items():
         if name.startswith("trackpy") and importlib.util.find_spec("trackpy") is None:
             continue
-        if detected_point(name, shown.camera) == "centre":  # looks for outlines that move, where these are glints
+        if find_detected_point(name, shown.camera) == "centre":  # looks for outlines that move, where these are glints
             continue
         one = make(view)(frames[3])
         if name == "trackpy_defaults":  # which finds all that it can, untold

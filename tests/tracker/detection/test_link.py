@@ -12,7 +12,7 @@ from tracker.camera.recordings import Recording
 from tracker.detection import assignment
 from tracker.detection.detect import load_linker
 from tracker.detection.glints import Glints, PositionFlag
-from tracker.detection.link import assign, estimate_velocities, link
+from tracker.detection.link import assign_track_numbers, estimate_velocities, link_into_tracks
 from tracker.recording import track_clip
 
 CAM = Camera.from_dict({**CAMERA, "size": [640, 480]})
@@ -69,17 +69,17 @@ def test_no_swap_in_four_hundred_collisions():
     rng = np.random.default_rng(0)
     for paths in collisions(rng, 400):
         found, truth = scattered(rng, paths)
-        assert pure(assign(found, CAM), truth)
+        assert pure(assign_track_numbers(found, CAM), truth)
 
 
 def test_without_the_bounce_identities_are_swapped(monkeypatch):
     none = np.empty(0, np.int64)
-    monkeypatch.setattr(assignment, "find_pairs", lambda *args: (none, none))
+    monkeypatch.setattr(assignment, "find_near_balls", lambda *args: (none, none))
     rng = np.random.default_rng(1)
     swapped = 0
     for paths in collisions(rng, 100, speed=20.0):
         found, truth = scattered(rng, paths)
-        swapped += not pure(assign(found, CAM), truth)
+        swapped += not pure(assign_track_numbers(found, CAM), truth)
     assert swapped > 10
 
 
@@ -88,9 +88,9 @@ def test_gaps_are_bridged_and_long_ones_are_not():
     paths = collision(60, contact=40.2, speed=6.0, centre=(320.0, 240.0))
     short = {(k, 1) for k in range(10, 14)} | {(k, 0) for k in range(20, 25)}
     found, truth = scattered(rng, paths, lost=short)
-    assert pure(assign(found, CAM), truth)
+    assert pure(assign_track_numbers(found, CAM), truth)
     found, truth = scattered(rng, paths, lost={(k, 1) for k in range(10, 25)})
-    assert len(np.unique(assign(found, CAM))) == 3
+    assert len(np.unique(assign_track_numbers(found, CAM))) == 3
 
 
 @pytest.mark.parametrize("lost", [(0,), pytest.param((1,), marks=pytest.mark.gate), (0, 1)])
@@ -102,7 +102,7 @@ def test_a_ball_not_seen_as_it_is_hit_goes_on(lost):
         hit = int(np.argmin(apart))
         for frames in ((hit,), (hit + 1,), (hit, hit + 1)):
             found, truth = scattered(rng, paths, lost={(k, ball) for k in frames for ball in lost})
-            assert pure(assign(found, CAM), truth)
+            assert pure(assign_track_numbers(found, CAM), truth)
 
 
 def test_balls_enter_and_leave():
@@ -113,7 +113,7 @@ def test_balls_enter_and_leave():
     )
     paths[(paths[..., 0] < 0) | (paths[..., 1] > 479)] = np.nan
     found, truth = scattered(rng, paths)
-    ids = assign(found, CAM)
+    ids = assign_track_numbers(found, CAM)
     assert pure(ids, truth)
     assert ids[0] == 0  # numbered by first appearance: the ball in view from the start comes first
     assert truth[0] == 1
@@ -152,7 +152,7 @@ def test_three_balls_cross():
     third = np.column_stack([320 + 8 * (np.arange(50.0) - 10), 275 + 0 * np.arange(50.0)])
     paths = np.concatenate([two, third[:, None]], axis=1)
     found, truth = scattered(rng, paths)
-    assert pure(assign(found, CAM), truth)
+    assert pure(assign_track_numbers(found, CAM), truth)
 
 
 @pytest.mark.parametrize(("scene", "seed"), [("crowd", 1), ("tray", 1), ("crowd", 11)])
@@ -162,7 +162,9 @@ def test_a_crowd_keeps_its_identities(scene, seed):
     seen = clip.tracks[clip.tracks.visible & (rng.random(len(clip.tracks)) > 0.01)]
     xy = seen[["x_mean_px", "y_mean_px"]].to_numpy() + 0.05 * rng.standard_normal((len(seen), 2))
     spots = glints(rng.integers(5, clip.frames - 5, clip.frames), rng.uniform(60, 420, (clip.frames, 2)))
-    ids = assign(Glints.join([glints(seen.frame.to_numpy(), xy), spots]), Camera.from_dict(clip.camera_json))
+    ids = assign_track_numbers(
+        Glints.join([glints(seen.frame.to_numpy(), xy), spots]), Camera.from_dict(clip.camera_json)
+    )
     assert pure(ids[: len(seen)], seen.particle.to_numpy())
 
 
@@ -173,7 +175,7 @@ def test_blips_and_faint_companions_are_refused():
     companion = glints(np.arange(40), paths[:, 0] + [5.2, 0.0], flux=70.0)
     blips = glints(np.array([3, 3, 17, 30]), rng.uniform(0, 400, (4, 2)), flux=100.0)
     everything = Glints.join([found, companion, blips])
-    ids = assign(everything, CAM)
+    ids = assign_track_numbers(everything, CAM)
     assert pure(ids[: len(found)], truth)
     assert (ids[len(found) :] == -1).all()
 
@@ -185,11 +187,11 @@ def test_a_ball_seen_in_two_frames_only_is_kept():
             glints(np.array([28, 29]), np.array([[2.0, 300.0], [10.0, 300.0]])),
         ]
     )
-    assert np.unique(assign(found, CAM)).tolist() == [0, 1]
+    assert np.unique(assign_track_numbers(found, CAM)).tolist() == [0, 1]
 
 
 def test_nothing_found_is_no_tracks():
-    assert len(link(Glints.none(), CAM)) == 0
+    assert len(link_into_tracks(Glints.none(), CAM)) == 0
 
 
 def test_velocities_take_the_calm_side_of_a_collision():
@@ -206,13 +208,13 @@ def test_velocities_take_the_calm_side_of_a_collision():
 def test_tracks_hold_centres_and_say_when_they_do_not():
     paths = collision(30, contact=12.5, speed=6.0, centre=(320.0, 240.0))
     found, _ = scattered(np.random.default_rng(6), paths)
-    tracks = link(found, CAM)
+    tracks = link_into_tracks(found, CAM)
     assert tracks.particle.tolist() == sorted(tracks.particle.tolist())
     assert (tracks.flags == "").all()
     shift = np.hypot(tracks.x - tracks.glint_x, tracks.y - tracks.glint_y)
     assert 0.1 < shift.min() < shift.max() < 1.0
     bare = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})
-    flagged = link(
+    flagged = link_into_tracks(
         Glints(
             found.frame,
             found.x,
@@ -233,8 +235,8 @@ def test_order_of_glints_does_not_matter(seed):
     rng = np.random.default_rng(seed)
     found, _ = scattered(rng, collision(40, contact=15.2, speed=12.0, centre=(320.0, 240.0)))
     order = rng.permutation(len(found))
-    mixed = link(found.take(order), CAM)
-    plain = link(found, CAM)
+    mixed = link_into_tracks(found.take(order), CAM)
+    plain = link_into_tracks(found, CAM)
     assert np.array_equal(mixed.x, plain.x)
     assert np.array_equal(mixed.particle, plain.particle)
 

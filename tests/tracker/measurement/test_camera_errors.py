@@ -13,7 +13,7 @@ from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.detection.link import to_centres
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.estimate import fit_all, measure
+from tracker.measurement.estimate import fit_all_jointly, measure
 from tracker.settings import FitSettings
 
 pytestmark = pytest.mark.usefixtures("not_local")
@@ -108,8 +108,8 @@ def test_what_clips_of_one_camera_share_does_not_average_away(tmp_path):
     rng, rows = np.random.default_rng(2), []
     for truth, camera in (truth_of(data, clip) for clip in range(4)):
         rows += measure(noisy(truth, rng), wrong(camera, "fps", 1.0))
-    fit = fit_all(pd.DataFrame(rows))
-    alone = fit_all(pd.DataFrame([row | {"cov": row["cov"].replace("shared", "alone")} for row in rows]))
+    fit = fit_all_jointly(pd.DataFrame(rows))
+    alone = fit_all_jointly(pd.DataFrame([row | {"cov": row["cov"].replace("shared", "alone")} for row in rows]))
     assert "shared_std" not in alone["chi2"]
     # friction is an acceleration: twice the frame rate's relative error
     assert fit["chi2"]["shared_std"]["mu_k"] == pytest.approx(2 * SHARE * fit["chi2"]["mu_k"], rel=0.05)

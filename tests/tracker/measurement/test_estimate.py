@@ -10,7 +10,7 @@ from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, scalars_of
 
 from tracker.measurement.collision.collision_model import FREE, mean_positions, tied_to_free
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.estimate import fit_all, measure, motion_table
+from tracker.measurement.estimate import fit_all_jointly, measure, motion_table
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 pytestmark = pytest.mark.usefixtures("not_local")
@@ -195,7 +195,7 @@ def test_without_a_collision_the_rolling_loss_is_measured(tmp_path):
 
 def test_single_balls_together_give_the_rolling_loss(tmp_path):
     settings = {"launch": {"kind": "single", "v0": {"uniform": [0.05, 0.4]}}, "timing": {"frames": 60}}
-    together = fit_all(measured(dataset(tmp_path / "data", settings, 10), 10))
+    together = fit_all_jointly(measured(dataset(tmp_path / "data", settings, 10), 10))
     found = together["rolling"]
     assert (together["clips"], found["n"]) == (0, 10)
     for name, true in (("drag", 0.135), ("decel", 0.0103)):
@@ -290,7 +290,7 @@ def test_momentum_across_the_slip_is_kept_and_along_it_is_not(plain):
 
 def test_all_clips_together_give_the_papers_three(tmp_path):
     settings = {"launch": {"v0": {"uniform": [0.15, 0.6]}, "b": {"uniform": [-0.3, 0.3]}}}
-    together = fit_all(measured(dataset(tmp_path / "same", settings, 12), 12))
+    together = fit_all_jointly(measured(dataset(tmp_path / "same", settings, 12), 12))
     for name, true in (("r", 0.903), ("mu_k", 0.232), ("C", 0.347)):
         found = together["chi2"]
         assert abs(found[name] - true) < 4 * found[f"{name}_std"]
@@ -301,11 +301,11 @@ def test_all_clips_together_give_the_papers_three(tmp_path):
 
 
 def test_scatter_between_clips_is_that_of_the_truth(table, benchmark):
-    together = fit_all(table)
+    together = fit_all_jointly(table)
     truth = scalars_of(benchmark)
     for name in ("r", "mu_k", "C"):
         assert together["scatter"][name]["scatter"] == pytest.approx(truth[name].std(), rel=0.05)
-    assert fit_all(table.iloc[:0])["chi2"]["r"] is None
+    assert fit_all_jointly(table.iloc[:0])["chi2"]["r"] is None
 
 
 def test_courses_carry_the_pixels_errors_into_metres(plain):

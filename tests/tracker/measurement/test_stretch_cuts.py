@@ -5,7 +5,7 @@ import pytest
 
 from tracker.measurement.local.stretches import cut_stretch
 from tracker.measurement.positions import BallTrack
-from tracker.measurement.stretch_cuts import CUTTER, measure_noise
+from tracker.measurement.stretch_cuts import CUTTER, measure_path_noise
 
 FPS, NOISE = 50, 2e-4
 
@@ -23,7 +23,7 @@ def bounce(at, angle=np.pi, frames=60, slide=0.0):
 @pytest.mark.parametrize(("angle", "slide", "found"), [(np.pi, 0.0, 1), (0.3, 0.0, 1), (0.0, 0.0, 0), (0.0, 2.5, 0)])
 def test_a_kink_is_what_neither_friction_nor_noise_makes(angle, slide, found):
     ball = bounce(0.61, angle, slide=slide)
-    noise = measure_noise([(ball.frame, ball.position)])
+    noise = measure_path_noise([(ball.frame, ball.position)])
     assert noise == pytest.approx(NOISE, rel=0.3)
     kinks = CUTTER.find_kinks(ball.time, CUTTER.measure_kinks(ball.time, ball.position, noise))
     assert len(kinks) == found

@@ -16,7 +16,7 @@ import tracker
 from synthcam_shared.report.page import PageFigure
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.measurement.local.recommendation import recommended_suffix
-from tracker.report.collision_figures import speed_figure
+from tracker.report.collision_figures import draw_speeds
 from tracker.report.pages import PAGE, RecordingPage
 
 
@@ -114,4 +114,4 @@ def test_the_speeds_of_many_particles_fit_into_their_figure(count):
     """A legend higher than the figure leaves no room for the axes, of which matplotlib warns."""
     rows = [(0.004 * k, particle, 0.1, 0.1) for particle in range(count) for k in range(3)]
     motion = pd.DataFrame(rows, columns=["t_s", "particle", "vx", "vy"])
-    assert "svg" in PageFigure.of(speed_figure(motion, [0.004]), "speed").address
+    assert "svg" in PageFigure.of(draw_speeds(motion, [0.004]), "speed").address

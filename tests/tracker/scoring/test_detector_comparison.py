@@ -14,7 +14,7 @@ from synthcam_shared.errors import InputError
 from tracker.camera.recordings import open_source
 from tracker.detection.detect import list_detectors, make_view
 from tracker.scoring import detector_comparison as module
-from tracker.scoring.detector_comparison import compare, make_tables
+from tracker.scoring.detector_comparison import compare, make_comparison_tables
 from tracker.scoring.score import score
 
 
@@ -60,7 +60,7 @@ def test_the_page_shows_every_detector_and_asks_for_nothing(compared):
     for word in ("maximum_likelihood", "centroid", "rmse / px", "hota", "mu_k"):
         assert word in page
     assert "http" not in page
-    for table in make_tables(compared[1]["detectors"]):
+    for table in make_comparison_tables(compared[1]["detectors"]):
         assert [len(row) for row in table.rows] == [len(table.heads)] * 2
 
 

@@ -13,7 +13,7 @@ from tracker_noisy import BENCHMARK, NOISE, dataset, noisy, results, scalars_of,
 from synthcam_shared.errors import InputError
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import measure
-from tracker.scoring.error_bars import error_statistics, quantity_bounds, true_motion
+from tracker.scoring.error_bars import compute_true_parameters, error_statistics, quantity_bounds
 from tracker.scoring.localisation import PositionSums, match, position_bounds, score_positions
 from tracker.scoring.score import _score_clip, score, to_track_points
 from tracker.scoring.tracking_metrics import TrackPoints, score_tracks
@@ -171,7 +171,9 @@ def limits_of(folder, clip):
     """The bounds of a clip whose positions all have the same noise."""
     truth, camera = truth_of(folder, clip)
     scalars = scalars_of(folder).iloc[clip]
-    tied = true_motion(truth, {k: float(scalars[k]) for k in ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")})
+    tied = compute_true_parameters(
+        truth, {k: float(scalars[k]) for k in ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")}
+    )
     seen = truth[truth["visible"]].reset_index(drop=True)
     spots = seen[["frame", "particle"]].assign(x=seen["x_mean_px"], y=seen["y_mean_px"])
     matched = match(truth, spots, 5.0, camera.diameter_px)

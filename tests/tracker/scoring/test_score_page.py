@@ -10,7 +10,7 @@ from tracker_noisy import BENCHMARK, dataset, results, truth_of
 
 from tracker.scoring import score_page
 from tracker.scoring.score import score
-from tracker.scoring.score_page import choose_clip, draw_score_figures, make_quantity_tables, write_report
+from tracker.scoring.score_page import choose_example_clip, draw_score_figures, make_quantity_tables, write_report
 
 FIGURE_NAMES = {"frame", "tracks", "separation", "energy", "tied", "free", "local", "paper", "honesty"}
 
@@ -27,7 +27,7 @@ def folders(tmp_path_factory):
 def drawn(folders):
     data, found = folders
     verdict = score(found, data)
-    clip = choose_clip(verdict)
+    clip = choose_example_clip(verdict)
     film(data, clip)
     return verdict, draw_score_figures(verdict, found, data)
 
@@ -76,13 +76,13 @@ def test_figures_have_labelled_axes_with_units(drawn):
 def test_detections_are_drawn_where_they_were_found(folders, drawn):
     verdict, shown = drawn
     circles = [p.center for p in shown["frame"].axes[0].patches if hasattr(p, "center")]
-    truth, camera = truth_of(folders[0], choose_clip(verdict))
+    truth, camera = truth_of(folders[0], choose_example_clip(verdict))
     frame = int(re.search(r"frame (\d+)", shown["frame"].axes[0].get_title())[1])
     true = truth[truth["frame"] == frame][["x_mean_px", "y_mean_px"]].to_numpy()
     assert len(circles) == 2
     apart = np.linalg.norm(np.array(circles)[:, None] - true[None], axis=-1).min(axis=1)
     assert (apart < 0.1).all()
-    assert frame / camera.fps > verdict.table.set_index("clip")["t_c"][choose_clip(verdict)]
+    assert frame / camera.fps > verdict.table.set_index("clip")["t_c"][choose_example_clip(verdict)]
 
 
 def test_fitted_curve_goes_through_the_measured_separation(drawn):

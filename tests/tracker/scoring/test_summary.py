@@ -8,7 +8,7 @@ import pytest
 
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.scoring.score import DetectorScore
-from tracker.scoring.summary import judge, summarise
+from tracker.scoring.summary import describe_fitness, summarise_score
 
 
 def figures(n=100, rmse=1e-4, ratio=1.0, z_mean=0.0, z_std=1.0):
@@ -32,13 +32,15 @@ def with_quantity(name, **changes):
 
 
 def test_the_lines_hold_the_figures():
-    first, positions, head, *rows, last = summarise(with_quantity("tau1_free", rmse=5.6e-5, ratio=1.04, z_std=0.97))
+    first, positions, head, *rows, last = summarise_score(
+        with_quantity("tau1_free", rmse=5.6e-5, ratio=1.04, z_std=0.97)
+    )
     assert first == "100 clips: 99 ok, 1 misfit"
     assert positions == "positions: 0.0087 px rmse, 1.005(16) times the bound; 2 missed, 1 false, 0 identity swaps"
     assert [row.split()[0] for row in rows] == ["r", "mu_k", "tau1", "tau2"]
     assert rows[2].split() == ["tau1", "ms", "0.1", "1.000(71)", "1", "0.056", "1.040(74)", "0.97"]
     assert len(head) == len(rows[2])
-    assert last == judge(GOOD)
+    assert last == describe_fitness(GOOD)
 
 
 @pytest.mark.parametrize(
@@ -73,7 +75,7 @@ def test_the_lines_hold_the_figures():
     ],
 )
 def test_each_fault_is_called_by_its_name(score, said):
-    assert judge(score).startswith(said)
+    assert describe_fitness(score).startswith(said)
 
 
 def test_chance_is_no_fault_and_few_clips_are_said():
@@ -81,6 +83,6 @@ def test_chance_is_no_fault_and_few_clips_are_said():
     many, few = (
         dataclasses.replace(with_quantity("r", n=n, z_std=1.45), statuses={"n": n, "ok": n}) for n in (100, 19)
     )
-    assert judge(many).startswith("Not good enough for error bars")
-    assert judge(few).startswith("Good enough to measure with")
-    assert judge(few).endswith("Fewer than 20 clips: the spread of z is uncertain.")
+    assert describe_fitness(many).startswith("Not good enough for error bars")
+    assert describe_fitness(few).startswith("Good enough to measure with")
+    assert describe_fitness(few).endswith("Fewer than 20 clips: the spread of z is uncertain.")

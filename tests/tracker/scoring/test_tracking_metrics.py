@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tracker.scoring.tracking_metrics import GATE_PX, TrackPoints, score_tracks
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.formats import mot
 
 EXACT = 1e-9
@@ -160,7 +160,7 @@ def test_trackeval_gives_the_same_of_those_sets(trackeval, name):
 
 
 def boxes_of(path):
-    rows = mot.read(Content.of(path)).rows
+    rows = mot.read(FileContent.of(path)).rows
     columns = [rows[name].to_numpy(float) for name in ("frame", "particle", "x", "y", "width", "height")]
     return TrackPoints.of(
         columns[0].astype(int), columns[1].astype(int), np.stack(columns[2:4], 1), np.stack(columns[4:], 1)

@@ -18,7 +18,7 @@ from synthcam_shared.errors import NoGL as NoGL
 
 # Read when the libraries load. llvmpipe then draws in the calling thread and leaves the other cores to other processes.
 os.environ.setdefault("LP_NUM_THREADS", "0")
-WHY = windowless.choose()
+WHY = windowless.choose_opengl()
 _missing = ""
 try:
     with warnings.catch_warnings(), windowless.without_viewer():
@@ -37,7 +37,7 @@ BUFFER_SIDE = 1024  # usual side of the buffer, samples
 MAX_BALLS_PER_CALL = 2048
 
 
-class Batch(NamedTuple):
+class BallBatch(NamedTuple):
     """Balls that one program draws."""
 
     jobs: Float32  # instance matrices (n, 4, 4)
@@ -62,7 +62,7 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
         shaders = Path(__file__).with_name("shaders")
         self._program_cache: Any = _Programs(shader_dir=str(shaders))
         self.uniforms: dict[str, Any] = {}
-        self.batches: list[Batch] = []
+        self.batches: list[BallBatch] = []
         self.rows = BUFFER_SIDE
         self._others: Any = None
         self._main_fb: Any
@@ -160,7 +160,7 @@ class Canvas:
         self._scene.add(pyrender.Mesh.from_trimesh(quad, poses=room_for_jobs))
         self._scene.add(pyrender.IntrinsicsCamera(1, 1, 0, 0))  # pyrender requires one; the shader ignores it
 
-    def draw(self, batches: Sequence[Batch], size: tuple[int, int], uniforms: dict[str, Any]) -> Float32:
+    def draw(self, batches: Sequence[BallBatch], size: tuple[int, int], uniforms: dict[str, Any]) -> Float32:
         """Draw all jobs; return the buffer (rows, columns) of that size. uniforms: of the shaders."""
         screen, drawn = self._screen, []
         screen.viewport_height, screen.viewport_width = max(BUFFER_SIDE, size[0]), max(BUFFER_SIDE, size[1])
@@ -169,7 +169,7 @@ class Canvas:
         self._renderer.uniforms = uniforms | {"atlas": atlas, "others": 0}
         for first in range(0, max(len(batch.jobs) for batch in batches), MAX_BALLS_PER_CALL):
             part = slice(first, first + MAX_BALLS_PER_CALL)
-            parts = [Batch(batch.jobs[part], batch.others[part], batch.defines) for batch in batches]
+            parts = [BallBatch(batch.jobs[part], batch.others[part], batch.defines) for batch in batches]
             self._renderer.batches = [batch for batch in parts if len(batch.jobs)]
             for batch in self._renderer.batches:
                 batch.jobs[:, 3, 2] = np.arange(len(batch.jobs))

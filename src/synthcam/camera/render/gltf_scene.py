@@ -34,7 +34,7 @@ class BallMotion:
     paint: Callable[[Array], Array] | None = None
 
 
-def glb(
+def make_glb(
     camera: dict[str, Any],
     balls: list[BallMotion],
     lamps: list[tuple[Lamp, float]],

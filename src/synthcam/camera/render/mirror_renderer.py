@@ -28,9 +28,17 @@ from synthcam.camera.exposure import (
 )
 from synthcam.camera.glints import GlintImages, GlintSettings, find_glints, join_glints, narrow_cell
 from synthcam.camera.pinhole import Lamp, PinholeCamera
-from synthcam.camera.plate import BLACK_PLATE_RADIANCE, gloss, grain, irradiance, is_plain, plate_points, shadow_casters
+from synthcam.camera.plate import (
+    BLACK_PLATE_RADIANCE,
+    compute_gloss,
+    compute_grain,
+    compute_irradiance,
+    is_plain,
+    plate_points,
+    shadow_casters,
+)
 from synthcam.camera.reflections import FAINTEST, find_neighbours
-from synthcam.camera.render.canvas import BUFFER_SIDE, Batch, get_canvas
+from synthcam.camera.render.canvas import BUFFER_SIDE, BallBatch, get_canvas
 from synthcam.camera.renderer import Centres, Renderer
 from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
 
@@ -40,7 +48,7 @@ PAIR_REACH_RADII = 60.0  # further away, single precision no longer suffices, an
 NEIGHBOURS_OF_PROGRAMS = 0, 1, 2, 3, 4, 6, 8  # numbers of neighbours for which there are programs
 
 
-class Drawn(IntEnum):
+class DrawnParts(IntEnum):
     """The parts of a picture that the shader can draw; its SCENE."""
 
     BALLS = 0
@@ -152,21 +160,21 @@ class MirrorRenderer(Renderer):
         jobs[0, 0, 2:] = middle
         jobs[0, 3] = 0, np.maximum(middle, [w, h] - middle).max() + 1, 0, BLACK_PLATE_RADIANCE * self.room
         uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
-        alone = Batch(jobs, np.zeros((1, 1, 4), np.float32), {"SCENE": Drawn.PLATE_ALONE})
+        alone = BallBatch(jobs, np.zeros((1, 1, 4), np.float32), {"SCENE": DrawnParts.PLATE_ALONE})
         plate = self._canvas.draw([alone], (h, w), uniforms)
         return plate.copy() if self._vignette is None else plate * self._vignette
 
     def _compute_plate(self) -> Float32:
         points, surface = plate_points(self.camera), self.surface
-        lit = BLACK_PLATE_RADIANCE * self.room * irradiance(self.lamp, points)
+        lit = BLACK_PLATE_RADIANCE * self.room * compute_irradiance(self.lamp, points)
         mirrored = np.zeros(1)
         if surface.plate_texture:
-            lit *= grain(surface, points)
+            lit *= compute_grain(surface, points)
         if surface.plate_gloss:
-            lit += self._unit * gloss(self.lamp, surface, self.camera.centre, points)
+            lit += self._unit * compute_gloss(self.lamp, surface, self.camera.centre, points)
             way = self.camera.centre - points
             up = way[..., 2] / np.linalg.norm(way, axis=-1)
-            dull = BLACK_PLATE_RADIANCE * self.room * irradiance(self.lamp, points)
+            dull = BLACK_PLATE_RADIANCE * self.room * compute_irradiance(self.lamp, points)
             mirrored = surface.plate_gloss * (dull + (self.room / surface.head_on - dull) * up)
         shade: Array | Float32 = np.ones(1) if self._vignette is None else self._vignette
         self._lit = (lit * shade).astype(np.float32)
@@ -204,7 +212,7 @@ class MirrorRenderer(Renderer):
         # Lambert's plate under a small lamp facing down: cos^4 of the angle.
         fall = (self.lamp.position[2] / np.linalg.norm(to_lamp, axis=1)) ** 4
         if not self._plain:
-            fall = irradiance(self.lamp, centres * [1, 1, 0])
+            fall = compute_irradiance(self.lamp, centres * [1, 1, 0])
         jobs[:, 3, 3] = BLACK_PLATE_RADIANCE * self.room * fall
         return jobs
 
@@ -249,13 +257,13 @@ class MirrorRenderer(Renderer):
             room_for = max(1, BUFFER_SIDE // tile) ** 2
             for first in range(0, len(same), room_for):
                 selected = same[first : first + room_for]
-                bodies = Drawn.BALLS if self._plain else Drawn.ON_PLATE
+                bodies = DrawnParts.BALLS if self._plain else DrawnParts.ON_PLATE
                 images = self._draw_balls(few, coarse, patches, selected, bodies)
                 for at, found in shown:
                     self._add_glints(images, found, at, patches, selected)
                 drawn |= zip(selected.tolist(), self.psf.spread(images), strict=True)
                 if not self._plain:
-                    shade = self._draw_balls(few, coarse, patches, selected, Drawn.SHADES)
+                    shade = self._draw_balls(few, coarse, patches, selected, DrawnParts.SHADES)
                     shades |= zip(selected.tolist(), self.psf.spread(shade), strict=True)
         for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
             (plate,) = self._plates_in(bright)
@@ -308,7 +316,7 @@ class MirrorRenderer(Renderer):
         return fine, place_sub_exposures(bounds, weights, frames, travel / 4, wave) if pair else None, (primary, rest)
 
     def _draw_balls(
-        self, positions: Array, moments: SubExposures, patches: PixelPatches, selected: Index, scene: Drawn
+        self, positions: Array, moments: SubExposures, patches: PixelPatches, selected: Index, scene: DrawnParts
     ) -> Float32:
         """Draw blurred balls minus the plate behind them: (n, width, width) for n patches of one width.
 
@@ -327,8 +335,8 @@ class MirrorRenderer(Renderer):
         jobs[:, 0, 2:] = (position - patches.origins[selected[rank]] - margin + 0.5) * FINENESS
         jobs[:, 2, 3] = (moments.weights * self.lamp.light(moments.times))[moment]
         jobs[:, 3, 1] = extent[moment, ball] * FINENESS
-        others = self._neighbours(jobs, positions, moment, ball, ordered=scene == Drawn.SHADES)
-        if scene != Drawn.BALLS:
+        others = self._neighbours(jobs, positions, moment, ball, ordered=scene == DrawnParts.SHADES)
+        if scene != DrawnParts.BALLS:
             others = self._with_notes(jobs, others, positions[moment, ball], ball, scene)
         rows = -(-len(selected) // across)
         batches = self._sort_by_neighbours(jobs, others, scene)
@@ -358,11 +366,11 @@ class MirrorRenderer(Renderer):
         jobs[:, 3, 0] = counts
         return found.astype(np.float32)
 
-    def _sort_by_neighbours(self, jobs: Float32, others: Float32, scene: Drawn) -> list[Batch]:
+    def _sort_by_neighbours(self, jobs: Float32, others: Float32, scene: DrawnParts) -> list[BallBatch]:
         """Sort balls by their number of neighbours: in a program for so many, a neighbour costs a third."""
         defines = {"SCENE": int(scene)} | self._defines
-        if len(self.radii) <= 2 or scene == Drawn.SHADES:
-            return [Batch(jobs, others, defines)]
+        if len(self.radii) <= 2 or scene == DrawnParts.SHADES:
+            return [BallBatch(jobs, others, defines)]
         # A neighbour whose outline meets the ball's in the picture covers a part of it, or is covered.
         eye = jobs[:, None, 2, :3] / np.linalg.norm(jobs[:, None, 2, :3], axis=-1, keepdims=True)
         aside = others[..., :3] - (others[..., :3] * eye).sum(-1, keepdims=True) * eye
@@ -376,14 +384,14 @@ class MirrorRenderer(Renderer):
             own = np.flatnonzero((kind == k) & (meets == meet))
             many = {"NEAR": int(kinds[k])} if k < len(NEIGHBOURS_OF_PROGRAMS) else {}
             apart = {} if meet else {"APART": 1}
-            width = others.shape[1] if scene != Drawn.BALLS else max(1, int(kinds[k]))
-            batches.append(Batch(jobs[own], others[own, :width], defines | many | apart))
+            width = others.shape[1] if scene != DrawnParts.BALLS else max(1, int(kinds[k]))
+            batches.append(BallBatch(jobs[own], others[own, :width], defines | many | apart))
         return batches
 
     def _with_notes(self, jobs: Float32, others: Float32, positions: Array, ball: Index, scene: int) -> Float32:
         """Append the depth of the plate and the lamps to the neighbours, as the shader reads them."""
         radii, count, camera = self.radii[ball], jobs[:, 3, 0].astype(int), self.camera
-        casting = self.surface.plate_shadow and scene == Drawn.SHADES
+        casting = self.surface.plate_shadow and scene == DrawnParts.SHADES
         discs = [shadow_casters(self.lamp, p * [1, 1, 0]) if casting else np.zeros((0, 5)) for p in positions]
         notes = np.zeros((len(jobs), 1 + 2 * max(len(d) for d in discs), 4), np.float32)
         notes[:, 0, 0] = positions[:, 2] / radii

@@ -47,7 +47,7 @@ def missing_packages() -> list[str]:
     return absent or (["libgl1-mesa-dri"] if egl_device()[0] is None else [])
 
 
-def choose() -> str:
+def choose_opengl() -> str:
     """Set PYOPENGL_PLATFORM and, for EGL, EGL_DEVICE_ID if the user has not. Returns the reason in a few words."""
     asked = os.environ.get("PYOPENGL_PLATFORM")
     if asked is None:

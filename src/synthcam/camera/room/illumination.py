@@ -31,8 +31,8 @@ from synthcam.camera.room.radiosity import (
     tabulate_faces,
 )
 from synthcam.camera.room.view_factors import (
+    compute_form_factor,
     dot,
-    form_factor,
     mean_cosine_above_horizon,
     mirror_direction,
     visible_fraction,
@@ -208,7 +208,7 @@ class Illumination:
         offset = centre - points[near]
         far = np.sqrt(dot(offset, offset))
         wide = np.arcsin(np.clip(self.radii[ball] / far, 0, 1))
-        shares = [1 - fade * form_factor(np.broadcast_to(UP, offset.shape), offset, self.radii[ball])]
+        shares = [1 - fade * compute_form_factor(np.broadcast_to(UP, offset.shape), offset, self.radii[ball])]
         for cell in self.cells:
             way, size = _direction_and_size(cell, points[near])
             apart = np.arccos(np.clip(dot(offset, way) / far, -1, 1))
@@ -333,7 +333,7 @@ class Illumination:
         plate = self._from_plate(a, normals, centres) / np.maximum((1 - normals[:, 2:]) / 2, 1e-3)
         hidden = np.where(ways[..., 2:] > 0, self.finish.ambient, plate[:, None])
         return BallView(
-            a, b, axes, weights, face, direct, hidden, form_factor(normals, centres[b] - points, self.radii[b])
+            a, b, axes, weights, face, direct, hidden, compute_form_factor(normals, centres[b] - points, self.radii[b])
         )
 
     def radiance(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.camera.room.view_factors import dot, form_factor, mean_cosine_above_horizon, visible_fraction
+from synthcam.camera.room.view_factors import compute_form_factor, dot, mean_cosine_above_horizon, visible_fraction
 
 Array = NDArray[np.float64]
 
@@ -165,7 +165,7 @@ def _exchange(normals: Array, spots: Array, areas: Array) -> tuple[Array, Array]
     to_plate *= (whole / np.maximum(to_plate.sum(1), 1e-30))[:, None]
     to_ball = kernel.T * (4 * np.pi / len(normals))
     upright = np.broadcast_to(UP, spots.shape)
-    seen = form_factor(upright, UP - spots, 1.0)
+    seen = compute_form_factor(upright, UP - spots, 1.0)
     to_ball *= (seen / np.maximum(to_ball.sum(1), 1e-30))[:, None]
     return to_plate, to_ball
 

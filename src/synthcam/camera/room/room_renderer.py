@@ -94,7 +94,9 @@ class RoomRenderer(Renderer):
                 n = min(64, h - top)
                 down = (np.arange((n + 2 * margin) * FINENESS) + 0.5) / FINENESS - 0.5 - margin + top
                 points = self._meet_plate(across, down)
-                fine = texture.factors(self.finish, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:2], -1)
+                fine = texture.compute_texture(self.finish, points[..., :2].reshape(-1, 2)).reshape(
+                    *points.shape[:2], -1
+                )
                 columns = blur_matrix(n + 4 * margin, margin, FINENESS, sigma)[2 * margin : 2 * margin + n]
                 for c in range(fine.shape[2]):
                     relief[top : top + n, :, c] = columns @ fine[..., c] @ rows.T

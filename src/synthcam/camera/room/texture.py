@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 RANDOM_NUMBERS = 1 << 12  # in the table that a texture is made of
 
 
-def factors(look: SurfaceFinish, points: Array) -> Array:
+def compute_texture(look: SurfaceFinish, points: Array) -> Array:
     """Compute the texture of a plate at points (n, 2), m: reflectance (n, c) over the mean."""
     if look.texture == "plain" or not look.contrast:
         return np.ones((len(points), 1))

@@ -41,7 +41,7 @@ def visible_fraction(a: Array, b: Array, apart: Array) -> Array:
     return np.where(small, 1 - (b / a) ** 2, out)
 
 
-def form_factor(normal: Array, offset: Array, radius: Array | float) -> Array:
+def compute_form_factor(normal: Array, offset: Array, radius: Array | float) -> Array:
     """Form factor of a ball: its share of the surface's hemisphere, weighted by the cosine.
 
     normal: (..., 3). offset: (..., 3) from the surface to the ball's centre. Source: Howell, A Catalog of Radiation

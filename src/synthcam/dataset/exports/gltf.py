@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from synthcam.camera.glints import find_glints
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.plate import BLACK_PLATE_RADIANCE, irradiance
+from synthcam.camera.plate import BLACK_PLATE_RADIANCE, compute_irradiance
 from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import rebuild_clip
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
-    from synthcam.camera.render.gltf_scene import BallMotion, glb  # here alone: trimesh is slow to load
+    from synthcam.camera.render.gltf_scene import BallMotion, make_glb  # here alone: trimesh is slow to load
 
     for clip in clips:
         balls = []
@@ -51,7 +51,7 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             balls.append(BallMotion(radius, height, times, positions, *_turns(times, spins, first), paint))
         look = _light_room(drawn) if finish else _light_mirrors(drawn)
         (folder / f"{clip.number:06d}.glb").write_bytes(
-            glb(clip.camera_json, balls, steel=drawn.surface.head_on, plate_z=drawn.plate_z, **look)
+            make_glb(clip.camera_json, balls, steel=drawn.surface.head_on, plate_z=drawn.plate_z, **look)
         )
 
 
@@ -81,7 +81,7 @@ def _light_mirrors(clip: Clip) -> dict[str, Any]:
     peak = float((glint.flux / (2 * np.pi * np.sqrt(np.prod(blur + glint.spread, axis=1)))).sum())
     white = clip.sensor.glint_peak / (2**clip.sensor.bits - 1)  # of the glint's peak
     candela = _intensities(first, white / peak)
-    lit = float(irradiance(first, np.zeros(3)))
+    lit = float(compute_irradiance(first, np.zeros(3)))
     plate = BLACK_PLATE_RADIANCE * clip.room * white * lit / _light_origin(first, candela)
     seen = np.sqrt(_area(first) / np.pi) / np.linalg.norm(first.position - rest[0, 0])  # half-angle of the lamp, rad
     slope = np.hypot(clip.surface.roughness, seen / 4)  # rms: a mirror that throws a point as wide as the lamp

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from synthcam.dataset.recorded_clip import RecordedClip
-from synthcam_shared.track_formats import trackmate_xml
+from synthcam_shared.track_formats import make_trackmate_xml
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
-        text = trackmate_xml(clip.visible_tracks(), clip.camera_json["fps"], "synthcam")
+        text = make_trackmate_xml(clip.visible_tracks(), clip.camera_json["fps"], "synthcam")
         (folder / f"{clip.number:06d}_Tracks.xml").write_text(text, encoding="UTF-8")

@@ -18,7 +18,7 @@ from synthcam.dynamics.contacts.cells import Box, NeighbourCells
 from synthcam.dynamics.contacts.contact_time import OVERLAP_TOLERANCE, find_contact_time, find_wall_contact
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.kinematics import State
-from synthcam.dynamics.trajectory import Leg, Rest
+from synthcam.dynamics.trajectory import Leg, RestLeg
 
 WITHOUT_CELLS = 13  # balls: so few look at all others
 MAX_NEIGHBOURS, MAX_CELLS = 8, 16  # that a ball may come near while it looks ahead
@@ -97,7 +97,7 @@ class ContactDistances:
         self.drawn.pop(pair, None)
 
 
-class Calendar:
+class EventCalendar:
     """The coming events of balls of these radii, m, between these walls.
 
     Contacts are searched up to `end`, s, and beyond it once that time has come. distances: of contacts, where they are
@@ -167,12 +167,12 @@ class Calendar:
         for k in balls:
             waiting.remove(k)
             leg, radius = legs[k], self.radius[k]
-            still, first = type(leg) is Rest, leg.now(t)
+            still, first = type(leg) is RestLeg, leg.now(t)
             horizon, near = self._choose_horizon(k, t, first)
             known = self.known[k] = horizon if horizon < latest else latest
             for j in near:
                 other = legs[j]
-                if j == k or j in waiting or (still and type(other) is Rest):
+                if j == k or j in waiting or (still and type(other) is RestLeg):
                     continue
                 if self.joined and (min(k, j), max(k, j)) in self.joined:
                     continue
@@ -207,8 +207,8 @@ class Calendar:
         """Choose how far a ball looks ahead, so that it comes near few others; also return which. first: its state."""
         leg, look = self.legs[k], self.look[k]
         if self.cells is None:
-            return leg.t1 if type(leg) is Rest else min(t + MAX_LOOK_S, leg.t1), range(len(self.radius))
-        if type(leg) is Rest:
+            return leg.t1 if type(leg) is RestLeg else min(t + MAX_LOOK_S, leg.t1), range(len(self.radius))
+        if type(leg) is RestLeg:
             box, _ = self._bound_path(k, leg, t, t, first)
             cells = self.cells.cover(box)
             self.cells.put(k, box, cells)

@@ -59,17 +59,17 @@ class ContactChange:
         return new if ax * new[0] + ay * new[1] > 0 else (nx, ny)
 
 
-def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodies) -> Impact:
-    """Let k pairs collide: targets in states (k, 9), bodies `one`, and strikers, bodies `two`. See `strike`."""
+def collide_pairs(model: Model, target: Array, striker: Array, one: Bodies, two: Bodies) -> Impact:
+    """Let k pairs collide: targets in states (k, 9), bodies `one`, and strikers, bodies `two`. See `collide_pair`."""
     first, second = (tuple(np.ascontiguousarray(states.T)) for states in (target, striker))
-    *vectors, along_n, along_t = strike(
+    *vectors, along_n, along_t = collide_pair(
         model, first, second, (one.radius, one.mass, one.inertia), (two.radius, two.mass, two.inertia)
     )
     a, b, n = (np.stack(np.broadcast_arrays(*parts), axis=-1) for parts in vectors)
     return Impact(a, b, n, along_n, along_t)
 
 
-def strike(
+def collide_pair(
     model: Model,
     target: State,
     striker: State,
@@ -143,12 +143,12 @@ def hit_wall(
 
     - The normal impulse is P = (1 + e) m v_n.
     - The tangential impulse is J = min(mu P, (1 + beta) m |u|/(1 + 1/k)) against u, the velocity of the ball's surface.
-    - The plate holds back the vertical impulse except for the share `loft`, as in `strike`.
+    - The plate holds back the vertical impulse except for the share `loft`, as in `collide_pair`.
 
     For a cushion this is the law of I. Han, J. Mech. Sci. Technol. 19 (2005) 976, with beta = 0. `press_cushion` has
     the other law of cushions.
 
-    body: radius, m, mass, kg, and k of the ball. change: as in `strike`.
+    body: radius, m, mass, kg, and k of the ball. change: as in `collide_pair`.
     """
     (radius, mass, inertia), (x, y, z, vx, vy, vz, wx, wy, wz) = body, ball
     _, ax, ay = wall.distance(x, y)
@@ -210,7 +210,7 @@ def find_contact_coefficients(
     return np.clip(r, 0.0, 1.0), np.clip(c, 0.0, push_share(inertia))
 
 
-def land(model: Model, state: Array, body: Bodies) -> Array:
+def land_on_plate(model: Model, state: Array, body: Bodies) -> Array:
     """Let balls in states (k, 9) that come down at -vz hit the plate: an impact with it.
 
     The impulse of the plate over the mass is (1 + e) |vz|, with its restitution e. Friction mu times that acts on the

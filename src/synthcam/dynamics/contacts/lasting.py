@@ -8,9 +8,10 @@ The force F along the line of the centres depends on the overlap h and its rate 
   Alone, it returns the share r at any speed (Antypov & Elliott, Europhys. Lett. 94 (2011) 50004). Without damping it
   lasts for 2.868 (m^2/(R* E*^2 v))^(1/5).
 
-The impulses are those of `strike`, handed out as F is: in the time dt, the share F dt/P of them. So r and the friction
-between the bodies are those of the model, and the contact becomes `strike` as its duration goes to zero. The line of
-the centres may turn meanwhile. The weight alone presses a ball on the plate, and its rolling loss is left out.
+The impulses are those of `collide_pair`, handed out as F is: in the time dt, the share F dt/P of them. So r and the
+friction between the bodies are those of the model, and the contact becomes `collide_pair` as its duration goes to zero.
+The line of the centres may turn meanwhile. The weight alone presses a ball on the plate, and its rolling loss is left
+out.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dynamics.contacts.rigid_group import split
+from synthcam.dynamics.contacts.rigid_group import split_into_groups
 from synthcam.dynamics.forces import Forces
 from synthcam.dynamics.kinematics import Array, State, contact_velocity, slip_rate
 from synthcam.dynamics.supports import Support
-from synthcam.dynamics.trajectory import Leg, Numeric
+from synthcam.dynamics.trajectory import Leg, NumericLeg
 from synthcam.model import Bodies, Model
 
 LEAST_RESTITUTION = 1e-6
@@ -124,7 +125,7 @@ class TouchingGroup:
 
     def legs(self, on_plate: Sequence[bool]) -> dict[int, Leg]:
         return {
-            k: Numeric.of(
+            k: NumericLeg.of(
                 self.t,
                 self.t1,
                 "slide" if plate else "glide",
@@ -149,7 +150,9 @@ class TouchingBodies:
     def find_fellows(self, *balls: int) -> set[int]:
         """Return the bodies that contacts connect with any of these, themselves among them."""
         members = self.joined
-        return set().union(*(p for p in split(members, {k for c in members for k in c} | set(balls)) if p & set(balls)))
+        return set().union(
+            *(p for p in split_into_groups(members, {k for c in members for k in c} | set(balls)) if p & set(balls))
+        )
 
     def begin(
         self,
@@ -160,7 +163,7 @@ class TouchingBodies:
         impulses: tuple[float, float],
         event: int,
     ) -> None:
-        """Begin the contact of two bodies for which `strike` gives these states and impulses along n and z x n, N s.
+        """Begin the contact of two bodies from what `collide_pair` gives: states, and impulses along n and z x n, N s.
 
         event: the number of its event.
         """
@@ -183,7 +186,7 @@ class TouchingBodies:
         out: dict[int, Leg] = {}
         in_contact = {k for pair in self.joined for k in pair} & set(states)
         self._keep_impulses(in_contact, t)
-        for part in split(self.joined, in_contact):
+        for part in split_into_groups(self.joined, in_contact):
             contacts = [c for c in self.contacts if c.i in part]
             own = {k: states[k] for k in part}
             group = follow_contacts(self.model, self.spring, contacts, own, self.bodies, supports, t)

@@ -5,7 +5,7 @@ A hit on one of them acts at the point of contact. With the directions n and t =
     K_n = sum of 1/M + (r x n)^2/I,   K_t = sum of 1/M + (r x t)^2/I
 
 over both sides, mass M and moment of inertia I about the centre of mass, friction acts first: J = a u_t/K_t, with a = 1
-where the contact sticks. Then P = (1 + r) v_n/K_n. Neither adds energy. For two bodies alone this is `strike`.
+where the contact sticks. Then P = (1 + r) v_n/K_n. Neither adds energy. For two bodies alone this is `collide_pair`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Self
 from synthcam.dynamics.dry_discs import DryBody, DryDisc
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.supports import Air, DryPlate
-from synthcam.dynamics.trajectory import Carried, Leg
+from synthcam.dynamics.trajectory import CarriedLeg, Leg
 
 Vector = tuple[float, float]
 
@@ -95,7 +95,7 @@ class RigidGroup:
         centre = air.leg(state, 0.0, t)
         still = centre.motion == "rest" and self.spin == 0
         return {
-            k: Carried(
+            k: CarriedLeg(
                 centre.t0,
                 centre.t1,
                 centre,
@@ -155,7 +155,7 @@ def collide_groups(
     return GroupImpact(one, two, impulse_n, impulse_t)
 
 
-def split(bonds: Iterable[tuple[int, int]], members: set[int]) -> list[set[int]]:
+def split_into_groups(bonds: Iterable[tuple[int, int]], members: set[int]) -> list[set[int]]:
     """Split bodies into rigid groups: those that bonds connect."""
     bonds, parts = list(bonds), list[set[int]]()
     while members:

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from synthcam.dynamics.contacts.impact import ContactChange, find_contact_coefficients, join_inertia
-from synthcam.dynamics.contacts.rigid_group import RigidGroup, Vector, collide_groups, find_slip, split
+from synthcam.dynamics.contacts.rigid_group import RigidGroup, Vector, collide_groups, find_slip, split_into_groups
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.supports import Air, DryPlate, Support
@@ -33,7 +33,7 @@ class StickingBodies:
     def find_fellows(self, *balls: int) -> set[int]:
         """Return the bodies that move as one with any of these, themselves among them."""
         members = {k for pair in self.bonds for k in pair} | set(balls)
-        return set().union(*(part for part in split(self.bonds, members) if part & set(balls)))
+        return set().union(*(part for part in split_into_groups(self.bonds, members) if part & set(balls)))
 
     def concerns(self, *balls: int) -> bool:
         """Tell whether a hit of these bodies is one of a group, or makes one."""
@@ -43,13 +43,13 @@ class StickingBodies:
     @property
     def joined(self) -> set[tuple[int, int]]:
         """All pairs that move as one."""
-        parts = split(self.bonds, {k for pair in self.bonds for k in pair})
+        parts = split_into_groups(self.bonds, {k for pair in self.bonds for k in pair})
         return {pair for part in parts for pair in combinations(sorted(part), 2)}
 
     def legs(self, states: Mapping[int, State], supports: Sequence[Support | None], t: float) -> dict[int, Leg]:
         """Return the legs of those of these bodies that move as one with others, on the support of the first."""
         out: dict[int, Leg] = {}
-        for part in split(self.bonds, {k for pair in self.bonds for k in pair} & set(states)):
+        for part in split_into_groups(self.bonds, {k for pair in self.bonds for k in pair} & set(states)):
             support, group = supports[min(part)], self._join({k: states[k] for k in part})
             if isinstance(support, DryPlate):
                 out |= group.slide(support, self.bodies, t)
@@ -116,7 +116,7 @@ class StickingBodies:
     def bounce(
         self, t: float, i: int, number: int, wall: Wall, states: Mapping[int, State], change: ContactChange | None
     ) -> tuple[list[Event], dict[int, State]]:
-        """Let the group of a body hit a wall, as `collide` does for two groups."""
+        """Let the group of a body hit a wall, as `collide_groups` does for two groups."""
         one = self._group_of(i, states)
         _, *normal = wall.distance(*states[i][:2])
         n: Vector = (normal[0], normal[1])

@@ -13,7 +13,7 @@ from tracker.benchmark.judging.position_errors import gap_curve, match_positions
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite
-from tracker.results import estimates_table, finite
+from tracker.results import estimates_table, replace_non_finite
 from tracker.scoring.error_bars import score_quantities
 from tracker.scoring.score import drop_unclaimed, join_truth
 
@@ -39,18 +39,20 @@ def make_entry(
     out: dict[str, Any] = {
         "tracker": dict(about),
         "suite": {key: suite.about[key] for key in ("version", "size", "split", "definition_sha256", "truth_sha256")},
-        "score": overall_score(parts, [name for name in chosen.headline if suite.has_bounds(suite.parts[name])]),
+        "score": compute_overall_score(
+            parts, [name for name in chosen.headline if suite.has_bounds(suite.parts[name])]
+        ),
         "parts": parts,
         "phase": {name: phase_curve(held[name].pairs) for name in chosen.parts_of("phase") if name in run},
         "gap": [point for name in chosen.parts_of("near") if name in run for point in gap_curve(held[name].pairs)],
         "quantities": {n: judge_quantities(suite, tracked, run[n]) for n in chosen.parts_of("measured") if n in run},
         "defects": defects,
     }
-    whole: dict[str, Any] = finite(out)
+    whole: dict[str, Any] = replace_non_finite(out)
     return whole
 
 
-def overall_score(parts: Mapping[str, Mapping[str, float]], headline: list[str]) -> float:
+def compute_overall_score(parts: Mapping[str, Mapping[str, float]], headline: list[str]) -> float:
     """Compute the overall score of an entry: 100 times the mean efficiency over its parts. NaN without parts."""
     values = [parts[name]["efficiency"] if name in parts else 0.0 for name in headline]
     return 100 * float(np.mean(values)) if values else float("nan")

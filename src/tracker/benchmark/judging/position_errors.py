@@ -63,13 +63,13 @@ def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> P
     z = pairs[["off_x", "off_y"]].to_numpy() / pairs[["std_x", "std_y"]].to_numpy()
     z = z[np.isfinite(z)]
     figures["z"] = float(np.sqrt((z**2).mean())) if len(z) else np.nan  # 1 where the claimed errors are correct
-    figures["efficiency"] = efficiency(figures)
+    figures["efficiency"] = compute_efficiency(figures)
     tracking = score_tracks(dots)
     measures = ("alpha", "beta", "jsc", "jsc_theta", "mota", "idf1", "hota", "swaps")
     return PositionMatches(figures | {name: tracking[name] for name in measures}, pairs, lost)
 
 
-def efficiency(figures: Mapping[str, float]) -> float:
+def compute_efficiency(figures: Mapping[str, float]) -> float:
     """Compute the efficiency of positions: 1 where every ball is found at its bound and nothing else is.
 
     NaN without a bound.

@@ -50,7 +50,7 @@ class TrackerResults:
     own: str = "centre"
 
 
-def read_clip(folder: Path, film: str, clip: int) -> ClipResults:
+def read_clip_results(folder: Path, film: str, clip: int) -> ClipResults:
     """Read tracks and estimates of a clip from the RESULTS in FOLDER/FILM."""
     home = results.clip_folder(folder / film, clip)
     if not home.is_dir():
@@ -63,4 +63,4 @@ def take_clip(found: Mapping[tuple[str, int], Result], film: str, clip: int) -> 
     if (film, clip) not in found:
         return NO_TRACKS, []
     result = found[film, clip]
-    return result.tracks, [results.finite(row) for row in result.rows]
+    return result.tracks, [results.replace_non_finite(row) for row in result.rows]

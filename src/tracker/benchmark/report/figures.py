@@ -25,14 +25,14 @@ FIGURE_WIDTH_IN = 10.2
 DEFECTS = {"locking": "locked to pixels", "glint": "glint taken for centre", "lost": "frames lost"}
 
 
-def name_of(entry: Entry) -> str:
+def name_tracker(entry: Entry) -> str:
     """Name the tracker of an entry in the figures."""
     return str(entry["tracker"]["name"])
 
 
-def label_of(entry: Entry) -> str:
+def label_tracker(entry: Entry) -> str:
     """Name a tracker in figures so that matplotlib shows it: "$" would begin a formula, "_" hide it in a legend."""
-    name = name_of(entry).replace("$", r"\$")
+    name = name_tracker(entry).replace("$", r"\$")
     return f"\u200b{name}" if name.startswith("_") else name
 
 
@@ -40,7 +40,7 @@ def _style(k: int) -> dict[str, Any]:
     return {"color": COLOURS[k % len(COLOURS)], "marker": "osD^vP*X<>"[k % 10], "ms": 4, "lw": 1.2}
 
 
-def headline_figure(entries: Entries, definition: SuiteDefinition, worst: float = 30.0) -> Figure:
+def draw_headline(entries: Entries, definition: SuiteDefinition, worst: float = 30.0) -> Figure:
     """Draw the first figure of the benchmark: a row for each tracker, a column for each setting, rmse over bound.
 
     worst: rmse over bound with the darkest colour.
@@ -49,7 +49,7 @@ def headline_figure(entries: Entries, definition: SuiteDefinition, worst: float 
     colours, norm = colormaps["RdYlGn_r"], LogNorm(1.0, worst)
 
     def cell_of(entry: Entry, part: str) -> tuple[str, Any, str]:
-        text, value = cell(entry["parts"].get(part))
+        text, value = make_cell(entry["parts"].get(part))
         dark = value is not None and not 1.4 < value < worst / 2
         colour = "#c9c9c9" if value is None else colours(norm(np.clip(value, 1.0, worst)))
         return text, colour, "white" if dark else "black"
@@ -83,14 +83,14 @@ def _draw_cells(
             axes.add_patch(Rectangle((j - 0.48, i - 0.46), 0.96, 0.92, color=colour))
             axes.text(j, i, text, ha="center", va="center", fontsize=8, color=ink)
     axes.set(ylim=(len(entries) - 0.5, -0.5))
-    axes.set_yticks(range(len(entries)), [label_of(e) for e in entries], fontsize=9)
+    axes.set_yticks(range(len(entries)), [label_tracker(e) for e in entries], fontsize=9)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     return figure, axes
 
 
-def cell(part: Mapping[str, Any] | None, reference_px: float = 0.05) -> tuple[str, float | None]:
+def make_cell(part: Mapping[str, Any] | None, reference_px: float = 0.05) -> tuple[str, float | None]:
     """Write a cell of the first figure of the benchmark: its text and colour; None where a part is lost or was not run.
 
     reference_px: error that counts as the limit where there is no bound.
@@ -109,7 +109,7 @@ def cell(part: Mapping[str, Any] | None, reference_px: float = 0.05) -> tuple[st
     return (f"{text}\n{100 * found:.0f} %" if found < 0.99 else text), value
 
 
-def axes_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
+def draw_errors_by_setting(entries: Entries, definition: SuiteDefinition) -> Figure:
     """Draw the figure of errors against each axis of the suite, the gap between balls, and the pixel's phase."""
     axes = list(definition.axes())
     near = [e for e in entries if e["gap"]]
@@ -146,7 +146,7 @@ def _axis_panel(panel: Axes, entries: Entries, axis: Mapping[str, Any], points: 
         parts = [entry["parts"].get(part, nothing) for _, part in points]
         y = np.array([np.nan if p[key] is None else p[key] for p in parts], float)
         kept = np.array([(p["jaccard"] or 0.0) >= MIN_FOUND for p in parts])
-        panel.plot(x, np.where(kept, y, np.nan), label=label_of(entry), **_style(k))
+        panel.plot(x, np.where(kept, y, np.nan), label=label_tracker(entry), **_style(k))
         panel.plot(x[~kept], y[~kept], ls="", marker="x", ms=5, color=COLOURS[k % len(COLOURS)], alpha=0.6)
     if axis.get("log"):
         panel.set_xscale("log")
@@ -163,7 +163,7 @@ def _axis_panel(panel: Axes, entries: Entries, axis: Mapping[str, Any], points: 
 def _gap_panel(panel: Axes, entries: Entries) -> None:
     for k, entry in enumerate(entries):
         curve = entry["gap"]
-        panel.plot([p["gap"] for p in curve], [p["ratio"] for p in curve], label=label_of(entry), **_style(k))
+        panel.plot([p["gap"] for p in curve], [p["ratio"] for p in curve], label=label_tracker(entry), **_style(k))
     panel.axhline(1.0, **LIMIT_LINE)
     panel.set(xscale="log", yscale="log")
     panel.set_xticks([0.05, 0.1, 0.2, 0.5, 1, 2], ["0.05", "0.1", "0.2", "0.5", "1", "2"])
@@ -174,7 +174,7 @@ def _gap_panel(panel: Axes, entries: Entries) -> None:
 def _phase_panel(panel: Axes, entries: Entries, part: str, word: str) -> None:
     for k, entry in enumerate(entries):
         curve = np.array(entry["phase"].get(part) or np.empty((0, 3)), float).reshape(-1, 3)
-        panel.plot(curve[:, 0], 1e3 * curve[:, 1], label=label_of(entry), **_style(k) | {"ms": 3})
+        panel.plot(curve[:, 0], 1e3 * curve[:, 1], label=label_tracker(entry), **_style(k) | {"ms": 3})
     panel.axhline(0.0, **LIMIT_LINE)
     panel.set_yscale("symlog", linthresh=10.0)
     _label_axes(panel, f"Locking to pixels ({word})", "glint within its pixel, px", "mean error, 0.001 px")
@@ -187,7 +187,7 @@ def _label_axes(panel: Axes, title: str, x: str, y: str) -> None:
     panel.tick_params(labelsize=7)
 
 
-def publication_figure(entries: Entries, part: str, names: Sequence[str]) -> Figure:
+def draw_published_quantities(entries: Entries, part: str, names: Sequence[str]) -> Figure:
     """Draw a table with a row for each tracker and a column for each quantity: error ± published error bar."""
 
     def cell_of(entry: Entry, name: str) -> tuple[str, Any, str]:
@@ -216,7 +216,7 @@ def _plain(value: float, sign: str = "") -> str:
     return f"{value:{sign}.0f}" if abs(value) >= 100 else f"{value:{sign}.2g}"
 
 
-def defects_figure(entries: Entries, names: Sequence[str], kind: str) -> Figure | None:
+def draw_defects(entries: Entries, names: Sequence[str], kind: str) -> Figure | None:
     """Draw the shift of each quantity by each defect, in error bars of one collision; None without any defect."""
     kept = [e for e in entries if e["defects"]]
     if not kept:
@@ -242,7 +242,7 @@ def defects_figure(entries: Entries, names: Sequence[str], kind: str) -> Figure 
         panel.set_title(QUANTITIES[name].formula, fontsize=10)
         panel.set_xlabel("shift, error bars of one collision", fontsize=8)
         panel.tick_params(labelsize=8)
-    panels[0].set_yticks(range(len(kept)), [label_of(e) for e in kept], fontsize=9)
+    panels[0].set_yticks(range(len(kept)), [label_tracker(e) for e in kept], fontsize=9)
     panels[0].invert_yaxis()
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8, frameon=False

@@ -17,16 +17,16 @@ ENTRIES = "entries"
 Entries = Sequence[Mapping[str, Any]]
 
 
-def file_name(name: str) -> str:
+def name_entry_file(name: str) -> str:
     """Make the name of an entry's file in REPORT from the name of any tracker."""
     kept = "".join(c if c.isalnum() or c in "-_+." else "_" for c in name).strip(".")
     return f"{kept or 'tracker'}.json"
 
 
-def save(report: Path, entry: Mapping[str, Any]) -> None:
+def write_entry(report: Path, entry: Mapping[str, Any]) -> None:
     """Write REPORT/entries/NAME.json. Raises InputError where it is the entry of another tracker."""
     name, made = entry["tracker"]["name"], entry["tracker"]["made"]
-    path = report / ENTRIES / file_name(name)
+    path = report / ENTRIES / name_entry_file(name)
     if path.is_file():
         there = load_json(path)["tracker"]
         if (there["name"], there["made"]) != (name, made):
@@ -35,7 +35,7 @@ def save(report: Path, entry: Mapping[str, Any]) -> None:
     write_json(path, entry)
 
 
-def entries(report: Path, suite: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def read_entries(report: Path, suite: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Read all entries of a report, the best first. Raises InputError for an entry of another suite."""
     found = []
     for path in sorted((report / ENTRIES).glob("*.json")):
@@ -49,7 +49,7 @@ def entries(report: Path, suite: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return sorted(found, key=lambda one: (-(one["score"] or 0.0), one["tracker"]["name"]))
 
 
-def row(rank: int, one: Mapping[str, Any]) -> dict[str, Any]:
+def make_leaderboard_row(rank: int, one: Mapping[str, Any]) -> dict[str, Any]:
     """Make a line of the leaderboard by column."""
     parts = one["parts"].values()
     ratios = [part["ratio"] for part in parts if part["ratio"] is not None]
@@ -76,5 +76,5 @@ def row(rank: int, one: Mapping[str, Any]) -> dict[str, Any]:
 
 def write_leaderboard(report: Path, found: Entries) -> None:
     """Write REPORT/leaderboard.csv."""
-    table = pd.DataFrame([row(rank, one) for rank, one in enumerate(found, 1)])
+    table = pd.DataFrame([make_leaderboard_row(rank, one) for rank, one in enumerate(found, 1)])
     write_atomically(report / "leaderboard.csv", table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))

@@ -10,17 +10,17 @@ from typing import Any
 from markupsafe import Markup
 
 from synthcam_shared.report.numbers import format_number
-from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, write_page
+from synthcam_shared.report.page import Block, PageFigure, PageSection, PageTable, write_page
 from tracker.benchmark.report.figures import (
     DEFECTS,
-    axes_figure,
-    cell,
-    defects_figure,
-    headline_figure,
-    name_of,
-    publication_figure,
+    draw_defects,
+    draw_errors_by_setting,
+    draw_headline,
+    draw_published_quantities,
+    make_cell,
+    name_tracker,
 )
-from tracker.benchmark.report.leaderboard import row
+from tracker.benchmark.report.leaderboard import make_leaderboard_row
 from tracker.benchmark.suite.card import CITATION
 from tracker.benchmark.suite.definition import SuiteDefinition
 from tracker.report.quantities import QUANTITIES
@@ -66,14 +66,14 @@ def write_report(
         f"the films and the camera file. The truth is {whose}."
     )
     sections = [
-        Section("Error of the centre by setting", _headline(entries, definition)),
-        Section("Error against one property of the film", [_axes(entries, definition)]),
-        Section("Errors of published values", _publication_figures(entries, definition)),
-        Section("Effect of each defect on the physics", _defects(entries)),
-        Section("Leaderboard", [_leaderboard(entries)]),
-        Section("All measures", make_tables(entries, definition)),
-        Section("Meaning of the measures", [_meanings()]),
-        Section("Card of the suite", [_card(definition, about)]),
+        PageSection("Error of the centre by setting", _headline(entries, definition)),
+        PageSection("Error against one property of the film", [_axes(entries, definition)]),
+        PageSection("Errors of published values", _publication_figures(entries, definition)),
+        PageSection("Effect of each defect on the physics", _defects(entries)),
+        PageSection("Leaderboard", [_leaderboard(entries)]),
+        PageSection("All measures", make_benchmark_tables(entries, definition)),
+        PageSection("Meaning of the measures", [_meanings()]),
+        PageSection("Card of the suite", [_card(definition, about)]),
     ]
     return write_page(report / "index.html", "Benchmark of trackers", sections, command, [summary])
 
@@ -90,10 +90,10 @@ def _headline(entries: Entries, definition: SuiteDefinition) -> list[Block]:
     heads += ["ms per frame"]
     rows = []
     for entry in entries:
-        good, bad = judge(entry, definition)
-        line = row(0, entry)
-        rows.append([name_of(entry), format_number(line["score"]), good, bad, format_number(line["ms_per_frame"])])
-    return [PageFigure.of(headline_figure(entries, definition), "Trackers by setting", caption), PageTable(heads, rows)]
+        good, bad = describe_performance(entry, definition)
+        line = make_leaderboard_row(0, entry)
+        rows.append([name_tracker(entry), format_number(line["score"]), good, bad, format_number(line["ms_per_frame"])])
+    return [PageFigure.of(draw_headline(entries, definition), "Trackers by setting", caption), PageTable(heads, rows)]
 
 
 def _axes(entries: Entries, definition: SuiteDefinition) -> PageFigure:
@@ -102,7 +102,7 @@ def _axes(entries: Entries, definition: SuiteDefinition) -> PageFigure:
         "is the bound; for locking to pixels it is zero error."
     )
     title = "Error against brightness, blur, noise, codec, lens, gap between the balls and phase within the pixel"
-    return PageFigure.of(axes_figure(entries, definition), title, caption)
+    return PageFigure.of(draw_errors_by_setting(entries, definition), title, caption)
 
 
 def _publication_figures(entries: Entries, definition: SuiteDefinition) -> list[Block]:
@@ -113,7 +113,7 @@ def _publication_figures(entries: Entries, definition: SuiteDefinition) -> list[
             "together). Green: correct within two error bars. Yellow: off by up to four. Red: off by more. Grey: "
             "nothing to publish."
         )
-        figure = publication_figure(entries, part, PUBLISHED)
+        figure = draw_published_quantities(entries, part, PUBLISHED)
         blocks.append(PageFigure.of(figure, f"Published values, {part}", caption))
     return blocks
 
@@ -121,7 +121,7 @@ def _publication_figures(entries: Entries, definition: SuiteDefinition) -> list[
 def _defects(entries: Entries) -> list[Block]:
     blocks: list[Block] = []
     for suffix, method in (("_free", "Free fit"), ("", "Tied fit")):
-        figure = defects_figure(entries, SHIFTED, suffix)
+        figure = draw_defects(entries, SHIFTED, suffix)
         caption = (
             f"{method}: true tracks with one defect of this tracker and no other. At the dotted line a defect moves "
             "the result of one collision by its error bar at the bound. A shift that all collisions share does not "
@@ -138,7 +138,7 @@ def _leaderboard(entries: Entries) -> PageTable:
         "false_per_ball": "false per ball", "hota": "HOTA", "ms_per_frame": "ms per frame", "made": "run by",
         "truth": "truth",
     }  # fmt: skip
-    lines = [row(rank, entry) for rank, entry in enumerate(entries, 1)]
+    lines = [make_leaderboard_row(rank, entry) for rank, entry in enumerate(entries, 1)]
     return PageTable(list(columns.values()), [[format_number(line[key]) for key in columns] for line in lines])
 
 
@@ -167,7 +167,7 @@ def _card(definition: SuiteDefinition, about: Mapping[str, Any]) -> PageTable:
     return PageTable(["property", "value"], list(rows.items()))
 
 
-def judge(
+def describe_performance(
     entry: Mapping[str, Any], definition: SuiteDefinition, at_bound: float = 1.2, failure: float = 2.0
 ) -> tuple[str, str]:
     """Say on the page in how many settings a tracker is at the bound, and the three in which it fails most.
@@ -179,7 +179,7 @@ def judge(
         scores = entry["parts"].get(part)
         if scores is None:
             continue
-        text, value = cell(scores)
+        text, value = make_cell(scores)
         if scores["ratio"] is None and value is not None:
             continue
         judged += 1
@@ -192,7 +192,7 @@ def judge(
     return f"{good} of {judged}", worst or "none over twice the limit"
 
 
-def make_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable]:
+def make_benchmark_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable]:
     """Make the tables of the benchmark's page: positions and tracks of each part, quantities, and defects."""
     tables = []
     for title, key, digits in (
@@ -208,7 +208,7 @@ def make_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable
         rows = []
         for entry in entries:
             values = (entry["parts"].get(part, {}).get(key) for part in definition.parts)
-            rows.append([name_of(entry), *(format_number(value, digits) for value in values)])
+            rows.append([name_tracker(entry), *(format_number(value, digits) for value in values)])
         tables.append(PageTable(["tracker", *definition.parts], rows, title))
     for part in definition.parts_of("measured"):
         for suffix, method in (("", "tied fit"), ("_free", "free fit")):
@@ -221,7 +221,7 @@ def make_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable
 def _quantity_table(entries: Entries, part: str, suffix: str, title: str) -> PageTable:
     rows = []
     for entry in entries:
-        cells = [name_of(entry)]
+        cells = [name_tracker(entry)]
         for name in PUBLISHED:
             q = entry["quantities"].get(part, {}).get(f"{name}{suffix}") or {}
             rmse = None if q.get("rmse") is None else q["rmse"] * QUANTITIES[name].error_factor
@@ -237,7 +237,7 @@ def _defect_table(entries: Entries) -> PageTable:
     rows = []
     for entry in entries:
         found = entry["defects"]
-        cells = [name_of(entry), *(format_number(found["size"][defect], 2) for defect in DEFECTS)]
+        cells = [name_tracker(entry), *(format_number(found["size"][defect], 2) for defect in DEFECTS)]
         for defect in DEFECTS:
             for name in SHIFTED:
                 one = found[defect].get(f"{name}_free") or {}

@@ -18,7 +18,7 @@ from synthcam_shared.outputs import write_atomically
 from tracker.benchmark.suite.folder import BOUNDS, QUANTITY_BOUNDS
 from tracker.camera.recordings import RecordingSource, open_source
 from tracker.detection.detect import detect, make_view
-from tracker.scoring.error_bars import quantity_bounds, true_motion
+from tracker.scoring.error_bars import compute_true_parameters, quantity_bounds
 from tracker.scoring.localisation import MatchedDetections, match, position_bounds
 from tracker.scoring.tracking_metrics import GATE_PX
 
@@ -59,7 +59,7 @@ def _of_clip(source: RecordingSource, truth: Path, index: int) -> Rows:
         values[perfect.pairs[:, 0]] = cov[:, i, j]
         table[name] = values
     scalars = pd.read_parquet(truth / "truth" / "clips.parquet")
-    tied = true_motion(true, scalars[scalars["clip"] == clip.number].iloc[0])
+    tied = compute_true_parameters(true, scalars[scalars["clip"] == clip.number].iloc[0])
     return table, quantities | quantity_bounds(perfect, cov, tied, clip.camera)
 
 

@@ -11,7 +11,7 @@ from tracker.benchmark.suite.definition import SuiteDefinition
 CITATION = "The synthcam developers, synthcam: films of rolling balls with the truth about them, version {version}"
 
 
-def card(about: Mapping[str, Any], definition: SuiteDefinition) -> str:
+def make_card_text(about: Mapping[str, Any], definition: SuiteDefinition) -> str:
     """Write the card of a suite: the text of its README.md."""
     clips = sum(len(part["clips"]) for part in about["parts"].values())
     open_split = about["split"] == "open"

@@ -83,7 +83,7 @@ def open_suite(path: Path, truth: Path | None = None) -> Suite:
     return Suite(path, truth or path / TRUTH, definition, about)
 
 
-def with_truth(suite: Suite) -> Suite:
+def check_truth(suite: Suite) -> Suite:
     """Check the truth of a suite by the digest in its card. Raises InputError where it is missing or another one."""
     if not suite.truth.is_dir():
         withheld = suite.about["split"] == "withheld"

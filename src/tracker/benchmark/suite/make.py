@@ -15,13 +15,13 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from synthcam_shared.outputs import open_resumable, write_atomically
 from tracker.benchmark.suite.bounds import write_bounds
-from tracker.benchmark.suite.card import card
+from tracker.benchmark.suite.card import make_card_text
 from tracker.benchmark.suite.definition import SuiteDefinition, SuiteFilm
-from tracker.benchmark.suite.folder import DEFINITION, FILMS, SUITE, TRUTH, Suite, open_suite, truth_digest, with_truth
+from tracker.benchmark.suite.folder import DEFINITION, FILMS, SUITE, TRUTH, Suite, check_truth, open_suite, truth_digest
 from tracker.results import load_json, write_json
 
 
-def make(
+def make_suite(
     output: Path,
     definition: SuiteDefinition,
     withhold: Path | None = None,
@@ -72,7 +72,7 @@ def make(
             "truth_sha256": truth_digest(truth, definition),
             "parts": {name: {"film": part.film, "clips": list(part.clips)} for name, part in definition.parts.items()},
         }
-        write_atomically(output / "README.md", card(about, definition))
+        write_atomically(output / "README.md", make_card_text(about, definition))
         write_json(output / SUITE, about)
     return open_suite(output, truth)
 
@@ -83,7 +83,7 @@ def _reopen(output: Path, truth: Path, definition: SuiteDefinition, seed: int | 
     there = (suite.about["size"], suite.about["definition_sha256"])
     if there != (definition.size, definition.digest) or (seed is not None and suite.about["seed"] not in (None, seed)):
         raise InputError(f"{output}: holds another suite (version {suite.about['version']}), expected a new folder")
-    return with_truth(suite)
+    return check_truth(suite)
 
 
 def _seed(truth: Path, definition: SuiteDefinition, seed: int | None, withheld: bool) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from synthcam_shared.errors import InputError, first_line
-from tracker.camera.frame_times import drop_repeated, find_changes
+from tracker.camera.frame_times import drop_repeated, find_changed_frames
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 
 ARRAYS = (".npy",)
@@ -33,5 +33,5 @@ def read_array_file(path: Path) -> Frames:
     frames = make_grey_frames(path, len(array), array.shape[1:], kind, fetch)
     middle = array.shape[1] // 2
     return drop_repeated(
-        frames, find_changes(len(array), (lambda k: fetch(k)[middle].tobytes(), lambda k: fetch(k).tobytes()))
+        frames, find_changed_frames(len(array), (lambda k: fetch(k)[middle].tobytes(), lambda k: fetch(k).tobytes()))
     )

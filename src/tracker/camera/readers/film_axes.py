@@ -10,7 +10,7 @@ from synthcam_shared.errors import InputError
 AXIS_NAMES = {"C": "channel", "Z": "focal plane", "S": "sample of a pixel", "P": "position", "R": "position"}
 
 
-def choose_entries(
+def choose_axis_entries(
     path: Path, lengths: Mapping[str, int], wanted: Mapping[str, int], notes: list[str]
 ) -> tuple[str, dict[str, int]]:
     """The axis that is time, "" of a single picture, and the entry of each other axis; adds to the notes.
@@ -19,7 +19,7 @@ def choose_entries(
     where one of these is not there.
     """
     time = _find_time(lengths)
-    chosen = {axis: choose_entry(path, axis, n, wanted, notes) for axis, n in lengths.items() if axis != time}
+    chosen = {axis: choose_axis_entry(path, axis, n, wanted, notes) for axis, n in lengths.items() if axis != time}
     if absent := sorted(set(wanted) - set(chosen) - {"S"} - {axis for axis, n in lengths.items() if n == 1}):
         there = ", ".join(f"{axis} ({n})" for axis, n in lengths.items()) or "none"
         raise InputError(f"{path}: --select {absent[0]}: no such axis beside time, expected one of {there}")
@@ -28,7 +28,7 @@ def choose_entries(
     return time, chosen
 
 
-def choose_entry(path: Path, axis: str, count: int, wanted: Mapping[str, int], notes: list[str]) -> int:
+def choose_axis_entry(path: Path, axis: str, count: int, wanted: Mapping[str, int], notes: list[str]) -> int:
     """The entry of an axis that is not time; a note says which. Raises InputError for one that is not there."""
     chosen = wanted.get(axis, 0)
     if chosen >= count:

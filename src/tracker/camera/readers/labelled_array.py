@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError, first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
-from tracker.camera.frame_times import FilmClock, describe_missing, drop_repeated, find_changes, read_clock
+from tracker.camera.frame_times import FilmClock, describe_missing, drop_repeated, find_changed_frames, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
-from tracker.camera.readers.film_axes import choose_entries
+from tracker.camera.readers.film_axes import choose_axis_entries
 
 HDF5 = (".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".cdf", ".netcdf")
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
@@ -79,7 +79,7 @@ def read_labelled_array(
         picture.append(letters.index("S"))
     outer = [k for k in range(len(letters)) if k not in picture]
     lengths = {letters[k]: film.shape[k] for k in outer}
-    time, chosen = choose_entries(path, lengths, options.indices(), notes)
+    time, chosen = choose_axis_entries(path, lengths, options.indices(), notes)
     at, order = letters.index(time) if time else -1, np.argsort(np.argsort(picture))
     dtype = np.dtype(np.uint8 if film.dtype.itemsize == 1 else np.uint16) if film.dtype.kind in "iu" else film.dtype
     check_pixel_type(path, dtype)
@@ -114,7 +114,7 @@ def read_labelled_array(
         frames.numbers, frames.seconds, frames.fps = clock.numbers, clock.seconds, clock.fps
         notes += clock.notes
     frames.faults = tuple(notes)
-    return drop_repeated(frames, find_changes(count, (lambda k: fetch(k).tobytes(),)))
+    return drop_repeated(frames, find_changed_frames(count, (lambda k: fetch(k).tobytes(),)))
 
 
 def _choose_film(path: Path) -> tuple[LabelledArray, list[str]]:

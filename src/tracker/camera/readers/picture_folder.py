@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError, first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
-from tracker.camera.frame_times import describe_missing, drop_repeated, find_changes
+from tracker.camera.frame_times import describe_missing, drop_repeated, find_changed_frames
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
-from tracker.camera.readers.tiff_stack import choose_colours
+from tracker.camera.readers.tiff_stack import choose_light_conversion
 
 TIFF = (".tif", ".tiff")
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
@@ -56,7 +56,7 @@ def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) ->
             frames.numbers = numbers
             frames.faults += describe_missing(numbers, 0.0, "the numbers of the pictures")
         frames.faults += (note,) if note else ()
-    changes = find_changes(len(paths), (lambda k: paths[k].stat().st_size, lambda k: paths[k].read_bytes()))
+    changes = find_changed_frames(len(paths), (lambda k: paths[k].stat().st_size, lambda k: paths[k].read_bytes()))
     return drop_repeated(frames, changes)
 
 
@@ -95,7 +95,7 @@ def _describe_colours(path: Path) -> tuple[str, ...]:
     if path.suffix.lower() not in TIFF:
         return ()
     with tifffile.TiffFile(path) as tif:
-        return choose_colours(tif.series[0].keyframe)[1]
+        return choose_light_conversion(tif.series[0].keyframe)[1]
 
 
 def read_picture(path: Path) -> Any:
@@ -118,7 +118,7 @@ def read_picture(path: Path) -> Any:
 def _read_tiff(path: Path) -> Any:
     with tifffile.TiffFile(path) as tif:
         series = tif.series[0]
-        picture, paint = np.asarray(series.asarray()), choose_colours(series.keyframe)[0]
+        picture, paint = np.asarray(series.asarray()), choose_light_conversion(series.keyframe)[0]
         if series.axes.endswith("SYX") and picture.ndim == 3:  # red, green and blue apart
             picture = np.moveaxis(picture, 0, -1)
     return paint(picture) if paint is not None else picture

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError, first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
-from tracker.camera.frame_times import FilmClock, drop_repeated, find_changes, read_clock
+from tracker.camera.frame_times import FilmClock, drop_repeated, find_changed_frames, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
-from tracker.camera.readers.film_axes import choose_entries, choose_entry
+from tracker.camera.readers.film_axes import choose_axis_entries, choose_axis_entry
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its warnings name lines of source code
 
@@ -56,7 +56,7 @@ def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
             layout = _read_layout(path, tif, options)
             doubts = _check_file(path, tif, layout)
             order = tif.byteorder
-            paint, notes = choose_colours(tif.series[0].keyframe)
+            paint, notes = choose_light_conversion(tif.series[0].keyframe)
             clock = _read_times(tif, layout) if options.times != "even" else None
     except InputError:
         raise
@@ -91,10 +91,10 @@ def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
     if clock is not None:
         frames.numbers, frames.seconds, frames.fps = clock.numbers, clock.seconds, clock.fps
         frames.faults += clock.notes
-    return drop_repeated(frames, find_changes(len(frames), _list_pieces(path, layout)))
+    return drop_repeated(frames, find_changed_frames(len(frames), _list_pieces(path, layout)))
 
 
-def choose_colours(page: Any) -> tuple[Callable[[Any], Any] | None, tuple[str, ...]]:
+def choose_light_conversion(page: Any) -> tuple[Callable[[Any], Any] | None, tuple[str, ...]]:
     """Find how pixels of a TIFF page become light, if they are inverted counts or entries of a palette."""
     photometric, bits = int(page.photometric), int(page.bitspersample)
     if photometric == 0:  # MinIsWhite
@@ -148,9 +148,9 @@ def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _L
         )
     samples, sample, notes = plane[axes.index("S")] if "S" in axes else 1, None, list[str]()
     if samples > 4 or "S" in wanted:
-        sample = choose_entry(path, "S", samples, wanted, notes)
+        sample = choose_axis_entry(path, "S", samples, wanted, notes)
     lengths = dict(zip(letters, outer, strict=True))
-    time, chosen = choose_entries(path, lengths, wanted, notes)
+    time, chosen = choose_axis_entries(path, lengths, wanted, notes)
     count = lengths.get(time, 1)
     index = tuple(np.arange(count) if axis == time else np.full(count, chosen[axis]) for axis in letters)
     pages = np.ravel_multi_index(index, outer) if outer else np.zeros(1)

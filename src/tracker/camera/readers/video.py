@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError
 from tracker.camera.fields import FieldOrder, separate_fields
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
-from tracker.camera.frame_times import agree, drop_repeated, read_clock
+from tracker.camera.frame_times import drop_repeated, rates_agree, read_clock
 from tracker.camera.frames import Frames, check_frame_size, make_grey_frames
 
 av.logging.set_libav_level(av.logging.PANIC)  # a note reports what is wrong with a film, once
@@ -86,7 +86,7 @@ def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS, contents: Vid
     clock = read_clock(found.times, found.tick, "the time stamps") if found.has_times else None  # type: ignore[arg-type]
     if clock is not None and options.times != "even":
         frames.numbers, frames.seconds = clock.numbers, clock.seconds
-        if not agree(found.fps, clock.fps, 1e-3):
+        if not rates_agree(found.fps, clock.fps, 1e-3):
             frames.fps = clock.fps
         faults += clock.notes
     frames.faults = tuple(faults)

@@ -15,7 +15,7 @@ from tracker.detection.candidates import ROUNDING_NOISE_COUNTS, spread_at_rest
 
 
 @dataclass(frozen=True, eq=False)
-class Takes:
+class FilmTakes:
     """Result of one pass over a film."""
 
     spans: tuple[tuple[int, int], ...]
@@ -46,7 +46,7 @@ class Takes:
         return {k: scene for k, scene in every.items() if k not in self.repeated}
 
 
-def find_takes(frames: Sequence[Any]) -> Takes:
+def find_takes(frames: Sequence[Any]) -> FilmTakes:
     """Find the takes in one pass over the frames, (h, w) arrays, of a film.
 
     A cut is where half of all pixels change by more than 3 counts and by more than 6 times the usual change. Pieces of
@@ -75,7 +75,7 @@ def find_takes(frames: Sequence[Any]) -> Takes:
     middles = [np.asarray(frames[(a + b) // 2])[::step, ::step].astype(np.float32) for a, b in spans]
     # Two pictures of one scene differ by noise, about the usual change, and by 2 counts of the encoder.
     scenes = _number_scenes(middles, 2.0 + 4 * usual)
-    return Takes(tuple(spans), scenes, frozenset(repeated), noise)
+    return FilmTakes(tuple(spans), scenes, frozenset(repeated), noise)
 
 
 def _find_repeated(means: Array) -> list[int]:

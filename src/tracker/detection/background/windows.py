@@ -17,7 +17,7 @@ Index: TypeAlias = tuple[slice, slice]
 
 
 @dataclass(frozen=True, eq=False)
-class Region:
+class PixelRegion:
     """A connected region (4 neighbours): its place in the picture, px, and which pixels of its box are its own."""
 
     left: int
@@ -39,7 +39,7 @@ class Region:
 
 def find_regions(
     rough: NDArray[np.bool_], least: float, examine: Callable[[Index], NDArray[np.bool_]] | None = None
-) -> list[Region]:
+) -> list[PixelRegion]:
     """Find the connected regions of more than `least` pixels, the largest first.
 
     Parameters
@@ -59,7 +59,7 @@ def find_regions(
             left, top, width, height, area = boxes[k].tolist()
             if area > least:
                 part = labels[top : top + height, left : left + width] == k
-                found.append(Region(left + at[1].start, top + at[0].start, area, part))
+                found.append(PixelRegion(left + at[1].start, top + at[0].start, area, part))
     return sorted(found, key=lambda region: -region.area)
 
 

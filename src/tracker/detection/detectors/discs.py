@@ -17,7 +17,7 @@ from tracker.camera.frames import Frames, spread_frames
 from tracker.camera.lens import Array
 from tracker.detection.background.still_background import StillBackground, average_uncovered, estimate_still_background
 from tracker.detection.background.takes import find_takes
-from tracker.detection.background.windows import Index, Region, find_regions
+from tracker.detection.background.windows import Index, PixelRegion, find_regions
 from tracker.detection.detector import Detections, OutlineRadius, View
 from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.outlines.contrast_regions import (
@@ -31,7 +31,7 @@ from tracker.detection.outlines.contrast_regions import (
 from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, DiscScene, fit_disc
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
-ContrastArea: TypeAlias = tuple[Region, NDArray[np.float32]]  # a region, and its difference from the background
+ContrastArea: TypeAlias = tuple[PixelRegion, NDArray[np.float32]]  # a region, and its difference from the background
 MAX_ALWAYS_THERE = 4  # discs of a frame in positions that were never seen empty; more are parts of a shaking background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 

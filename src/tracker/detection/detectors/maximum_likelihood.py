@@ -31,9 +31,16 @@ from tracker.detection.likelihood.glint_fit import (
     learn_profile,
     score_blur_length,
 )
-from tracker.detection.likelihood.neighbours import find_isolated, find_neighbours
-from tracker.detection.likelihood.patches import GlintGeometry, Patch, Patches, PatchStack, cut_patches, make_windows
-from tracker.detection.link import assign, estimate_velocities
+from tracker.detection.likelihood.neighbours import find_isolated, find_neighbouring_glints
+from tracker.detection.likelihood.patches import (
+    CandidatePatches,
+    GlintGeometry,
+    Patch,
+    PatchStack,
+    cut_patches,
+    make_windows,
+)
+from tracker.detection.link import assign_track_numbers, estimate_velocities
 from tracker.detection.motion_blur import MotionBlurEvidence
 
 Ints = NDArray[np.int64]
@@ -101,12 +108,12 @@ class MaximumLikelihood:
             parts.append(self._fit_block(waiting.take_all()))
         return Detections(glints=Glints.join(parts), blur=self.blur)
 
-    def _fit_block(self, patches: Patches) -> Glints:
+    def _fit_block(self, patches: CandidatePatches) -> Glints:
         """The glints of a block of candidates."""
         corner = np.column_stack([patches.column, patches.row]).astype(np.float64)
         position = corner + estimate_coarse_positions(patches.counts, self.geometry.reach)
         rough = _rough_glints(patches, position)
-        ids = assign(rough, self.camera, settings=self.link)
+        ids = assign_track_numbers(rough, self.camera, settings=self.link)
         blur = self._blurs(rough, ids)
         clipped = np.any((patches.counts >= self.sensor.ceiling) & patches.inside, axis=(1, 2))
         patches = self._subtract_offsets(patches)
@@ -125,7 +132,7 @@ class MaximumLikelihood:
         better = blur.copy()
         better[good] = self._blurs(found.take(good), ids[good])
         self._collect_blur_evidence(patches, found, better, bowl, good & ~clipped)
-        near = find_neighbours(found, good, self.camera)
+        near = find_neighbouring_glints(found, good, self.camera)
         # a change of the blur by .03 widths of the glint shows in its position
         changed = np.max(np.abs(better - blur), axis=1) > 0.03 * self.sigma
         rows = np.flatnonzero(changed | near.is_near | (near.secondary[:, 2] > 0))
@@ -145,7 +152,7 @@ class MaximumLikelihood:
         xy, cov = apply_flux_prior(found.xy, found.cov, np.log(found.flux), light[:, :2], light[:, 2])
         return replace(found, x=xy[:, 0], y=xy[:, 1], cov=cov)
 
-    def _subtract_offsets(self, patches: Patches) -> Patches:
+    def _subtract_offsets(self, patches: CandidatePatches) -> CandidatePatches:
         """The patches without the fixed offsets of their pixels, where these are known all over a patch."""
         if not self.dsnu:
             return patches
@@ -164,10 +171,12 @@ class MaximumLikelihood:
         exposed_frames = self.camera.effective_exposure * self.camera.fps
         return estimate_velocities(glints.frame, ids, glints.xy) * exposed_frames
 
-    def _is_isolated(self, patches: Patches, position: Array) -> Mask:
+    def _is_isolated(self, patches: CandidatePatches, position: Array) -> Mask:
         return find_isolated(patches.frame, position, 3.0 * self.camera.diameter_px)
 
-    def _collect_blur_evidence(self, patches: Patches, found: Glints, blur: Array, bowl: Array, good: Mask) -> None:
+    def _collect_blur_evidence(
+        self, patches: CandidatePatches, found: Glints, blur: Array, bowl: Array, good: Mask
+    ) -> None:
         """Add what the 24 fastest and the 24 slowest isolated glints show of the length of the blur."""
         count = 24
         length = np.hypot(*blur.T)
@@ -183,7 +192,7 @@ class MaximumLikelihood:
         still = np.arange(len(rows)) >= count
         self.blur.add(*score_blur_length(windows, known, still, self.sigma, self.sensor))
 
-    def _learn_profile(self, patches: Patches, position: Array, blur: Array, bowl: Array) -> None:
+    def _learn_profile(self, patches: CandidatePatches, position: Array, blur: Array, bowl: Array) -> None:
         """Learn the profile from 24 to 128 bright isolated glints; ``position`` gets their better positions."""
         bright = patches.strength > 0.5 * float(np.median(patches.strength))
         still = np.hypot(*blur.T) < SMEARED_RADII * self.geometry.radius
@@ -197,14 +206,27 @@ class MaximumLikelihood:
         position[rows] = origin + found
 
     def _windows(
-        self, patches: Patches, position: Array, blur: Array, bowl: Array, rows: Ints, half: int, with_profile: bool
+        self,
+        patches: CandidatePatches,
+        position: Array,
+        blur: Array,
+        bowl: Array,
+        rows: Ints,
+        half: int,
+        with_profile: bool,
     ) -> tuple[GlintWindows, Array]:
         return make_windows(
             self.geometry, patches.take(rows), position[rows], blur[rows], bowl[rows], half, with_profile
         )
 
     def _fit(
-        self, patches: Patches, position: Array, blur: Array, bowl: Array, bowl_of_own: Mask, secondaries: Array
+        self,
+        patches: CandidatePatches,
+        position: Array,
+        blur: Array,
+        bowl: Array,
+        bowl_of_own: Mask,
+        secondaries: Array,
     ) -> _BlockFit:
         """Fit n glints in groups of one kind of window; `secondaries` (n, 3): their positions, px, and 1, or zeros."""
         halves = self.geometry.half_of_blur(blur)
@@ -257,7 +279,7 @@ class MaximumLikelihood:
         return np.asarray(in_view & in_window & bright & result.converged)
 
 
-def _rough_glints(patches: Patches, position: Array) -> Glints:
+def _rough_glints(patches: CandidatePatches, position: Array) -> Glints:
     """Candidates as glints at positions (n, 2), px, with a covariance that the fit will replace."""
     n = len(position)
     return Glints(

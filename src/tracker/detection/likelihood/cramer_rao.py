@@ -70,7 +70,7 @@ def pixel_noise(mean: Array, sensor: SensorSpec) -> tuple[Array, Array]:
     return variance, sensor.variance_slope(mean) / (2.0 * variance)
 
 
-def information(mean: Array, sensor: SensorSpec, noise: tuple[Array, Array] | None = None) -> Array:
+def compute_pixel_information(mean: Array, sensor: SensorSpec, noise: tuple[Array, Array] | None = None) -> Array:
     """Fisher information of one pixel on its own mean, 1/counts^2, any shape; clipping included.
 
     For an open pixel it is 1/v + (v'/v)^2 / 2. A pixel at the ceiling c is known to exceed c - 1/2. Its information is
@@ -98,13 +98,13 @@ def _censored_information(z: Array, root: Array, k: Array) -> Array:
     return np.asarray(open_part + phi * hazard * (root + k * z) ** 2, dtype=np.float64)
 
 
-def slopes(shape: GlintShape, flux: Array) -> Array:
+def differentiate_pixels(shape: GlintShape, flux: Array) -> Array:
     """Compute the derivatives (n, 4, h, w) of the pixel model by x, y, log flux and background."""
     grown = flux[:, None, None]
     return np.stack([grown * shape.by_x, grown * shape.by_y, grown * shape.value, np.ones_like(shape.value)], 1)
 
 
-def fisher(weight: Array, parts: Array) -> Array:
+def compute_fisher_information(weight: Array, parts: Array) -> Array:
     """(n, p, p) information on p parameters from the pixels' own (n, h, w) and derivatives (n, p, h, w)."""
     flat = parts.reshape(*parts.shape[:2], -1)
     return np.asarray((flat * weight.reshape(len(parts), 1, -1)) @ flat.transpose(0, 2, 1), dtype=np.float64)
@@ -166,8 +166,8 @@ def _bound(
         part = slice(start, start + 2048)
         shape = glint_shape(positions[part] - np.round(positions[part]), lines[part], camera.sigma, half)
         mean = ground[part, None, None] + flux_[part, None, None] * shape.value
-        info, parts = information(mean, camera.sensor), slopes(shape, flux_[part])
-        cov = np.linalg.inv(fisher(info, parts))
-        pattern = cov @ fisher(info**2 * camera.sensor.fixed_pattern_variance(mean), parts) @ cov
+        info, parts = compute_pixel_information(mean, camera.sensor), differentiate_pixels(shape, flux_[part])
+        cov = np.linalg.inv(compute_fisher_information(info, parts))
+        pattern = cov @ compute_fisher_information(info**2 * camera.sensor.fixed_pattern_variance(mean), parts) @ cov
         out[part], fixed[part] = cov[:, :2, :2], pattern[:, :2, :2]
     return out, fixed

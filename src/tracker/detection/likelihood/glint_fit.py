@@ -20,7 +20,13 @@ from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
 from tracker.detection.glints import RowArrays
 from tracker.detection.likelihood.ball_profile import POWERS, BallProfile
-from tracker.detection.likelihood.cramer_rao import ROOT_TWO_PI, fisher, glint_shape, information, pixel_noise
+from tracker.detection.likelihood.cramer_rao import (
+    ROOT_TWO_PI,
+    compute_fisher_information,
+    compute_pixel_information,
+    glint_shape,
+    pixel_noise,
+)
 
 MAX_COUNTS = 1e6  # the same of the background's parameters
 
@@ -159,7 +165,7 @@ class _Comparison(RowArrays):
 
 def _compare(windows: GlintWindows, mean: Array, parts: Array, sensor: SensorSpec) -> _Comparison:
     noise = pixel_noise(mean, sensor)
-    info = fisher(information(mean, sensor, noise) * windows.used, parts)
+    info = compute_fisher_information(compute_pixel_information(mean, sensor, noise) * windows.used, parts)
     # a very small ridge, so that the equations of a window without a glint or a secondary have a solution
     ridge = 1e-9 * np.diagonal(info, axis1=1, axis2=2) + 1e-12
     score = _score(windows.counts, mean, sensor, noise)
@@ -287,7 +293,9 @@ def _finish(
     is_open = windows.used * ~full if full.any() else windows.used
     square = (windows.counts - mean) ** 2 / variance
     # A fixed error of a pixel shifts the position by cov d_a m / v: its covariance is that of these shifts.
-    pattern = cov @ fisher(is_open * sensor.fixed_pattern_variance(mean) / variance**2, seen.parts) @ cov
+    pattern = (
+        cov @ compute_fisher_information(is_open * sensor.fixed_pattern_variance(mean) / variance**2, seen.parts) @ cov
+    )
     freedom = np.maximum(is_open.sum(axis=(1, 2)) - step.shape[1], 1.0)
     gain = np.where(converged, (step * seen.slope).sum(axis=1), 0.0)
     loglik = is_open * (-0.5 * square - 0.5 * np.log(variance))

@@ -31,7 +31,7 @@ class Neighbours:
     where it is too faint to show that reflectance."""
 
 
-def find_neighbours(glints: Glints, good: NDArray[np.bool_], camera: Camera) -> Neighbours:
+def find_neighbouring_glints(glints: Glints, good: NDArray[np.bool_], camera: Camera) -> Neighbours:
     """Find the neighbours of the good ones of the glints (n,) in their frames."""
     distance, other = np.full(len(glints), np.inf), np.zeros((len(glints), 2))
     rows = np.flatnonzero(good)

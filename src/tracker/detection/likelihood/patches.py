@@ -50,7 +50,7 @@ class GlintGeometry:
 
 
 @dataclass(frozen=True, eq=False)
-class Patches(RowArrays):
+class CandidatePatches(RowArrays):
     """The pixels, p by p, around the n candidates of many frames."""
 
     frame: Ints
@@ -83,13 +83,13 @@ class PatchStack:
         self.numbers += [number] * len(found.row)
         self.found.append(found)
 
-    def take_all(self) -> Patches:
+    def take_all(self) -> CandidatePatches:
         """The patches, of which there must be one at least; the stack is then empty."""
         counts, inside = (np.stack(part) for part in zip(*self.parts, strict=True))
         column, row, strength = (
             np.concatenate([getattr(found, name) for found in self.found]) for name in ("column", "row", "strength")
         )
-        patches = Patches(
+        patches = CandidatePatches(
             frame=np.array(self.numbers),
             column=column,
             row=row,
@@ -115,7 +115,13 @@ def _cut(frame: NDArray[Any], row: int, column: int, reach: int, sound: NDArray[
 
 
 def make_windows(
-    geometry: GlintGeometry, patches: Patches, position: Array, blur: Array, bowl: Array, half: int, with_profile: bool
+    geometry: GlintGeometry,
+    patches: CandidatePatches,
+    position: Array,
+    blur: Array,
+    bowl: Array,
+    half: int,
+    with_profile: bool,
 ) -> tuple[GlintWindows, Array]:
     """Cut windows, 2 half + 1 pixels wide, around the pixels (n, 2) nearest to first positions of glints; and these.
 

@@ -76,7 +76,7 @@ VALUE_RANGES = (
 )
 
 
-def p_value(square: float, dof: float, noise_dof: float) -> float:
+def compute_p_value(square: float, dof: float, noise_dof: float) -> float:
     """Compute the p-value of a fit: the probability of a chi^2, `square`, at least so large; NaN without dof.
 
     noise_dof: degrees of freedom from which the errors' size was found; inf where it was given. If they are a part of
@@ -91,14 +91,14 @@ def p_value(square: float, dof: float, noise_dof: float) -> float:
     return float(fdtrc(dof - noise_dof, noise_dof, max(square - noise_dof, 0.0) / (dof - noise_dof)))
 
 
-def p_free(rows: list[dict[str, Any]], size: ScatterRatio, ratio: float = 1.0) -> float:
+def compute_p_value_of_free_fits(rows: list[dict[str, Any]], size: ScatterRatio, ratio: float = 1.0) -> float:
     """Compute the p-value of all free fits together; NaN without any.
 
     ratio: factor on the variance of the errors with which the fits were made.
     """
     fits = [(row["chi2_free"], row["dof_free"]) for row in rows if row["dof_free"] > 0]
     square, dof = np.sum(fits, axis=0) if fits else (np.nan, 0)
-    return p_value(float(square) / ratio, float(dof), size.dof)
+    return compute_p_value(float(square) / ratio, float(dof), size.dof)
 
 
 class Chi2(Protocol):
@@ -113,8 +113,8 @@ class Chi2(Protocol):
 def compare_fits(tied: Chi2, free: Chi2, noise_dof: float) -> float:
     """Compute the p-value of the rise of chi^2 from the free fit to the tied one.
 
-    Both are fits of the same positions; `noise_dof` as in `p_value`. NaN where the tied fit has no more degrees of
-    freedom than the free one.
+    Both are fits of the same positions; `noise_dof` as in `compute_p_value`. NaN where the tied fit has no more degrees
+    of freedom than the free one.
     """
     more, rise = tied.dof - free.dof, max(tied.chi2 - free.chi2, 0.0)
     if not more > 0 or not noise_dof > 0:

@@ -14,12 +14,12 @@ from tracker.measurement.collision.adequacy import (
     SHORT_SLIDE,
     Flag,
     compare_fits,
+    compute_p_value,
     find_impossible_values,
-    p_value,
 )
 from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, EarlierHit, guess_parameters
-from tracker.measurement.collision.departures import Departure, average
+from tracker.measurement.collision.departures import LawDeparture, average_over_departures
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
 from tracker.measurement.collision.lasting_contact import (
     MIN_SIGNIFICANCE,
@@ -55,8 +55,8 @@ class CollisionFits:
     unseen: frozenset[str] | None = None  # quantities that a lasting contact does not show
     fits: LastingFits | None = None  # those of a lasting contact
     # departures from laws that both fits assume, by the flag of their rejection
-    tied_departures: Mapping[Flag, Departure] = field(default_factory=dict)
-    free_departures: Mapping[Flag, Departure] = field(default_factory=dict)
+    tied_departures: Mapping[Flag, LawDeparture] = field(default_factory=dict)
+    free_departures: Mapping[Flag, LawDeparture] = field(default_factory=dict)
 
     @property
     def tied_is_straight(self) -> bool:
@@ -81,12 +81,12 @@ class CollisionFits:
     @cached_property
     def p_tied(self) -> float:
         """p-value of the tied fit's chi^2."""
-        return p_value(self.tied.chi2, self.tied.dof, self.noise_dof)
+        return compute_p_value(self.tied.chi2, self.tied.dof, self.noise_dof)
 
     @cached_property
     def p_free(self) -> float:
         """p-value of the free fit's chi^2."""
-        return p_value(self.free.chi2, self.free.dof, self.noise_dof)
+        return compute_p_value(self.free.chi2, self.free.dof, self.noise_dof)
 
     @cached_property
     def p_agree(self) -> float:
@@ -122,7 +122,7 @@ class CollisionFits:
         found = [*self.tied_departures.items(), *self.free_departures.items()]
         return max(found, key=lambda item: item[1].significance)[0]
 
-    def with_departures(self, tied: Mapping[Flag, Departure], free: Mapping[Flag, Departure]) -> CollisionFits:
+    def with_departures(self, tied: Mapping[Flag, LawDeparture], free: Mapping[Flag, LawDeparture]) -> CollisionFits:
         """Let the quantities of both fits carry possible departures from laws, as either fit shows them.
 
         The tied fit shows them better. Its departures count for the free fit too, where the data accept the tied fit
@@ -131,8 +131,8 @@ class CollisionFits:
         is_accepted = self._without_departures().is_tied_accepted
         by_tied = [one for flag, one in tied.items() if is_accepted or flag is not Flag.FRICTION_CHANGES]
         better = [tied.get(flag, one) for flag, one in free.items()] if is_accepted else None
-        tied_values = average(self.tied_values, by_tied)
-        free_values = average(self.free_values, list(free.values()), better)
+        tied_values = average_over_departures(self.tied_values, by_tied)
+        free_values = average_over_departures(self.free_values, list(free.values()), better)
         return replace(
             self,
             tied_values=tied_values,
@@ -144,7 +144,7 @@ class CollisionFits:
     def _without_departures(self) -> CollisionFits:
         return replace(self, tied_departures={}, free_departures={})
 
-    def _rejects(self, departure: Departure) -> bool:
+    def _rejects(self, departure: LawDeparture) -> bool:
         """Test whether the data reject the law from which this is a departure."""
         return self.noise_dof > 0 and departure.p_value < self.settings.rejection_level
 
@@ -213,7 +213,10 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
 
 def _is_too_bad(pair: BallPair, chi2: float, dof: int, least: float) -> bool:
     """Decide whether a fit is rejected, and its chi^2 per degree of freedom is not below `least` either."""
-    return chi2 / max(dof, 1) > least and p_value(chi2, dof, pair.striker.noise_dof) < pair.settings.rejection_level
+    return (
+        chi2 / max(dof, 1) > least
+        and compute_p_value(chi2, dof, pair.striker.noise_dof) < pair.settings.rejection_level
+    )
 
 
 def _bound_chi2_of_sliding(pair: BallPair, start: Floats) -> tuple[float, int]:

@@ -128,7 +128,7 @@ def stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
 # --- the path of both balls ---
 
 
-def directions(
+def compute_unit_vectors(
     heading: NDArray[np.inexact] | float, beta: NDArray[np.inexact] | float
 ) -> tuple[NDArray[np.inexact], NDArray[np.inexact], NDArray[np.inexact]]:
     """Compute the collision model's unit vectors (..., 2): d (motion of ball 2 against 1), n (from 2 to 1), z x n."""
@@ -186,7 +186,7 @@ def mean_positions(
     position += free[1:3]
     derivative[1, :, 0] += 1.0
     derivative[2, :, 1] += 1.0
-    _, normal, tangent = directions(free[3], free[4])
+    _, normal, tangent = compute_unit_vectors(free[3], free[4])
     position -= second[:, None] * (diameter * normal)
     turn = second[:, None] * (diameter * tangent)
     derivative[3] -= turn
@@ -329,7 +329,7 @@ def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.ine
     heading, beta, v0, target = tied[..., 3], tied[..., 4], tied[..., 5], tied[..., -2:]
     r, mu, c = tied[..., 8, None], np.exp(tied[..., 9]), tied[..., 10, None]
     slips, side = tied[..., _SPIN : _SPIN + 2], tied[..., _SPIN + 2, None]
-    d, n, t = directions(heading, beta)
+    d, n, t = compute_unit_vectors(heading, beta)
     normal, tangent = (v0 * np.cos(beta))[..., None] * n, (v0 * np.sin(beta))[..., None] * t
     surfaces = 2 * _scalar_product(target, n) - _scalar_product(slips, n)
     twist = c * (normal + surfaces[..., None] * n)  # C S n

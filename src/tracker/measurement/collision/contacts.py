@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
-from tracker.measurement.collision.collision_model import AFTER, SPIN, TIED, directions, tied_to_free
+from tracker.measurement.collision.collision_model import AFTER, SPIN, TIED, compute_unit_vectors, tied_to_free
 from tracker.measurement.collision.least_squares import BallPair
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
@@ -323,7 +323,7 @@ def _rough_chi2(pair: BallPair, tied: Floats) -> Floats:
     Rough: instants for exposures, and a rolling ball loses speed evenly.
     """
     free = np.asarray(tied_to_free(tied, pair.spin), dtype=np.float64)
-    _, normal, _ = directions(tied[:, 3], tied[:, 4])
+    _, normal, _ = compute_unit_vectors(tied[:, 3], tied[:, 4])
     total = np.zeros(len(tied))
     for ball, track in pair.balls:
         at, contact = AFTER[ball], free[:, 1:3] - (ball - 1) * pair.diameter * normal

@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Departure:
+class LawDeparture:
     """A parameter that is zero if a law of the fits holds, as one fit shows it.
 
     response (m,): by how much the value grows with each coordinate of the positions, per standard error of these.
@@ -100,8 +100,8 @@ class ModelWeight:
         return min(self.variance, 1.0)
 
 
-def average(
-    values: DerivedValues, departures: Sequence[Departure], tied: Sequence[Departure] | None = None
+def average_over_departures(
+    values: DerivedValues, departures: Sequence[LawDeparture], tied: Sequence[LawDeparture] | None = None
 ) -> DerivedValues:
     """Average the quantities of a fit over its laws and departures from these.
 
@@ -157,7 +157,7 @@ def _differentiate_faddeeva(at: complex, *, far: float = 1e3) -> tuple[complex, 
     return w, first, -2 * (w + at * first)
 
 
-def derive(fit: CollisionFit, tied: bool) -> DerivedValues:
+def derive_quantities(fit: CollisionFit, tied: bool) -> DerivedValues:
     """Derive the quantities of a fit."""
     if tied:
         return derive_from_tied(fit.parameters, fit.cov, fit.pair.diameter, fit.pair.spin)
@@ -169,10 +169,10 @@ def find_departure(
     tied: bool,
     displace: Callable[[WhitenedResiduals, Floats], Floats],
     known: Floats | None = None,
-    by_tied: Departure | None = None,
+    by_tied: LawDeparture | None = None,
     *,
     least_share: float = 1e-3,
-) -> Departure | None:
+) -> LawDeparture | None:
     """Find a departure by one linear step from a tied or a free fit, without what is expected of it before.
 
     displace(problem, rows): derivative of the whitened residuals (m,) by the parameter; `rows` (m, p) has those by the
@@ -219,7 +219,7 @@ def find_departure(
     if by_tied is not None:
         size = small / float(np.sqrt(by_tied.response @ by_tied.response))
         cov_with_tied = differentiate(-cov @ rows[:positions].T @ by_tied.response, size)
-    return Departure(
+    return LawDeparture(
         value=-pull / square,
         std=float(std),
         response=-weighted[:positions] / square,

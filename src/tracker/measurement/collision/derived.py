@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.collision_model import AFTER, GRAVITY, TIED, directions, tied_to_free
+from tracker.measurement.collision.collision_model import AFTER, GRAVITY, TIED, compute_unit_vectors, tied_to_free
 
 Floats = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ def derive_from_each_ball(
     """
     radius = diameter / 2
     beta, v0 = free[..., 4], free[..., 5]
-    d, n, t = (np.asarray(a, dtype=np.float64) for a in directions(free[..., 3], beta))
+    d, n, t = (np.asarray(a, dtype=np.float64) for a in compute_unit_vectors(free[..., 3], beta))
     v, f, tau, spin = {}, {}, {}, {}
     for ball, at in AFTER.items():
         v[ball], f[ball] = free[..., at : at + 2], free[..., at + 2 : at + 4]

@@ -8,7 +8,7 @@ Two results follow from the fitted paths alone, without a law of the force. The 
 centres are nearer than D. The ratio of radial speeds compares how fast they leave and enter D. A force that springs
 back gives back what a constant push costs, so that this ratio is the restitution. Plate friction, which acts from the
 first touch on, is such a push. So is the centrifugal acceleration in an oblique hit, the other way. A force that loses
-energy gives back a part of it; see `kept_share`.
+energy gives back a part of it; see `compute_kept_share`.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from tracker.measurement.collision.adequacy import TOO_FEW, compare_fits, find_impossible_values, p_value
+from tracker.measurement.collision.adequacy import TOO_FEW, compare_fits, compute_p_value, find_impossible_values
 from tracker.measurement.collision.collision_model import (
     AFTER,
     FREE,
     GRAVITY,
     SLIP_RATE,
     TIED,
-    directions,
+    compute_unit_vectors,
     mean_positions,
     tied_to_free,
 )
@@ -111,7 +111,7 @@ class LastingResiduals:
         by = np.asarray(self.to_free(steps).imag.T / 1e-30, dtype=np.float64)  # (22, p)
         position, slope = mean_positions(free, ball, start, self.pair.struck.exposure, float(x[-1]))
         slope = slope @ by
-        _, n, t = directions(free[3], free[4])
+        _, n, t = compute_unit_vectors(free[3], free[4])
         slope[..., -1] -= (ball == 2)[:, None] * n
         across = np.where(start < free[0], 0.0, 1.5 - ball)[:, None] * t
         position += x[-2] * across
@@ -168,7 +168,7 @@ def delay_of_slides(
     return np.asarray(np.where(delay.real < 0.5 * before.real, delay, 0.5 * before))
 
 
-def kept_share(r: Floats) -> tuple[Floats, Floats]:
+def compute_kept_share(r: Floats) -> tuple[Floats, Floats]:
     """Share of the speed lost to a small push after t_c that a lasting contact does not give back, and its error.
 
     A spring without loss gives all of it back. To first order in the push, a linear spring with a dashpot keeps
@@ -271,7 +271,7 @@ class LastingFit:
     def _passage(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return times from the first touch to t_c and on to the end, s, and radial speeds at both; x: (..., p)."""
         free = np.asarray(self.problem.to_free(x), dtype=np.float64)
-        d, n, t = (np.asarray(a, dtype=np.float64) for a in directions(free[..., 3], free[..., 4]))
+        d, n, t = (np.asarray(a, dtype=np.float64) for a in compute_unit_vectors(free[..., 3], free[..., 4]))
         v0, distance = free[..., 5], x[..., -1]
         before = np.asarray(time_before_crossing(free[..., 4], v0, distance, self.diameter), dtype=np.float64)
         coming = n * distance[..., None] + d * (v0 * before)[..., None]
@@ -297,12 +297,12 @@ class LastingFit:
         """(..., 3): the restitution, the part of friction in it, and the error of what the law of the force changes."""
         free = np.asarray(self.problem.to_free(x), dtype=np.float64)
         _, after, closing, parting = self._passage(x)
-        n = np.asarray(directions(free[..., 3], free[..., 4])[1], dtype=np.float64)
+        n = np.asarray(compute_unit_vectors(free[..., 3], free[..., 4])[1], dtype=np.float64)
         at_crossing = dot(free[..., 8:10] - free[..., 13:15], n)
         late = free if self.problem.kind == "straight" else rewind_slides(free, -after)
         lost = (at_crossing - dot(late[..., 8:10] - late[..., 13:15], n)) / closing
         turn = np.tan(free[..., 4]) ** 2 * closing / self.diameter * after
-        share, error = kept_share(np.clip(parting / closing, 0.05, 1.0))
+        share, error = compute_kept_share(np.clip(parting / closing, 0.05, 1.0))
         r = parting / closing + share * (lost - turn)
         return np.stack([r, lost / np.clip(r, 0.1, 1.0), error * np.abs(lost - turn)], -1)
 
@@ -413,7 +413,7 @@ def fit_lasting_contact(
         return found
     fit, window = _refine(found[0]), found[1]
     outside = fit.problem.pair
-    if p_value(fit.chi2, fit.dof, outside.striker.noise_dof) < level:
+    if compute_p_value(fit.chi2, fit.dof, outside.striker.noise_dof) < level:
         return None
     is_straight = fit.problem.kind == "straight"
     tied = fit if is_straight else LastingFit.to(outside, "tied", _tied_starts(fit))
@@ -487,7 +487,7 @@ def _is_hopeless(pair: BallPair, frame: int, level: float) -> bool:
         return False
     fit = LastingFit.to(outside, "free", starts, tolerance=ROUGH)
     dof = fit.dof + 2 * (len(pair) - len(outside))
-    if not p_value(fit.chi2, dof, pair.striker.noise_dof) < level:
+    if not compute_p_value(fit.chi2, dof, pair.striker.noise_dof) < level:
         return False
     return with_correlated_noise(replace(outside, diameter=float(fit.x[-1])), _as_free(fit)) is None
 
@@ -497,13 +497,13 @@ def _momentum_p(straight: LastingFit) -> float:
 
     def gain(x: Floats) -> Floats:
         free = np.asarray(straight.problem.to_free(x), dtype=np.float64)
-        launch, _, _ = directions(free[..., 3], free[..., 4])
+        launch, _, _ = compute_unit_vectors(free[..., 3], free[..., 4])
         after = free[..., 8:10] + free[..., 13:15]
         return np.asarray(after - 2 * free[..., -2:] - free[..., 5, None] * np.real(launch), dtype=np.float64)
 
     slope, change = straight.slopes(gain), gain(straight.x)
     cov = slope @ straight.cov @ slope.T
-    return p_value(float(change @ np.linalg.solve(cov, change)), 2.0, straight.problem.pair.striker.noise_dof)
+    return compute_p_value(float(change @ np.linalg.solve(cov, change)), 2.0, straight.problem.pair.striker.noise_dof)
 
 
 def _sigmas_within(fit: LastingFit) -> float:
@@ -520,13 +520,13 @@ def _fit_outside(pair: BallPair, window: tuple[int, int], last: LastingFit | Non
         return None
     free = LastingFit.to(pair, "free", starts, tolerance=ROUGH) if kind == "free" else None
     dof, level = pair.striker.noise_dof, 1e-3
-    if free is not None and p_value(_chi2_of_lines(pair, *window), 2 * len(pair), dof) < level:
+    if free is not None and compute_p_value(_chi2_of_lines(pair, *window), 2 * len(pair), dof) < level:
         return free
     start = _straighten(free, pair) if free is not None else starts[0]
     straight = LastingFit.to(pair, "straight", [start], tolerance=ROUGH)
     if free is None:
         free = LastingFit.to(pair, "free", _guess(pair, *window), tolerance=ROUGH)
-    if p_value(straight.chi2, straight.dof, dof) < level:
+    if compute_p_value(straight.chi2, straight.dof, dof) < level:
         return free
     return straight if straight.chi2 < free.chi2 + STRAIGHT_CHI2 else free
 
@@ -645,7 +645,7 @@ def _widen(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> tuple[in
 def _bend(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> float:
     """Standard errors by which the paths bend in the frames left out, as by a constant force, instead of breaking."""
     before, after, _ = fit.times(fit.x)
-    _, normal, _ = directions(fit.x[3], fit.x[4])
+    _, normal, _ = compute_unit_vectors(fit.x[3], fit.x[4])
     parts = []
     for ball, track in pair.balls:
         rows = track.where((track.frame >= window[0]) & (track.frame <= window[1]))
@@ -694,7 +694,7 @@ def _find_straight_alternative(free: LastingFit, pair: BallPair, level: float) -
     """Straight lines that describe an impact whose slides no fit shows; None if the data reject them."""
     outside = free.problem.pair
     straight = LastingFit.to(outside, "straight", [_straighten(free, pair)])
-    p = p_value(straight.chi2, straight.dof, outside.striker.noise_dof)
+    p = compute_p_value(straight.chi2, straight.dof, outside.striker.noise_dof)
     if p < 1e-3 or _momentum_p(straight) < level:
         return None
     return LastingFits(None, outside, straight, straight, (False, False), _may_hide_slide(straight))

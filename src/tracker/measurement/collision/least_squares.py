@@ -176,14 +176,16 @@ class WhitenedResiduals:
         return np.concatenate([one.distance(off[:cut]), two.distance(off[cut:])])
 
 
-class Problem(Protocol):
+class LeastSquaresProblem(Protocol):
     """A least-squares problem: weighted residuals (m,) and their derivatives (m, p)."""
 
     def residual(self, x: Floats) -> Floats: ...
     def slope(self, x: Floats) -> Floats: ...
 
 
-def find_best_minimum(problem: Problem, starts: Sequence[Floats], tolerance: float = FINE) -> tuple[Floats, bool]:
+def find_best_minimum(
+    problem: LeastSquaresProblem, starts: Sequence[Floats], tolerance: float = FINE
+) -> tuple[Floats, bool]:
     """Find the best of several minima by Levenberg-Marquardt (MINPACK), and whether that descent converged.
 
     A relative change of parameters and chi^2 by `tolerance` ends a descent. The descents from all starts but the first
@@ -200,7 +202,7 @@ def find_best_minimum(problem: Problem, starts: Sequence[Floats], tolerance: flo
     return best, converged
 
 
-def _descend(problem: Problem, start: Floats, tolerance: float) -> tuple[Floats, float, bool]:
+def _descend(problem: LeastSquaresProblem, start: Floats, tolerance: float) -> tuple[Floats, float, bool]:
     """Parameters, half their chi^2, whether a relative step or gain under `tolerance` ended the descent."""
     x, _, found, _, ended = leastsq(
         problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=tolerance,

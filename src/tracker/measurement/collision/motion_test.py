@@ -19,7 +19,7 @@ def find_p_of_motion(free: CollisionFit, noise_dof: float, *, least_share: float
     degrees of freedom depend on it. The displacements that such laws cause are tested alone, by one linear step. NaN
     where the fit itself absorbs all of them.
 
-    noise_dof: as in `p_value`; least_share: of a displacement, that the parameters of the fit must leave.
+    noise_dof: as in `compute_p_value`; least_share: of a displacement, that the parameters of the fit must leave.
     """
     problem = WhitenedResiduals(free.pair, tied=False)
     residual, rows = problem(free.parameters[problem.index])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tracker.measurement.collision.collision_model import FREE
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter, share_seen_by_scatter
-from tracker.measurement.noise.whitening import innovations
+from tracker.measurement.noise.whitening import compute_innovations
 from tracker.measurement.positions import BallTrack
 
 Floats = NDArray[np.float64]
@@ -114,7 +114,7 @@ def _restricted_likelihood(parts: list[tuple[Floats, NDArray[np.int64]]], rho: f
     squares, freedom, volume = 0.0, 0, 0.0
     for columns, frame in parts:
         kept = rho ** np.diff(frame) if rho else np.zeros(len(frame) - 1)
-        r = np.linalg.qr(innovations(columns, kept).T, mode="r")
+        r = np.linalg.qr(compute_innovations(columns, kept).T, mode="r")
         size = np.abs(np.diag(r))
         squares += float(size[-1] ** 2)
         freedom += columns.shape[1] - len(columns) + 1

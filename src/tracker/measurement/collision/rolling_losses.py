@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.departures import Departure, derive, find_departure
+from tracker.measurement.collision.departures import LawDeparture, derive_quantities, find_departure
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.least_squares import CollisionFit, WhitenedResiduals
 
@@ -19,8 +19,8 @@ Floats = NDArray[np.float64]
 
 
 def compare_losses(
-    fit: CollisionFit, tied: bool, known: Floats | None = None, by_tied: Departure | None = None
-) -> Departure | None:
+    fit: CollisionFit, tied: bool, known: Floats | None = None, by_tied: LawDeparture | None = None
+) -> LawDeparture | None:
     """Find by how much the struck ball's deceleration in rolling exceeds that of the striker, m/s^2.
 
     It is typically a share of the loss, `rolling_loss_difference` of the settings. The loss is the root of its expected
@@ -37,7 +37,7 @@ def compare_losses(
     found = find_departure(fit, tied, displace, known, by_tied)
     if found is None:
         return None
-    loss = float(np.hypot(*_find_loss(derive(fit, tied))))
+    loss = float(np.hypot(*_find_loss(derive_quantities(fit, tied))))
     return replace(found, typical=fit.pair.settings.rolling_loss_difference * loss)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import AFTER, SLIP_RATE, tied_to_free
-from tracker.measurement.collision.departures import Departure, find_departure
+from tracker.measurement.collision.departures import LawDeparture, find_departure
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.collision.least_squares import CollisionFit, WhitenedResiduals
 
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 def find_slope_of_friction(
     fit: CollisionFit, known: Floats | None = None, *, expected: float = 0.01
-) -> Departure | None:
+) -> LawDeparture | None:
     """Find k of mu(u) = mu (1 + k u) by a tied fit, s/m, u the speed of slip.
 
     It typically changes the friction at the fastest slip by `friction_change` of the settings. None if the striker

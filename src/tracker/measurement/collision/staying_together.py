@@ -16,7 +16,7 @@ MAX_DISTANCE = 1.02  # diameters
 
 
 @dataclass(frozen=True, eq=False)
-class Stay:
+class StayingPair:
     """Two balls that stay together; ball 2 is the faster before."""
 
     struck: BallTrack
@@ -32,7 +32,7 @@ class Stay:
     bounces: bool  # whether they part first or in the end, so that this is no restitution
 
 
-def find_stays(
+def find_staying_pairs(
     a: BallTrack,
     b: BallTrack,
     diameter: float,
@@ -41,7 +41,7 @@ def find_stays(
     min_frames: int = 10,
     approach_frames: int = 8,
     parting_sigma: float = 5.0,
-) -> Iterator[Stay]:
+) -> Iterator[StayingPair]:
     """Find where two balls meet and then keep their distance of about a diameter (m).
 
     max_speed_share: speed at which balls that stay together may move apart, over the closing speed.
@@ -78,7 +78,7 @@ def find_stays(
         speed_std = float(np.hypot(s1, s2))
         drift, drift_std = parts[0]
         leave = all(v > parting_sigma * std for v, std in parts)
-        yield Stay(
+        yield StayingPair(
             struck=tracks[0],
             striker=tracks[1],
             first=int(frames[inside]),

@@ -154,7 +154,7 @@ def _fit_paths(
     return Parabolas(value, cov, chi2, slides)
 
 
-class Gaps(NamedTuple):
+class ContactGaps(NamedTuple):
     """Gaps between two frames in which balls may touch, with the positions about them.
 
     Attributes
@@ -182,10 +182,10 @@ class Gaps(NamedTuple):
     high: Floats
     slides: Slides
 
-    def take(self, rows: Mask) -> Gaps:
+    def take(self, rows: Mask) -> ContactGaps:
         """Those gaps."""
         kept = {name: values[rows] for name, values in self._asdict().items() if name != "slides"}
-        return Gaps(**kept, slides=Slides(self.slides.start[rows], self.slides.slip[rows], self.slides.decel))
+        return ContactGaps(**kept, slides=Slides(self.slides.start[rows], self.slides.slip[rows], self.slides.decel))
 
 
 def gather_gaps(
@@ -194,7 +194,7 @@ def gather_gaps(
     last_slides: Sequence[Sequence[tuple[float, Floats] | None]],
     decel: float,
     frame_s: float,
-) -> Gaps:
+) -> ContactGaps:
     """Gather the gaps of candidates, each with the positions of as many balls.
 
     gaps: of each candidate, frames before and after each gap. last_slides: of each ball of it, instant and slip of the
@@ -228,7 +228,7 @@ def gather_gaps(
         return np.asarray(np.take_along_axis(time, nearest, axis=-1)[..., 0] + steps * frame_s)
 
     zero = find_times((left + right) / 2).mean(axis=1)
-    return Gaps(
+    return ContactGaps(
         candidate=candidate,
         time=np.where(there, time - zero[:, None, None], 0.0),
         position=position,
@@ -270,7 +270,7 @@ class TouchDistance(NamedTuple):
 
 
 def fit_gaps(
-    gaps: Gaps,
+    gaps: ContactGaps,
     settings: GapSettings,
     touch: TouchDistance,
     exposure: float,
@@ -343,7 +343,7 @@ def fit_gaps(
     )
 
 
-def _take_usable(gaps: Gaps, least: int) -> tuple[Gaps, Mask, Mask]:
+def _take_usable(gaps: ContactGaps, least: int) -> tuple[ContactGaps, Mask, Mask]:
     """The gaps with enough positions, and for each ball whether it has `least` positions before and after.
 
     A single ball needs both sides. If there are two balls, one needs both sides and the other needs one.

@@ -19,9 +19,9 @@ from scipy.special import expit
 
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import find_near_pairs
-from tracker.measurement.crowd.gap_fits import ContactFits, Gaps, TouchDistance, TrackRows, fit_gaps, gather_gaps
+from tracker.measurement.crowd.gap_fits import ContactFits, ContactGaps, TouchDistance, TrackRows, fit_gaps, gather_gaps
 from tracker.measurement.positions import BallTrack
-from tracker.measurement.stretch_cuts import StretchCutter, measure_noise
+from tracker.measurement.stretch_cuts import StretchCutter, measure_path_noise
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -134,12 +134,14 @@ class _Film:
         first, last = frame - settings.positions - 2, frame + settings.positions_after + 2
         return self.rows[ball].between(max(low, np.nextafter(first, -np.inf)), min(high, np.nextafter(last, np.inf)))
 
-    def gather(self, candidates: Sequence[Sequence[TrackRows]], gaps: Sequence[Sequence[tuple[int, int]]]) -> Gaps:
+    def gather(
+        self, candidates: Sequence[Sequence[TrackRows]], gaps: Sequence[Sequence[tuple[int, int]]]
+    ) -> ContactGaps:
         """The gaps of candidates, each with the positions of its balls."""
         last = [[self._find_last_slide(part) for part in parts] for parts in candidates]
         return gather_gaps(candidates, gaps, last, self.settings.friction * GRAVITY, self.frame_s)
 
-    def fit(self, gaps: Gaps) -> ContactFits:
+    def fit(self, gaps: ContactGaps) -> ContactFits:
         """Fit a contact in each gap."""
         touch = TouchDistance(self.diameter, self.settings.distance_share * self.diameter)
         return fit_gaps(gaps, self.settings, touch, self.exposure)
@@ -161,7 +163,7 @@ def find_track_contacts(
     """
     settings = settings or FinderSettings()
     settings = replace(settings, friction=0.0) if glides else settings
-    noise = measure_noise([(ball.frame, ball.position) for ball in balls])
+    noise = measure_path_noise([(ball.frame, ball.position) for ball in balls])
     kinks = {ball.particle: _find_kinks(ball, noise) for ball in balls}
     by_number = {ball.particle: ball for ball in balls}
     frame_s, same = _frame_duration(balls), settings.same_frames

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.camera_errors import CameraError, camera_errors
-from tracker.measurement.collision.adequacy import p_value
+from tracker.measurement.collision.adequacy import compute_p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
 from tracker.measurement.collision.contacts import Contact, guess_launch
 from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, mean_of_balls
@@ -200,7 +200,7 @@ def _read_values(
         normal_speed=float(v0 * np.sqrt(max(1 - b**2, 0.0))),
         chi2=claimed.chi2,
         dof=claimed.dof,
-        adequate=p_value(claimed.chi2, claimed.dof, noise_dof),
+        adequate=compute_p_value(claimed.chi2, claimed.dof, noise_dof),
         glides=solutions[0][1].problem.glide,
         unseen=frozenset(name for _, one in solutions for name in _list_unseen(one)),
         errors_known=bool(np.isinf(noise_dof)),

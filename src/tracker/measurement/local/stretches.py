@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tracker.measurement.noise.whitening import PositionWhitener
 from tracker.measurement.positions import BallTrack
-from tracker.measurement.stretch_cuts import CUTTER, measure_noise
+from tracker.measurement.stretch_cuts import CUTTER, measure_path_noise
 
 Floats = NDArray[np.float64]
 MAX_POSITIONS = 45  # of a stretch; more are averaged in groups
@@ -157,9 +157,9 @@ def _end_at_contact(
     if len(free) < 2:
         return rows
     time, position = track.time[free], track.position[free]
-    noise = measure_noise([(track.frame, track.position)])
+    noise = measure_path_noise([(track.frame, track.position)])
     if len(free) >= LEAST_FOR_NOISE:  # codecs hardly move a body that rests
-        noise = np.fmax(noise, measure_noise([(track.frame[free], track.position[free])]))
+        noise = np.fmax(noise, measure_path_noise([(track.frame[free], track.position[free])]))
     if not np.isfinite(noise) or not CUTTER.moves(time, position, noise):
         return rows
     kinks = CUTTER.find_kinks(time, CUTTER.measure_kinks(time, position, noise))

@@ -54,7 +54,7 @@ class PositionWhitener:
             block = errors[..., rows, :].reshape(-1, len(whole))
             part = slice(2 * rows.start, 2 * rows.start + len(whole))
             out[..., part] = _product(whole, block.T).T.reshape(*errors.shape[:-2], -1)
-        return out if self.kept is None else innovations(out, self.kept)
+        return out if self.kept is None else compute_innovations(out, self.kept)
 
     def distance(self, errors: Floats) -> Floats:
         """(..., n) squared Mahalanobis distance of each position by itself, errors (..., n, 2)."""
@@ -62,7 +62,7 @@ class PositionWhitener:
         return np.asarray((root[:, 0, 0] * x) ** 2 + (root[:, 1, 0] * x + root[:, 1, 1] * y) ** 2)
 
 
-def innovations(errors: Floats, kept: Floats) -> Floats:
+def compute_innovations(errors: Floats, kept: Floats) -> Floats:
     """Whiten errors (..., 2n) that keep a share (n - 1,) of the previous row: innovations (..., 2n) of unit size."""
     rows = errors.reshape(*errors.shape[:-1], -1, 2)
     new = (rows[..., 1:, :] - kept[:, None] * rows[..., :-1, :]) / np.sqrt(1 - kept**2)[:, None]

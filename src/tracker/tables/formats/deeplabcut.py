@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.rows import to_numbers
 from tracker.tables.table import TrackTable
 
 NAME = "DeepLabCut's table"
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     head = content.head
     heads = [line[0].lower() for line in head[:4] if line]
     if not heads or heads[0] != "scorer" or "bodyparts" not in heads or "coords" not in heads:

@@ -8,7 +8,7 @@ import pandas as pd
 from synthcam_shared.track_formats import MOT_CORNER_PX, mot_box
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.rows import to_numbers
 from tracker.tables.table import TrackTable
 
@@ -16,7 +16,7 @@ NAME = "MOTChallenge's boxes"
 SUFFIX = ".txt"
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     first = content.head[0] if content.head else []
     if content.root is not None or content.has_header or not 6 <= len(first) <= 10:
         return None

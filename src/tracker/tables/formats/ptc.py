@@ -5,10 +5,10 @@ A particle holds its detections: t counts frames from 0; x, y in px with pixel c
 
 import pandas as pd
 
-from synthcam_shared.track_formats import CHALLENGE_TAG, challenge_xml, split_by_particle
+from synthcam_shared.track_formats import CHALLENGE_TAG, make_challenge_xml, split_by_particle
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.table import TrackTable
 
 NAME = "the Particle Tracking Challenge's XML"
@@ -16,7 +16,7 @@ FROM_XML = True
 SUFFIX = ".xml"
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     root = content.root
     challenge = None if root is None else root if root.tag == CHALLENGE_TAG else root.find(CHALLENGE_TAG)
     if challenge is None:
@@ -30,4 +30,4 @@ def read(content: Content) -> TrackTable | None:
 
 
 def write(tracks: Tracks, camera: Camera) -> str:
-    return challenge_xml(split_by_particle(tracks.particle, tracks.frame, tracks.x, tracks.y))
+    return make_challenge_xml(split_by_particle(tracks.particle, tracks.frame, tracks.x, tracks.y))

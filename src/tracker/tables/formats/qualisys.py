@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pandas as pd
 
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.dialect import is_number
 from tracker.tables.rows import to_numbers
 from tracker.tables.table import TrackTable
@@ -13,7 +13,7 @@ from tracker.tables.table import TrackTable
 NAME = "Qualisys' TSV"
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     if not content.head or content.head[0][0].upper() != "NO_OF_FRAMES":
         return None
     keys: dict[str, list[str]] = {}

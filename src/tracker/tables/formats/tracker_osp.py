@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.rows import to_numbers
 from tracker.tables.table import TrackTable, frames_from_times
 
@@ -20,7 +20,7 @@ FROM_XML = True
 CLASS_PREFIX = "org.opensourcephysics.cabrillo.tracker."
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     root = content.root
     if root is None:
         return _read_exported(content)
@@ -31,7 +31,7 @@ def read(content: Content) -> TrackTable | None:
     return TrackTable(rows, f"{NAME}: .trk", "px", fps=1e3 / step[0] if step and step[0] > 0 else math.nan)
 
 
-def _marks(content: Content, root: ET.Element) -> Iterator[tuple[float, ...]]:
+def _marks(content: FileContent, root: ET.Element) -> Iterator[tuple[float, ...]]:
     masses = [one for one in root.iter("object") if one.get("class") == f"{CLASS_PREFIX}PointMass"]
     for number, mass in enumerate(masses):
         for frame in mass.iterfind("property[@name='framedata']/property"):
@@ -43,7 +43,7 @@ def _marks(content: Content, root: ET.Element) -> Iterator[tuple[float, ...]]:
             yield int(at[1]), number, x, y
 
 
-def _read_exported(content: Content) -> TrackTable | None:
+def _read_exported(content: FileContent) -> TrackTable | None:
     """Names of masses, each above its first column; then names of columns, the first t or step; then numbers."""
     head = content.head
     at = next((k for k, line in enumerate(head[:3]) if k and {"x", "y"} <= set(line) and line[0] in ("t", "step")), 0)

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from synthcam_shared.track_formats import split_by_particle, trackmate_xml
+from synthcam_shared.track_formats import make_trackmate_xml, split_by_particle
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.table import TrackTable, per_second
 
 NAME = "TrackMate's XML"
@@ -20,7 +20,7 @@ FROM_XML = True
 SUFFIX = ".xml"
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     root = content.root
     if root is None or root.tag not in ("TrackMate", "Tracks"):
         return None
@@ -40,14 +40,14 @@ def read(content: Content) -> TrackTable | None:
     return TrackTable(rows, NAME, unit, fps=fps)
 
 
-def _particles(content: Content, root: ET.Element) -> Iterator[tuple[float, ...]]:
+def _particles(content: FileContent, root: ET.Element) -> Iterator[tuple[float, ...]]:
     for number, particle in enumerate(root.iter("particle")):
         for detection in particle.iter("detection"):
             x, y, frame = (content.number(detection, name) for name in ("x", "y", "t"))
             yield frame, number, x, y
 
 
-def _spots(content: Content, model: ET.Element) -> Iterator[tuple[float, ...]]:
+def _spots(content: FileContent, model: ET.Element) -> Iterator[tuple[float, ...]]:
     """The spots that edges of the tracks join, of those tracks that the user's filters left."""
     spots = {content.attribute(spot, "ID"): spot for spot in model.iterfind("AllSpots/SpotsInFrame/Spot")}
     kept = model.find("FilteredTracks")
@@ -66,4 +66,6 @@ def _spots(content: Content, model: ET.Element) -> Iterator[tuple[float, ...]]:
 
 
 def write(tracks: Tracks, camera: Camera) -> str:
-    return trackmate_xml(split_by_particle(tracks.particle, tracks.frame, tracks.x, tracks.y), camera.fps, "tracker")
+    return make_trackmate_xml(
+        split_by_particle(tracks.particle, tracks.frame, tracks.x, tracks.y), camera.fps, "tracker"
+    )

@@ -2,14 +2,14 @@
 
 import pandas as pd
 
-from tracker.camera.camera_keys import format_value
-from tracker.tables.content import Content
+from tracker.camera.camera_keys import format_wrong_value
+from tracker.tables.content import FileContent
 from tracker.tables.table import TrackTable
 
 NAME = "TrackMate's spots"
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     if not any({"TRACK_ID", "POSITION_X"} <= set(line) for line in content.head[:1]):
         return None
     rows = content.cells()
@@ -22,7 +22,7 @@ def read(content: Content) -> TrackTable | None:
     below = rows.iloc[:first]
     unit = next((text for text in map(str, below["POSITION_X"]) if text.startswith("(")), "")
     if len(rows) and not number.any() and not unit:
-        raise content.wrong(f"{NAME}: FRAME: expected numbers, not {format_value(rows['FRAME'].iloc[-1])}")
+        raise content.wrong(f"{NAME}: FRAME: expected numbers, not {format_wrong_value(rows['FRAME'].iloc[-1])}")
     rows = rows.iloc[first:][list(names)].rename(columns=names)
     in_track = rows["particle"].notna() & (rows["particle"].map(str) != "None")
     return TrackTable(rows[in_track], NAME, unit)

@@ -6,13 +6,13 @@ import pandas as pd
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.column_names import read_named_columns
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.table import TrackTable
 
 SUFFIX = ".csv"
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     if content.root is not None or not (content.is_binary or content.has_header):
         return None
     return read_named_columns(content.cells(), content.where)

@@ -7,14 +7,14 @@ import numpy as np
 import pandas as pd
 
 from tracker.tables.column_names import split_unit
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.rows import REQUIRED_COLUMNS, to_numbers
 from tracker.tables.table import TrackTable, frames_from_times
 
 NAME = "a wide table (idtracker.ai)"
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     if content.root is not None or content.is_binary or not content.has_header:
         return None
     table = content.cells()

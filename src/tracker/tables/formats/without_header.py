@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tracker.tables.content import Content
+from tracker.tables.content import FileContent
 from tracker.tables.table import TrackTable
 
 NAME = "columns without a header"
 
 
-def read(content: Content) -> TrackTable | None:
+def read(content: FileContent) -> TrackTable | None:
     if content.root is not None or content.is_binary or content.has_header or len(content.head) < 2:
         return None
     table = content.cells(names=[f"{k}" for k in range(1, len(content.head[0]) + 1)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from synthcam.camera.room.finish import BallFinish, SurfaceFinish
-from synthcam.camera.room.texture import factors
+from synthcam.camera.room.texture import compute_texture
 
 PATTERNS = ("plain", "half", "stripe", "spots")
 
@@ -29,10 +29,10 @@ def test_textures_are_still_even_on_the_whole_and_differ_by_seed(texture):
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.5, 0.5, (100_000, 2))
     look = SurfaceFinish((), (0.5, 0.4, 0.3), texture)
-    found = factors(look, points)
-    np.testing.assert_array_equal(found, factors(look, points))
+    found = compute_texture(look, points)
+    np.testing.assert_array_equal(found, compute_texture(look, points))
     assert found.mean() == pytest.approx(1, abs=0.06)
     assert 0.01 < found[:, 0].std() < 0.3
     assert found.min() > 0
-    assert not np.array_equal(found, factors(SurfaceFinish((), (0.5, 0.4, 0.3), texture, seed=1), points))
-    assert np.all(factors(SurfaceFinish((), (0.5,), texture, contrast=0.0), points) == 1)
+    assert not np.array_equal(found, compute_texture(SurfaceFinish((), (0.5, 0.4, 0.3), texture, seed=1), points))
+    assert np.all(compute_texture(SurfaceFinish((), (0.5,), texture, contrast=0.0), points) == 1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.camera.room.view_factors import form_factor, mean_cosine_above_horizon, visible_fraction
+from synthcam.camera.room.view_factors import compute_form_factor, mean_cosine_above_horizon, visible_fraction
 
 MANY = 200_000
 
@@ -23,14 +23,14 @@ def test_share_of_a_hemisphere_that_a_ball_takes(seed):
     ways = random_ways(rng, normal)
     along = ways @ offset
     hit = (along > 0) & (along**2 - offset @ offset + 1 > 0)
-    assert form_factor(normal[None], offset[None], 1.0)[0] == pytest.approx(hit.mean(), abs=5e-3)
+    assert compute_form_factor(normal[None], offset[None], 1.0)[0] == pytest.approx(hit.mean(), abs=5e-3)
 
 
 def test_a_ball_on_the_plate():
     """Known: a sphere that touches the element's plane r from it takes (1 + r^2)^(-3/2)."""
     r = np.linspace(0.01, 5, 30)
     offset = np.stack([r, 0 * r, 1 + 0 * r], axis=1)
-    found = form_factor(np.broadcast_to([0.0, 0.0, 1.0], offset.shape), offset, 1.0)
+    found = compute_form_factor(np.broadcast_to([0.0, 0.0, 1.0], offset.shape), offset, 1.0)
     np.testing.assert_allclose(found, (1 + r * r) ** -1.5, rtol=1e-6)
 
 

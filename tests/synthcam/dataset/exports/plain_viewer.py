@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from synthcam.camera.render import windowless
 
-windowless.choose()
+windowless.choose_opengl()
 with warnings.catch_warnings(), windowless.without_viewer():
     warnings.simplefilter("ignore")
     import pyrender

@@ -7,25 +7,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synthcam.dynamics.contacts.calendar import Calendar
-from synthcam.dynamics.trajectory import Rest, Roll, Slide
+from synthcam.dynamics.contacts.calendar import EventCalendar
+from synthcam.dynamics.trajectory import RestLeg, RollLeg, SlideLeg
 
 R = 1.19e-3
 
 
 def first_contact(legs, radius, t, horizon):
-    calendar = Calendar(radius, (), horizon)
+    calendar = EventCalendar(radius, (), horizon)
     calendar.renew(legs, range(len(legs)), t, math.inf)
     due = calendar.pop(horizon)
     return due and (due[0], due[3], due[4])
 
 
 def rest(x, y=0.0):
-    return Rest(0.0, math.inf, (x, y, R, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    return RestLeg(0.0, math.inf, (x, y, R, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 def roll(x, y, vx, vy):
-    return Roll(0.0, math.inf, 0.0, (x, y, R, vx, vy, 0.0, -vy / R, vx / R, 0.0), R, 0.0, 0.0)
+    return RollLeg(0.0, math.inf, 0.0, (x, y, R, vx, vy, 0.0, -vy / R, vx / R, 0.0), R, 0.0, 0.0)
 
 
 @given(st.floats(-0.9, 0.9), st.floats(0.01, 0.6), st.floats(1e-6, 0.1), st.floats(0, 6.3))
@@ -53,7 +53,7 @@ def test_two_parabolas_that_come_near_and_part():
 
     def sliding(x, v, u):
         state = (x, 0.0, R, v, 0.0, 0.0, 0.0, (v - u) / R, 0.0)
-        return Slide(0.0, 1.0, 0.0, state, R, 2.0, 0.4)
+        return SlideLeg(0.0, 1.0, 0.0, state, R, 2.0, 0.4)
 
     def legs(gap):
         return [sliding(0.0, 0.1, 1.0), sliding(2 * R + gap, -0.1, -1.0)]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from synthcam.dynamics.contacts.impact import MIN_BOUNCE_SPEED_M_S, collide, land
+from synthcam.dynamics.contacts.impact import MIN_BOUNCE_SPEED_M_S, collide_pairs, land_on_plate
 from synthcam.dynamics.kinematics import contact_velocity, rolling_velocity
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
@@ -45,7 +45,7 @@ def encounters(draw, masses=ratio, sizes=same):
 
 def struck(model, states, bodies):
     """The collision's outcome, and the states after it (2, 9)."""
-    hit = collide(model, states[:1], states[1:], *bodies)
+    hit = collide_pairs(model, states[:1], states[1:], *bodies)
     return hit, np.concatenate([hit.target, hit.striker])
 
 
@@ -138,7 +138,7 @@ def test_many_at_once_are_one_by_one(some):
     model = Model(effects=(BallFriction(mu=0.1), VelocityRestitution(e=0.2)))
     states = np.array([s for s, _, _ in some])
     bodies = [Bodies.join(*(b[k] for _, b, _ in some)) for k in (0, 1)]
-    together = collide(model, states[:, 0], states[:, 1], *bodies)
+    together = collide_pairs(model, states[:, 0], states[:, 1], *bodies)
     for k, (before, own, _) in enumerate(some):
         alone, after = struck(model, before, own)
         np.testing.assert_array_equal([together.target[k], together.striker[k]], after)
@@ -198,7 +198,7 @@ def test_spin_transfer_at_other_speeds():
 def test_a_landing(down, vx, vy, wx, wy, wz, bounce, mu):
     """The plate's impulse is (1 + e) v_z; the friction impulse is mu times that, or what ends the slip."""
     before = np.array([[0.01, 0.02, R, vx, vy, -down, wx / R, wy / R, wz / R]])
-    after = land(Model(sliding_friction=mu, effects=(Hop(bounce=bounce),)), before, ONE)
+    after = land_on_plate(Model(sliding_friction=mu, effects=(Hop(bounce=bounce),)), before, ONE)
     u = contact_velocity(before, R)[0]
     given_ = min(mu * (1 + bounce) * down, np.hypot(*u) / 3.5)
     assert after[0, 5] == pytest.approx(bounce * down if bounce * down >= MIN_BOUNCE_SPEED_M_S else 0.0)

@@ -5,9 +5,9 @@ import pytest
 from benchmark_suite import Given, noisy, suite
 
 from tracker.benchmark.judging.defects import glint_share
-from tracker.benchmark.judging.entry import overall_score
+from tracker.benchmark.judging.entry import compute_overall_score
 from tracker.benchmark.judging.position_errors import (
-    efficiency,
+    compute_efficiency,
     fit_pixel_locking,
     gap_curve,
     match_positions,
@@ -75,7 +75,7 @@ def test_missed_and_false_lower_the_efficiency():
     n = 2 * 2 * 36
     assert (figures["missed"], figures["false"]) == (2 * 18, 2 * 36)
     assert figures["jaccard"] == pytest.approx((n - 36) / (n + 72))
-    assert efficiency(figures) == pytest.approx(figures["jaccard"])  # no error: at the bound at least
+    assert compute_efficiency(figures) == pytest.approx(figures["jaccard"])  # no error: at the bound at least
 
 
 def test_towards_the_other_ball_near_the_contact():
@@ -99,5 +99,5 @@ def test_only_the_clips_of_a_sample_count():
 
 
 def test_a_part_that_was_not_run_counts_nothing():
-    assert overall_score({"a": {"efficiency": 0.8}}, ["a", "b"]) == pytest.approx(40)
-    assert np.isnan(overall_score({}, []))
+    assert compute_overall_score({"a": {"efficiency": 0.8}}, ["a", "b"]) == pytest.approx(40)
+    assert np.isnan(compute_overall_score({}, []))

@@ -5,7 +5,13 @@ from dataclasses import replace
 import pytest
 from benchmark_suite import tiny
 
-from tracker.benchmark.report.figures import DEFECTS, axes_figure, defects_figure, headline_figure, publication_figure
+from tracker.benchmark.report.figures import (
+    DEFECTS,
+    draw_defects,
+    draw_errors_by_setting,
+    draw_headline,
+    draw_published_quantities,
+)
 
 FIGURES = {"ratio": 1.5, "rmse_px": 0.02, "jaccard": 1.0, "found": 1.0, "false": 0, "n": 60, "missed": 0}
 
@@ -33,7 +39,7 @@ def definition():
 
 
 def test_each_phase_has_a_panel_with_the_word_of_its_setting():
-    titles = [axes.get_title() for axes in axes_figure([entry("one")], definition()).axes if axes.axison]
+    titles = [axes.get_title() for axes in draw_errors_by_setting([entry("one")], definition()).axes if axes.axison]
     assert titles == ["Brightness", "Balls about to touch", "Locking to pixels (bright)", "Locking to pixels (dim)"]
 
 
@@ -42,13 +48,13 @@ def test_a_name_is_shown_as_it_is(name):
     """A dollar is no formula, and what begins with _ stands in the legend too."""
     one = entry(name)
     for figure in (
-        headline_figure([one], definition()),
-        axes_figure([one], definition()),
-        publication_figure([one], "bright", ["r"]),
-        defects_figure([one], ["r"], ""),
+        draw_headline([one], definition()),
+        draw_errors_by_setting([one], definition()),
+        draw_published_quantities([one], "bright", ["r"]),
+        draw_defects([one], ["r"], ""),
     ):
         figure.draw_without_rendering()
-    drawn = axes_figure([one], definition())
+    drawn = draw_errors_by_setting([one], definition())
     legends = [axes.get_legend() for axes in drawn.axes if axes.get_legend()] + list(drawn.legends)
     assert len(legends) == 1
     assert len(legends[0].get_texts()) == 1
@@ -56,7 +62,7 @@ def test_a_name_is_shown_as_it_is(name):
 
 def test_a_quantity_that_a_defect_takes_away_is_not_shown_as_unmoved():
     one = entry("one")
-    assert "no result" not in texts(defects_figure([one], ["r"], "_free"))
+    assert "no result" not in texts(draw_defects([one], ["r"], "_free"))
     one["defects"] = one["defects"] | {"locking": {"r_free": {"in_errors": None}}}
-    assert texts(defects_figure([one], ["r"], "_free")).count("no result") == 1
-    assert texts(defects_figure([one], ["r"], "")).count("no result") == 1
+    assert texts(draw_defects([one], ["r"], "_free")).count("no result") == 1
+    assert texts(draw_defects([one], ["r"], "")).count("no result") == 1

@@ -9,8 +9,8 @@ from benchmark_suite import suite, tiny
 
 from synthcam_shared.errors import InputError
 from tracker.benchmark.suite import make as module
-from tracker.benchmark.suite.folder import open_suite, truth_digest, with_truth
-from tracker.benchmark.suite.make import make
+from tracker.benchmark.suite.folder import check_truth, open_suite, truth_digest
+from tracker.benchmark.suite.make import make_suite
 
 
 def test_no_film_holds_the_truth_and_the_card_says_what_it_is():
@@ -38,9 +38,9 @@ def test_bounds_are_those_of_all_balls_in_view_and_a_dim_one_has_a_wider_one():
 def test_a_second_call_keeps_what_is_there(monkeypatch):
     made = suite()
     monkeypatch.setattr(module, "_synthcam", lambda *words: pytest.fail("made again"))
-    assert make(made.path, tiny(), workers=1).about == made.about
+    assert make_suite(made.path, tiny(), workers=1).about == made.about
     with pytest.raises(InputError, match="holds another suite"):
-        make(made.path, tiny("small"), workers=1)
+        make_suite(made.path, tiny("small"), workers=1)
 
 
 def test_a_withheld_truth_lies_apart_with_a_seed_that_is_drawn(tmp_path, monkeypatch):
@@ -54,7 +54,7 @@ def test_a_withheld_truth_lies_apart_with_a_seed_that_is_drawn(tmp_path, monkeyp
         shutil.copytree(made.truth / "axes", truth)
 
     monkeypatch.setattr(module, "_synthcam", copied)
-    withheld = make(tmp_path / "suite", tiny(), tmp_path / "truth", workers=1)
+    withheld = make_suite(tmp_path / "suite", tiny(), tmp_path / "truth", workers=1)
     assert withheld.about["split"] == "withheld"
     assert withheld.about["seed"] is None
     drawn = json.loads((tmp_path / "truth" / "seed.json").read_text())["seed"]
@@ -64,18 +64,18 @@ def test_a_withheld_truth_lies_apart_with_a_seed_that_is_drawn(tmp_path, monkeyp
     assert str(drawn) not in text
     alone = open_suite(tmp_path / "suite")
     with pytest.raises(InputError, match="the truth of this suite is withheld: give its folder"):
-        with_truth(alone)
-    assert with_truth(open_suite(tmp_path / "suite", tmp_path / "truth")).bounds["axes"] is not None
+        check_truth(alone)
+    assert check_truth(open_suite(tmp_path / "suite", tmp_path / "truth")).bounds["axes"] is not None
     tracks = next((tmp_path / "truth").rglob("tracks.parquet"))
     tracks.write_bytes(tracks.read_bytes()[:-1] + b"x")
     with pytest.raises(InputError, match="its SHA-256 differs"):
-        with_truth(open_suite(tmp_path / "suite", tmp_path / "truth"))
+        check_truth(open_suite(tmp_path / "suite", tmp_path / "truth"))
 
 
 def test_a_truth_within_the_films_is_refused(tmp_path):
     for truth in (tmp_path / "suite" / "truth", tmp_path):
         with pytest.raises(InputError, match="expected a separate folder for the truth"):
-            make(tmp_path / "suite", tiny(), truth)
+            make_suite(tmp_path / "suite", tiny(), truth)
 
 
 def test_what_synthcam_refuses_is_said(tmp_path):
@@ -85,4 +85,4 @@ def test_what_synthcam_refuses_is_said(tmp_path):
 
     wrong = parse_definition(TINY.replace("v0: 0.25", "v1: 0.25"), "full", "tiny.yaml")
     with pytest.raises(InputError, match=r"synthcam generate ended with status 2: .*launch\.v1"):
-        make(tmp_path / "suite", wrong, workers=1)
+        make_suite(tmp_path / "suite", wrong, workers=1)

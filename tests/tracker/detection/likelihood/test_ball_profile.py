@@ -9,7 +9,7 @@ from tracker_film import disc, expose, spot
 
 from tracker.camera.sensor import SensorSpec
 from tracker.detection.likelihood.ball_profile import BallProfile
-from tracker.detection.likelihood.cramer_rao import fisher, information
+from tracker.detection.likelihood.cramer_rao import compute_fisher_information, compute_pixel_information
 from tracker.detection.likelihood.glint_fit import GlintWindows, fit_glints, learn_profile
 
 SENSOR = SensorSpec(bits=8, gain=20.0, read_noise=20.0, black_level=8.0)
@@ -88,6 +88,6 @@ def test_a_profile_holds_information_on_the_position():
     """With the glint's own light gone, the information left is the profile's."""
     middle, still = np.zeros((1, 2)), np.zeros((1, 2))
     value, by_x, by_y = BODY.height(middle, still, HALF)
-    told = fisher(information(8.0 + value, SENSOR), np.stack([by_x, by_y], axis=1))[0]
+    told = compute_fisher_information(compute_pixel_information(8.0 + value, SENSOR), np.stack([by_x, by_y], axis=1))[0]
     assert told[0, 0] == pytest.approx(told[1, 1])
     assert 1 / math.sqrt(told[0, 0]) < 0.2  # px

@@ -8,7 +8,7 @@ from scipy.stats import norm
 from tracker_film import CAMERA, spot
 
 from tracker.camera.camera import Camera, SensorSpec
-from tracker.detection.likelihood.cramer_rao import glint_shape, information, localisation_bound
+from tracker.detection.likelihood.cramer_rao import compute_pixel_information, glint_shape, localisation_bound
 
 SENSOR = SensorSpec(bits=8, gain=20, read_noise=20, prnu=0.005, dsnu=4, full_well=6000, black_level=8)
 
@@ -31,14 +31,14 @@ def by_counts(mean, sensor):
 
 @pytest.mark.parametrize("mean", [9.0, 30.0, 120.0, 230.0, 250.0, 254.0, 256.0, 262.0])
 def test_information_is_that_of_the_counts(mean):
-    assert information(np.array([mean]), SENSOR)[0] == pytest.approx(by_counts(mean, SENSOR), rel=0.01)
+    assert compute_pixel_information(np.array([mean]), SENSOR)[0] == pytest.approx(by_counts(mean, SENSOR), rel=0.01)
 
 
 def test_clipping_costs_information():
     wide = SensorSpec(bits=12, gain=20, read_noise=20, full_well=80000, black_level=8)
     narrow = SensorSpec(bits=8, gain=20, read_noise=20, full_well=80000, black_level=8)
     mean = np.array([200.0, 254.5, 300.0])
-    ratio = information(mean, narrow) / information(mean, wide)
+    ratio = compute_pixel_information(mean, narrow) / compute_pixel_information(mean, wide)
     assert ratio[0] == pytest.approx(1, abs=1e-6)
     assert 0.7 < ratio[1] < 0.9  # half the counts lie at the ceiling; Mills ratio: 1/2 + 1/pi = .82
     assert ratio[2] < 1e-6

@@ -19,10 +19,10 @@ from tracker.cli import app
 from tracker.detection.link import Tracks
 from tracker.measurement import estimate
 from tracker.measurement.collision import collision_fit, noise_correlation
-from tracker.measurement.collision.adequacy import Flag, p_value
+from tracker.measurement.collision.adequacy import Flag, compute_p_value
 from tracker.measurement.collision.collision_model import mean_positions, tied_to_free
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.estimate import fit_all, measure
+from tracker.measurement.estimate import fit_all_jointly, measure
 from tracker.measurement.messages import list_messages
 from tracker.notes import NoteKind
 from tracker.recording import measure_clip
@@ -120,8 +120,8 @@ def test_what_the_data_reject_has_no_errors_and_stays_for_looking_at(rejected):
 
 def test_nothing_of_a_misfit_is_fitted_with_the_others(accepted, rejected):
     good, bad = accepted.iloc[:6], rejected
-    assert fit_all(pd.concat([good, bad])) == fit_all(good)
-    assert fit_all(bad)["clips"] == 0
+    assert fit_all_jointly(pd.concat([good, bad])) == fit_all_jointly(good)
+    assert fit_all_jointly(bad)["clips"] == 0
 
 
 def test_a_search_takes_what_the_tracker_rejects(hopping):
@@ -186,11 +186,11 @@ def test_p_values_of_errors_found_from_the_same_residuals():
     rng = np.random.default_rng(1)
     known, rest = rng.chisquare(60, 4000), rng.chisquare(40, 4000)
     size = known / 60
-    found = [p_value(c, 100, 60) for c in (known + rest) / size]
+    found = [compute_p_value(c, 100, 60) for c in (known + rest) / size]
     assert kstest(found, "uniform").pvalue > 1e-3
-    assert kstest([p_value(c, 100, np.inf) for c in (known + rest) / size], "uniform").pvalue < 1e-3
-    assert np.isnan(p_value(100.0, 100, 0.0))
-    assert p_value(1000.0, 100, 60) < LEVEL < p_value(130.0, 100, 60)
+    assert kstest([compute_p_value(c, 100, np.inf) for c in (known + rest) / size], "uniform").pvalue < 1e-3
+    assert np.isnan(compute_p_value(100.0, 100, 0.0))
+    assert compute_p_value(1000.0, 100, 60) < LEVEL < compute_p_value(130.0, 100, 60)
 
 
 def pucks(camera, r, mass, v0=0.3, b=0.2, frames=100, noise=0.02):
@@ -256,12 +256,12 @@ def test_impossible_values_are_a_misfit_however_well_they_fit(own, changes, flag
     if flag is None:
         assert (row["status"], row["flags"]) == ("ok", "")
         assert row[f"{name}_std"] > 0
-        assert fit_all(table)["clips"] == 1
+        assert fit_all_jointly(table)["clips"] == 1
         return
     assert (row["status"], row["flags"]) == ("misfit", flag)
     assert np.isnan(row[f"{name}_std"])
     assert row[f"{name}_free_std"] > 0 or name == "C"  # velocities are measured whatever the law of the impact
-    assert fit_all(table)["clips"] == 0
+    assert fit_all_jointly(table)["clips"] == 0
     said = [str(one) for one in list_messages(table) if one.kind is NoteKind.FLAG]  # and what the local estimate says
     assert sum(text.startswith(f"{flag} (1 collision): no two equal balls collide so") for text in said) == 1
 
@@ -364,7 +364,7 @@ def test_a_clip_whose_arithmetic_fails_says_so(own, monkeypatch, error):
 
 def test_covariances_that_are_none_do_not_lose_the_fit_of_all(accepted):
     table = accepted.copy()
-    whole = fit_all(table)
+    whole = fit_all_jointly(table)
     table = table.set_index(np.arange(8))
     spoilt = json.loads(table.at[2, "cov"])
     for fit in ("tied", "free"):
@@ -374,7 +374,7 @@ def test_covariances_that_are_none_do_not_lose_the_fit_of_all(accepted):
     for fit in ("tied", "free"):
         spoilt[fit] = [[v if i == j else 10 * v for j, v in enumerate(row)] for i, row in enumerate(spoilt[fit])]
     table.at[5, "cov"] = json.dumps(spoilt)
-    found = fit_all(table)
+    found = fit_all_jointly(table)
     assert found["chi2"]["r"] == pytest.approx(whole["chi2"]["r"], abs=4 * whole["chi2"]["r_std"])
     assert found["rolling"]["n"] == 6
     json.dumps(found, allow_nan=False)

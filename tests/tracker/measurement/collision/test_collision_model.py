@@ -9,7 +9,7 @@ from tracker.measurement.collision.collision_model import (
     AFTER,
     FREE,
     TIED,
-    directions,
+    compute_unit_vectors,
     mean_positions,
     roll_freely,
     stopping_time,
@@ -124,7 +124,7 @@ def test_conserved_combination_and_momentum():
         w = rng.uniform(-0.2, 0.2, 2) * rng.integers(0, 2)
         theta = tied(beta=rng.uniform(-1.3, 1.3), heading=rng.uniform(0, 7), C=rng.uniform(0, 0.4), wx=w[0], wy=w[1])
         free = tied_to_free(theta)
-        v0, (d, n, _) = theta[5], directions(theta[3], theta[4])
+        v0, (d, n, _) = theta[5], compute_unit_vectors(theta[3], theta[4])
         v1, v2 = free[8:10], free[13:15]
         np.testing.assert_allclose(v1 + v2, v0 * d + 2 * w, rtol=1e-12, atol=1e-13)
         assert (v1 - v2) @ n == pytest.approx(theta[8] * v0 * (d @ n), rel=1e-12)

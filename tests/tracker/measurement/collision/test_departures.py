@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import expit
 
-from tracker.measurement.collision.departures import Departure, average, weigh_shift
+from tracker.measurement.collision.departures import LawDeparture, average_over_departures, weigh_shift
 from tracker.measurement.collision.derived import DerivedValues
 
 
@@ -69,7 +69,7 @@ def test_quantities_with_departures_have_the_covariance_of_linear_fits(keys):
         estimator, difference = to_wide @ inverse @ rows.T, left / square
         found = {"response": difference, "shared": difference @ known, "effect": -estimator @ by}
         found |= {"value": 0.0, "cov_with_tied": np.zeros(6)}
-        return estimator, Departure(std=square**-0.5, **found, **prior)
+        return estimator, LawDeparture(std=square**-0.5, **found, **prior)
 
     def quantities(estimator):
         return DerivedValues(np.zeros(6), estimator @ estimator.T).with_shared(estimator @ known)
@@ -81,15 +81,17 @@ def test_quantities_with_departures_have_the_covariance_of_linear_fits(keys):
     sure, never = {"typical": 1e6, "expected": 1.0}, {"typical": 0.0}
     tied, tied_one = fit(wide @ tie, tie, **sure)
     free, free_one = fit(wide, np.eye(6))
-    assert_is(average(quantities(tied), [tied_one]), tied + np.outer(tied_one.effect, tied_one.response))
+    assert_is(
+        average_over_departures(quantities(tied), [tied_one]), tied + np.outer(tied_one.effect, tied_one.response)
+    )
     other = fit(wide @ tie, tie, rng.normal(size=60), **sure)[1]
     both = np.outer(tied_one.effect, tied_one.response) + np.outer(other.effect, other.response)
-    assert_is(average(quantities(tied), [tied_one, other]), tied + both)
+    assert_is(average_over_departures(quantities(tied), [tied_one, other]), tied + both)
     free_one = replace(free_one, cov_with_tied=free @ tied_one.response)
     together = free + np.outer(free_one.effect, tied_one.response)
-    assert_is(average(quantities(free), [free_one], [tied_one]), together)
+    assert_is(average_over_departures(quantities(free), [free_one], [tied_one]), together)
     tied_one = replace(tied_one, **never)
-    values = average(quantities(free), [free_one], [tied_one])
+    values = average_over_departures(quantities(free), [free_one], [tied_one])
     assert_is(values, free + np.outer(free_one.effect - tied_one.effect, tied_one.response))
     if not keys:  # Hausman, for linear fits
         apart = (free_one.effect - tied_one.effect) * tied_one.std
@@ -103,12 +105,12 @@ def test_errors_hold_on_average_over_departures_and_cameras_as_they_are_expected
     wrong, noise = rng.normal(size=(2, n))
     true = np.where(rng.random(n) < 0.5, scale * rng.standard_cauchy(n), 0.0)
     measured = true + 0.8 * wrong + std * noise  # with an error of 1
-    one = Departure(0.0, 1.0, np.array([std]), np.array([0.8]), np.full(1, effect), np.zeros(1), typical=scale)
+    one = LawDeparture(0.0, 1.0, np.array([std]), np.array([0.8]), np.full(1, effect), np.zeros(1), typical=scale)
     given = DerivedValues(np.zeros(1), np.full((1, 1), 1 + shared**2), np.full((1, 1), shared))
     z, plain = [], []
     for number in range(n):
         found = replace(one, value=measured[number])
-        values = average(given, [found])
+        values = average_over_departures(given, [found])
         off = values.value[0] + shared * wrong[number] + rng.normal() - effect * true[number]
         z.append(off / values.std[0])
         plain.append(off / np.sqrt(given.cov[0, 0] + effect**2 * found.weight.variance))

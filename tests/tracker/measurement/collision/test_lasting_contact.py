@@ -11,8 +11,8 @@ from tracker.measurement.collision.contacts import find_contacts
 from tracker.measurement.collision.lasting_contact import (
     LastingResiduals,
     advance_slides,
+    compute_kept_share,
     fit_lasting_contact,
-    kept_share,
     rewind_slides,
 )
 from tracker.measurement.messages import list_messages
@@ -168,7 +168,7 @@ def test_a_dashpot_does_not_give_back_what_a_constant_force_costs(r):
     leaves.terminal = True
     found = solve_ivp(rates, (0, 3), [0.0, 1.0], events=leaves, rtol=1e-10, atol=1e-12)
     lost = r + found.y[1, -1]
-    share, error = kept_share(np.array(r))
+    share, error = compute_kept_share(np.array(r))
     assert abs(lost * (1 + r) / force - share) < 2 * error
 
 

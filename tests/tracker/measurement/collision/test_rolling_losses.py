@@ -12,7 +12,7 @@ from tracker.camera.camera import Camera
 from tracker.measurement import estimate
 from tracker.measurement.collision.adequacy import Flag
 from tracker.measurement.collision.collision_model import TIED
-from tracker.measurement.collision.departures import derive
+from tracker.measurement.collision.departures import derive_quantities
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.collision.rolling_losses import compare_losses
 from tracker.measurement.estimate import measure
@@ -113,7 +113,7 @@ def test_losses_that_noise_makes_small_do_not_count_as_equal(monkeypatch):
     none[[TIED.index("drag"), TIED.index("decel")]] = 0.0
     unsure = compare_losses(replace(fit, parameters=none), tied)
     at = [TIED.index(name) for name in ("decel", "drag")]
-    slope = np.array([1.0, derive(fit, tied).value[QUANTITY_NAMES.index("v1f")]])
+    slope = np.array([1.0, derive_quantities(fit, tied).value[QUANTITY_NAMES.index("v1f")]])
     std = np.sqrt(slope @ fit.cov[np.ix_(at, at)] @ slope)
     assert unsure.typical == pytest.approx(0.1 * std, rel=0.05)
 
