@@ -194,7 +194,7 @@ class ActiveLaws:
 
     def needs(self, law: str, what: str) -> bool:
         """Tell whether an active effect on `law` needs the input `what`."""
-        return any(what in asks for _, asks in self._bends[law])
+        return law in self._bent and any(what in asks for _, asks in self._bends[law])
 
     def __call__(self, law: str, value: Any, instant: Mapping[str, Any]) -> Any:
         """Return `value` after every effect on `law`; `instant` maps the inputs of LAWS[law] to their values."""

@@ -233,14 +233,17 @@ def stop_time(speed: Real, drag: float, decel: float) -> Any:
 
 def integrate_drag(drag: float, t: Real) -> tuple[Real, Real]:
     """Return the closed forms of a drag: (1 - e^(-drag t))/drag and its integral over t, accurate at small drag t."""
-    if drag == 0 and isinstance(t, float):
-        return t, t * t / 2
     x = drag * t
     weak = drag <= 1e-3  # 1/s: the closed forms would lose digits to cancellation
-    if isinstance(t, float) and weak and abs(x) < 1e-2:
-        return t * _series(x, 1), t * t * _series(x, 2)
-    if isinstance(t, float) or not weak:
-        decay = (math.expm1(-x) if isinstance(t, float) else np.expm1(-x)) / -drag
+    if isinstance(t, float):
+        if drag == 0:
+            return t, t * t / 2
+        if weak and abs(x) < 1e-2:
+            return t * _series(x, 1), t * t * _series(x, 2)
+        decay = math.expm1(-x) / -drag
+        return decay, (t - decay) / drag
+    if not weak:
+        decay = np.expm1(-x) / -drag
         return decay, (t - decay) / drag
     small = np.abs(x) < 1e-2
     safe = np.where(small, 1.0, x)

@@ -109,6 +109,7 @@ class _EventLoop:
         self.model, self.bodies, self.end, self.finish_slides = model, launch.bodies, end, finish_slides
         self.radius, self.inertia = launch.bodies.radius.tolist(), launch.bodies.inertia.tolist()
         self.own = list(zip(self.radius, launch.bodies.mass.tolist(), self.inertia, strict=True))
+        self.flying_height = [radius * (1 + TOUCH_TOLERANCE) for radius in self.radius]  # of centres: these are lower
         self.supports: list[Support | None] = list(table.supports or (None,) * len(self.radius))
         self.start, self.t = start, launch.time
         self.table = table
@@ -126,15 +127,16 @@ class _EventLoop:
             self.joint = StickingBodies(model, launch.bodies, table.sticks)
         elif table.spring:
             self.joint = TouchingBodies(model, launch.bodies, table.spring)
-        self.later, self.pushed = launch.later, dict[int, LaterLaunch]()
+        self.later = launch.later
+        self.pushed: dict[int, LaterLaunch] = {}
         self.stretches = [0] * len(self.radius)
         states = {k: tuple(row) for k, row in enumerate(launch.states.tolist())}
-        for k, state in states.items():
-            self._start_stretch(k, state)
+        for k in range(len(table.supports)):
+            self._start_stretch(k, states[k])
         self.past: list[list[Leg]] = [[] for _ in states]
         if self.pairing:
             states, self.past, self.events = self.pairing.solve_past(launch)
-        else:
+        elif start < launch.time:
             self.past = [self._past_legs(k, states[k], launch.time) for k in states]
         width, seed = table.scatter.distance, table.scatter.seed
         distances = ContactDistances(width, seed) if width else None
@@ -151,7 +153,7 @@ class _EventLoop:
             due = self.calendar.pop(math.inf if self.finish_slides and self.unsettled else max(self.end, self.t))
             if due is None:
                 break
-            self.t, _, kind, i, j, *_ = due
+            self.t, _, kind, i, j, _, _ = due
             if kind == "contact":
                 self._collide(i, j)
             elif kind == "wall":
@@ -171,7 +173,8 @@ class _EventLoop:
 
     def _start_legs(self, states: dict[int, State]) -> None:
         """Start new legs of these balls, and of those that they push."""
-        restarted, until, joint = tuple(states), math.inf, dict[int, Leg]()
+        restarted, until = states, math.inf
+        joint: dict[int, Leg] = {}
         if self.legs:
             if self.pairing:
                 states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
@@ -182,7 +185,7 @@ class _EventLoop:
             for k in states:
                 self._archive_leg(k)
         if self.pairing:
-            legs, until, started = self.pairing.next_legs(states, self.t, restarted)
+            legs, until, started = self.pairing.next_legs(states, self.t, tuple(restarted))
             self.events += started
         else:
             legs = [joint.get(k) or self._next_leg(k, state, self.t) for k, state in states.items()]
@@ -200,7 +203,7 @@ class _EventLoop:
         """Move the present leg of a ball to its past; a rest that continued stays one leg."""
         leg, past = self.legs[k], self.past[k]
         leg.t1 = self.t
-        if past and type(leg) is RestLeg and isinstance(past[-1], RestLeg) and leg.state == past[-1].state:
+        if type(leg) is RestLeg and past and isinstance(past[-1], RestLeg) and leg.state == past[-1].state:
             past[-1].t1 = self.t
         else:
             past.append(leg)
@@ -212,8 +215,6 @@ class _EventLoop:
 
     def _past_legs(self, k: int, state: State, time: float) -> list[Leg]:
         """Make the legs that lead to a launch: the ball rolled, slid all the time, or was at rest."""
-        if self.start >= time:
-            return []
         if (support := self.supports[k]) is not None:
             leg = support.leg(state, self.radius[k], time)
             if isinstance(leg, NumericLeg):
@@ -222,14 +223,15 @@ class _EventLoop:
             return [leg]
         if state[5] != 0:
             raise ValueError("a ball that flies at its launch has no past: start the run at the launch")
-        slides = math.hypot(*slip_velocity(state, self.radius[k])) > ZERO_SPEED_M_S
-        if not slides and math.hypot(state[3], state[4]) <= ZERO_SPEED_M_S:
+        slip, speed = math.hypot(*slip_velocity(state, self.radius[k])), math.hypot(state[3], state[4])
+        slides = slip > ZERO_SPEED_M_S
+        if not slides and speed <= ZERO_SPEED_M_S:
             still = to_rest(state, self.radius[k])
             if self._excess(k, still) > 0:
                 raise ValueError(HELD)
             return [RestLeg(self.start, time, still)]
         if not (self.slides if slides else self.rolls):
-            legs = [self._slide(k, state, time) if slides else self._roll(k, state, time, self.start)]
+            legs = [self._slide(k, state, time, slip) if slides else self._roll(k, state, time, speed, self.start)]
             legs[0].t0, legs[0].t1 = self.start, time
         else:
             row, span = np.array([state]), np.array([self.start - time])
@@ -252,33 +254,33 @@ class _EventLoop:
     def _next_leg(self, k: int, state: State, t: float) -> Leg:
         """Make the leg of a ball in this state at t, up to its own next event."""
         radius, support = self.radius[k], self.supports[k]
-        if (hand := self.pushed.get(k)) is not None:
+        if self.pushed and (hand := self.pushed.get(k)) is not None:
             rolling = radius if support is None else math.inf
             return PushLeg(t, hand.until, t, state, hand.acceleration, rolling)
         if support is not None:
             return support.leg(state, radius, t)
-        if state[5] > 0 or _is_airborne(state, radius):
+        if state[5] > 0 or state[2] > self.flying_height[k]:
             return self._fly(k, state, t)
-        if math.hypot(*slip_velocity(state, radius)) > ZERO_SPEED_M_S:
-            return self._slide(k, state, t)
-        if math.hypot(state[3], state[4]) > ZERO_SPEED_M_S:
-            return self._roll(k, state, t, max(self.end, t) + LEAD_TIME_S)
+        if (slip := math.hypot(*slip_velocity(state, radius))) > ZERO_SPEED_M_S:
+            return self._slide(k, state, t, slip)
+        if (speed := math.hypot(state[3], state[4])) > ZERO_SPEED_M_S:
+            return self._roll(k, state, t, speed, max(self.end, t) + LEAD_TIME_S)
         return self._rest(k, state, t)
 
-    def _slide(self, k: int, state: State, t: float) -> Leg:
+    def _slide(self, k: int, state: State, t: float, slip: float) -> Leg:
         if not self.slides:
             slowing = self.model.sliding_friction * self.model.gravity
             if slowing == 0:
                 raise ValueError("sliding friction does not end the slide: there is none")
-            lasts = math.hypot(*slip_velocity(state, self.radius[k])) / (slip_rate(self.inertia[k]) * slowing)
+            lasts = slip / (slip_rate(self.inertia[k]) * slowing)
             return SlideLeg(t, t + lasts, t, state, self.radius[k], slowing, self.inertia[k])
         floor = find_ending_slip(self.model, np.array([state]), self._body(k)) if self.drills else np.full(1, math.inf)
         return self._integrate_leg(k, state, t, math.inf, floor)
 
-    def _roll(self, k: int, state: State, t: float, until: float) -> Leg:
+    def _roll(self, k: int, state: State, t: float, speed: float, until: float) -> Leg:
         model = self.model
         if not self.rolls:
-            stop = t + stop_time(math.hypot(state[3], state[4]), model.rolling_drag, model.rolling_decel)
+            stop = t + stop_time(speed, model.rolling_drag, model.rolling_decel)
             return RollLeg(t, stop, t, state, self.radius[k], model.rolling_drag, model.rolling_decel)
         return self._integrate_leg(k, state, t, until - t)
 
@@ -413,8 +415,9 @@ class _EventLoop:
             if k in self.pushed:
                 del self.pushed[k]
                 self.events.append(Event(self.t, "release", k, before=np.array([state]), after=np.array([state])))
-            self._start_stretch(k, state)
-            if state[5] < 0 and not _is_airborne(state, self.radius[k]):
+            if self.table.supports:
+                self._start_stretch(k, state)
+            if state[5] < 0 and state[2] <= self.flying_height[k]:
                 states[k] = self._land(k, state)
         self._start_legs(states)
 
@@ -490,7 +493,3 @@ def _end_slip(state: State, radius: float, inertia: float) -> State:
     """Let the ball roll as after its slide, with (v + k R w x z)/(1 + k); a vertical velocity stays."""
     (ux, uy), share = slip_velocity(state, radius), 1 / slip_rate(inertia)
     return to_rolling((*state[:3], state[3] - share * ux, state[4] - share * uy, *state[5:]), radius)
-
-
-def _is_airborne(state: State, radius: float) -> bool:
-    return bool(state[2] > radius * (1 + TOUCH_TOLERANCE))

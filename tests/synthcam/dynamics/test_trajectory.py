@@ -27,6 +27,20 @@ def test_any_times_in_any_order(motion):
     assert motion.at([0]).dtype == float
 
 
+def test_legs_begin_in_their_state():
+    """The search for contacts takes the state of a leg without the work of `now`."""
+    legs = [leg for own in solve_some() for leg in own if isinstance(leg, (RollLeg, SlideLeg)) and leg.time == leg.t0]
+    assert {type(leg) for leg in legs} == {RollLeg, SlideLeg}
+    for leg in legs:
+        assert leg.now(leg.time) == leg.state
+
+
+def solve_some():
+    for angle, spin in ((0.0, (0.0, 0.0, 0.0)), (0.5, (0.0, 0.0, 0.0)), (2.0, (0.1, -0.2, 0.3))):
+        launch = Launch.pair(Model().bodies("ab"), 0.1, 0.4, 0.2, angle, (0, 0), spin)
+        yield from solve(Model(), launch, 0.0, 0.3).legs
+
+
 def test_means_up_to_a_sudden_end():
     """With spin about the vertical, friction fades shortly before the slide ends; against a sum over small parts."""
     model = Model().replace({"drilling_spin.a": 2e-5})

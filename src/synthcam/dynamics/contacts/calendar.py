@@ -18,7 +18,7 @@ from synthcam.dynamics.contacts.cells import Box, NeighbourCells
 from synthcam.dynamics.contacts.contact_time import OVERLAP_TOLERANCE, find_contact_time, find_wall_contact
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.kinematics import State
-from synthcam.dynamics.trajectory import Leg, RestLeg
+from synthcam.dynamics.trajectory import Leg, RestLeg, RollLeg, SlideLeg
 
 WITHOUT_CELLS = 13  # balls: so few look at all others
 MAX_NEIGHBOURS, MAX_CELLS = 8, 16  # that a ball may come near while it looks ahead
@@ -40,7 +40,8 @@ class EventQueue:
     """
 
     def __init__(self, width: float = math.inf) -> None:
-        self.width, self.present = width, -math.inf  # number of the span whose events are sorted
+        self.width = width
+        self.present = math.inf if width == math.inf else -math.inf  # number of the span whose events are sorted
         self.sorted: list[Due] = []
         self.later: dict[float, list[Due]] = {}  # by the numbers of spans
         self.numbers: list[float] = []
@@ -108,9 +109,10 @@ class EventCalendar:
         self, radius: Sequence[float], walls: Sequence[Wall], end: float, distances: ContactDistances | None = None
     ) -> None:
         count = len(radius)
+        self.balls: Sequence[int] = range(count)
         self.radius, self.walls, self.end, self.distances = radius, walls, end, distances
         self.margin = max(OVERLAP_TOLERANCE, distances.largest if distances else 0.0)  # of a radius
-        self.joined = set[tuple[int, int]]()
+        self.joined: set[tuple[int, int]] = set()
         self.legs: list[Leg] = []
         self.queue = EventQueue()
         self.version, self.known, self.look = [0] * count, [0.0] * count, [MAX_LOOK_S] * count
@@ -162,33 +164,39 @@ class EventCalendar:
     def _look_ahead(self, balls: Sequence[int], t: float) -> None:
         """Find the contacts of these balls with all others, as far ahead as each looks."""
         latest = min(self.until, self.end) if t < self.end else self.until
-        version, legs = self.version, self.legs
+        version, legs, radii, known_until, queue = self.version, self.legs, self.radius, self.known, self.queue
+        joined, distances = self.joined, self.distances
         waiting = set(balls)  # these will find the pairs that they make with those before them
         for k in balls:
             waiting.remove(k)
-            leg, radius = legs[k], self.radius[k]
-            still, first = type(leg) is RestLeg, leg.now(t)
-            horizon, near = self._choose_horizon(k, t, first)
-            known = self.known[k] = horizon if horizon < latest else latest
+            leg, radius = legs[k], radii[k]
+            still = type(leg) is RestLeg
+            # the first state of a leg is known, but for the signs of zeros
+            first = leg.state if isinstance(leg, (RollLeg, SlideLeg)) and leg.time == t else leg.now(t)
+            if self.cells is None:
+                horizon, near = leg.t1 if still or leg.t1 < t + MAX_LOOK_S else t + MAX_LOOK_S, self.balls
+            else:
+                horizon, near = self._choose_horizon(k, t, first, self.cells)
+            known = known_until[k] = horizon if horizon < latest else latest
             for j in near:
                 other = legs[j]
                 if j == k or j in waiting or (still and type(other) is RestLeg):
                     continue
-                if self.joined and (min(k, j), max(k, j)) in self.joined:
+                if joined and (min(k, j), max(k, j)) in joined:
                     continue
-                reach = radius + self.radius[j]
-                if self.distances:
-                    reach = min(reach * self.distances.draw(k, j), math.dist(first[:3], other.now(t)[:3]))
-                when = find_contact_time(leg, other, t, min(known, self.known[j]), reach, first)
+                reach = radius + radii[j]
+                if distances:
+                    reach = min(reach * distances.draw(k, j), math.dist(first[:3], other.now(t)[:3]))
+                when = find_contact_time(leg, other, t, min(known, known_until[j]), reach, first)
                 if when is not None:
                     one, two = (k, j) if k < j else (j, k)
-                    self.queue.push((when, 0, "contact", one, two, version[one], version[two]))
+                    queue.push((when, 0, "contact", one, two, version[one], version[two]))
             if self.walls and not still:
                 self._add_walls(k, leg, t, known)
             if known < leg.t1 and known < self.until:
-                self.queue.push((known, 4, "look", k, -1, version[k], 0))
+                queue.push((known, 4, "look", k, -1, version[k], 0))
             elif leg.t1 < math.inf:
-                self.queue.push((leg.t1, 2, "end", k, -1, version[k], 0))
+                queue.push((leg.t1, 2, "end", k, -1, version[k], 0))
 
     def _add_walls(self, k: int, leg: Leg, t: float, known: float) -> None:
         """Find the first wall that a ball touches."""
@@ -203,28 +211,26 @@ class EventCalendar:
         if number >= 0:
             self.queue.push((first, 1, "wall", k, number, self.version[k], 0))
 
-    def _choose_horizon(self, k: int, t: float, first: State) -> tuple[float, Sequence[int]]:
+    def _choose_horizon(self, k: int, t: float, first: State, cells: NeighbourCells) -> tuple[float, Sequence[int]]:
         """Choose how far a ball looks ahead, so that it comes near few others; also return which. first: its state."""
         leg, look = self.legs[k], self.look[k]
-        if self.cells is None:
-            return leg.t1 if type(leg) is RestLeg else min(t + MAX_LOOK_S, leg.t1), range(len(self.radius))
         if type(leg) is RestLeg:
             box, _ = self._bound_path(k, leg, t, t, first)
-            cells = self.cells.cover(box)
-            self.cells.put(k, box, cells)
-            return leg.t1, self.cells.find_near(box, cells)
+            covered = cells.cover(box)
+            cells.put(k, box, covered)
+            return leg.t1, cells.find_near(box, covered)
         while True:
             horizon = min(t + look, leg.t1)
             box, widens = self._bound_path(k, leg, t, horizon, first)
             small = widens < self.radius[k]  # to shrink it more would change little
-            x0, y0, x1, y1 = cells = self.cells.cover(box)
+            x0, y0, x1, y1 = covered = cells.cover(box)
             if small or (x1 - x0 + 1) * (y1 - y0 + 1) <= MAX_CELLS:
-                near = self.cells.find_near(box, cells)
+                near = cells.find_near(box, covered)
                 if small or len(near) <= MAX_NEIGHBOURS:
                     break
             look = (horizon - t) / 2
         self.look[k] = min(2 * look, MAX_LOOK_S) if len(near) <= FEW_NEIGHBOURS else look
-        self.cells.put(k, box, cells)
+        cells.put(k, box, covered)
         return horizon, near
 
     def _bound_path(self, k: int, leg: Leg, t: float, horizon: float, first: State) -> tuple[Box, float]:

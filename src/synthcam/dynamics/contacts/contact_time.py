@@ -82,8 +82,9 @@ def find_wall_contact(ball: Leg, wall: Wall, t: float, horizon: float, radius: f
 
 def _step_on(t: float, step: float, rate: float, horizon: float) -> float | None:
     """Return the time after a step, t itself at a contact closer than its last bit, or None beyond the horizon."""
-    if t + step > horizon:
+    then = t + step
+    if then > horizon:
         return None
-    if t + step == t and rate < 0:
-        return t
-    return max(t + step, math.nextafter(t, math.inf))
+    if then <= t:
+        return t if then == t and rate < 0 else math.nextafter(t, math.inf)
+    return then

@@ -118,8 +118,10 @@ def collide_pair(
     tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
     px, py, pz = normal * nx + tx, normal * ny + ty, (normal * nz + tz) * model.laws("loft", 0.0, {})
     along, across, up = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty  # n x J
-    share = change.plate_share / (m1 + m2) if change else 0.0
-    lost_x, lost_y = share * (m1 * target[3] + m2 * striker[3]), share * (m1 * target[4] + m2 * striker[4])
+    lost_x = lost_y = 0.0
+    if change and change.plate_share:
+        share = change.plate_share / (m1 + m2)
+        lost_x, lost_y = share * (m1 * target[3] + m2 * striker[3]), share * (m1 * target[4] + m2 * striker[4])
 
     def after(state: State, radius: Real, mass: Real, inertia: Real) -> State:
         x, y, z, vx, vy, vz, wx, wy, wz = state
@@ -204,8 +206,9 @@ def find_contact_coefficients(
             "inertia": inertia,
         }
         c = model.laws("spin_transfer", c, instant)
+        if isinstance(v_n, float):
+            r, c = (float(np.ravel(x)[0]) for x in (r, c))
     if isinstance(v_n, float):
-        r, c = (float(np.ravel(x)[0]) if isinstance(x, np.ndarray) else x for x in (r, c))
         return min(max(r, 0.0), 1.0), min(max(c, 0.0), push_share(inertia))
     return np.clip(r, 0.0, 1.0), np.clip(c, 0.0, push_share(inertia))
 
