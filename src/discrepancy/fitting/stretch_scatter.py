@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
@@ -146,22 +147,24 @@ def _compare_with_map(
         unit = white(np.eye(2 * len(own)).reshape(len(own), 2, -1))
         whites.append(unit - q @ (q.T @ unit))
         left.append(seen[:, -1] - q @ (q.T @ seen[:, -1]))
-    every, places = np.concatenate(left), np.concatenate([clip.xy for clip in clips])
+    every, places = np.concatenate(left), [clip.xy for clip in clips]
     ends = np.cumsum([0, *map(len, left)])
-    whole = _kernel(places, places, scatter)
-    costs = []
-    for same in (True, False):
-        total = np.eye(len(every))
-        for i, one in enumerate(whites):
-            for j, other in enumerate(whites[: i + 1]):
-                if not (same or i == j):
-                    continue
-                part = whole[ends[i] // 2 : ends[i + 1] // 2, ends[j] // 2 : ends[j + 1] // 2]
-                total[ends[i] : ends[i + 1], ends[j] : ends[j + 1]] += one @ np.kron(part, np.eye(2)) @ other.T
-        factor = np.linalg.cholesky(np.tril(total) + np.tril(total, -1).T)
-        unit = np.linalg.solve(factor, every)
-        costs.append(float(unit @ unit + 2 * np.log(np.diag(factor)).sum()))
-    return (costs[1] - costs[0]) / 2
+    total, new_cost = np.eye(len(every), order="F"), 0.0
+    for i, one in enumerate(whites):
+        rows = slice(ends[i], ends[i + 1])
+        by_place = one.reshape(len(one), -1, 2).transpose(0, 2, 1)  # (2n, 2, n): each axis by itself
+        for j, other in enumerate(whites[: i + 1]):
+            displaced = (by_place @ _kernel(places[i], places[j], scatter)).transpose(0, 2, 1).reshape(len(one), -1)
+            total[rows, ends[j] : ends[j + 1]] += displaced @ other.T
+        new_cost += _cost_of_normal(total[rows, rows].copy(order="F"), left[i])
+    return (new_cost - _cost_of_normal(total, every)) / 2
+
+
+def _cost_of_normal(covariance: Array, values: Array) -> float:
+    """-2 log likelihood of normal values. The covariance is given by its lower triangle, and is overwritten."""
+    factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+    unit = solve_triangular(factor, values, lower=True, check_finite=False)
+    return float(unit @ unit + 2 * np.log(np.diag(factor)).sum())
 
 
 def _kernel(one: Array, other: Array, scatter: StretchScatter) -> Array:
