@@ -41,8 +41,8 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
 
     The effect has the proposed formula if that suffices and the law has one axis; otherwise the curve or map.
 
-    report: a folder that ``discrepancy find`` wrote; name: of small letters, digits and "_", and not the name of
-    another effect or law; folder: for NAME.py and NAME.yaml, made if it does not exist. Raises InputError if the report
+    report: a folder that ``discrepancy find`` wrote. name: of small letters, digits and "_", and not the name of
+    another effect or law. folder: for NAME.py and NAME.yaml, made if it does not exist. Raises InputError if the report
     has no free law that an effect can express, the name is taken, or the files exist.
     """
     report, folder = Path(report), Path(folder)

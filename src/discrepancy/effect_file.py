@@ -32,8 +32,8 @@ def render_formula_effect(
 ) -> str:
     """Render the text of an effect file whose law is a formula.
 
-    law: the name of the free law in `synthcam.tabulated_law.table_names`; strengths: the terms that are added, each
-    times its strength, relative to a law that is one base parameter; shape: the numbers of the shape; source: the
+    law: the name of the free law in `synthcam.tabulated_law.table_names`. strengths: the terms that are added, each
+    times its strength, relative to a law that is one base parameter. shape: the numbers of the shape. source: the
     origin of the law, in sentences.
     """
     kind, ball = kind_of(law)

@@ -70,8 +70,8 @@ class Plan:
     def changes(self) -> pd.DataFrame:
         """A row for each change of the experiment, the best first.
 
-        The columns are name and words; limit and naming, the factors by which these limits fall; parts and joins, the
-        pairs of effects that it makes distinguishable and indistinguishable.
+        The columns are name and words. limit and naming are the factors by which these limits fall. parts and joins are
+        the pairs of effects that it makes distinguishable and indistinguishable.
         """
         names = ["name", "words", "limit", "naming", "parts", "joins"]
         return pd.DataFrame([[getattr(g, n) for n in names] for g in self.outcome.gains], columns=names)

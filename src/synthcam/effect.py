@@ -21,8 +21,8 @@ from typing import Any, ClassVar, Self
 
 from synthcam_shared.errors import PluginError
 
-# Inputs hold all balls, or all nodes of an integration, at once: numbers are arrays (balls, n) or broadcast with them,
-# vectors have a last axis of two. "slip" is the unit vector of the contact velocity. "of_a" is 1 for ball a of the
+# Inputs hold all balls, or all nodes of an integration, at once. Numbers are arrays (balls, n) or broadcast with them.
+# Vectors have a last axis of two. "slip" is the unit vector of the contact velocity. "of_a" is 1 for ball a of the
 # experimenter and 0 for ball b. "other" is the position of the other ball relative to this one. "ball" is the ball of
 # the model, with the radius and mass before any effect.
 LAWS: dict[str, tuple[str, ...]] = {

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return the functions `__getattr__` and `__dir__` of a package whose `__init__.pyi` lists its public names.
 
-    They also give `__version__` and `__all__`. Nothing is imported before one of them is called: the libraries that
+    They also give `__version__` and `__all__`. Nothing is imported before one of them is called. The libraries that
     this needs load for 10 to 30 ms, in which Ctrl-C would end a command with a traceback.
     """
     stub: tuple[Callable[[str], Any], list[str]] | None = None

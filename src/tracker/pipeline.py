@@ -59,10 +59,10 @@ def run(
 ) -> ClipOutcome:
     """Run the whole chain on every clip of a source into RESULTS; continue what an interrupted run left.
 
-    source: a dataset, clip, stack, video or folder of pictures. output: RESULTS. detector: by None the first clip
-    decides, as it does on the channel of a source that has none, and a clip in which its detector fails may take
-    another. workers: processes, or 0 for one a core, if so many are quicker. progress: takes clips done and clips in
-    all, or frames of a single clip. scheduler: address of a Dask scheduler, whose workers see the same folders. edits:
+    source: a dataset, clip, stack, video or folder of pictures. output: RESULTS. detector: if None, the first clip
+    decides, as it does on the channel of a source that has none. A clip in which its detector fails may take another.
+    workers: processes, or 0 for one a core, if so many are quicker. progress: takes clips done and clips in all, or
+    frames of a single clip. scheduler: address of a Dask scheduler, whose workers see the same folders. edits:
     corrections of tracks by hand. Raises InputError.
     """
     check_utf8(output)
@@ -125,8 +125,8 @@ def measure_tables(
 ) -> ClipOutcome:
     """Measure tracks that any program made into RESULTS, as `run` does its own. Raises InputError.
 
-    path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program; output: RESULTS; camera: the
-    camera file of the tracks; edits: corrections by hand of the tracks as they are written without edits; progress:
+    path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program. output: RESULTS. camera: the
+    camera file of the tracks. edits: corrections by hand of the tracks as they are written without edits. progress:
     takes clips done and clips in all.
     """
     check_utf8(output)

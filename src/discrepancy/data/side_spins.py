@@ -1,9 +1,9 @@
 """Traces the spins about the vertical of the balls of a crowd from contact to contact, for the slip of each contact.
 
-A plain ball does not show its spin on film. But each contact shows the tangential impulse J, which changes the spin of
-both balls by J / (2/5 m R) against the slip, and nothing else changes it in a first approximation. So a spin is known
+A plain ball does not show its spin on film. But each contact shows the tangential impulse J. It changes the spin of
+both balls by J / (2/5 m R) against the slip. In a first approximation nothing else changes the spin. So a spin is known
 well as the contacts of its ball are measured. It is zero at the start. A wall, or a contact without a local estimate,
-changes it by an unknown amount, at most by that of a usual friction: the direction of the wall is not known.
+changes it by an unknown amount, but at most by that of a usual friction. The direction of the wall is not known.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Fits one model to all clips by Gauss-Newton: shared parameters, and the launch of each clip.
 
-The launches are eliminated from the normal equations clip by clip, so the cost grows linearly with the number of clips
-(variable projection; Golub & Pereyra, Inverse Problems 19 (2003) R1). Derivatives are reused for as long as chi^2 falls
-as they predict.
+The launches are eliminated from the normal equations clip by clip, so the cost grows linearly with the number of clips.
+This is variable projection (Golub & Pereyra, Inverse Problems 19 (2003) R1). Derivatives are reused for as long as
+chi^2 falls as they predict.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def minimise_chi2(
     Else the tolerance is 1e-3, with derivatives at the minimum.
 
     useful_chi2: a fit with a larger chi^2 is of no use. The descent ends where a third of the way down to it is more
-    than the last step gained and than the next one promises; a step that failed does not count.
+    than the last step gained and than the next one promises. A step that failed does not count.
     """
     damping, tolerance, last, gained = 0.0, 0.1 if rough else 1e-3, False, np.inf
     held = np.zeros(len(fit.residuals))  # damping of single launches

@@ -138,9 +138,9 @@ class RestrictedResiduals:
     def common_mode_score(self, noise: Noise) -> tuple[float, float]:
         """The most significant score of shared noise over correlations and axes, in sigma, and its correlation.
 
-        As within phases (`BallPairs.common_mode_score`), but without the part that the launches absorb. With white
-        residuals z, the projection P off the launches and the kernel B between the balls, the score z'Bz / 2 has mean
-        tr(PB) / 2 and variance tr(PBPB) / 2.
+        As within phases (`BallPairs.common_mode_score`), but without the part that the launches absorb. Let z be white
+        residuals, P the projection off the launches, and B the kernel between the balls. The score z'Bz / 2 then has
+        mean tr(PB) / 2 and variance tr(PBPB) / 2.
         """
         scores, means, variances = (np.zeros((len(SHARED_NOISE_CORRELATIONS), 2)) for _ in range(3))
         for clip, columns in zip(self.clips, self.columns, strict=True):

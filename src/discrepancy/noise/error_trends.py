@@ -30,8 +30,8 @@ def remove_frame_shift(
     """Remove what moves every second frame: a displacement that all positions share, or a delay.
 
     Half-frames of an interlaced film and a shutter with two curtains make such shifts. A least-squares fit gives x, y
-    and the delay; the scatter of the stretches about it gives their covariance (the sandwich estimate; Liang & Zeger,
-    Biometrika 73 (1986) 13), and Hotelling's T^2 their significance.
+    and the delay. The scatter of the stretches about it gives their covariance (the sandwich estimate of Liang & Zeger,
+    Biometrika 73 (1986) 13). Hotelling's T^2 gives their significance.
 
     usual: the clips to fit, which show the shift; clips: all from which it is removed. Returns those, and a note if
     there is such a shift.

@@ -5,7 +5,7 @@ noise, whatever the physics. If a cubic does not follow a whole phase, noise ove
 short pieces; the short pieces then decide.
 
 A low-order autoregression, with or without white noise, is fitted to the residuals by restricted maximum likelihood
-(REML; Patterson & Thompson, Biometrika 58 (1971) 545), which allows for the cubic's coefficients. Schwarz's criterion
+(REML). REML allows for the cubic's coefficients (Patterson & Thompson, Biometrika 58 (1971) 545). Schwarz's criterion
 (BIC) selects the order. Noise that both balls share, as from a shaking camera, is in their sum but not in their
 difference.
 """
@@ -77,7 +77,7 @@ class Noise:
 
     own: NoiseComponent  # of each ball and axis by itself, in claimed standard deviations
     shared: tuple[NoiseComponent, ...] = ()  # that both balls share, in x and in y, m^2; empty if there is none
-    # Like `scale`, over whole phases of motion, if that is so much larger that it must contain motion; the noise is
+    # Like `scale`, over whole phases of motion, if that is so much larger that it must contain motion. The noise is
     # then that of short pieces. Else 0.
     whole_phase_scale: float = 0.0
     frame_spacing: int = 1  # greatest common divisor of the tracks' frame steps: noise at other lags is not seen
@@ -276,8 +276,8 @@ def _measure_power(stretches: Iterable[Stretch]) -> float:
 def _cut_pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
     """Pieces of stretches, so short that a cubic follows any motion.
 
-    Two kinds are left out: pieces with so large residuals that they contain an event, and pieces without any, as of a
-    resting ball whose position a table repeats.
+    Two kinds are left out: pieces whose large residuals show an event, and pieces without residuals, as of a resting
+    ball whose position a table repeats.
     """
     rounding = 1e-9  # of the claimed variance
     size = current_policy().min_short_stretch_positions

@@ -23,9 +23,9 @@ ChangedExperiment = tuple[str, PlannedExperiment]  # the change in words, and th
 class DesignChange:
     """A change of an experiment.
 
-    make: takes an experiment and random numbers; returns the change in words and the changed experiment, not yet
-    observed, or None if the change is impossible.
-    launches: True if only the launches change, so that it can be combined with all others of that kind.
+    make: takes an experiment and random numbers. It returns the change in words and the changed experiment, not yet
+    observed, or None if the change is impossible. launches: True if only the launches change, so that it can be
+    combined with all others of that kind.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Compare free laws with the library's models, to find a law that no effect of the library describes.
 
-A score test adds every free law, to first order, to three models: the base model, the best model of the library, and
-each of its effects alone. The best laws are then fitted in full. A second library effect must beat the free laws.
+A score test adds every free law, to first order, to the base model, to the best model of the library, and to each of
+its effects alone. The best laws are then fitted in full. A second library effect must beat the free laws.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def find_replacements(
 
     Returns the effects that to first order explain nearly as much, fitted in full, the best first.
 
-    less: the free law without the effect `named`; absorbed: effects that do not count as rivals; base: the fit from
+    less: the free law without the effect `named`. absorbed: effects that do not count as rivals. base: the fit from
     which the cost of effects is counted.
     """
     tests = ScoreTests.of(less.evidence, less.joint_fit, progress, about=less.model_without_law)

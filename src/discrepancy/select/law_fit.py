@@ -68,7 +68,7 @@ def fit_law(
 ) -> FittedLaw:
     """Fit a free law together with everything in another fit. The marginal likelihood chooses the prior of the law.
 
-    test: the law, and the fit without it; base: the fit from which the cost of effects beside the law is counted;
+    test: the law, and the fit without it. base: the fit from which the cost of effects beside the law is counted.
     begun: an earlier fit of the same law to continue from, with everything to fit beside it. Raises ValueError if the
     model has no motion with a law on the way.
     """
@@ -182,8 +182,8 @@ def compare_scatter(
     The held-out clips have numbers of their own, so the law predicts only the scatter of these numbers. `without` is
     the fit of the held-out clips without the law.
 
-    Returns three numbers: by how much numbers of that size increase 2 log marginal likelihood, and the mean and the
-    standard deviation of this gain if the numbers have that size.
+    Returns the gain in 2 log marginal likelihood by numbers of the size that was fitted. It also returns the mean and
+    the standard deviation that this gain has if the numbers are of that size.
     """
     evidence = WhitenedClips.of(clips, noise)
     law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))

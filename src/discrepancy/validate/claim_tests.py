@@ -204,9 +204,9 @@ class Jackknife:
     def distance_from_zero(self, strengths: Mapping[str, float]) -> float:
         """The sigma by which the strengths of an effect, by name, differ jointly from zero; inf if none has an error.
 
-        Few clips determine their own scatter badly, so sigma follows from Hotelling's T^2: with one strength from
-        Student's t with a degree of freedom less than clips, as Cameron & Miller, J. Human Resources 50 (2015) 317,
-        recommend for errors by the scatter of few groups.
+        Few clips determine their own scatter badly, so sigma follows from Hotelling's T^2. With one strength this is
+        Student's t with one degree of freedom less than there are clips. Cameron & Miller, J. Human Resources 50 (2015)
+        317, recommend it for errors by the scatter of few groups.
         """
         rows = [k for k, name in enumerate(self.names) if name in strengths and self.covariance[k, k] > 0]
         if not rows or len(rows) >= self.clips:
@@ -543,8 +543,8 @@ def compare_predictions(
 ) -> Predictions:
     """Test a claim on held-out clips and on all clips. A model without motion for held-out clips fails both.
 
-    own: sigma of the claim; fits: those of the held-out clips, without and with the claim; residuals: leave-one-out
-    residuals of the fitted clips, without and with the claim; fit: that of the fitted clips with the claim, for its
+    own: sigma of the claim. fits: those of the held-out clips, without and with the claim. residuals: leave-one-out
+    residuals of the fitted clips, without and with the claim. fit: that of the fitted clips with the claim, for its
     covariance.
     """
     without, with_ = fits

@@ -39,8 +39,8 @@ class LampCells:
 class Lamp:
     """A flat lamp of uniform radiance that shines to one side. Raises ValueError if it has no area.
 
-    It is a disc of `radius`; a ring between `inner` and `radius`; or a bar of `length` by `width`, turned by `angle`,
-    rad, from the world's x axis. Lengths are in m.
+    It is a disc of `radius`, a ring between `inner` and `radius`, or a bar of `length` by `width`. The bar is turned by
+    `angle`, rad, from the world's x axis. Lengths are in m.
     """
 
     position: Array  # of its centre (3,)

@@ -15,7 +15,7 @@ def hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
     """Share (n, frames) of the outline of each ball, 0 to 1, that balls nearer to the camera cover, in and out of view.
 
     centres: (n, frames, 3), m; NaN in frames in which a ball is nowhere. radii: (n,), m; NaN for bodies that are not
-    balls. Where one of them is NaN, the body hides nothing and gets NaN.
+    balls. Balls with NaN hide nothing and get NaN.
     """
     eye, points = camera.centre, _spread_points(POINTS)
     there = np.isfinite(radii)[:, None] & np.isfinite(centres).all(axis=2)

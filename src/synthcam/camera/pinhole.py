@@ -1,7 +1,7 @@
 """Pinhole camera with lens distortion: project points and the primary glints of balls to pixels.
 
-Conventions are OpenCV's: x_cam = R x_world + t, image x right and y down, pixel centres at integers,
-distortion k1, k2, p1, p2, k3 (OpenCV 4, "Camera calibration and 3D reconstruction").
+Conventions are OpenCV's (OpenCV 4, "Camera calibration and 3D reconstruction"): x_cam = R x_world + t, and a distortion
+k1, k2, p1, p2, k3. Image x points right and y down. Pixel centres are at integers.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,7 +55,7 @@ class PinholeCamera:
         """Make a camera at a distance of `height` m from the world's origin, at which it looks.
 
         size: width and height, px. scale: m/px at z = ball_radius. tilt: angles a, b, rad. The camera is rotated about
-        the origin by a about the world's x axis, then by b about y: its centre is Ry(b) Rx(a) (0, 0, height).
+        the origin, by a about the world's x axis, then by b about y. Its centre is Ry(b) Rx(a) (0, 0, height).
         ball_radius: m. fields: fps, exposure, psf_sigma_px and other fields that are numbers.
 
         Raises ValueError if height does not exceed ball_radius.

@@ -34,8 +34,8 @@ RESOLVED = 1e-13  # largest size of the last coefficients of a resolved piece, o
 def evaluate_series(coefficients: Array, x: Array) -> Array:
     """Evaluate Chebyshev series (c, problems, nodes) at x (problems, m): (c, problems, m).
 
-    T_2k(x) = T_k(y) and T_(2k+1)(x) = x W_k(y), y = 2 x^2 - 1: half as many polynomials in y are
-    needed, for E and O in E + x O.
+    T_2k(x) = T_k(y) and T_(2k+1)(x) = x W_k(y), with y = 2 x^2 - 1. So E and O in E + x O need half as many polynomials
+    in y.
     """
     c, problems, size = coefficients.shape
     half = (size + 1) // 2

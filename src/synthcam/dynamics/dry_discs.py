@@ -1,13 +1,13 @@
 """Discs on a dry plate, one alone or several that move as one: friction force and torque depend on each other.
 
-The pressure under each disc is even. With the velocity v of its centre, y = R |w| and their ratio e = v/y, friction
-gives it the force -mu m g F(e) along v and the torque -mu m g R T(e). F and T are integrals over the disc (Voyenli &
-Eriksen, Am. J. Phys. 53 (1985) 1149; Farkas, Bartels, Unger & Wolf, Phys. Rev. Lett. 90 (2003) 248302). The forces and
-torques on discs that move as one add up. One alone moves on a straight line; its sliding and turning end at the same
-moment, with e near 0.653.
+The pressure under each disc is even. Its centre has the velocity v; let y = R |w| and e = v/y. Then friction gives the
+force -mu m g F(e) along v and the torque -mu m g R T(e). F and T are integrals over the disc (Voyenli & Eriksen, Am. J.
+Phys. 53 (1985) 1149). See also Farkas, Bartels, Unger & Wolf, Phys. Rev. Lett. 90 (2003) 248302. The forces and torques
+on discs that move as one add up. One alone moves on a straight line; its sliding and turning end at the same moment,
+with e near 0.653.
 
-With the velocity V of the centre of mass and the radius of gyration l, the motion is solved in s = ln(r0/r), where
-(V, l w) = r d. There the direction d is smooth to the end, where r falls to nothing in a finite time.
+V is the velocity of the centre of mass and l the radius of gyration. The motion is solved in s = ln(r0/r), where (V, l
+w) = r d. There the direction d is smooth to the end, where r falls to nothing in a finite time.
 """
 
 from __future__ import annotations

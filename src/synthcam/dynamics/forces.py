@@ -1,7 +1,7 @@
 """The forces on balls that slide, roll or fly, many at once, and the slip at which a slide with a drilling spin ends.
 
 With a drilling spin w, friction fades with the slip u as F u/(u + c), with c proportional to |w|. A push p then keeps
-up a slip of u = c p/(F - p), micrometres per second, until the spin is gone, perhaps a second later. In every
+up a slip of u = c p/(F - p), micrometres per second. It lasts until the spin is gone, perhaps a second later. In every
 observable such a ball rolls, and the rolling loss slows it. A slide is therefore over once its slip is small compared
 with the drilling (`find_ending_slip`); the remaining slip ends as without drilling. That slip is fixed when the slide
 begins, and does not depend on whether the ball is solved alone or with another.
@@ -168,8 +168,8 @@ class BallStates:
 def find_ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NOWHERE) -> Array:
     """Find the slips (k,), m/s, at which slides beside a drilling spin are over (see the head of this file).
 
-    That is c sqrt(0.1^2 + (2 p/(F - p))^2): small compared with the drilling, and at least twice the steady slip that
-    the push p keeps up. It is no less than END_SLIP_SHARE of the first slip, and infinite where the first slip is
+    That is c sqrt(0.1^2 + (2 p/(F - p))^2). It is small compared with the drilling, and at least twice the steady slip
+    that the push p keeps up. It is no less than END_SLIP_SHARE of the first slip, and infinite where the first slip is
     smaller.
 
     state: (k, 9), at the beginning of the slides. other: (k, 1, 2), positions of the other balls relative to these, m.

@@ -161,7 +161,7 @@ def rolling_velocity(state: Array, radius: Real, inertia: Real = SOLID_BALL) -> 
 def plate_state(position: Array, q: Array, u: Array, wz: Real, radius: Real, inertia: Real = SOLID_BALL) -> Array:
     """Return the state of a ball on the plate from its rolling velocity q and contact velocity u, both (..., 2).
 
-    v = q + k/(1 + k) u and R w x z = q - u/(1 + k); the factors are 2/7 and 5/7 for a solid ball.
+    v = q + k/(1 + k) u and R w x z = q - u/(1 + k). For a solid ball the factors are 2/7 and 5/7.
     """
     slip, push = 1 / slip_rate(inertia), push_share(inertia)
     out = np.zeros((*np.broadcast_shapes(position.shape, q.shape)[:-1], 9))

@@ -69,8 +69,8 @@ class Launch:
         b: impact parameter over the sum of the radii, |b| < 1. With the heading d, b = z . [d x (x2 - x1)]/(R1 + R2).
         heading: direction of ball 2 at the contact, rad from x towards y.
         contact: position (2,) between the balls at the contact, m.
-        spin: (3,) of ball 2, m/s: the velocity of its lowest point along the heading and to the left of it, both zero
-        if it rolls. The third is R times its spin about the vertical.
+        spin: (3,) of ball 2, m/s. The first two are the velocity of its lowest point, along the heading and to the left
+        of it; zero if it rolls. The third is R times its spin about the vertical.
         """
         numbers = np.array([v0]), np.array([b]), np.array([heading])
         states = launch_touching_pairs(

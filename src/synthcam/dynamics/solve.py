@@ -79,8 +79,8 @@ def solve(
     Balls that touch several others at once hit them one after the other, in the order of their numbers. So momentum is
     conserved, and a row of equal balls passes on an impact as Newton's cradle does.
 
-    Raises ValueError if a ball that should be at rest cannot stay there, if balls overlap, or if a slide or the motion
-    does not end. It also does beyond times of MAX_TIME_S or speeds of MAX_SPEED_M_S.
+    Raises ValueError if balls overlap, if a ball that should be at rest cannot stay there, or if a slide or the motion
+    never ends. It also does beyond times of MAX_TIME_S or speeds of MAX_SPEED_M_S.
     """
     for what, t in (("its launch", launch.time), ("its start", start), ("its end", end)):
         if not abs(t) <= MAX_TIME_S:

@@ -1,8 +1,7 @@
 """How a ball at rest starts when the push of a rolling ball overcomes what holds it.
 
-The ball starts in the direction of the push. Its lag d behind the push's direction phi obeys
-    (s/f) d' + sin d = (s/f) phi'
-with its speed s and the push f on it. This equation has one smooth solution.
+The ball starts in the direction of the push. Let s be its speed and f the push on it. Its lag d behind the push's
+    direction phi obeys (s/f) d' + sin d = (s/f) phi'. This equation has one smooth solution.
 """
 
 from __future__ import annotations
@@ -58,8 +57,8 @@ def solve_approach(
     touching: (2 k, 9), states at the contacts; the velocities of the first balls are not used.
     lasted: (k,), how far to go back, s; further where a ball started earlier.
 
-    Returns three things: the states at the contacts, with the velocities that the first balls have then; the motions of
-    units back from the contacts; and when the balls at rest started, (k,), s.
+    Returns the states at the contacts, with the velocities that the first balls have then. It also returns the motions
+    of units back from the contacts, and when the balls at rest started, (k,), s.
     """
     k = len(lasted)
     hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Ints, IntegratedMotion]]()

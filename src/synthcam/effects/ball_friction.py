@@ -21,8 +21,8 @@ class BallFriction(Effect):
       mu = 0.01, rise = 0.108 and fall = 0.92 m/s (D. Alciatore, TP A.14, on data of W. C. Marlow, 1995).
     - beta: 0 sticks, J/m = |u_t|/7, C = 5/14 for head-on and oblique hits. This holds where nothing stops the vertical
       motion of the balls during the contact: where `hop` lets both go, the surfaces end at rest. A plate that held both
-      would give C = 1/2 head-on. The balls touch for 9 us and the plate answers in 20 us; with Hertz contacts of steel
-      on aluminium, C = 0.38 (beta = 0.07). The share of the vertical motion that the plate takes is a matter of `hop`.
+      would give C = 1/2 head-on. The balls touch for 9 us and the plate answers in 20 us. Hertz contacts of steel on
+      aluminium give C = 0.38 (beta = 0.07). The share of the vertical motion that the plate takes is a matter of `hop`.
 
     If C is fitted too, tracks determine share (1 + beta), mu / (1 + beta) and (1 - share) C, no more. A search
     therefore leaves beta as given, and rise and fall too.

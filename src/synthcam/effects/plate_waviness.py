@@ -14,7 +14,7 @@ class PlateWaviness(Effect):
     """The plate has waves along `angle` of the height h = a cos(k s) + b sin(k s), with k = 2 pi / wavelength.
 
     The waves push by -g h', in full on a sliding ball, by 5/7 on a rolling one. A ball that slides over them has the
-    load g + v_s^2 h'', at least 0; its friction changes by mu v_s^2 k/g of the push. The law is that of a sphere on a
+    load g + v_s^2 h'', at least 0. Its friction changes by mu v_s^2 k/g of the push. The law is that of a sphere on a
     curved plate, to first order in h.
 
     A spin w about the vertical would push a rolling ball across by (2/7) R w v_s h''. This is neglected: it is about

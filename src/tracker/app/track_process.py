@@ -44,7 +44,7 @@ class TrackProcess:
     """One child process at a time. Its callbacks come from another thread.
 
     changed: called when the status changes. take: called with the status of a run that has ended, before it is shown,
-    to take what the run made; the run fails if that fails.
+    to take what the run made. If it fails, the run fails.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class TrackProcess:
 
 
 def _read_summary(text: str) -> Any:
-    """What the command printed as JSON; None where it is no JSON, as after a plug-in that prints."""
+    """The JSON that the command printed; None if it printed anything else, as after a plug-in that prints."""
     try:
         return json.loads(text)
     except ValueError:

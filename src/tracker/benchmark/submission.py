@@ -1,7 +1,8 @@
 """Submissions: tables of a tracker in any language, which are measured and scored like runs made here.
 
-FOLDER has submission.json, which needs only `name`. It also has a table for each film of the suite: FILM.csv or
-FILM.parquet with a column `clip`, or FILM/NNNNNN.EXT, one file per clip in any format that `tracker measure` reads.
+FOLDER has submission.json, which needs only `name`. It also has each film's tracks, in one of two forms. FILM.csv or
+FILM.parquet is a table with a column `clip`. FILM/NNNNNN.EXT are files of one clip each, in any format that `tracker
+measure` reads.
 """
 
 from __future__ import annotations

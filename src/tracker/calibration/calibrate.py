@@ -105,10 +105,10 @@ def calibrate(
 ) -> Calibration:
     """Find scale, glint width and noise from a video of balls of known diameter.
 
-    video: a video, stack, folder of pictures, clip or dataset; diameter: of the balls, m; fps: frames a second;
-    exposure: of a frame, s, which separates motion blur from the glint's width; gamma: counts are light to the power
-    of 1/gamma; workers: processes, or 0 for one a core, where so many are quicker; progress: takes clips done and clips
-    in all, of which those that are looked at twice count twice; select: channel or plane of a stack, as "C=1".
+    video: a video, stack, folder of pictures, clip or dataset. diameter: of the balls, m. fps: frames a second.
+    exposure: of a frame, s, which separates motion blur from the glint's width. gamma: counts are light to the power of
+    1/gamma. workers: processes, or 0 for one a core, where so many are quicker. progress: takes clips done and clips in
+    all, of which those that are looked at twice count twice. select: channel or plane of a stack, as "C=1".
 
     Raises InputError for what cannot be read, or has no glints.
     """

@@ -1,9 +1,9 @@
 """A smooth correction of the camera's map, from the residuals of free motion.
 
 The displacement of each position is a sum of cubic B-splines with a prior of smoothness (Eilers and Marx 1996, Stat.
-Sci. 11, 89), whose strength maximises the marginal likelihood. The free motion of each stretch is fitted beside it.
-Shifts, turns and uniform strains do not change free motion: the correction has no such part. A map is accepted only
-if it predicts the stretches of recordings that were left out.
+Sci. 11, 89). The strength of the prior maximises the marginal likelihood. The free motion of each stretch is fitted
+beside it. Shifts, turns and uniform strains do not change free motion: the correction has no such part. A map is
+accepted only if it predicts the stretches of recordings that were left out.
 """
 
 from __future__ import annotations

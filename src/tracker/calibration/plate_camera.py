@@ -92,9 +92,9 @@ def calibrate_plate(
 ) -> PlateCalibration:
     """Find perspective and lens from points that are known. Raises InputError.
 
-    source: a film or a picture by the same camera in the same place, of a board one that shows it; said: diameter, fps,
-    exposure and gamma, as `keys_from_options` takes them; points: a table of points; board: where there is none, what
-    lies on the plate instead; error: standard error of the points, px; height: of the camera above the plate, m.
+    source: a film or a picture by the same camera in the same place; with a board, one that shows it. said: diameter,
+    fps, exposure and gamma, as `keys_from_options` takes them. points: a table of points. board: without points, what
+    lies on the plate instead. error: standard error of the points, px. height: of the camera above the plate, m.
     """
     given = keys_from_options(*said)
     if points is not None and board:

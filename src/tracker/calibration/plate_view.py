@@ -36,7 +36,7 @@ def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: f
     A view from straight above does not determine the focal length and the height separately. Priors from usual cameras,
     or a measured height with its error, then decide.
 
-    size: width and height of the picture; error: standard error of the points' pixels; height: of the camera above the
+    size: width and height of the picture. error: standard error of the points' pixels. height: of the camera above the
     plate, m, known to 2 %.
     """
     _check(points, size)

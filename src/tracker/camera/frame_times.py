@@ -110,9 +110,8 @@ def find_changed_frames(count: int, pieces: Sequence[Callable[[int], Any]]) -> A
 def find_repeated(changes: Array, tolerance: float = 0.0) -> Ints:
     """Find the frames that repeat the previous one, though the picture changes shortly before and after.
 
-    changes: sum of squares of the change from each frame to the next; tolerance: the most that a single copy changes,
-    which an encoder with loss leaves; 0: copies are exact. Runs of more than three frames are a picture where nothing
-    moves.
+    changes: sum of squares of the change from each frame to the next. tolerance: the most that a single copy changes
+    after an encoder with loss; 0: copies are exact. Runs of more than three frames are a picture where nothing moves.
     """
     reach, share, longest = 8, 0.04, 3  # frames; a fifth of the change, squared; frames
     usual = 0.2 * float(np.median(changes[changes > tolerance])) if (changes > tolerance).any() else np.inf

@@ -207,7 +207,7 @@ def _uncross(
     """The links, with those of two new balls exchanged that would pass through one another, and exchanged would not.
 
     A hit before the second frame hides the first step of both, so that likelihoods may prefer such an exchange. The
-    right links of two balls that hit once never pass through one another: both places of one ball, seen from the
+    right links of two balls that hit once never pass through one another. Both positions of one ball, seen from the
     other, lie beyond the tangent at the contact. If they pass through one another either way, a third body or a wall
     was hit too, and the likelihood decides.
 

@@ -72,7 +72,7 @@ def _cut_bright_glints(camera: Camera, plate: EmptyPlate, frames: Sequence[Any])
     used_frames = 40  # in the middle of the clip
     max_windows = 400  # a cluttered film has tens of thousands
     max_blur_px = 2.5  # glints that move by more during the exposure are not used
-    # Share of the frame time up to which whole-pixel positions give the blur well enough. Of longer exposures only
+    # Share of the frame time up to which whole-pixel positions give the blur well enough. In longer exposures only
     # glints at rest are used.
     short_share = 0.3
     radius = camera.diameter_px / 2.0 if camera.metric else 8.0

@@ -47,9 +47,9 @@ def select_detector(clip: Recording) -> SelectedDetector:
 def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     """Choose the detector from 25 frames spread over a film.
 
-    It is "discs" where a fifth of them, and at least three, show a round body of the common size on a still background;
-    else "maximum_likelihood". If the camera knows the diameter of its balls, only bodies of about that size count.
-    The second result is a note that gives the reason; '' for glints, which need none.
+    It is "discs" if a fifth of them, and at least three, show a round body of the common size on a still background.
+    Otherwise it is "maximum_likelihood". If the camera knows the diameter of its balls, only bodies of about that size
+    count. The second result is a note that gives the reason; '' for glints, which need none.
     """
     if isinstance(frames, Frames):
         frames.remember(k for count in (9, 25, 31) for k in spread_frames(frames, count))

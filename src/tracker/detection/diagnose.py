@@ -92,7 +92,7 @@ def measure_camera_motion(
     """Measure the largest motion of the background from the first of these pictures, px; 0 where none is seen.
 
     Features of each picture are followed into the next one. Most of them must agree on one shift, turn and change of
-    size, and they must be spread over the picture: balls, hands and shadows move too.
+    size. They must also be spread over the picture, because balls, hands and shadows move too.
 
     min_share: of the features that are followed, which must agree within 1 px.
     min_spread: of the picture's width and height, over which four fifths of those must be spread.

@@ -485,12 +485,12 @@ def select_claims(
     """Select what the row of estimates may claim from each fit, tied and free.
 
     A value is NaN where the clip does not show it; it has no error where the data reject the fit. The free fit of a
-    misfit has none either if other laws of sliding and rolling fit better: what breaks the laws of the tied fit may
+    misfit has none either if other laws of sliding and rolling fit better. Whatever breaks the laws of the tied fit may
     break these too.
 
-    encoded_outlines: by how much errors of outlined balls in lossy video exceed those that residuals show, because a
-    fit absorbs part of what the codec moves. Without it, rms z of mu_k in 40 drawn films of eight codecs was 1.58 +-
-    .12, that of v0 1.29.
+    encoded_outlines: the factor by which errors of outlined balls in lossy video exceed those of residuals. A fit
+    absorbs part of what the codec moves. Without it, rms z of mu_k in 40 drawn films of eight codecs was 1.58 +- .12,
+    that of v0 1.29.
     """
     settings = read.settings
     # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed

@@ -34,8 +34,8 @@ class BallTrack:
     exposure: float  # s
     fixed: Floats = field(default_factory=lambda: np.empty(0))  # the part of `cov` that a resting ball always has
     width: float = 0.0  # of a glint, m
-    # For balls that lie partly in their own shadow, and for video encoded with loss: rms of the shift along either axis
-    # that `fixed` has in it and that lasts as a ball moves on, m; the way over which it lasts, m.
+    # For balls that lie partly in their own shadow, and for video encoded with loss: a shift in `fixed` that lasts as a
+    # ball moves on. Its rms along either axis, m, and the way over which it lasts, m.
     drift: tuple[float, float] = (0.0, 0.0)
     warp: tuple[float, float] = (0.0, 0.0)  # the same of the camera's warp, whose size no scatter of the tracks shows
     has_errors: bool = True  # whether the table of tracks claims errors
@@ -160,8 +160,8 @@ def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]
     where a ball's speed along an axis comes near a multiple of that. A film does not show this part of its own errors,
     because the fitted motion absorbs it.
     """
-    # Share of the variance that persists, of positions with errors of `at_px`; it grows with their square. It is the
-    # share with which z is 1 in 600 clips of two seeds at crf 18, 23 and 28 (errors of .063, .078 and .105 px).
+    # Share of the variance that persists, of positions with errors of `at_px`; it grows with their square. With this
+    # share z is 1 in 600 clips of two seeds, at crf 18, 23 and 28 (errors of .063, .078 and .105 px).
     share, at_px, max_share = 0.25, 0.075, 0.45
     length_px = 250.0  # distance over which the errors persist
     size, every = measure_scatter(balls), [np.trace(track.cov, axis1=1, axis2=2) / 2 for track in balls]

@@ -91,9 +91,8 @@ def combine_quantity(
 ) -> CombinedQuantity:
     """Combine the values of a quantity.
 
-    values: result, clip, collision, fit, v_n, value, std of each collision; effects (n, 1, k) of the errors of the
-    camera file that several share, as `shared_effects` gives them.
-    min_values_of_slope: fewer values have no slope.
+    values: result, clip, collision, fit, v_n, value, std of each collision. effects: (n, 1, k), of the errors of the
+    camera file that several share, as `shared_effects` gives them. min_values_of_slope: fewer values have no slope.
     """
     value, std, speed = (values[column].to_numpy(float) for column in ("value", "std", "v_n"))
     own, shared = remove_shared(std, effects), effects[:, 0]

@@ -85,7 +85,7 @@ class FileContent:
 
     @cached_property
     def root(self) -> ET.Element | None:
-        """Of XML; None for what does not begin as XML does. Raises InputError where it is damaged.
+        """The root element of XML; None if the text does not begin as XML does. Raises InputError if it is damaged.
 
         No document type is read: entities, external ones too, come with it, and none of these formats has one.
         """

@@ -93,7 +93,7 @@ def check_unit(clips: Sequence[Tracks], camera: Camera, where: str) -> list[str]
     """Notes about positions that are hardly px; raises InputError for those that no two balls can have.
 
     A contact gives the distance of two balls that touch. Without one there is a bound: two balls are never nearer than
-    a diameter. Hardly any track lies outside the picture, in any unit. Where px and another unit explain the tracks
+    a diameter. Hardly any track lies outside the picture, in any unit. If px and another unit explain the tracks
     equally well, the note names both.
     """
     pairs = [(tracks, pair) for tracks in clips if (pair := find_common_frames(tracks)) is not None]

@@ -94,8 +94,7 @@ def collide_pair(
     The law of r and C is that of Painter & Behringer, Phys. Rev. E 62 (2000) 2380.
 
     one, two: radius, m, mass, kg, and k of target and striker. change: of this impact, for floats alone. Returns the
-    states just after, the unit vector from striker to target, and the impulses on the target along n and along z x n,
-    N s.
+    states just after, the unit vector n from striker to target, and the impulses on the target along n and z x n, N s.
     """
     (r1, m1, k1), (r2, m2, k2) = one, two
     nx, ny, nz = target[0] - striker[0], target[1] - striker[1], target[2] - striker[2]

@@ -4,8 +4,9 @@ A hit on one of them acts at the point of contact. With the directions n and t =
 
     K_n = sum of 1/M + (r x n)^2/I,   K_t = sum of 1/M + (r x t)^2/I
 
-over both sides, mass M and moment of inertia I about the centre of mass, friction acts first: J = a u_t/K_t, with a = 1
-where the contact sticks. Then P = (1 + r) v_n/K_n. Neither adds energy. For two bodies alone this is `collide_pair`.
+over both sides, mass M and moment of inertia I about the centre of mass, friction acts first. Its impulse is J = a
+u_t/K_t, with a = 1 where the contact sticks. Then P = (1 + r) v_n/K_n. Neither adds energy. For two bodies alone this
+is `collide_pair`.
 """
 
 from __future__ import annotations

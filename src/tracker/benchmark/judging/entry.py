@@ -24,7 +24,7 @@ def make_entry(
     """Score a tracker on a suite with its truth; about: name of the tracker, and further facts about it.
 
     Returns tracker, suite, score, parts {part: figures}, phase {part: curve}, gap (curve), quantities {part: ...} and
-    defects as plain values; None for what is not known.
+    defects. They are plain values, None if not known.
     """
     chosen = suite.definition
     run = {name: part for name, part in suite.parts.items() if tracked.sample.of(part)}

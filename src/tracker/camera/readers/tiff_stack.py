@@ -170,7 +170,8 @@ def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout, *, least_ga
     """Raise InputError for a file whose tags contradict it: pixels where tags or other pixels lie, or too few frames.
 
     A damaged tag, such as an offset, else gives other pixels without an error. Notes say what is doubtful: pages with
-    the pixels of others, and bytes for frames that no page refers to. Of a stack in several files, this one is checked.
+    the pixels of others, and bytes for frames that no page refers to. If a stack has several files, only this one is
+    checked.
     """
     pages: Any = tif.pages if len(tif.series) > 1 else tif.series[0].pages
     every, bilevel = [each for each in pages if each is not None and each.parent is tif], (2, 3, 4)

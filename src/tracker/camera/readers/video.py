@@ -1,9 +1,9 @@
 """Reads videos in passes from front to back, a frame at a time, with FFmpeg's decoders (PyAV).
 
-Counts are luma. They are the counts of a grey picture, or the Y' plane of Y'CbCr, which the file's own matrix (ITU-R
-BT.601 or 709) made from red, green and blue. A limited range, black at 16 and white at 235, is stretched to 0 and 255,
-as the camera had it before the encoder. Each code keeps a count of its own. Encoders with loss leave less than a count
-of 255, so that their 10 and 12 bits are read as 8.
+Counts are luma. They are the counts of a grey picture, or the Y' plane of Y'CbCr. The file's own matrix (ITU-R BT.601
+or 709) made that plane from red, green and blue. A limited range, black at 16 and white at 235, is stretched to 0 and
+255, as the camera had it before the encoder. Each code keeps a count of its own. Encoders with loss leave less than a
+count of 255, so that their 10 and 12 bits are read as 8.
 
 Times are the file's time stamps. Fields of interlaced frames become frames of their own, with lines between by
 interpolation.

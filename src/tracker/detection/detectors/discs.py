@@ -50,8 +50,8 @@ class _Tally:
 class Discs:
     """Finds regions that differ from the background of their scene, and fits discs to the pixels at their edges.
 
-    Made from a view, it surveys the film: background of each scene, radii of the balls, whether balls are lit from one
-    side and cast shadows. `detect` then fits the discs of each frame.
+    Made from a view, it surveys the film. It finds the background of each scene, the radii of the balls, and whether
+    light from one side casts shadows. `detect` then fits the discs of each frame.
     """
 
     point: ClassVar[str] = "centre"
@@ -494,7 +494,7 @@ def _find_rays(centres: list[tuple[float, float]], radius: float, shape: tuple[i
 def _lit_from_one_side(discs: list[ContrastRegion]) -> bool:
     """True if discs are brighter on one side, all on the same.
 
-    The median of their relative change of contrast over a radius must exceed .15; four fifths of the discs must have
+    The median of their relative change of contrast over a radius must exceed .15. Four fifths of the discs must have
     half of it in that direction.
     """
     leans = np.array([disc.lean for disc in discs])

@@ -27,7 +27,7 @@ class BallProfile:
         """The profile's brightness (n, s, s) on windows of s = 2 half + 1 pixels, and its derivatives by x and y.
 
         The brightness is in counts above what is beyond the profile. `middle` (n, 2) is that of the profile halfway
-        through the exposure, px from the central pixel, and `blur` (n, 2) its displacement during the exposure, px.
+        through the exposure, px from the central pixel. `blur` (n, 2) is its displacement during the exposure, px.
         """
         if not blur.any():
             return self._height(middle, half)

@@ -1,8 +1,8 @@
 """The pixel model of a glint, the information of a pixel, and the Cramer-Rao bound of a position.
 
 A glint is a Gaussian of width sigma, integrated over each pixel and along the line of the ball's motion during the
-exposure. Fisher information: F_ab = sum_i J(m_i) d_a m_i d_b m_i over the pixels, with m_i their means
-(Kay 1993, section 3.9, with a variance that follows the mean; clipped pixels by their censored likelihood).
+exposure. Fisher information: F_ab = sum_i J(m_i) d_a m_i d_b m_i over the pixels, with m_i their means. This is section
+3.9 of Kay (1993), with a variance that follows the mean. Clipped pixels enter by their censored likelihood.
 """
 
 from __future__ import annotations

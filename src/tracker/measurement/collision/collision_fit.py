@@ -126,7 +126,7 @@ class CollisionFits:
         """Let the quantities of both fits carry possible departures from laws, as either fit shows them.
 
         The tied fit shows them better. Its departures count for the free fit too, where the data accept the tied fit
-        otherwise. Where they do not, other faults imitate a friction that changes, which is then left out.
+        otherwise. If they do not, other faults imitate a friction that changes, which is then left out.
         """
         is_accepted = self._without_departures().is_tied_accepted
         by_tied = [one for flag, one in tied.items() if is_accepted or flag is not Flag.FRICTION_CHANGES]

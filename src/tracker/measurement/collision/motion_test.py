@@ -15,9 +15,9 @@ Floats = NDArray[np.float64]
 def find_p_of_motion(free: CollisionFit, noise_dof: float, *, least_share: float = 1e-3) -> float:
     """Find the probability of so large a gain of chi^2 from other laws of motion, if those of the free fit are true.
 
-    Chi^2 of all positions hardly shows a friction that falls with the speed, or a slope, because few of the many
-    degrees of freedom depend on it. The displacements that such laws cause are tested alone, by one linear step. NaN
-    where the fit itself absorbs all of them.
+    Few of the many degrees of freedom depend on a friction that falls with the speed, or on a slope. So chi^2 of all
+    positions hardly shows them. The displacements that such laws cause are tested alone, by one linear step. NaN where
+    the fit itself absorbs all of them.
 
     noise_dof: as in `compute_p_value`; least_share: of a displacement, that the parameters of the fit must leave.
     """

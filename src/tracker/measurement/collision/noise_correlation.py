@@ -1,8 +1,8 @@
 """Noise that is correlated from frame to frame, measured where balls roll or rest freely.
 
-Before the contact and after the slides a cubic describes the motion, whatever the impact. Restricted maximum
-likelihood gives the size and the correlation of its residuals; it accounts for the degrees of freedom of the cubics
-(Patterson & Thompson 1971).
+Before the contact and after the slides a cubic describes the motion, whatever the impact. Restricted maximum likelihood
+gives the size and the correlation of its residuals. It accounts for the degrees of freedom of the cubics (Patterson &
+Thompson 1971).
 """
 
 from __future__ import annotations

@@ -27,8 +27,9 @@ def find_slope_of_friction(
     It typically changes the friction at the fastest slip by `friction_change` of the settings. None if the striker
     slides up to the contact.
 
-    known: as for `find_departure`. expected: probability before that friction changes. One collision hardly tells mu
-    from k: with 0.01 the errors of mu_k are 1 % larger where friction is constant, with 0.5 they are 60 % larger.
+    known: as for `find_departure`. expected: probability before that friction changes. One collision hardly
+    distinguishes mu from k. If friction is constant, the errors of mu_k are 1 % larger with 0.01, and 60 % larger with
+    0.5.
     """
     if fit.pair.striker_slides:
         return None

@@ -2,7 +2,7 @@
 
 Residuals cannot show an error that is smooth over a stretch. Examples are a bent map of the camera, a marker beside
 the centre of mass, and a body that lifts off. The balance of momentum shows such errors. The errors are those of the
-residuals times a factor and, for each component of each velocity, an error that is proportional to the speed of the
+residuals times a factor. Each component of each velocity has a further error that is proportional to the speed of the
 hit. Along the line of centres there is a bias that is proportional to the normal speed. In one recording the factor is
 1 and that error is a prior. In a set they are fitted: the factor where errors are larger in hits that are measured less
 well.
@@ -221,7 +221,7 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], *, least_gain: float = 4.5
     The biases and the ratio of masses are the likeliest. The errors are means over all that fit, because the likeliest
     ones of few hits are too small; see `_Balances`.
 
-    If the masses are unknown, their ratio is fitted too where each of two bodies strikes the other a few times: recoil
+    If the masses are unknown and each of two bodies strikes the other a few times, their ratio is fitted too. Recoil
     from either side distinguishes it from a bias. It counts if it makes the balances likelier by 3 standard errors.
 
     least_gain: of the logarithm of the probability by the ratio, half the square of 3 errors.

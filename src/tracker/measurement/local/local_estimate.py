@@ -43,11 +43,10 @@ _FRICTION = ("mu_k", "C", "w1n", "w1t", "w2n", "w2t", "tau1", "tau2")
 class LocalEstimate:
     """Values in the order of LOCAL_NAMES, with their covariance.
 
-    response: derivative of each value by the velocities of SIDES along n and t, and by the logarithm of the mass of
-    ball 1 over that of ball 2, (n, 9).
-    chi2, dof, adequate: of the positions by the errors before the residuals widen them, and the p-value. Without
-    claimed errors these are those of the scatter from frame to frame.
-    shared: by key of the camera file that has an error, its value, and the effect (n,) of one standard error.
+    response: (n, 9), derivatives of each value by the velocities of SIDES along n and t, and by the logarithm of the
+    mass ratio, ball 1 over ball 2. chi2, dof, adequate: of the positions by the errors before the residuals widen them,
+    and the p-value. Without claimed errors these are those of the scatter from frame to frame. shared: by key of the
+    camera file that has an error, its value, and the effect (n,) of one standard error.
     """
 
     value: Floats
@@ -112,8 +111,8 @@ def estimate_locally(
 def _stay_together(contact: Contact, instant: float, *, least_positions: int = 10, least_r: float = 0.05) -> bool:
     """Decide whether bodies stay together after the hit, as those with tape do: no free motion shows r then.
 
-    Tape gives way at first. So the later two thirds of the positions count: the bodies part there by less than
-    `least_r` of the speed of approach, within two errors, and their distance never changes by a tenth of a diameter.
+    Tape gives way at first. So the later two thirds of the positions count. There the bodies part by less than
+    `least_r` of the speed of approach, within two errors. Their distance never changes by a tenth of a diameter.
     """
     (_, one), (_, other) = contact.pair.balls
     _, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)

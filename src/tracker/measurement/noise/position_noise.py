@@ -57,9 +57,9 @@ class ScatterRatio:
 def measure_scatter(balls: Sequence[BallNoise]) -> ScatterRatio | None:
     """Measure the positions' errors by their scatter about cubics in windows of consecutive frames.
 
-    The balls' covariances give the expected scatter. The largest windows are left out, beyond the 95 % quantile that
-    normal errors of the median size would have, and the mean of the others is corrected for that. None where no ball
-    is seen in WINDOW consecutive frames.
+    The balls' covariances give the expected scatter. Windows beyond the 95 % quantile of normal errors of the median
+    size are left out. The mean of the others is corrected for that. None where no ball is seen in WINDOW consecutive
+    frames.
     """
     kept_share = 0.95
     dof_share = 0.84  # share of the degrees of freedom that remains after the largest windows are left out

@@ -2,9 +2,9 @@
 
 A pixel's own response and offset are the same in every frame. So a ball at rest has the same error in all frames, and
 a slow ball shares part of it from frame to frame. To first order, a random pattern of pixels shifts a Gaussian glint by
-the gradient of a smooth random field. Shifts at two positions D apart then correlate as
-(1 - D D^T / 2 s^2) exp(-|D|^2 / 4 s^2), where s is the glint's width. At D = 0, a resting ball, that is one.
-Any further correlation from frame to frame is described by a first-order autoregression.
+the gradient of a smooth random field. With the glint's width s, shifts at two positions D apart then correlate as (1 -
+D D^T / 2 s^2) exp(-|D|^2 / 4 s^2). At D = 0, a resting ball, that is one. Any further correlation from frame to frame
+is described by a first-order autoregression.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Qualisys: a TSV of lines of a key and values, then X, Y, Z of each marker, mm, z up; 0, 0, 0 is a lost marker."""
+"""Qualisys: a TSV of lines of a key and values, then X, Y, Z of each marker, mm, z up. A marker at 0, 0, 0 is lost."""
 
 import math
 
