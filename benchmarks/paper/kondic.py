@@ -1,7 +1,7 @@
 """The closed forms that the paper fits (v1f, v2f, tau1, tau2, after Kondic), and their fit.
 
-Head-on they are the paper's; for oblique hits the part along the line of centres follows them, and of the part across a
-share .4 C passes to the other ball (docs/format.md: the base model has the same C at every b).
+Head-on they are the paper's. In oblique hits the part along the line of centres follows them, and a share .4 C of the
+part across passes to the other ball. The base model has the same C at every b (docs/format.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The paper's own analysis of tracked collisions: differences of positions, line of centres, the end of a slide.
 
-Everything here takes positions on the plate and nothing else, many collisions at once: those that the tracker followed
-in films and, in the wide scan over models, solved ones with noise. Definitions: docs/format.md and the paper.
+Everything here takes positions on the plate and nothing else, many collisions at once. The tracker followed them in
+films. In the wide scan over models they are solved, with noise. Definitions: docs/format.md and the paper.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ repository. The table gives for each laboratory:
 
 - hits, those whose bodies stay together (r is 0), and those with a local r, and with an error below .05;
 - the median of r, with the median of its errors, and the scatter from hit to hit;
-- the share of hits whose balance of momentum is within 1 and 1.96 errors, along and across the line of centres: with
-  the prior of one recording, with errors fitted to all hits, and with errors fitted to the other half of the hits,
-  over eight random splits.
+- the share of hits whose balance of momentum is within 1 and 1.96 errors, along and across the line of centres. Errors
+  are by the prior of one recording, fitted to all hits, or fitted to the other half of the hits, over eight random
+  splits.
 
 With --tied the tied and free fits are made too, some five seconds a hit, and the recommendations are counted.
 """

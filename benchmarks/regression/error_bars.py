@@ -1,7 +1,7 @@
 """Error bars where the camera file is wrong by its errors: figures for the gate.
 
 Each case measures collisions of known motion from true centres with noise. A figure NAME.rms_z is the root mean square
-of error / claimed standard error, which is 1 where error bars are true; NAME.errors counts the errors in it.
+of error / claimed standard error, which is 1 where error bars are true. NAME.errors counts the errors in it.
 `wrong_camera` has those of all wrong keys.
 """
 

@@ -1,17 +1,18 @@
 """The regression gate: has a tracking error grown by more than its own sampling scatter allows?
 
 Four suites are made again each time. The suite "video" has a few filmed clips, for detection, localisation and
-identities. The suite "tracks" has many collisions whose true centres get noise of a known size. It gives bias and
-spread of every quantity in units of its claimed error (z_mean, z_std), the median claimed error (std), and the number
-of clips with a claim (n). The suite "local" gives z_std of local estimates of hits whose impact follows no law of the
-tracker, by their residuals alone: the least error of a velocity would hide errors that are too small. The suite
-"error bars" gives the same where the camera file is wrong by its errors (rms_z;
+identities. The suite "tracks" has many collisions whose true centres get noise of a known size. For every quantity it
+gives bias and spread in units of the claimed error (z_mean, z_std). It also gives the median claimed error (std) and
+the number of clips with a claim (n). The suite "local" gives z_std of local estimates of hits whose impact follows no
+law of the tracker. Their errors are by the residuals alone, because the least error of a velocity would hide errors
+that are too small. The suite "error bars" gives the same where the camera file is wrong by its errors (rms_z;
 `error_bars.py`).
+
 `baseline.json` holds, for each figure, its accepted mean and its scatter from seed to seed. A figure fails when it is
 worse than the mean by more than LIMIT scatters; z_mean and z_std fail on either side.
-The test of error bars needs no accepted figure. The share of errors within one and 1.96 claimed ones (cover68,
-cover95) and rms_z must be those of a normal distribution, within LIMIT of their sampling errors. So must the mean
-square of all errors of a fit by its covariance (tied.spread, free.spread), which sees a covariance off by a seventh.
+The test of error bars needs no accepted figure. The shares of errors within 1 and 1.96 claimed ones (cover68, cover95)
+and rms_z must be normal, within LIMIT of their sampling errors. So must the mean square of all errors of a fit by its
+covariance (tied.spread, free.spread), which sees a covariance off by a seventh.
 
     gate.py                    check (exit status 1 when something has grown)
     gate.py --seeds 10         check ten times, with other seeds

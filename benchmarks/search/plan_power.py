@@ -2,11 +2,11 @@
 
     plan_power.py [--effects hop,stribeck] [--trials 6] [--noise 0.03125] [-o out/plan_power.json]
 
-Each effect is hidden at .7, 1 and 1.4 times its planned limit in experiments of their own draws: true tracks with white
-noise, measured by the tracker's fits, and scored as `discrepancy find` does first: a quarter kept out, the noise read
-from the tracks, the base model fitted. (Only its search for single wrong places, of which there are none, is left out.)
-A straight line through all scores meets 5 sigma at the measured limit. seen: share of the experiments at the planned
-limit that score beyond what a claim needs; of |z| about 5, .8 are beyond 4.2.
+Each effect is hidden at .7, 1 and 1.4 times its planned limit, in experiments of their own draws. These are true tracks
+with white noise, measured by the tracker's fits. They are scored as `discrepancy find` does first: it keeps a quarter
+out, estimates the noise from the tracks, and fits the base model. (Only its search for single wrong places, of which
+there are none, is left out.) A straight line through all scores meets 5 sigma at the measured limit. seen: share of the
+experiments at the planned limit that score beyond what a claim needs; of |z| about 5, .8 are beyond 4.2.
 """
 
 from __future__ import annotations

@@ -8,8 +8,9 @@ python -m benchmarks.simulation.collapse [-o out/collapse]
   variables of their own, so no digits are lost as they go to zero. The event loop refuses balls that approach at less
   than a nanometre a second. The known limit for three balls is r = 7 - 4 sqrt(3) = 0.0718 (McNamara & Young, Phys.
   Fluids A 4 (1992) 496).
-- By the event loop alone: how many of the lines end in a contact that lasts, by restitution, on a plate without
-  friction and on that of the paper; and the contacts with a contact duration, which bounds their number.
+- The event loop alone shows how many of the lines end in a contact that lasts, by restitution. It runs them on a plate
+  without friction and on that of the paper. A contact duration bounds the number of contacts, which the study counts
+  too.
 """
 
 from __future__ import annotations

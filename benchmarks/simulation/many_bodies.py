@@ -2,8 +2,8 @@
 
 python -m benchmarks.simulation.many_bodies [-o out/many_bodies] [--pooltool PYTHON]
 
-- A nine-ball break between cushions, by this program and by pooltool in turn, in CPU seconds of one core; pooltool
-  warm, its compilation not counted. PYTHON is an interpreter that has it: see pooltool_shots.py of the tests.
+- A nine-ball break between cushions, by this program and by pooltool in turn, in CPU seconds of one core. pooltool is
+  warm; its compilation is not counted. PYTHON is an interpreter that has it: see pooltool_shots.py of the tests.
 - Trays of 10 to 10,000 steel balls at 30 % of the area: CPU time per event. 100 balls for 10 s.
 - Trays of 100 balls: granular temperature, what takes the energy, and how long balls slide between their contacts,
   with the plate's friction and without. Without it and with a constant restitution the temperature falls as
@@ -117,8 +117,8 @@ def time_trays() -> list[dict[str, float]]:
 
 
 def cool(model: Model, lasts: float) -> dict[str, Any]:
-    """Trays of 100 balls: sinks of energy of the first, and the means of all with their standard errors: mean square
-    speed, time of Haff's law, and how long balls slide."""
+    """Trays of 100 balls: sinks of energy of the first, and means of all with their standard errors. The means are of
+    the square speed, the time of Haff's law, and the time for which balls slide."""
     motions = []
     for seed in range(1, TRAYS + 1):
         launch, side = fill_tray(model, 100, 0.3, seed=seed)
@@ -143,8 +143,8 @@ def average_rows(tables: list[list[dict[str, float]]]) -> list[dict[str, float]]
 
 
 def compare_slides(motion: Trajectory, lasts: float) -> list[dict[str, float]]:
-    """Return by time, in ten intervals: how long a ball slides at a stretch, the time between its contacts, and the
-    share of the time for which balls slide."""
+    """Return, in ten intervals of time, how long a ball slides at a stretch, the time between its contacts, and the
+    share of time for which balls slide."""
     edges, rows = np.linspace(0, lasts, 11), []
     hits = np.array([e.t for e in motion.events if e.kind == "contact"])
     slides = np.array([(leg.t0, leg.t1) for legs in motion.legs for leg in legs if leg.motion == "slide"])

@@ -2,9 +2,9 @@
 
 python -m benchmarks.simulation.random_scenes [--runs 10000] [--seed 0] [-o out/random_scenes.json]
 
-A run may be refused with a ValueError that says why (a ball that cannot rest, balls that stay in contact); all else is
-a failure. Energy is the balls' kinetic energy, rolling and height included; it may rise only where an effect other than
-the drag of air pushes. Prints a line for each failure, with the seed that repeats it.
+A ValueError may refuse a run and say why (a ball that cannot rest, balls that stay in contact). All else is a failure.
+Energy is the balls' kinetic energy, rolling and height included; it may rise only where an effect other than the drag
+of air pushes. Prints a line for each failure, with the seed that repeats it.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ agreement.py TRUTH.txt FOUND.txt [TRUTH FOUND ...]    default: the example sets 
 
 TrackEval is needed, without the second OpenCV that it requires: pip install --no-deps trackeval==1.3.0
 
-The two programs differ in one rule. motmetrics gives a ball back to the last track that it had, however long ago;
+The two programs differ in one rule. motmetrics gives a ball back to the last track that it had, however long ago.
 TrackEval gives it back to the track of the frame before. `tracker score` must agree with TrackEval.
 """
 

@@ -12,10 +12,10 @@ A rule is judged by three numbers:
 - the mean claimed error at d = 0, over that of a fit that knows that d is 0;
 - the largest mean claimed error at any other d, over that of a fit in which d is free.
 
-The script computes these numbers for the rule of `tracker.measurement.collision.departures`. For each of --rms it
-prints the least possible largest rms z of all rules that claim no larger errors, and have that rms z at d = 0. The
-problem is convex in 1/(claimed variance) and m/(claimed variance), so that its dual gives the bound exactly, but for
-the grids of z and d. Values of |z| over 4.89 are misfits and do not count.
+The script computes these numbers for the rule of `tracker.measurement.collision.departures`. It considers all rules
+that claim no larger errors, and have an rms z of --rms at d = 0. It prints the least value that their largest rms z can
+have. The problem is convex in 1/(claimed variance) and m/(claimed variance). So its dual gives the bound exactly, but
+for the grids of z and d. Values of |z| over 4.89 are misfits and do not count.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 cluster.py [--clips 10000] [--alone 500] [--workers 2] [--folder DIR] [-o out/cluster.json]
 
-One process makes the first `--alone` clips again with the same commands (0: all, in twice the time), and every file is
+One process makes the first `--alone` clips again with the same commands (0: all, in twice the time). Every file is
 compared byte by byte. The cost of a million clips is extrapolated from the processor time and the bytes of each step.
 """
 

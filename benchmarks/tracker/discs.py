@@ -3,8 +3,8 @@
 python -m benchmarks.tracker.discs [--films 2] [-o out/discs.json]
 
 The table compares them with centroids of a simple script. It takes the difference from the background at half the
-contrast of the balls, opens it by 3 x 3, and takes the centre of moments of each contour with about the area of a ball.
-The script is given the true background and contrast.
+contrast of the balls, and opens it by 3 x 3. A position is the centre of moments of a contour with about the area of a
+ball. The script is given the true background and contrast.
 """
 
 from __future__ import annotations

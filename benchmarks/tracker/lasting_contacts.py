@@ -2,10 +2,10 @@
 
 python -m benchmarks.tracker.lasting_contacts [--clips 400] [--seed 1] [--longest-ms 30] [-o out/lasting_contacts.json]
 
-The tracks are integrated: contacts of 0 to 30 ms at 250, 500 and 1,000 frames a second, r .2 to .95, noise of .03 to
-.3 px (1 px = .4 mm), discs without friction and balls that slide and roll, head-on and oblique. The contacts follow
-five laws: a linear spring with a dashpot, in two forms; Hertz springs with two kinds of dashpot; bodies that keep a
-dent. A fifth of the clips are of bodies that stay together. Balls whose restitution is under .4 touch again.
+The tracks are integrated. Contacts last 0 to 30 ms, at 250, 500 and 1,000 frames a second, with r .2 to .95 and noise
+of .03 to .3 px (1 px = .4 mm). Discs have no friction, balls slide and roll; hits are head-on and oblique. The contacts
+follow five laws: a linear spring with a dashpot, in two forms; Hertz springs with two kinds of dashpot; bodies that
+keep a dent. A fifth of the clips are of bodies that stay together. Balls whose restitution is under .4 touch again.
 
 z = error / standard error of each value that has an error. The tables give their number, mean, rms with its sampling
 error, and the share within 1 and 2 errors (.68 and .95 for normal errors).

@@ -10,15 +10,16 @@ Hits are those of three kinds:
   to 0.12 m/s^2.
 - discs: pucks of 50 mm on air at 250 frames a second, noise 0.03 mm. Each run has a drag of its own, the rims rub, and
   the masses are unequal and given.
-- pucks: discs of 30 mm that slide on a dry plate until they stop, at 240 frames a second, as in a film of 320 x 240
-  with loss. Errors of 0.1 px last over some frames, but not of pucks at rest. With --claimed the tables have a fifth of
-  that, as of a film whose codec repeats what hardly changes.
+- pucks: discs of 30 mm that slide on a dry plate until they stop. They have 240 frames a second, as in a film of 320 x
+  240 with loss. Errors of 0.1 px last over some frames, but not of pucks at rest. With --claimed the tables have a
+  fifth of that, as of a film whose codec repeats what hardly changes.
 
 With --warp W the positions are shifted by a smooth map of W m rms over 0.1 m, which no fit knows. With --claimed the
 tables have the true errors of positions; without it the errors come from the scatter.
 
 For each quantity the table gives the number with an error, the rms of z = error / standard error, and the share within
-1 and 1.96 standard errors: by the residuals alone, with the prior of one recording, and with errors fitted to the set.
+1 and 1.96 standard errors. It does so by the residuals alone, with the prior of one recording, and with errors fitted
+to the set.
 """
 
 from __future__ import annotations

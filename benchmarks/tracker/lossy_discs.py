@@ -2,9 +2,10 @@
 
 python -m benchmarks.tracker.lossy_discs [--films 6] [--seed 1]
 
-Each film shows two balls of 19 px that roll, collide (r .7 to .95, mu_k .1 to .3) and slide, drawn by supersampling
-with a noise of 2 counts. It is encoded and tracked. A row for each codec gives the films by status, and of v0, r and
-mu_k z = error / standard error: its rms with the sampling error, and the share within 1 and 2 errors.
+Each film shows two balls of 19 px that roll, collide (r .7 to .95, mu_k .1 to .3) and slide. They are drawn by
+supersampling, with a noise of 2 counts. It is encoded and tracked. A row for each codec gives the films by status. For
+v0, r and mu_k it gives the rms of z = error / standard error with its sampling error, and the share within 1 and 2
+errors.
 """
 
 from __future__ import annotations

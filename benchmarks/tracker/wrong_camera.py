@@ -3,9 +3,9 @@
     wrong_camera.py [--clips 100] [-o out/wrong_camera]
     wrong_camera.py --scene scenes/other_camera.yaml --faults "diameter +1 %,bare"    only those faults
 
-The table gives for each quantity of the tied fit its mean shift in percent of the result with the right file, and in
-brackets the root mean square of z, which is 1 where the error bars remain correct. b, t_c and the angle may be zero, so
-their shifts are in their own units. chi^2 per degree of freedom and the share of measured clips tell whether a clip
+For each quantity of the tied fit the table gives its mean shift, in percent of the result with the right file. In
+brackets is the root mean square of z, which is 1 where the error bars remain correct. b, t_c and the angle may be zero,
+so their shifts are in their own units. chi^2 per degree of freedom and the share of measured clips tell whether a clip
 reveals the fault. The program prints a table in Markdown and writes it as JSON.
 """
 

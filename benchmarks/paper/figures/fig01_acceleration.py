@@ -21,7 +21,7 @@ def caption(results: Results) -> str:
     found = results.rolling
     return (
         f"Acceleration of single balls that roll, against their speed: {len(found.speed)} values from"
-        f" {results.count('rolling')} filmed balls, each from the change of velocity between two stretches of 40 ms."
+        f" {results.count('rolling')} filmed balls. Each is the change of velocity between two stretches of 40 ms."
         " Solid: least-squares line, a = -C v - D"
         f" with C = {found.drag:.4f} +- {found.drag_error:.4f} /s and D = {found.decel * 100:.3f} +-"
         f" {found.decel_error * 100:.3f} cm/s^2. Dashed: the paper's line, C = 0.135 /s, D = 1.03 cm/s^2, which the"

@@ -24,8 +24,8 @@ def caption(results: Results) -> str:
     return (
         "Tracks of two balls that collide; the striker enters from the left. (a) As captioned in the paper: v0 ="
         f" {slow.v0 * 100:.1f} cm/s, b/2R = {slow.read['b']:.3f} (5.5 degrees). (b) v0 = {fast.v0 * 100:.1f} cm/s, b/2R"
-        f" = .25 ({fast.read['b']:.2f} by the frame of least separation, as the paper takes it), at which a slide"
-        " takes the 0.06 s that the paper gives for its figure. Circles:"
+        f" = .25 ({fast.read['b']:.2f} by the frame of least separation, as the paper takes it). At this speed a"
+        " slide takes the 0.06 s that the paper gives for its figure. Circles:"
         " every 0.02 s. Right: near the collision, every frame; the bar is a ball's diameter, 2.38 mm. In (a) the"
         " tracks bend within a diameter of the hit, in (b) over centimetres."
     )

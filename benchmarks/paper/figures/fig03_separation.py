@@ -18,9 +18,9 @@ def caption(results: Results) -> str:
     slow, fast = (results.course(name).read for name in ("slow", "fast"))
     return (
         "Distance between the balls' centres against time, for the collisions of figure 2: (a) 10 cm/s, (b) 37 cm/s."
-        " Dotted: the hit; dashed: where each slide ends, read as the corner of the ball's velocity: after"
-        f" {slow['tau1'] * 1e3:.0f} and {slow['tau2'] * 1e3:.0f} ms in (a), {fast['tau1'] * 1e3:.0f} and"
-        f" {fast['tau2'] * 1e3:.0f} ms in (b) (struck ball, striker). Thin: the straight line of the last 60 ms,"
+        " Dotted: the hit. Dashed: the ends of the slides, read as corners of the velocities (struck ball, striker):"
+        f" after {slow['tau1'] * 1e3:.0f} and {slow['tau2'] * 1e3:.0f} ms in (a), {fast['tau1'] * 1e3:.0f} and"
+        f" {fast['tau2'] * 1e3:.0f} ms in (b). Thin: the straight line of the last 60 ms,"
         " carried back. The paper reads 0.06 s from its figure, which (b) shows and (a) does not."
     )
 

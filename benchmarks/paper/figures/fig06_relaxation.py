@@ -21,10 +21,10 @@ def caption(results: Results) -> str:
     off = speeds[["tau1", "tau2"]].to_numpy() - kondic.head_on(speeds["v0"].to_numpy())[:, 2:]
     return (
         f"Time from the hit to the end of sliding against the striker's speed, of {len(speeds)} filmed collisions"
-        " nearly head-on: the corner of each ball's velocity against time. Lines: the model with the paper's numbers"
-        " (r = 0.903 +- 0.008, mu_k = 0.232 +- 0.023, C = 0.347 +- 0.008), tinted: these printed errors, taken as"
-        f" independent. The points scatter about the lines by {1e3 * np.nanstd(off):.1f} ms, less than a symbol's"
-        " height; slides under 11 ms cannot be read at 250 frames a second, whence the level begin of the strikers."
+        " nearly head-on. A slide ends at the corner of the ball's velocity against time. Lines: the model with the"
+        " paper's numbers (r = 0.903 +- 0.008, mu_k = 0.232 +- 0.023, C = 0.347 +- 0.008). Tinted: these printed"
+        f" errors, taken as independent. The points scatter about the lines by {1e3 * np.nanstd(off):.1f} ms, less than"
+        " a symbol's height. Slides under 11 ms cannot be read at 250 frames a second, so the strikers begin level."
         f" A fit of these data as the paper makes it gives mu_k = {fitted.laws.mu:.4f} +-"
         f" {fitted.errors.mu:.4f}. Star: the 0.06 s at 10 cm/s of the paper's text. It is off the"
         " line by 44 ms for the struck ball, 52 ms for the striker. Grey: the range of 0.05 to 0.1 s that it calls"

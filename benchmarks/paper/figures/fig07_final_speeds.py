@@ -21,11 +21,11 @@ def caption(results: Results) -> str:
     fitted = results.fitted
     return (
         "Speed of each ball as it begins to roll against the striker's speed before the hit,"
-        f" {results.count('speeds')} filmed collisions nearly head-on; errors are smaller than the symbols. Solid: the"
-        " model with the paper's numbers, r = 0.903 +- 0.008, C = 0.347 +- 0.008, tinted: these printed errors;"
-        " dotted: without a plate, r = 0.903. The paper's"
+        f" {results.count('speeds')} filmed collisions nearly head-on. Errors are smaller than the symbols. Solid: the"
+        " model with the paper's numbers, r = 0.903 +- 0.008, C = 0.347 +- 0.008. Tinted: these printed errors."
+        " Dotted: without a plate, r = 0.903. The paper's"
         f" fit to the points of figures 6 and 7 gives r = {fitted.laws.r:.4f} +- {fitted.errors.r:.4f}, C ="
-        f" {fitted.laws.C:.4f} +- {fitted.errors.C:.4f}; the films were made with 0.903 and 0.347. The difference"
+        f" {fitted.laws.C:.4f} +- {fitted.errors.C:.4f}. The films were made with 0.903 and 0.347. The difference"
         " comes from impact parameters up to 0.05, which the head-on equations ignore."
     )
 

@@ -19,8 +19,8 @@ PAPER = (
 def caption(results: Results) -> str:
     left = ", ".join(f"{results.course(n).read['energy']:.3f}" for n in ("slow", "fast"))
     return (
-        "Translational energy of both balls over that of the striker before the hit, from differences of "
-        "neighbouring frames: (a) 10 cm/s, b/2R = .096, (b) 37 cm/s, b/2R = .25. Dotted: the hit. Dashed: 1 - (1 - "
+        "Translational energy of both balls over that of the striker before the hit: (a) 10 cm/s, b/2R = .096, "
+        "(b) 37 cm/s, b/2R = .25. Velocities are differences of neighbouring frames. Dotted: the hit. Dashed: 1 - (1 - "
         "r^2)/2 = .908, what an impact with r = 0.903 alone would leave. Share that remains once both balls roll: "
         f"{left} in (a), (b). After the slides rolling takes a little more."
     )

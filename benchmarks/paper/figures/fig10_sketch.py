@@ -21,9 +21,9 @@ def caption(results: Results) -> str:
     return (
         "Velocities of a sliding ball. From the side, the struck ball just after the hit, to the right x, the "
         "direction of its slip. The contact velocity v_ct = v_cm + a x w is that of the lowest point; a points from "
-        "there to the centre. Friction acts against it, so that the velocity changes along x alone. From above: to "
-        f"scale, the striker that came with {read['v0'] * 100:.0f} cm/s, b/2R = .25: its first velocity after the "
-        "hit, its velocity once it rolls, and the change between the two, against the contact velocity, x."
+        "there to the centre. Friction acts against it, so that the velocity changes along x alone. From above, to "
+        f"scale: the striker that came with {read['v0'] * 100:.0f} cm/s, b/2R = .25. It shows the first velocity after "
+        "the hit, the velocity of rolling, and the change between the two, against the contact velocity, x."
     )
 
 

@@ -20,10 +20,10 @@ SLOW_FAST = ("slow", "fast")
 
 def caption(results: Results) -> str:
     return (
-        "Momentum, over that of the striker before the hit, along the direction in which the ball's velocity changes by"
-        " sliding: (a) the struck ball, (b) the striker, each along its own direction, so turned that the striker's"
-        " motion before counts as positive. Left 10 cm/s, right 37 cm/s. Dotted: the hit. The struck ball loses"
-        " momentum to the plate, the striker gains, for it still spins as it rolled; then both lose slowly, by rolling."
+        "Momentum over that of the striker before the hit: (a) the struck ball, (b) the striker. It is along the"
+        " direction in which that ball's velocity changes by sliding, so turned that the striker's first motion counts"
+        " as positive. Left 10 cm/s, right 37 cm/s. Dotted: the hit. The struck ball loses momentum to the plate. The"
+        " striker gains, because it still spins as it rolled. Then both lose slowly, by rolling."
         " Thin: the level at the end of the slide."
     )
 

@@ -28,9 +28,9 @@ def caption(results: Results) -> str:
         table = results.readings(model)["histogram"]
         slopes.append(f"{np.polyfit(table['v0'], table['r 4 ms'], 1)[0]:.2f} {word} a hop")
     return (
-        "Restitution by differences against the striker's speed, of the collisions of figure 4: read 4, 6 and 8 ms"
-        " after the hit; (a) the paper's model, (b) the same with a hop, in the fit of table 4. Lines: r - 2 mu g t/v0"
-        " of the paper's numbers, what a reading t late shows of a head-on hit while both balls slide. Band: the"
+        "Restitution by differences against the striker's speed, of the collisions of figure 4, read 4, 6 and 8 ms"
+        " after the hit. (a) The paper's model, (b) the same with a hop, in the fit of table 4. Lines: r - 2 mu g t/v0"
+        " of the paper's numbers, which a reading t after a head-on hit gives while both balls slide. Band: the"
         " paper's mean with its error, .85 +- .02, its scatter of .11 in lighter grey. Slopes at 4 ms:"
         f" {', '.join(slopes)}, per m/s; a scatter of .11 in 28 collisions leaves .14 open."
     )

@@ -28,9 +28,9 @@ def caption(results: Results) -> str:
         table = results.readings(model)["spins"]
         said.append(f"{word} " + ", ".join(f"{table[f'{n} 4 ms'].mean():.3f} {w}" for n, w, _, _ in PARTS))
     return (
-        "C of each collision from the spins just after the hit, deduced as the paper deduces them from the velocity"
-        " after the hit (here 4 ms after it) and the final one: -w1/w0 of the struck ball, 1 - w2/w0 of the striker,"
-        f" and the mean of the two; {results.count('spins')} collisions, {2 * results.count('spins')} balls. (a) The"
+        "C of each collision from the spins just after the hit: -w1/w0 of the struck ball, 1 - w2/w0 of the striker,"
+        " and the mean of the two. As in the paper, the spins follow from the velocity after the hit (here 4 ms after"
+        f" it) and the final one. {results.count('spins')} collisions, {2 * results.count('spins')} balls. (a) The"
         " paper's model, (b) with a hop. Means:"
         f" {'; '.join(said)}. Bands: the paper's two values. Reading late shifts the two balls apart and leaves their"
         " mean; the hop lowers the mean."

@@ -33,8 +33,8 @@ def caption(results: Results) -> str:
     table = contradictions.best_of(results.scan)
     base = table.loc[table["name"] == "base"].iloc[0]
     return (
-        "How well each effect of the library, alone and beside a hop, explains eleven numbers of the paper (table 5) at"
-        " once: chi^2 of the best size tried, with r, C and mu fitted. All single effects, and the"
+        "How well each effect of the library, alone and with a hop, explains eleven numbers of the paper (table 5)."
+        " chi^2 is that of the best size tried, with r, C and mu fitted. All single effects, and the"
         f" {PAIRS} likeliest of the pairs with a hop; {len(table)} models were tried. Filled: C from the spins of both"
         " balls; open: of struck balls alone; velocities read 4 ms after the hit. Solved motions with the tracker's"
         f" noise. The base model has {base[SHOWN[0]]:.0f} and {base[SHOWN[1]]:.1f}. If the paper's C is"

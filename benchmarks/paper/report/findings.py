@@ -22,12 +22,12 @@ FAST_M_S = 0.35
 def summary(results: Results) -> list[str]:
     """Summarise the page in a few sentences."""
     return [
-        "This page repeats every figure and number of Painter & Behringer, Phys. Rev. E 62 (2000) 2380, from rendered "
-        "films that were tracked and analysed as theirs were. The truth of the films is the paper's own best fit; no "
+        "This page repeats every figure and number of Painter & Behringer, Phys. Rev. E 62 (2000) 2380. The data are "
+        "rendered films, tracked and analysed as theirs were. The truth of the films is the paper's own best fit; no "
         "step of the analysis sees it.",
         "The analysis returns the paper's fit, its losses of energy and momentum, and its change of spin along the "
-        "line of centres. Three numbers contradict the rest of the paper: the sliding time of 0.06 s at 10 cm/s, "
-        "the restitution of 0.85 by differences, and the spin transfer of 0.25 from the spins.",
+        "line of centres. Three numbers contradict the rest of the paper: a sliding time of 0.06 s at 10 cm/s, a "
+        "restitution of 0.85 by differences, and a spin transfer of 0.25 from the spins.",
     ]
 
 
@@ -63,14 +63,14 @@ def contradictions(results: Results) -> dict[str, str]:
         ),
         "The spin transfer": (
             "The paper finds C = 0.25 from the spins and 0.347 from the fit. The final speeds, the energy and the "
-            "momentum agree on a C near 0.35. The mean of both balls does not depend on the time of reading while "
-            "both slide, because friction on the two is equal and opposite: films give "
+            "momentum agree on a C near 0.35. While both slide, their mean does not depend on the time of "
+            "reading, because friction on the two is equal and opposite. Films give "
             f"{', '.join(f'{value:.3f}' for value in c_both)} at 4, 6 and 8 ms. If the spins are those of struck "
-            f"balls alone, late reading explains 0.25: films give {', '.join(f'{value:.3f}' for value in c_target)}, "
-            f"with a χ² of {ranked['base'][target]:.1f} for all numbers, and nothing is missing. If they are those of "
-            "both balls, something takes momentum during the hit. A hop of the balls would (χ² "
-            f"{ranked['hop'][both]:.1f} instead of {ranked['base'][both]:.1f}), and of all effects that we tried only "
-            "a hop or balls of unequal mass. The paper does not say which balls it used."
+            "balls alone, late reading explains 0.25, and nothing is missing. Films then give "
+            f"{', '.join(f'{value:.3f}' for value in c_target)}, with a χ² of {ranked['base'][target]:.1f} for all "
+            "numbers. If they are those of both balls, something takes momentum during the hit. A hop of the balls "
+            f"would (χ² {ranked['hop'][both]:.1f} instead of {ranked['base'][both]:.1f}). Only a hop, or balls of "
+            "unequal mass, explain this among all effects that we tried. The paper does not say which balls it used."
         ),
     }
 

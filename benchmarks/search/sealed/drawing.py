@@ -84,7 +84,7 @@ def draw(study: Study, box: int, secret: str) -> Truth:
 
 
 def _lamp(rng: np.random.Generator, light: str) -> list[float] | None:
-    """Where camera.json says the lamp is; None: it does not say."""
+    """The lamp's position by camera.json; None if it has none."""
     low = [*(rng.choice([-1, 1], 2) * rng.uniform(0.05, 0.15, 2)), rng.uniform(*LOW)]
     return {"usual": list(LAMP), "untold": None, "low": [float(x) for x in low]}[light]
 

@@ -1,7 +1,7 @@
 """Fisher information of an experiment: detection limits, and the similarity of effects.
 
-The model is linear about the base model: launches and base parameters are free, the rest of an effect's trace in the
-tracks, whitened by the true noise, is its signature; its length is the expected |z|.
+The model is linear about the base model, with free launches and base parameters. An effect changes the tracks. The part
+of this change that they cannot absorb, whitened by the true noise, is its signature. Its length is the expected |z|.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Noise:
 
 
 def predict_positions(model: Model, launches: Array, rows: Sequence[Rows]) -> list[Array]:
-    """Where the balls are at these rows, m: (n_k, 2). The search's forecast asks for no more than rows have."""
+    """Positions of the balls at these rows, m: (n_k, 2). The search's forecast asks for no more than rows have."""
     return predict_tracks(model, launches, cast(Sequence[MeasuredCollision], rows))
 
 
@@ -96,7 +96,7 @@ class Fisher:
 
     @staticmethod
     def places(model: Model, rows: Sequence[Rows]) -> list[Array]:
-        """Where the balls are, m: (n_k, 2)."""
+        """Positions of the balls, m: (n_k, 2)."""
         return predict_positions(model, np.array([r.launch for r in rows]), rows)
 
     def _tracks(self, model: Model) -> list[Array]:
@@ -140,7 +140,7 @@ class Fisher:
         return [(a - p) / step for a, p in zip(ahead, self.plain, strict=True)]
 
     def signature(self, model: Model) -> Array:
-        """What `model` does to the tracks beyond this base model, whitened, less all that is absorbed: (points,).
+        """The change of the tracks by `model` from this base model, whitened, less all that is absorbed: (points,).
 
         Raises ValueError when that model has no motion for these launches.
         """

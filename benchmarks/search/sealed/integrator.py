@@ -1,8 +1,8 @@
 """Two rolling balls that collide, by an independent integrator without any code of synthcam.
 
-A ball's state is its place, the velocity q = (5 v + 2 R w x z)/7 that it would roll with, and the velocity u of its
-lowest point; v = q + (2/7) u. A force F per mass at the lowest point and a push p on the centre give q' = (5/7) p and
-u' = (7/2) F + p. Sliding ends where |u| falls under ENDED; what is left moves a ball by less than 1 nm in a second.
+A ball's state is its position, the velocity q = (5 v + 2 R w x z)/7 with which it would roll, and the velocity u of its
+lowest point. v = q + (2/7) u. A force F per mass at the lowest point and a push p on the centre give q' = (5/7) p and
+u' = (7/2) F + p. Sliding ends where |u| falls under ENDED. A slower slip moves a ball by less than 1 nm in a second.
 
 PHYSICS lists what it knows beside the base model, each law written from its formula.
 """

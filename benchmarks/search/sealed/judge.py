@@ -64,7 +64,7 @@ class Row:
 
     @property
     def detected(self) -> bool:
-        """Whether the search found something; `inadequate` is a miss where the library has the effect."""
+        """True if the search found something; `inadequate` is a miss where the library has the effect."""
         return self.worked and self.verdict != "none" and (self.kind in STRANGE or self.verdict != "inadequate")
 
     @property
@@ -185,8 +185,8 @@ def _closes(answer: dict[str, Any]) -> list[bool]:
 
 
 WORDS = {OUTSIDE: "outside_library", INADEQUATE: "inadequate"}
-# Kinds of boxes in which a word is a false claim. Beside a hidden effect `inadequate` is a miss; and it is true of a
-# tracker's defect, of which no more than the library's nearest name could have been said.
+# Kinds of boxes in which a word is a false claim. `inadequate` is a miss if an effect was hidden. It is right for a
+# tracker's defect, for which the library has only a nearest name.
 FALSE = {OUTSIDE: ("none", "one", "two", "defect"), INADEQUATE: ("none",)}
 
 

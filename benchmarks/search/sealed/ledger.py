@@ -1,9 +1,14 @@
 """Sealed boxes: the hash of a truth is on record before the analysis, and each box is opened once.
 
-Of a study NAME: NAME.ledger.jsonl, first the hash of the secret that the boxes are drawn from, then a line when a box
-is sealed (the truth's hash) and one when it is answered (the answer's); NAME.sealed/, the truths with their salt, and
-the answers; NAME.jsonl, the opened boxes. The line that opens a box is its result: a run killed at any moment leaves a
-box without an answer, with its one answer, or done.
+A study NAME has these files:
+
+- NAME.ledger.jsonl: first the hash of the secret from which the boxes are drawn. Then a line when a box is sealed (the
+  truth's hash), and one when it is answered (the answer's hash).
+- NAME.sealed/: the truths with their salt, and the answers.
+- NAME.jsonl: the opened boxes.
+
+The line that opens a box is its result. So a run that is killed leaves a box without an answer, with its one answer, or
+done.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Ordinary faults that no free law of the search was made for: laws that mix speed, place, heading, ball and clip.
 
 As `outsiders`, in nobody's library, and without a free law of their own. Some differ from clip to clip: `_in` gives
-what such a fault is in one clip. SAME: an effect that holds exactly this law. Where the library has it, the fault is no
+what such a fault is in one clip. SAME: an effect that holds exactly this law. If the library has the fault, it is no
 longer drawn, and a box of it is judged as one of that effect. FREE_LAW: a free law of the search that holds it by now:
 it is no longer drawn either.
 """
