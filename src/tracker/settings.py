@@ -31,8 +31,8 @@ class DetectionSettings(Settings):
     """Least flux of a fitted glint, in its standard errors. Five is the usual threshold of a detection."""
 
     max_candidates_per_frame: Count | None = None
-    """Most candidates of a frame, the brightest first. Default: 64 for maximum likelihood, which fits each; 512 for
-    centroids, some two hundred steel balls with their secondary glints."""
+    """Most candidates of a frame, the brightest first. Default: 64 for maximum likelihood; 512 for linear fits
+    and centroids, some two hundred steel balls with their secondary glints."""
 
     block_windows: Count = 1024
     """How many windows maximum likelihood fits at once. 1024 are 512 frames with two balls, some 100 MB of memory."""

@@ -24,7 +24,7 @@ MEDIAN_OF_NINE = (
     (2, 5), (4, 7), (4, 2), (6, 4), (4, 2),
 )  # fmt: skip
 MAX_FITTED = 64  # candidates of a frame; maximum likelihood takes minutes for more
-MAX_FOLLOWED = 512  # of a frame, by their centroids
+MAX_FOLLOWED = 512  # of a frame, by centroids and linear fits
 
 
 @dataclass(frozen=True, eq=False)

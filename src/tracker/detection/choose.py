@@ -24,7 +24,7 @@ from tracker.detection.background.windows import find_regions
 from tracker.detection.candidates import MAX_FITTED, MAX_FOLLOWED, estimate_pixel_noise, median_of_nine
 from tracker.detection.outlines.contrast_regions import find_touching_discs
 
-GLINTS, DISCS, CENTROIDS = "maximum_likelihood", "discs", "centroid"
+GLINTS, DISCS, MANY_GLINTS = "maximum_likelihood", "discs", "linear_fit"
 MIN_BODY_AREA_PX = 28  # of a ball seen whole, 6 px across
 CORE_PX = 2.5  # radius of what surely belongs to a ball that the user points at
 
@@ -81,7 +81,7 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
 
 
 def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float) -> tuple[str, str]:
-    """Maximum likelihood, or centroids where a frame shows so many specks that to fit each would take minutes."""
+    """Maximum likelihood, or linear fits where a frame shows so many specks that it would take minutes."""
     bright = [cv2.subtract(np.asarray(picture), level) > math.floor(least) for picture in sample]
     # Each speck has a run of pixels in one line at least, and runs are counted much sooner.
     runs = [np.count_nonzero(spots[:, 1:] > spots[:, :-1]) + np.count_nonzero(spots[:, 0]) for spots in bright]
@@ -92,8 +92,8 @@ def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float)
     if specks <= MAX_FITTED or np.median([spots.mean() for spots in bright]) > crowded_share:
         return GLINTS, ""
     brightest = f"the {MAX_FOLLOWED} brightest of them are followed; " if specks > MAX_FOLLOWED else ""
-    return CENTROIDS, (
-        f"detector: {CENTROIDS}, because a frame shows {specks} bright specks, too many for {GLINTS}, which fits each; "
+    return MANY_GLINTS, (
+        f"detector: {MANY_GLINTS}, because a frame shows {specks} bright specks, too many for {GLINTS}; "
         f"{brightest}--detector overrides this"
     )
 

@@ -10,7 +10,7 @@ outline), or "either". The latter is the centre if the camera file says that bal
 detector of centres ``view.takes`` is there and ``view.plate`` is only the first frame; for one of glints ``view.takes``
 is None.
 
-A detector has no other hooks. ``detectors/centroid.py`` is a short example of the first form.
+A detector has no other hooks. ``detectors/opencv_components.py`` is a short example of the first form.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ def test_steel_balls_are_glints(camera, peak, body):
     assert choose_detector(wrap_frames(np.array(frames)), camera) == ("maximum_likelihood", "")
 
 
-def test_a_film_of_powder_is_left_to_centroids():
+def test_a_film_of_powder_is_left_to_linear_fits():
     """Maximum likelihood fits each of the specks: 300 frames of powder took minutes."""
     rng = np.random.default_rng(4)
     frames = rng.integers(6, 12, (12, 160, 200), dtype=np.uint8)
@@ -45,7 +45,7 @@ def test_a_film_of_powder_is_left_to_centroids():
         for x, y in rng.integers(4, 150, (90, 2)):
             frame[y : y + 2, x : x + 2] = 200
     name, why = choose_detector(wrap_frames(frames), BARE)
-    assert name == "centroid"
+    assert name == "linear_fit"
     assert "bright specks, too many for maximum_likelihood" in why
     few = rng.integers(6, 12, (12, 160, 200), dtype=np.uint8)
     few[:, 40:42, 40:100:6] = 200

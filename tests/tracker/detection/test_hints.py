@@ -166,9 +166,10 @@ def test_hints_are_recorded(tmp_path, monkeypatch, capsys):
     assert run["film"] == {"frames": "2:22", "region": "0,0,200,160", "ball": ["90,80@10"]}
 
 
-def test_a_hundred_glints_are_followed_by_their_centroids():
+@pytest.mark.parametrize("detector", ["centroid", "linear_fit"])
+def test_a_hundred_glints_are_followed(detector):
     x, y = np.meshgrid(np.arange(10, 160, 15.0), np.arange(8, 158, 15.0))
     ways = np.stack([np.column_stack([x.ravel() + 0.5 * k, y.ravel()]) for k in range(4)])
-    found = tracker.track(film(np.random.default_rng(2), ways), GLINTS, detector="centroid").tracks
+    found = tracker.track(film(np.random.default_rng(2), ways), GLINTS, detector=detector).tracks
     assert found.groupby("frame").size().tolist() == [100] * 4
     assert found["particle"].nunique() == 100

@@ -1,0 +1,77 @@
+"""The errors that linear fits claim in films of crowds, whose frames show too many balls for a full fit of each."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.special import ndtr
+
+from synthcam import Scene
+from tracker.camera.camera import Camera
+from tracker.camera.film_in_memory import wrap_frames
+from tracker.camera.recordings import make_recording
+from tracker.detection.detect import detect, load_detector, make_view
+
+
+def read_errors(clip, detector):
+    """Errors (n, 2) of the glints of a film, px, over their claimed errors and by themselves."""
+    recording = make_recording(0, wrap_frames(clip.film()), Camera.from_dict(clip.camera_json))
+    found = detect(recording, make_view(recording, detector), detector).glints
+    true = clip.tracks[clip.tracks.visible]
+    shift = true[["x_mean_px", "y_mean_px"]].to_numpy() - true[["x_px", "y_px"]].to_numpy()
+    glint = np.column_stack([1e4 * true.frame, true[["glint_x_px", "glint_y_px"]].to_numpy() + shift])
+    apart, nearest = cKDTree(np.column_stack([1e4 * found.frame, found.xy])).query(glint)
+    seen = apart < 1
+    assert seen.mean() > 0.98
+    off = found.xy[nearest[seen]] - glint[seen, 1:]
+    return off / np.sqrt(found.cov[nearest[seen]][:, [0, 1], [0, 1]]), off
+
+
+@pytest.mark.parametrize(
+    ("scene", "frames", "changes"),
+    [
+        pytest.param("crowd", 20, {}, id="balls of 15 px"),
+        pytest.param("cooling", 5, {}, id="balls of 24 px"),
+        pytest.param("crowd", 20, {"camera": {"scale": 2.6e-4}}, id="balls of 9 px"),
+        pytest.param("crowd", 20, {"timing": {"exposure": 3e-3}}, id="glints that move by three widths"),
+    ],
+)
+def test_errors_have_the_size_that_is_claimed(scene, frames, changes):
+    clip = Scene.read(scene, **{**changes, "timing": {"frames": frames, **changes.get("timing", {})}}).draw(seed=5)
+    z, _ = read_errors(clip, "linear_fit")
+    assert np.sqrt((z**2).mean()) == pytest.approx(1.0, abs=0.08)
+    assert np.sqrt((z**2).mean(axis=0)).max() < 1.12
+    assert np.mean(np.abs(z) < 1.96) == pytest.approx(0.95, abs=0.02)
+
+
+def test_light_of_neighbours_shifts_no_glint():
+    """Balls of 9 px: the errors of centroids are half as large again."""
+    clip = Scene.read("crowd", camera={"scale": 2.6e-4}, timing={"frames": 20}).draw(seed=5)
+    (z, fit), (_, centroid) = (read_errors(clip, name) for name in ("linear_fit", "centroid"))
+    assert np.sqrt((fit**2).mean()) < 0.012
+    assert np.sqrt((centroid**2).mean()) > 1.4 * np.sqrt((fit**2).mean())
+    shifted = np.abs(fit - centroid) > 0.02
+    assert shifted.sum() > 100
+    assert np.sqrt((z[shifted] ** 2).mean()) == pytest.approx(1.0, abs=0.09)
+
+
+@pytest.mark.parametrize("blur", [0.0, 3.0])
+def test_a_spot_on_a_tilted_plane_of_light_is_where_it_is(blur):
+    """Without noise the fit removes at least four fifths of the shift of a centroid."""
+    rng, at, edges = np.random.default_rng(1), np.array([60.3, 40.6]), np.arange(641) - 0.5
+    camera = Camera.from_dict(Scene.read("crowd").draw().camera_json)
+    recording = make_recording(0, wrap_frames(rng.integers(7, 10, (9, 480, 640)).astype(np.uint8)), camera)
+    view = make_view(recording, "linear_fit")
+    picture = np.full((480, 640), 8.0)
+    for off in np.linspace(-blur / 2, blur / 2, 41):
+        way = np.array([0.8, 0.6]) * off
+        x, y = (np.diff(ndtr((edges - (middle + along)) / view.sigma)) for middle, along in zip(at, way, strict=True))
+        picture += 900 / 41 * y[:480, None] * x
+    rows, columns = np.indices(picture.shape)
+    body = np.hypot(columns - at[0], rows - at[1]) < 7
+    picture += np.where(body, 20 + columns - at[0] + (rows - at[1]) / 2, 0.0)
+    fit, centroid = (
+        load_detector(name)(view)(np.rint(picture).astype(np.uint8)) for name in ("linear_fit", "centroid")
+    )
+    off = np.hypot(*(centroid.xy[0] - at))
+    assert off > 0.05
+    assert np.hypot(*(fit.xy[0] - at)) < 0.2 * off
