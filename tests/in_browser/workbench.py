@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from urllib.parse import urlsplit
 
@@ -25,6 +26,7 @@ api = pytest.importorskip("playwright.sync_api", reason="Playwright is not insta
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: apt-get install chromium")
 
+PAGE_GRACE_S = 5.0  # after which the command ends if no page is open
 PATHS = collision(60)  # equal balls; 0.8 and 0.2 of the speed along the line of centres after the hit: r is 0.6
 
 
@@ -317,13 +319,16 @@ def test_hints_that_are_wrong_are_said(address, browser):
         says(page, "#settings-error", "expected X,Y@FRAME")
         assert page.locator("#balls b").count() == 0
         page.click("#run")
-        says(page, "#run-state", "expected X,Y@FRAME")
+        says(page, "#run-state", "Not started: see the message below the settings")
+        assert page.locator("text=expected X,Y@FRAME").count() == 1
 
 
 def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, tmp_path):
     with workbench(films / "long.tif", tmp_path / "bench") as (command, address), opened(browser, address) as page:
         page.click("#run")
+        says(page, "#run-time", r"^\d+ s")
         says(page, "#run-state", r"Tracking \d+ of 960 frames")
+        says(page, "#run-time", r"^\d+ s, about \d+ s left$")
         page.click("#cancel")
         says(page, "#run-state", "Cancelled")
         page.click("#run")
@@ -339,6 +344,45 @@ def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, t
         assert "interrupted; finished runs stay" in command.stderr.read()
         says(page, "#message", "does not answer")
     assert subprocess.run(["pgrep", "-f", f"{tmp_path}/bench"], capture_output=True).stdout == b""
+
+
+@contextmanager
+def left_during_a_run(films, browser, folder):
+    """A workbench whose only page has been closed while a run is under way: the command, and its children."""
+    with workbench(films / "long.tif", folder) as (command, address):
+        with opened(browser, address) as page:
+            page.click("#run")
+            says(page, "#run-state", r"Tracking \d+ of 960 frames")
+        yield command, address
+
+
+def is_left_over(folder):
+    return subprocess.run(["pgrep", "-f", str(folder)], capture_output=True).returncode == 0
+
+
+def test_a_run_goes_on_when_its_page_is_closed_and_is_there_again(films, browser, tmp_path):
+    with left_during_a_run(films, browser, tmp_path / "bench") as (command, address):
+        time.sleep(PAGE_GRACE_S + 1.0)
+        assert command.poll() is None  # the command waits for its run
+        with opened(browser, address) as page:  # the same address, by a browser that has no cookie
+            says(page, "#run-state", r"Tracking \d+ of 960 frames")
+            with workbench(films / "long.tif", tmp_path / "bench") as (_, other), opened(browser, other) as second:
+                says(second, "#command", "results_2")  # the number of the run under way is taken
+            page.wait_for_selector("#run-state:text('Done.')", timeout=60_000)
+            says(page, "#results", "results_1")
+        assert command.wait(20) == 0
+    assert sorted(path.name for path in (tmp_path / "bench").iterdir()) == ["command_1.txt", "results_1"]
+    assert not is_left_over(tmp_path)
+    with workbench(tmp_path / "bench/results_1", tmp_path / "again") as (_, address), opened(browser, address) as page:
+        says(page, "#results", "results_1")
+
+
+def test_ctrl_c_ends_a_run_whose_page_is_closed(films, browser, tmp_path):
+    with left_during_a_run(films, browser, tmp_path / "bench") as (command, _):
+        command.send_signal(signal.SIGINT)
+        assert command.wait(60) == 130
+    assert not (tmp_path / "bench/results_1").exists()
+    assert not is_left_over(tmp_path)
 
 
 def test_the_next_frame_is_asked_for_before_its_step(address, browser):

@@ -19,17 +19,22 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.report.numbers import NOT_KNOWN
 from tracker import results
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Frames
 from tracker.camera.recordings import RecordingSource, open_source, read_ends
 from tracker.detection.link import Tracks
 from tracker.edits import TrackEdits
+from tracker.measurement.collision.adequacy import NOTHING_ROLLS, TOGETHER
 from tracker.report.collision_figures import list_residuals, view_collision
 from tracker.report.estimates_text import (
     METHODS,
+    OF_ONE_BALL,
     describe_recommendation,
+    describe_rolling,
     describe_status,
+    has_values,
     list_quantities,
     order_methods,
 )
@@ -42,6 +47,11 @@ MAX_FRAMES_ALONE = 10_000_000  # of results without their film: each has a numbe
 MAX_TRIED_FILMS = 100  # neighbours of results that may be their film
 MAX_SEARCH_S = 2.0  # among them
 MAX_CAMERA_BYTES = 1 << 20  # of a neighbour that may be their camera file
+UNMEASURED = ("no_collision", NOTHING_ROLLS)
+NEXT_STEP = (
+    "If one ball rolls here, point at it by Ball, and limit the search to its path by Region. "
+    "If that does not help, remove the wrong tracks by Mend, and mark the ball in each frame by Shift and a click"
+)
 QUANTITIES = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction", "momentum_fraction")
 
 
@@ -147,16 +157,21 @@ def list_columns(tracks: Tracks, camera: Camera, metres: NDArray[Any]) -> list[d
 
 
 def _describe_collision(row: Mapping[str, Any]) -> dict[str, Any]:
-    methods = order_methods(row)
+    measured = has_values(row) or row["status"] == TOGETHER
+    is_collision = measured or row.get("frame_last", -1) >= 0
+    lines = list_quantities(row, QUANTITIES if measured else OF_ONE_BALL)
+    rows = [
+        [line.quantity.plain_symbol, line.values[0], line.quantity.unit, line.quantity.meaning]
+        for line in lines
+        if line.values[0] != NOT_KNOWN
+    ]
+    why = describe_recommendation(row) or describe_rolling(row)
     return {
-        "title": f"Collision {row['collision']}",
+        "title": f"Collision {row['collision']}" if is_collision else "Film",
         "status": describe_status(row),
-        "why": describe_recommendation(row),
-        "method": METHODS[next(iter(methods))],
-        "rows": [
-            [line.quantity.plain_symbol, line.values[0], line.quantity.unit, line.quantity.meaning]
-            for line in list_quantities(row, QUANTITIES)
-        ],
+        "why": NEXT_STEP if row["status"] in UNMEASURED and not rows else why,
+        "method": METHODS[next(iter(order_methods(row)))] if measured else "one rolling ball",
+        "rows": rows,
     }
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,7 @@ from synthcam_shared.application import PROGRESS_INTERVAL
 from synthcam_shared.errors import InputError
 
 State = Literal["idle", "running", "done", "failed", "cancelled"]
-PROGRESS = re.compile(r"(\w+): (\d+) of (\d+) after ")
+PROGRESS = re.compile(r"(\w+): (\d+) of (\d+) after \d+ s(?:, about (\d+) s left)?")
 PROGRAM = re.compile(r"^(tracker|discrepancy|synthcam): ")
 INPUT_ERROR = 2  # the exit status whose message says all
 MAX_LINES = 200  # of the child's messages that are kept
@@ -27,7 +28,10 @@ MAX_LINES = 200  # of the child's messages that are kept
 
 @dataclass(frozen=True)
 class RunStatus:
-    """A run of a command as the page shows it. summary: what the command prints with --json; lines: its messages."""
+    """A run of a command as the page shows it. summary: what the command prints with --json; lines: its messages.
+
+    done, total, left_s: the progress that it last wrote, and the time that it estimates. began: by the monotonic clock.
+    """
 
     command: str = ""
     number: int = 0
@@ -35,6 +39,8 @@ class RunStatus:
     what: str = ""
     done: int = 0
     total: int = 0
+    left_s: int | None = None
+    began: float = 0.0
     lines: tuple[str, ...] = ()
     error: str = ""
     summary: dict[str, Any] = field(default_factory=dict)
@@ -60,6 +66,11 @@ class TrackProcess:
         self._cancelled = False
 
     @property
+    def seconds(self) -> float:
+        """Time since the run has begun, s."""
+        return time.monotonic() - self.status.began
+
+    @property
     def is_running(self) -> bool:
         """True until the child has ended, its output is read, and what it made is taken."""
         return self.status.state == "running"
@@ -79,7 +90,7 @@ class TrackProcess:
             env={**os.environ, PROGRESS_INTERVAL: "0.2"},
             start_new_session=True,
         )
-        self._set(RunStatus(command=words[1], number=number, state="running"))
+        self._set(RunStatus(command=words[1], number=number, state="running", began=time.monotonic()))
         self._reader = threading.Thread(target=self._read, args=(self._child, printed), daemon=True)
         self._reader.start()
 
@@ -114,7 +125,8 @@ class TrackProcess:
             for line in child.stderr:
                 if match := PROGRESS.match(line):
                     what, done, total = match[1], int(match[2]), int(match[3])
-                    self._set(replace(self.status, what=what, done=done, total=total))
+                    left = int(match[4]) if match[4] else None
+                    self._set(replace(self.status, what=what, done=done, total=total, left_s=left))
                 else:
                     text = PROGRAM.sub("", line.strip())
                     lines = (*self.status.lines, text)[-MAX_LINES:]

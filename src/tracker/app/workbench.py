@@ -428,7 +428,8 @@ class Workbench:
         return {
             "version": self.version,
             "detector": vars(self.detector_status),
-            "run": {key: value for key, value in vars(run).items() if key != "summary"},
+            "run": {key: value for key, value in vars(run).items() if key not in ("summary", "began")},
+            "seconds": round(self.process.seconds, 1) if self.process.is_running else None,
             "page": self._find_made_page(run.number),
         }
 

@@ -39,6 +39,7 @@ from tracker.measurement.collision.adequacy import (
     MEASURED,
     MISFIT,
     NO_SCALE,
+    NOTHING_ROLLS,
     ONE_BALL,
     TOGETHER,
     TOO_FEW,
@@ -556,12 +557,15 @@ def _within_limits(values: DerivedValues, is_free: bool, unseen: set[str], setti
 
 def _lone_ball(balls: list[BallTrack], camera: Camera, settings: FitSettings) -> dict[str, Any]:
     """The columns of a ball that rolls without a collision: its speed when first seen, drag and decel."""
-    fits = [f for f in map(fit_lone_ball, balls) if f is not None]
+    fits = sorted((f for f in map(fit_lone_ball, balls) if f is not None), key=lambda f: -float(f.parameters[3]))
     if not fits:
         return {}
-    best, common = add_camera_errors_to_lone_ball(max(fits, key=lambda f: float(f.parameters[3])), camera)
-    if best.chi2 > best.dof + settings.lone_ball_sigma * np.sqrt(2 * best.dof):
-        return {"status": "no collision in view, and no ball rolls freely", "chi2": best.chi2, "dof": best.dof}
+    wider = [add_camera_errors_to_lone_ball(f, camera) for f in fits]
+    # a ball that meets a wall, or a track of pieces, may be faster than the ball that rolls
+    rolling = (one for one in wider if one[0].moves and one[0].rolls_freely(settings.lone_ball_sigma))
+    best, common = next(rolling, wider[0])
+    if not best.rolls_freely(settings.lone_ball_sigma):
+        return {"status": NOTHING_ROLLS, "chi2": best.chi2, "dof": best.dof}
     out: dict[str, Any] = {"particle2": best.track.particle, "chi2": best.chi2, "dof": best.dof}
     for i in (3, 4, 5):
         name, value, std = PARAMETERS[i], float(best.parameters[i]), float(np.sqrt(best.cov[i, i]))

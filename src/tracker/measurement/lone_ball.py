@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
 
 Floats = NDArray[np.float64]
+MIN_SPEED_SIGMA = 5.0  # from which on a ball surely moves
 PARAMETERS = ("x", "y", "heading", "v0", "drag", "decel")
 
 
@@ -29,6 +30,15 @@ class LoneBallFit:
     cov: Floats
     chi2: float
     dof: int
+
+    def rolls_freely(self, sigma: float) -> bool:
+        """True if chi^2 is that of a straight, slowing way, within so many of its standard deviations."""
+        return bool(self.chi2 <= self.dof + sigma * np.sqrt(2 * self.dof))
+
+    @property
+    def moves(self) -> bool:
+        """True if the ball surely moves, and not only its positions scatter."""
+        return bool(self.parameters[3] > MIN_SPEED_SIGMA * np.sqrt(self.cov[3, 3]))
 
 
 class _Rolling:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from synthcam_shared.report.numbers import NOT_KNOWN, format_with_error
@@ -17,6 +20,9 @@ from tracker.results import rows_as_dicts
 
 # suffix of a column: the method that gave its value
 METHODS = {"": "tied fit", "_free": "free fit", "_local": "local estimate", "_paper": "finite differences"}
+
+OF_ONE_BALL = ("v0", "drag", "decel")
+SPEED_ALONE = replace(QUANTITIES["v0"], meaning="speed of the ball where it is first seen")
 
 
 class QuantityLine(NamedTuple):
@@ -92,11 +98,28 @@ def describe_velocities(row: Mapping[str, Any]) -> str:
     )
 
 
+def describe_rolling(row: Mapping[str, Any]) -> str:
+    """Say in the text which rolling loss a ball by itself has where it is first seen; "" without one.
+
+    The two parts of the loss, C_roll and D_roll, are hardly told from one another where the speed changes little.
+    """
+    cov = json.loads(row.get("cov") or "{}").get("rolling")
+    if row["status"] != "no_collision" or cov is None:
+        return ""
+    v0, drag, decel = (float(row[name]) for name in OF_ONE_BALL)
+    slope = np.array([drag, v0, 1.0])
+    loss = format_with_error(
+        1e2 * (drag * v0 + decel), 1e2 * float(np.sqrt(slope @ np.array(cov, dtype=float) @ slope))
+    )
+    return "" if loss == NOT_KNOWN else f"The rolling loss at that speed is {loss} cm/s²"
+
+
 def list_quantities(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES) -> list[QuantityLine]:
     """List the quantities of one row of estimates; those without a value by any method are left out."""
     methods = order_methods(row)
+    known = QUANTITIES | {"v0": SPEED_ALONE} if row["status"] == "no_collision" else QUANTITIES
     lines = [
-        QuantityLine(name, QUANTITIES[name], tuple(format_value(row, f"{name}{suffix}") for suffix in methods))
+        QuantityLine(name, known[name], tuple(format_value(row, f"{name}{suffix}") for suffix in methods))
         for name in names
     ]
     return [line for line in lines if any(value != NOT_KNOWN for value in line.values)]
@@ -125,7 +148,7 @@ def describe_status(row: Mapping[str, Any]) -> str:
         frames = f"from frame {row['contact_first']:.0f} to {row['contact_last']:.0f}"
         return f"Two balls collide and stay together {frames}"
     if row["status"] == "no_collision":
-        return "No two balls touch"
+        return "No two balls touch" + (". One ball rolls by itself" if _is_known(row, "v0") else "")
     if row["status"] == ONE_BALL:
         return f"One ball is followed, and its track is written. There is {ONE_BALL.removeprefix('one ball: ')}"
     if row["status"] == CROWD:
@@ -252,10 +275,10 @@ def _format_row(row: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
     collision = "" if row["status"] in ("no_collision", ONE_BALL) else f", collision {row['collision']}"
     yield f"clip {row['clip']}{collision}{describe_frames(row)}: {describe_status(row)}."
     is_measured = has_values(row)
-    unmeasured = ("v0", "b", "r") if row["status"] == TOGETHER else ("v0", "drag", "decel")
+    unmeasured = ("v0", "b", "r") if row["status"] == TOGETHER else OF_ONE_BALL
     lines = list_quantities(row, names if is_measured else unmeasured)
     methods = order_methods(row) if is_measured else {"": ""}
-    for text in (describe_contact(row), describe_recommendation(row), describe_velocities(row)):
+    for text in (describe_contact(row), describe_recommendation(row), describe_velocities(row), describe_rolling(row)):
         if text:
             yield f"  {text}."
     if lines and is_measured:

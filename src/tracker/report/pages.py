@@ -52,6 +52,7 @@ from tracker.report.estimates_text import (
     describe_fit,
     describe_frames,
     describe_recommendation,
+    describe_rolling,
     describe_status,
     describe_velocities,
     explain_dashes,
@@ -176,7 +177,7 @@ class RecordingPage:
     def _describe(self, row: Mapping[str, Any]) -> str:
         number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""
         parts = [describe_status(row), describe_recommendation(row), describe_velocities(row)]
-        parts += [describe_contact(row), describe_fit(row)]
+        parts += [describe_contact(row), describe_rolling(row), describe_fit(row)]
         return number + " ".join(f"{part}." for part in parts if part)
 
     def _refusals(self, folder: Path) -> PageSection:

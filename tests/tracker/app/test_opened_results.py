@@ -4,6 +4,7 @@ import json
 import shutil
 
 import numpy as np
+import pandas as pd
 import pytest
 import tifffile
 import yaml
@@ -16,8 +17,11 @@ from synthcam_shared.errors import InputError
 from tracker.app import opened_results
 from tracker.app.opened_results import OpenedResults, TracksAlone, find_film, show_tracks_alone
 from tracker.app.workbench import OPENED, Workbench
+from tracker.camera.camera import Camera
 from tracker.camera.recordings import digest_films, open_source, read_ends
 from tracker.edits import TrackEdits
+from tracker.measurement.collision.adequacy import NOTHING_ROLLS
+from tracker.measurement.estimate import empty_row
 from tracker.pipeline import measure_tables, run
 from tracker.results import read_clip
 
@@ -97,6 +101,34 @@ def test_numbers_and_tracks_with_their_residuals(bench, folder):
     assert [len(track["x"]) for track in shown["tracks"]] == [int((tracks.particle == k).sum()) for k in (0, 1)]
     # the rms residual of a fit that holds is the error of the positions
     assert {value for track in shown["tracks"] for value in track["x_off"]} == {None}  # straight lines are no tied fit
+
+
+def describe(folder, status, **values):
+    """What the page says of a row of estimates with one status."""
+    row = {"clip": 0} | empty_row(Camera.from_dict(CAMERA), status) | values
+    pd.DataFrame([row]).to_parquet(folder / "estimates.parquet")
+    return OpenedResults(folder).describe_collisions(0)["collisions"][0]
+
+
+def test_a_ball_by_itself_has_its_speed_and_its_loss(tmp_path):
+    cov = json.dumps({"rolling": np.diag([1e-4, 0, 9e-4]).tolist()})
+    about = describe(tmp_path, "no_collision", v0=0.5, v0_std=0.01, decel=0.2, decel_std=0.03, drag=0.0, cov=cov)
+    assert [row[:2] for row in about["rows"]] == [["v0", "50.0(10)"], ["Croll", "0"], ["Droll", "20.0(30)"]]
+    assert about["why"] == "The rolling loss at that speed is 20.0(30) cm/s²"
+    assert (about["title"], about["method"]) == ("Film", "one rolling ball")
+
+
+def test_a_film_without_a_number_has_the_next_step(tmp_path):
+    assert "mark the ball in each frame" in describe(tmp_path, "no_collision")["why"]
+    assert "point at it by Ball" in describe(tmp_path, NOTHING_ROLLS)["why"]
+    other = describe(tmp_path, "too few frames after the contact", frame_last=9)
+    assert (other["title"], other["why"]) == ("Collision 0", "")
+
+
+def test_a_quantity_without_a_value_has_no_row(tmp_path):
+    local = {f"{name}_local{end}": 0.5 for name in ("v0", "r") for end in ("", "_std")}
+    rejected = describe(tmp_path, "misfit", recommended="local", mu_k_free=0.2, mu_k_free_std=0.01, **local)
+    assert [row[0] for row in rejected["rows"]] == ["v0", "r"]
 
 
 def test_residuals_are_positions_minus_the_tied_fit(tmp_path):

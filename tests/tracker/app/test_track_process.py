@@ -8,7 +8,8 @@ from processes import until
 from tracker.app.track_process import TrackProcess
 
 CHILDREN = {
-    "done": "print('frames: 3 of 9 after 1 s', 'tracker: a note', sep='\\n', file=e); print('{\"clips\": 1}')",
+    "done": "print('frames: 1 of 9 after 1 s', 'frames: 3 of 9 after 2 s, about 4 s left', 'tracker: a note',"
+    " sep='\\n', file=e); print('{\"clips\": 1}')",
     "failed": "print('tracker: film.mp4: no frames', file=e); sys.exit(2)",
     "crashed": "sys.exit(3)",
     "killed": "os.kill(os.getpid(), 9)",
@@ -42,7 +43,8 @@ def test_a_child_that_ends(name, state, error):
     status = process.status
     assert (status.number, status.state, status.error) == (4, state, error)
     if name == "done":
-        assert (status.what, status.done, status.total) == ("frames", 3, 9)
+        assert (status.what, status.done, status.total, status.left_s) == ("frames", 3, 9, 4)
+        assert 0 < process.seconds < 60
         assert (status.lines, status.summary) == (("a note",), {"clips": 1})
 
 

@@ -193,6 +193,21 @@ def test_without_a_collision_the_rolling_loss_is_measured(tmp_path):
     assert abs(loss - (0.135 * v + 0.0103)) < 4 * std + 1e-4
 
 
+def test_a_faster_ball_that_meets_a_wall_does_not_hide_the_one_that_rolls(tmp_path):
+    data = dataset(tmp_path / "data", {"launch": {"kind": "single", "v0": 0.25}, "timing": {"frames": 60}}, 1)
+    truth, camera = truth_of(data, 0)
+    alone = noisy(truth, np.random.default_rng(0))
+    frame, noise = np.arange(60), np.random.default_rng(1).normal(0, 0.01, (2, 60))
+    x = alone.x.mean() + 200 + 10 * np.abs(frame - 30.5)  # 0.4 m/s, turned round at once
+    wall = replace(alone, frame=frame, particle=np.ones_like(frame), x=x + noise[0], y=alone.y.mean() + noise[1])
+    joined = {name: np.concatenate([getattr(one, name) for one in (alone, wall)]) for name in vars(alone)}
+    (one,), (both,) = measure(alone, camera), measure(replace(alone, **joined), camera)
+    assert (both["status"], both["particle2"]) == ("no_collision", 0)
+    assert both["v0"] == pytest.approx(one["v0"], abs=0.1 * one["v0_std"])
+    (kinked,) = measure(wall, camera)
+    assert kinked["status"] == "no collision in view, and no ball rolls freely"
+
+
 def test_single_balls_together_give_the_rolling_loss(tmp_path):
     settings = {"launch": {"kind": "single", "v0": {"uniform": [0.05, 0.4]}}, "timing": {"frames": 60}}
     together = fit_all_jointly(measured(dataset(tmp_path / "data", settings, 10), 10))

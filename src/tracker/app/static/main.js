@@ -210,7 +210,7 @@ async function begin() {
       stage.canvas.focus({ preventScroll: true });
       stage.moveCross(...moves[event.key].map((v) => v * step));
     } else if (event.key === "Enter" && target === stage.canvas) {
-      stage.press(stage.cross);
+      stage.press(stage.cross, event.shiftKey);
     } else if (keys[event.key] && !event.altKey) {
       keys[event.key](event.shiftKey);
     } else {

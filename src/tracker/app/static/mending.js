@@ -28,6 +28,7 @@ export class Mending {
         return { action: "add_point", ball: ball(), frame: frame(), x, y, error: this.read("mend-error", "Type the error of the point, px.") };
       },
     };
+    this.addPoint = () => this.send(() => ({ edit: orders["add-point"]() }));
     for (const [id, make] of Object.entries(orders)) {
       element(id).addEventListener("click", () => this.send(() => ({ edit: make() })));
     }
@@ -62,8 +63,10 @@ export class Mending {
       this.show(answer);
       this.pointing.showPlan(answer.plan);
       element("mend-message").textContent = "";
+      return true;
     } catch (error) {
       element("mend-message").textContent = error.message;
+      return false;
     }
   }
 
@@ -114,7 +117,13 @@ export class Mending {
     return near.sort((a, b) => away(a) - away(b))[0] ?? null;
   }
 
-  click(place) {
+  async click({ at: place, shift }) {
+    if (shift && !element("mend-box").hidden) {
+      element("mend-at").value = place.map((v) => v.toFixed(1)).join(",");
+      const index = this.player.index;
+      if (await this.addPoint() && this.player.index === index) this.player.go(index + 1);
+      return;
+    }
     const near = this.find(place);
     if (near) element("mend-ball").value = near.particle;
     else element("mend-at").value = place.map((v) => v.toFixed(1)).join(",");

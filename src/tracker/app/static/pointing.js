@@ -13,7 +13,7 @@ const HINTS = {
   ball: "Click the middle of a ball: an example for --ball. Not needed if the balls are found.",
   region: "Drag a rectangle: balls are searched in it alone. With Leave out ticked: everywhere but in it.",
   polygon: "Click the corners; click the first one again to close the polygon.",
-  mend: "Click a ball to choose its track, or the place of a point to add.",
+  mend: "Click a ball to choose its track, or the place of a point to add. Shift and a click: add a point of the chosen ball, and go to the next frame.",
   tape: "Click two points to measure their distance and direction. Nothing is set.",
 };
 
@@ -99,7 +99,7 @@ export class Pointing {
     this.stage.draw();
   }
 
-  press([x, y]) {
+  press({ at: [x, y], shift }) {
     const { marks, tool } = this.stage, [width, height] = this.stage.size;
     const at = [Math.min(Math.max(x, 0), width - 1), Math.min(Math.max(y, 0), height - 1)].map((v) => rounded(v, 5));
     if (tool === "ball") {
@@ -118,7 +118,7 @@ export class Pointing {
       else marks.polygon.push(at.map((v) => rounded(v, 4)));
       element("close-polygon").hidden = marks.polygon.length < 3;
     } else if (tool === "mend") {
-      this.stage.dispatchEvent(new CustomEvent("mend", { detail: at }));
+      this.stage.dispatchEvent(new CustomEvent("mend", { detail: { at, shift } }));
     } else if (tool !== "look" && !marks.pending) {
       marks.pending = at;
     } else if (tool === "scale") {

@@ -11,7 +11,8 @@ const STARTERS = ["run", "calibrate", "perspective", "combine", "search"];
 
 export class Run {
   constructor(pointing, mending, arrows, tell, whenDone) {
-    Object.assign(this, { pointing, mending, arrows, tell, whenDone, shown: "" });
+    Object.assign(this, { pointing, mending, arrows, tell, whenDone, shown: "", began: null });
+    setInterval(() => this.showTime(), 1000);
     element("run").addEventListener("click", () => this.start("/api/run"));
     element("calibrate").addEventListener("click", () => this.start("/api/calibrate"));
     element("perspective").addEventListener("click", () => {
@@ -29,7 +30,8 @@ export class Run {
     } catch (error) {
       this.disable(false);
       const places = { "/api/calibrate": "settings-error", "/api/combine": "compare-state", "/api/search": "compare-state" };
-      element(places[address] ?? "run-state").textContent = error.message;
+      const refused = !places[address] && element("settings-error").textContent === error.message;
+      element(places[address] ?? "run-state").textContent = refused ? "Not started: see the message below the settings." : error.message;
     }
   }
 
@@ -44,7 +46,13 @@ export class Run {
     if (search != null) this.arrows.load(search);
   }
 
-  show({ run, page }) {
+  // How long a run has taken, which also tells that it is alive while it has nothing to count.
+  showTime() {
+    const now = this.began == null ? null : Math.round((performance.now() - this.began) / 1000);
+    element("run-time").textContent = now ? `${now} s${this.left == null ? "" : `, about ${this.left} s left`}` : "";
+  }
+
+  show({ run, page, seconds }) {
     const running = run.state === "running", progress = element("progress");
     this.disable(running);
     element("cancel").hidden = progress.hidden = !running;
@@ -54,7 +62,11 @@ export class Run {
     } else {
       progress.removeAttribute("value");
     }
-    const counted = run.total ? ` ${run.done} of ${run.total} ${run.what}` : "";
+    this.began = running && seconds != null ? performance.now() - 1000 * seconds : null;
+    this.left = run.left_s;
+    this.showTime();
+    const looks = run.command === "track" ? ": looking through the film" : "";
+    const counted = run.total ? ` ${run.done} of ${run.total} ${run.what}` : looks;
     const calibrates = run.command === "calibrate", stage = run.command === "find" ? ` ${run.lines.at(-1) ?? ""}` : "";
     const doing = (DOING[run.command] ?? "Tracking") + stage, done = calibrates ? "The film has a camera file now." : "Done.";
     const failed = `${run.error}${calibrates ? ". Set the scale by two points of a known distance instead, or by four known points." : ""}`;
@@ -111,7 +123,8 @@ export class Run {
 
   describe({ title, status, why, method, rows }) {
     const status_line = cell("p", `${title}: ${status}.`);
-    if (rows.length === 0) return [status_line];
+    const note = why ? [Object.assign(cell("p", `${why}.`), { className: "note" })] : [];
+    if (rows.length === 0) return [status_line, ...note];
     const table = document.createElement("table"), head = document.createElement("tr");
     head.append(...["", method, "", "meaning"].map((text) => Object.assign(cell("th", text), { scope: "col" })));
     table.append(cell("caption", `${title}: ${status}`), head);
@@ -120,6 +133,6 @@ export class Run {
       row.append(cell("td", symbol), cell("td", value), cell("td", unit), cell("td", meaning));
       table.append(row);
     }
-    return why ? [table, Object.assign(cell("p", `${why}.`), { className: "note" })] : [table];
+    return [table, ...note];
   }
 }

@@ -128,7 +128,7 @@ export class Stage extends EventTarget {
   onUp(event) {
     if (!this.pointers.delete(event.pointerId) || !this.down || this.down.pinched) return;
     const film = this.toFilm(this.place(event)), drags = ["scale", "region", "tape"].includes(this.tool);
-    if (!this.down.moved) this.press(film);
+    if (!this.down.moved) this.press(film, event.shiftKey);
     else if (drags) { this.press(this.down.film); this.press(film); }
   }
 
@@ -139,7 +139,8 @@ export class Stage extends EventTarget {
     if (this.marks.pending || this.marks.polygon.length || document.activeElement === this.canvas) this.draw();
   }
 
-  press(film) { this.dispatchEvent(new CustomEvent("press", { detail: film })); }
+  // shift: whether that key is held
+  press(at, shift = false) { this.dispatchEvent(new CustomEvent("press", { detail: { at, shift } })); }
 
   moveCross(right, down) {
     const [width, height] = this.size, [x, y] = this.cross;
