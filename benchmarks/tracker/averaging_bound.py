@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from tracker.measurement.collision.departures import weigh_shift
+from tracker.measurement.collision.departures import find_posterior
 
 Floats = NDArray[np.float64]
 
@@ -102,8 +102,8 @@ def judge_rule() -> tuple[Floats, Floats]:
     """Rms z (d,) and widths (d,) of the average over both models."""
     squares, widened = [], []
     for share, scale in HITS:
-        weights = [weigh_shift(float(z), float(scale)) for z in Z]
-        mean, variance = (np.array([getattr(one, name) for one in weights]) for name in ("mean", "variance"))
+        found = [find_posterior(np.array([z]), np.eye(1), np.array([scale]), [0.5]) for z in Z]
+        mean, variance = (np.array([getattr(one, name).item() for one in found]) for name in ("mean", "cov"))
         widened.append(1 + share**2 * variance)
         off = 1 + share**2 * (mean - SIZES[:, None]) ** 2
         squares.append((densities(SIZES) * off / widened[-1]).sum(axis=1))

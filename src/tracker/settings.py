@@ -129,7 +129,7 @@ class FitSettings(Settings):
 
     friction_change: NotNegative = 0.3
     """Typical change of the sliding friction over the speeds of slip, relative to it, if it is not constant.
-    One collision of a hundred is expected to have such a friction. With 0 it counts as constant, unless the tracks
+    Eight collisions of a hundred are expected to have such a friction. With 0 it counts as constant, unless the tracks
     reject that."""
 
     slide_end_chi2: Positive = 25.0

@@ -315,7 +315,8 @@ def _measure_collision(
     flags = [*flags, *([] if again is None else [Flag.TOUCH_AGAIN])]
     flags += [] if read.rejected_law is None else [read.rejected_law]
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
-    row |= painter_behringer.make_paper_columns(contact, camera, read.lasting)
+    friction = float(np.nan_to_num(read.tied_values.value[QUANTITY_NAMES.index("mu_k")]))
+    row |= painter_behringer.make_paper_columns(contact, camera, friction, read.lasting)
     if read.tied_is_straight:  # differences of noise
         row |= {f"{name}_paper{kind}": np.nan for name in AFTER_SLIDES for kind in ("", "_std")}
     nothing_known = "the positions show no quantity well enough; check their unit, the scale and fps"
@@ -423,11 +424,13 @@ def _find_departures(
     Those that the parameters of a fit absorb are left out. The free fit hardly shows how friction changes.
     """
     known, known_free = (differentiate_residuals(fit, fit is tied, camera) for fit in (tied, free))
-    losses = compare_losses(tied, True, known)
-    by_tied = {Flag.LOSSES_DIFFER: losses, Flag.FRICTION_CHANGES: find_slope_of_friction(tied, known)}
-    by_free = {Flag.LOSSES_DIFFER: compare_losses(free, False, known_free, losses)}
-    found, found_free = ({flag: one for flag, one in by.items() if one is not None} for by in (by_tied, by_free))
-    return found, found_free
+    by_tied, by_free = dict[Flag, LawDeparture](), dict[Flag, LawDeparture]()
+    for flag, find in ((Flag.LOSSES_DIFFER, compare_losses), (Flag.FRICTION_CHANGES, find_slope_of_friction)):
+        one = find(tied, True, known)
+        other = find(free, False, known_free, one)
+        by_tied |= {} if one is None else {flag: one}
+        by_free |= {} if other is None else {flag: other}
+    return by_tied, by_free
 
 
 def _may_last(read: CollisionFits, nearer: float) -> bool:

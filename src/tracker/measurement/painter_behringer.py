@@ -27,11 +27,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-def make_paper_columns(contact: Contact, camera: Camera, lasting: LastingContact | None = None) -> dict[str, float]:
+def make_paper_columns(
+    contact: Contact, camera: Camera, friction: float, lasting: LastingContact | None = None
+) -> dict[str, float]:
     """Make the columns NAME_paper and NAME_paper_std of the paper's measurement, with the errors of the camera file.
 
-    A contact that lasts leaves only the speed before it: the differences after it are as far from its beginning as its
-    duration is long.
+    The error of r also holds the bias by the friction on the plate. A contact that lasts leaves only the speed before
+    it: the differences after it are as far from its beginning as its duration is long.
     """
     if lasting is not None:
         contact = replace(contact, first=lasting.first, last=lasting.last)
@@ -43,6 +45,7 @@ def make_paper_columns(contact: Contact, camera: Camera, lasting: LastingContact
         high, low = (read_differences(replace(contact, pair=p), error.rate(fps, sign)) for sign, p in pairs)
         for name in table:
             square[name] += ((high[name][0] - low[name][0]) / 2) ** 2
+    square["r"] += find_bias_of_restitution(table, friction, camera.fps) ** 2
     out = {}
     for name, (value, _) in table.items():
         known = lasting is None or name == "v0"
@@ -50,6 +53,17 @@ def make_paper_columns(contact: Contact, camera: Camera, lasting: LastingContact
             (value, float(np.sqrt(square[name]))) if known else (np.nan,) * 2
         )
     return out
+
+
+def find_bias_of_restitution(table: dict[str, tuple[float, float]], friction: float, fps: float) -> float:
+    """Find by how much r is too low because both balls slide until their velocity is differenced; NaN without r.
+
+    The velocity after the contact is that of two frames later. Until then friction takes 2 mu g from the speed at which
+    the balls part, or 2/7 (1 + r) of the closing speed if they roll before.
+    """
+    (v0, _), (b, _), (r, _) = (table[name] for name in ("v0", "b", "r"))
+    closing = v0 * np.sqrt(max(1 - b**2, 0.1))
+    return float(min(2 * max(friction, 0.0) * GRAVITY * 2 / fps / closing, 2 / 7 * (1 + max(r, 0.0))))
 
 
 def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, float]]:

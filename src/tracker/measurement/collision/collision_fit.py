@@ -31,6 +31,8 @@ from tracker.measurement.collision.lasting_contact import (
 from tracker.measurement.collision.least_squares import ROUGH, BallPair, CollisionFit, fit_motion
 from tracker.measurement.collision.motion_test import find_p_of_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
+from tracker.measurement.collision.rolling_losses import compare_losses
+from tracker.measurement.collision.slip_friction import find_slope_of_friction
 from tracker.measurement.collision.striker import alternative_strikers, is_believable
 from tracker.settings import FitSettings
 
@@ -113,14 +115,27 @@ class CollisionFits:
 
     @property
     def rejected_law(self) -> Flag | None:
-        """The law from which the tracks depart most, if they accept both fits otherwise.
+        """The law from which the tracks depart most, if they accept both fits otherwise or with this departure.
 
         Departures imitate each other in part, so that a large one may let the tracks reject another law too.
         """
-        if self.is_tied_accepted or not self._without_departures().is_tied_accepted:
+        if self.is_tied_accepted:
             return None
         found = [*self.tied_departures.items(), *self.free_departures.items()]
-        return max(found, key=lambda item: item[1].significance)[0]
+        found = [(flag, one) for flag, one in found if one.is_shown]
+        if not self._without_departures().is_tied_accepted:
+            found = [(flag, one) for flag, one in self.tied_departures.items() if self.is_explained_by(one)]
+        return max(found, key=lambda item: item[1].significance)[0] if found else None
+
+    def is_explained_by(self, departure: LawDeparture, *, least_p: float = 0.05) -> bool:
+        """Test whether the data accept both fits well with one departure of the tied fit as a further parameter.
+
+        least_p: least p-value of the tied fit. Small departures of other kinds, such as unequal friction or masses,
+        leave less.
+        """
+        left = replace(self.tied, chi2=self.tied.chi2 - departure.significance**2, dof=self.tied.dof - 1)
+        read = replace(self._without_departures(), tied=left)
+        return read.is_convincing and min(read.p_tied, read.p_agree) > least_p
 
     def with_departures(self, tied: Mapping[Flag, LawDeparture], free: Mapping[Flag, LawDeparture]) -> CollisionFits:
         """Let the quantities of both fits carry possible departures from laws, as either fit shows them.
@@ -130,9 +145,10 @@ class CollisionFits:
         """
         is_accepted = self._without_departures().is_tied_accepted
         by_tied = [one for flag, one in tied.items() if is_accepted or flag is not Flag.FRICTION_CHANGES]
-        better = [tied.get(flag, one) for flag, one in free.items()] if is_accepted else None
+        by_free = {flag: one for flag, one in free.items() if one.is_shown or (is_accepted and flag in tied)}
+        better = [tied.get(flag, one) for flag, one in by_free.items()] if is_accepted else None
         tied_values = average_over_departures(self.tied_values, by_tied)
-        free_values = average_over_departures(self.free_values, list(free.values()), better)
+        free_values = average_over_departures(self.free_values, list(by_free.values()), better)
         return replace(
             self,
             tied_values=tied_values,
@@ -146,7 +162,7 @@ class CollisionFits:
 
     def _rejects(self, departure: LawDeparture) -> bool:
         """Test whether the data reject the law from which this is a departure."""
-        return self.noise_dof > 0 and departure.p_value < self.settings.rejection_level
+        return departure.is_shown and self.noise_dof > 0 and departure.p_value < self.settings.rejection_level
 
     @cached_property
     def impossible_values(self) -> list[Flag]:
@@ -190,7 +206,7 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         if not _is_same_minimum(first, second):
             again = _fit_with_noise(contact, [*others, guess], second)
             read = min(read, again, key=_reduced_chi2)
-    if _is_accepted(read):
+    if _is_accepted(read) or _is_explained_by_a_departure(read):
         return read
     least = better_striker * _reduced_chi2(read)
     for other in alternative_strikers(contact, guess if isinstance(read, str) else read.tied.parameters):
@@ -209,6 +225,14 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         if per < least:
             read, least = replace(found, flags=other.flags), better_striker * per
     return read
+
+
+def _is_explained_by_a_departure(read: CollisionFits | str) -> bool:
+    """Decide whether the balls' friction or rolling losses explain the residuals, without another striker."""
+    if isinstance(read, str):
+        return False
+    found = (find(read.tied, True) for find in (find_slope_of_friction, compare_losses))
+    return any(one is not None and read.is_explained_by(one) for one in found)
 
 
 def _is_too_bad(pair: BallPair, chi2: float, dof: int, least: float) -> bool:

@@ -1,23 +1,23 @@
-"""Departures from a law that both fits assume: one step from a fit, and the average over the law and a departure.
+"""Departures from laws that both fits assume: one step from a fit, and the average over the laws and departures.
 
 Examples are rolling losses that differ, and a friction that depends on the speed of slip. Chi^2 of all positions hardly
-shows them, because few of its degrees of freedom have to do with them. One linear step from a fit shows the departure
-by itself, and how it shifts every quantity.
+shows them, because few of its degrees of freedom have to do with them. One linear step from a fit shows a departure by
+itself, and how it shifts every quantity.
 
-The quantities are averaged over two models (Bayesian model averaging; Hoeting et al., Statist. Sci. 14 (1999) 382): the
-law holds, or a departure has a Cauchy prior. Such a prior (Jeffreys, Theory of Probability, 3rd ed. (1961), 5.2) does
-not pull a large departure towards zero, unlike a normal one. All depends smoothly on the tracks.
+Departures imitate one another in part, so that their measured values are correlated. The quantities are averaged over
+all models in which each departure is zero or has a Cauchy prior (Bayesian model averaging; Hoeting et al., Stat. Sci.
+14 (1999) 382). Such a prior (Jeffreys, Theory of Probability, 3rd ed. (1961), 5.2) does not pull a large departure
+towards zero, unlike a normal one. All depends smoothly on the tracks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, expit, logit, wofz
+from scipy.special import chdtrc
 
 from tracker.measurement.collision.derived import (
     DerivedValues,
@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LawDeparture:
-    """A parameter that is zero if a law of the fits holds, as one fit shows it.
+    """A parameter that is zero if a law of the fits holds, as one fit shows it if all other laws hold.
 
     response (m,): by how much the value grows with each coordinate of the positions, per standard error of these.
     shared (k,): by how much the value grows per standard error of each key of the camera file.
@@ -41,6 +41,7 @@ class LawDeparture:
     free fit.
     typical: its size if the law does not hold, as expected before: half of the prior is nearer to zero.
     expected: probability that the law does not hold, before.
+    is_shown: whether this fit shows the parameter well enough; otherwise only its effect and covariance count.
     """
 
     value: float
@@ -51,6 +52,7 @@ class LawDeparture:
     cov_with_tied: Floats
     typical: float = 0.0
     expected: float = 0.5
+    is_shown: bool = True
 
     @property
     def significance(self) -> float:
@@ -62,42 +64,75 @@ class LawDeparture:
         """The probability of so large a value if the law holds."""
         return float(chdtrc(1, self.significance**2))
 
-    @cached_property
-    def weight(self) -> ModelWeight:
-        """The comparison of both models."""
-        return weigh_shift(self.value / self.std, self.typical / self.std, self.expected)
-
 
 @dataclass(frozen=True)
-class ModelWeight:
-    """The posterior of a parameter that is zero or has a Cauchy prior, after one measurement, in its standard errors.
+class DeparturePosterior:
+    """The posterior of n departures, each in standard errors of its measured value, averaged over all models.
 
-    probability: that the parameter is not zero. shifted, shifted_variance: mean and variance if so.
+    zero: probability that all are zero. mean (n,), cov (n, n). precision (n, n): the inverse covariance of an estimate
+    of all together, which is also the covariance of the values as measured one by one.
     """
 
-    probability: float
-    shifted: float
-    shifted_variance: float
+    zero: float
+    mean: Floats
+    cov: Floats
+    precision: Floats
 
     @property
-    def mean(self) -> float:
-        """The mean over both models."""
-        return self.probability * self.shifted
+    def followed(self) -> Floats:
+        """The shares (n, n) of the noise of the measured values that the mean follows.
 
-    @property
-    def variance(self) -> float:
-        """The variance within the models and between them."""
-        between = self.probability * (1 - self.probability) * self.shifted**2
-        return self.probability * self.shifted_variance + between
-
-    @property
-    def followed(self) -> float:
-        """The share of the noise of the measurement that the mean follows.
-
-        The variance is also the derivative of the mean by a normal measurement (Tweedie's formula). Above 1 it says
-        that the models disagree, not that the mean follows the noise more.
+        The covariance is also the derivative of the mean by normal measured values (Tweedie's formula; Efron, J. Am.
+        Stat. Assoc. 106 (2011) 1602). Where it exceeds that of the noise, it says that the models disagree, not that
+        the mean follows the noise more.
         """
-        return min(self.variance, 1.0)
+        root = np.linalg.cholesky(self.precision)
+        shares, axes = np.linalg.eigh(root.T @ self.cov @ root)
+        back = np.linalg.solve(root.T, axes)
+        return np.asarray(back * np.minimum(shares, 1.0) @ back.T, dtype=np.float64)
+
+
+def weigh_departures(departures: Sequence[LawDeparture]) -> DeparturePosterior:
+    """Average n departures over the 2^n models in which each is zero or not."""
+    size = [one.std for one in departures]
+    noise = sum(
+        rows @ rows.T
+        for rows in (np.array([getattr(one, name) for one in departures]) for name in ("response", "shared"))
+    )
+    precision = noise / np.outer(size, size)
+    np.fill_diagonal(precision, 1.0)
+    z, typical = (np.array([getattr(one, name) for one in departures]) / size for name in ("value", "typical"))
+    return find_posterior(z, precision, typical, [one.expected for one in departures])
+
+
+def find_posterior(
+    z: Floats, precision: Floats, scales: Floats, expected: Sequence[float], *, step: float = 0.3
+) -> DeparturePosterior:
+    """Find the posterior of n parameters that are zero or not, from measured values with normal errors.
+
+    z (n,): the values, each as measured if all others are zero. precision (n, n): as of `DeparturePosterior`. scales
+    (n,): half of the Cauchy prior of a parameter is nearer to zero. All are in standard errors of the values.
+    expected: probabilities that the parameters are not zero, before.
+
+    A Cauchy prior is a mixture of normal ones whose standard deviation is the scale over |u|, u standard normal
+    (Andrews & Mallows, J. R. Stat. Soc. B 36 (1974) 99). With normal priors all is in closed form. The trapezoidal
+    rule over log |u| converges exponentially (Trefethen & Weideman, SIAM Rev. 56 (2014) 385): to 1e-6 with this step.
+    """
+    log_u = np.arange(-20.0, 2.1, step)
+    share = np.exp(log_u - np.exp(2 * log_u) / 2)
+    widths = [np.append(0.0, scale / np.exp(log_u)) for scale in scales]
+    priors = [np.append(1 - p, p * share / share.sum()) for p in expected]
+    width = np.stack(np.meshgrid(*widths, indexing="ij"), axis=-1).reshape(-1, len(z))
+    prior = np.prod(np.meshgrid(*priors, indexing="ij"), axis=0).ravel()
+    shrunk = np.eye(len(z)) + width[:, :, None] * precision * width[:, None, :]
+    covs = width[:, :, None] * np.linalg.inv(shrunk) * width[:, None, :]
+    means = covs @ z
+    log_evidence = (means @ z - np.linalg.slogdet(shrunk)[1]) / 2
+    weight = prior * np.exp(log_evidence - log_evidence.max())
+    weight /= weight.sum()
+    mean = weight @ means
+    cov = np.tensordot(weight, covs, 1) + (weight[:, None] * (means - mean)).T @ (means - mean)
+    return DeparturePosterior(float(weight[0]), mean, cov, precision)
 
 
 def average_over_departures(
@@ -105,56 +140,30 @@ def average_over_departures(
 ) -> DerivedValues:
     """Average the quantities of a fit over its laws and departures from these.
 
-    departures: by this fit. tied: the same by the tied fit, which replace those of a free fit. Their noise then shifts
-    the free quantities also by the difference of both effects. If both fits are linear, this lowers their variances
-    (Hausman, Econometrica 46 (1978) 1251). Others may be far from it, such as those of a slide whose end is hardly
-    seen. The covariance is therefore that of all derivatives by noise and by the camera's errors.
+    departures: by this fit. tied: the same by the tied fit, which replace those of a free fit. Where the free fit shows
+    a departure too, the value by the tied fit as measured then shifts the free quantities by the difference of both
+    effects. If both fits are linear, this lowers their variances (Hausman, Econometrica 46 (1978) 1251). Others may be
+    far from it, such as those of a slide whose end is hardly seen. The covariance is therefore that of all derivatives
+    by noise and by the camera's errors.
     """
     if not departures:
         return values
     used = departures if tied is None else tied
-    effects = np.column_stack([one.effect for one in used])
-    apart = np.column_stack([one.effect for one in departures]) - effects
-    std, mean, variance, followed = np.array(
-        [(one.std, one.weight.mean, one.weight.variance, one.weight.followed) for one in used]
-    ).T
-    slopes = apart + effects * followed  # of the averaged quantities by the departures as measured
-    response, shared = (np.array([getattr(one, name) for one in used]) for name in ("response", "shared"))
+    posterior, size = weigh_departures(used), np.array([one.std for one in used])
+    own, by_tied = (np.column_stack([one.effect for one in some]) * size for some in (departures, used))
+    apart = (own - by_tied) * [one.is_shown for one in departures]  # effects of the values as measured
+    effects = own - apart - apart @ (posterior.precision - np.eye(len(used)))  # each was measured as if others are zero
+    followed = posterior.followed
+    slopes = apart + effects @ followed  # of the averaged quantities by the values as measured
+    response, shared = (np.array([getattr(one, name) / one.std for one in used]) for name in ("response", "shared"))
     together = values.shared @ shared.T
     if tied is not None:
-        together = together + np.column_stack([one.cov_with_tied for one in departures])
+        together = together + np.column_stack([one.cov_with_tied for one in departures]) / size
     mixed = together @ slopes.T
-    unknown = effects * std * np.sqrt(variance - followed**2)
-    cov = values.cov + mixed + mixed.T + slopes @ (response @ response.T + shared @ shared.T) @ slopes.T
-    value = values.value + apart @ np.array([one.value for one in used]) + effects @ (std * mean)
-    return DerivedValues(value, cov + unknown @ unknown.T, values.shared + slopes @ shared)
-
-
-def weigh_shift(z: float, scale: float, expected: float = 0.5) -> ModelWeight:
-    """Compare a zero parameter with one of a Cauchy prior, from a measurement with a normal error.
-
-    z: the measured value; scale: half of the prior is nearer to zero. Both are in standard errors.
-    expected: probability that the parameter is not zero, before.
-
-    The measured value then has a Voigt profile, the real part of Faddeeva's function w. The derivatives of its
-    logarithm give mean and variance (Tweedie's formula; Efron, J. Am. Stat. Assoc. 106 (2011) 1602).
-    """
-    if scale == 0:
-        return ModelWeight(expected, 0.0, 0.0)
-    w, first, second = _differentiate_faddeeva((z + 1j * scale) / np.sqrt(2))
-    slope, bend = first.real / w.real / np.sqrt(2), second.real / w.real / 2
-    probability = float(expit(np.log(w.real) + z**2 / 2 + logit(expected)))
-    return ModelWeight(probability, float(z + slope), float(max(1 + bend - slope**2, 0.0)))
-
-
-def _differentiate_faddeeva(at: complex, *, far: float = 1e3) -> tuple[complex, complex, complex]:
-    """Faddeeva's function w with two derivatives; beyond `far` by its asymptotic series, where the formulas cancel."""
-    if abs(at) > far:
-        per, nearly = 1j / (np.sqrt(np.pi) * at), (1 / at) ** 2
-        return per * (1 + nearly / 2), -per / at * (1 + 1.5 * nearly), 2 * per * nearly * (1 + 3 * nearly)
-    w = complex(wofz(at))
-    first = 2j / np.sqrt(np.pi) - 2 * at * w
-    return w, first, -2 * (w + at * first)
+    unknown = effects @ (posterior.cov - followed @ posterior.precision @ followed) @ effects.T
+    cov = values.cov + mixed + mixed.T + slopes @ (response @ response.T + shared @ shared.T) @ slopes.T + unknown
+    value = values.value + apart @ [one.value / one.std for one in used] + effects @ posterior.mean
+    return DerivedValues(value, cov, values.shared + slopes @ shared)
 
 
 def derive_quantities(fit: CollisionFit, tied: bool) -> DerivedValues:

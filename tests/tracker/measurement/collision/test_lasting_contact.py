@@ -70,6 +70,17 @@ def test_finite_differences_show_nothing_after_a_contact_that_lasts():
     assert frames in str(note)
 
 
+@pytest.mark.parametrize(("r", "v0", "b"), [(0.41, 0.44, 0.0), (0.8, 0.4, 0.2), (0.6, 0.2, -0.2)])
+def test_finite_differences_after_an_instant_have_the_error_of_what_sliding_takes(r, v0, b):
+    """Without friction they are right; with it their restitution is too low by far more than its noise."""
+    for friction in (0.0, 0.15):
+        row, _ = measure(SoftHit(0.0, r, v0=v0, b=b, friction=friction, fps=250.0, noise=1e-6))
+        off = row["r_paper"] - r
+        assert abs(off) < 1.5 * row["r_paper_std"] + 0.003
+        assert (row["r_paper_std"] < 0.003) == (friction == 0)
+        assert (off < -0.02) == (friction > 0)
+
+
 def test_a_contact_between_two_frames_is_no_ok_but_keeps_r_free():
     """A diameter that is too large by .6 % would look the same."""
     row, result = measure(SoftHit(0.002, 0.9, friction=0.0, fps=250.0, b=0.2))

@@ -26,9 +26,11 @@ def slopes(monkeypatch):
     """What the tied fits show of k."""
     found = []
 
-    def watch(*given):
-        found.append(find_slope_of_friction(*given))
-        return found[-1]
+    def watch(fit, tied, *given):
+        one = find_slope_of_friction(fit, tied, *given)
+        if tied:
+            found.append(one)
+        return one
 
     monkeypatch.setattr(estimate, "find_slope_of_friction", watch)
     return found
@@ -70,6 +72,32 @@ def test_a_slope_beyond_doubt_is_a_misfit_that_names_it():
     assert np.isnan(row["mu_k_std"])
 
 
+def test_free_values_carry_a_slope_that_the_tied_fit_shows():
+    """By one friction, v0 and mu_k of the free fit are 3.4 and 5.1 of their errors off, and the hit is ok too."""
+    row, truth = measure_hit(27, 64, k=0.5)
+    alone, _ = measure_hit(27, 64, k=0.5, friction_change=0)
+    assert (row["status"], alone["status"]) == ("ok", "ok")
+    for name in ("v0", "mu_k"):
+        assert abs(alone[f"{name}_free"] - truth[name]) > 3 * alone[f"{name}_free_std"]
+        assert abs(row[f"{name}_free"] - truth[name]) < 2 * row[f"{name}_free_std"]
+
+
+@pytest.mark.parametrize(("number", "seed", "k"), [(17, 63, 0.1), (44, 64, 0.2), (0, 63, 0.5)])
+def test_a_slope_that_explains_all_residuals_is_named_instead_of_a_striker(number, seed, k):
+    """Without their first positions the strikers of the first two seem to roll late, and the hits were ok."""
+    row, _ = measure_hit(number, seed, k=k)
+    assert (row["status"], row["flags"]) == ("misfit", Flag.FRICTION_CHANGES)
+    assert row["agree"] < 1e-6
+
+
+def test_a_slope_that_leaves_residuals_is_no_cause():
+    """The friction of the balls differs: a slope imitates a part of it."""
+    clip = synthcam.Scene.build("slip", **SHAKEN, effects={"friction_mismatch": {"excess": 0.2}}).draw(0, 71)
+    tracks = follow_centres(clip, np.random.default_rng([71, 0]), 0.015)
+    (row,) = measure(tracks, Camera.of(clip.camera_json), FitSettings(local_window_s=0))
+    assert (row["status"], row["flags"]) == ("misfit", "")
+
+
 def test_a_constant_friction_hardly_widens_the_errors():
     names = ("v0", "r", "C", "tau1", "tau2", "mu_k")
     wider = []
@@ -78,4 +106,4 @@ def test_a_constant_friction_hardly_widens_the_errors():
         assert (row["status"], row["flags"]) == ("ok", "")
         wider.append([row[f"{name}_std"] / alone[f"{name}_std"] for name in names])
     assert np.min(wider) > 0.999
-    assert (np.median(wider, axis=0) < [1.01, 1.01, 1.01, 1.01, 1.03, 1.06]).all()
+    assert (np.median(wider, axis=0) < [1.01, 1.01, 1.01, 1.01, 1.03, 1.1]).all()
