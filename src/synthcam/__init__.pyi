@@ -1,12 +1,12 @@
 """The public names, listed once."""
 
 from .camera.render import NoGL as NoGL
-from .dataset.labelled_frame import LabelledFrame as LabelledFrame
-from .dataset.recorded_clip import RecordedClip as RecordedClip
-from .dataset.recorded_clip import RecordedFilm as RecordedFilm
+from .dataset.labelled_frames import LabelledFrame as LabelledFrame
+from .dataset.labelled_frames import stream as stream
 from .dataset.recorded_dataset import Dataset as Dataset
+from .dataset.recorded_dataset import RecordedClip as RecordedClip
+from .dataset.recorded_dataset import RecordedFilm as RecordedFilm
 from .dataset.recorded_dataset import open_dataset as open_dataset
-from .dataset.stream import stream as stream
 from .library import add_effects as add_effects
 from .model import Ball as Ball
 from .model import Model as Model

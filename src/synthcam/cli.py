@@ -363,7 +363,7 @@ def effects(
                 print(f"    {p.name}: {kind}, {p.unit}, typically {p.typical:g}, from {p.low:g} to {p.high:g}")
     if output is not None and name is not None:
         from synthcam.dataset.effect_drawing import draw_effect
-        from synthcam.dataset.picture_mark import check_picture_output
+        from synthcam.dataset.preview import check_picture_output
         from synthcam.effect import with_typical_values
 
         check_picture_output(output, "synthcam effects")

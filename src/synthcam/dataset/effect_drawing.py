@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
-from synthcam.dataset.picture_mark import mark_picture
+from synthcam.dataset.preview import mark_picture
 from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.effect import Effect

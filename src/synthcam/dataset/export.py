@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam.dataset import exports
-from synthcam.dataset.recorded_clip import RecordedClip
-from synthcam.dataset.recorded_dataset import Dataset, open_dataset
+from synthcam.dataset.recorded_dataset import Dataset, RecordedClip, open_dataset
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from synthcam_shared.outputs import as_input_error, check_writable, open_scratch_folder, publish_folder

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from synthcam.dataset.files import SUMS, clip_folders
+from synthcam.dataset.files import SUMS
+from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import (
     RESUMES,
@@ -41,7 +42,7 @@ class PartialDataset:
 
     def list_done(self) -> set[int]:
         """List the numbers of the complete clips."""
-        return {int(c.name) for c in clip_folders(self.folder)}
+        return {int(c.name) for c in list_clip_folders(self.folder)}
 
     def tidy(self) -> None:
         """Remove what killed workers left."""
@@ -64,7 +65,7 @@ class PartialDataset:
     def take_clips(self, output: Path, withheld: Path | None) -> None:
         """Take the clips of a smaller dataset, by links where the file system has them."""
         done = self.list_done()
-        for made in clip_folders(output):
+        for made in list_clip_folders(output):
             if int(made.name) in done:
                 continue
             folder, truth = self.clip(int(made.name))

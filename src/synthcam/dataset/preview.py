@@ -1,11 +1,13 @@
-"""Preview a scene as a picture or an animation, and measure how fast frames are made."""
+"""Preview a scene as a picture or an animation, marked as made by synthcam, and measure how fast frames are made."""
 
 from __future__ import annotations
 
 import itertools
 import os
+import struct
 import tempfile
 import time
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,16 +17,33 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.exposure import adjust_gamma, rescale_intensity
 
-from synthcam.dataset.picture_mark import check_picture_output, mark_picture
 from synthcam.dataset.video import check_video
 from synthcam.scene.clip import Clip
 from synthcam.scene.outlines import find_boxes
 from synthcam.scene.scene import check_scene
 from synthcam.scene.sensor_frames import Counts
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, write_atomically
+from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
+from synthcam_shared.overwriting import check_replaceable
 
+MARK = b"made by synthcam"
 ANIMATION_FPS = 20  # GIF counts in hundredths of a second
+
+
+def check_picture_output(path: Path, command: str) -> None:
+    """Raise InputError if a picture cannot be written, or a file without the mark of synthcam stands there."""
+    check_replaceable(path, MARK, command)
+    check_writable(path)
+
+
+def mark_picture(data: bytes, suffix: str) -> bytes:
+    """Add the mark to a PNG, GIF or MP4 as a comment that viewers ignore."""
+    if suffix == ".png":  # a text chunk after the header, which ends at byte 33
+        chunk = b"tEXtComment\0" + MARK
+        return data[:33] + struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk)) + data[33:]
+    if suffix == ".gif":  # a comment extension before the trailer
+        return data[:-1] + b"\x21\xfe" + bytes([len(MARK)]) + MARK + b"\0" + data[-1:]
+    return data + struct.pack(">I", 8 + len(MARK)) + b"free" + MARK
 
 
 def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> None:

@@ -1,20 +1,248 @@
-"""Read a dataset: its clips one at a time, with film, camera and truth."""
+"""Read a dataset: its clips one at a time, each with film, camera and truth, from its files when they are asked for."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, overload
 
+import numpy as np
 import pandas as pd
+import tifffile
+from numpy.typing import NDArray
 
-from synthcam.dataset.files import clip_folders
-from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError, first_line
+from synthcam_shared.track_formats import split_by_particle
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RecordedClip:
+    """One clip of a dataset. Its files are read when they are asked for; the names are those of `Clip`.
+
+    Attributes
+    ----------
+    number : int
+        Its number in the dataset.
+    folder : Path
+        Holds its film and ``camera.json``.
+    truth : dict
+        The scalars of the collision, a row of ``truth/clips.parquet``; empty if the truth is withheld.
+    secret : Path, optional
+        The folder with its truth; None if the truth is withheld.
+    of : int
+        Number of clips of its scene.
+
+    Examples
+    --------
+    >>> import synthcam
+    >>> clip = synthcam.open_dataset("out/benchmark")[0]  # doctest: +SKIP
+    >>> tracker.track(clip.film(), clip.camera_json)  # doctest: +SKIP
+    """
+
+    number: int
+    folder: Path
+    truth: dict[str, Any]
+    secret: Path | None = None
+    of: int = 1
+
+    def __repr__(self) -> str:
+        film = f"{self.frames} frames" if self.video else "without film"
+        return f"Clip {self.number} of {self.folder.parent.parent}: {film}{'' if self.secret else ', truth withheld'}"
+
+    def check(self) -> None:
+        """Raise InputError if something is missing or damaged that every format of export needs."""
+        self._read(self.folder / "camera.json", lambda path: self._check_numbers())
+        _ = self.drawn, self.events
+
+    def _check_numbers(self) -> None:
+        numbers = [*self.camera_json["size"], self.camera_json["fps"], self.bits, self.diameter_px, self.frames]
+        largest = 1e9  # of any number that describes a camera or a stack
+        if not all(0 < float(x) < largest for x in numbers):
+            raise ValueError("camera.json or tracks.parquet without size, rate, bits, ball or frames")
+
+    @cached_property
+    def camera_json(self) -> dict[str, Any]:
+        """The experimenter's knowledge of the camera: the keys of ``camera.json``; `tracker.track` takes them."""
+        found: dict[str, Any] = self._read(self.folder / "camera.json", _read_json)
+        return found
+
+    @cached_property
+    def drawn(self) -> dict[str, Any]:
+        """The settings of the clip, without distributions."""
+        found: dict[str, Any] = self._read(self._secret / "scene.json", lambda path: _read_json(path)["drawn"])
+        return found
+
+    @cached_property
+    def tracks(self) -> pd.DataFrame:
+        """The true tracks, a row for each ball and frame, with the columns of ``truth/tracks.parquet``."""
+        return self._read_table("tracks")
+
+    @cached_property
+    def events(self) -> pd.DataFrame:
+        """Contacts and ends of slides, with the columns of ``truth/events.parquet``."""
+        return self._read_table("events")
+
+    @cached_property
+    def energy(self) -> pd.DataFrame:
+        """Energies of many bodies, a row for each frame, with the columns of ``truth/energy.parquet``."""
+        return self._read_table("energy")
+
+    @property
+    def scene(self) -> str:
+        """Name of its scene."""
+        return str(self.truth["scene"])
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.film()) if self.secret is None else int(self.tracks["frame"].max()) + 1
+
+    @property
+    def bits(self) -> int:
+        """Bits of a count."""
+        return int(self.camera_json["sensor"]["bits"])
+
+    @property
+    def stack(self) -> Path:
+        """The file of its film."""
+        return self.folder / "frames.tif"
+
+    @property
+    def video(self) -> bool:
+        """Whether it has a film."""
+        return self.stack.is_file()
+
+    @property
+    def diameter_px(self) -> float:
+        """Diameter of a ball, px."""
+        return float(self.camera_json["ball_diameter"] / self.camera_json["scale"])
+
+    def film(self) -> RecordedFilm:
+        """Open the film, of which each frame is read when it is indexed.
+
+        Returns
+        -------
+        RecordedFilm
+            A sequence of (height, width) arrays, in colour (height, width, 3); ``numpy.asarray`` reads all.
+
+        Raises
+        ------
+        InputError
+            If the dataset has no films.
+        """
+        return RecordedFilm(self.stack)
+
+    def pictures(self) -> Iterator[NDArray[Any]]:
+        """Read the frames one after the other.
+
+        Yields
+        ------
+        ndarray
+            (height, width), of a colour camera (height, width, 3): uint8 or uint16 counts.
+        """
+        return iter(self.film())
+
+    def visible_tracks(self) -> list[list[tuple[Any, Any, Any]]]:
+        """Cut the true tracks to the picture.
+
+        Returns
+        -------
+        list of list of tuple
+            Of each ball (frame, x, y), px, where its centre lies in the picture.
+        """
+        width, height = self.camera_json["size"]
+        x, y = self.tracks["x_mean_px"], self.tracks["y_mean_px"]
+        rows = self.tracks[(x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)]
+        return split_by_particle(*(rows[name] for name in ("particle", "frame", "x_mean_px", "y_mean_px")))
+
+    @property
+    def _secret(self) -> Path:
+        """The folder with the truth. Raises InputError if it is withheld."""
+        if self.secret is None:
+            raise InputError(f"{self.folder}: its truth is withheld; open_dataset takes the folder with it as `truth`")
+        return self.secret
+
+    def _read_table(self, name: str) -> pd.DataFrame:
+        table: pd.DataFrame = self._read(self._secret / f"{name}.parquet", pd.read_parquet)
+        return table
+
+    def _read(self, path: Path, reader: Callable[[Path], Any]) -> Any:
+        """The content of a file. Raises InputError where it is missing or damaged."""
+        try:
+            return reader(path)
+        except InputError:
+            raise
+        except FileNotFoundError as error:
+            raise InputError(f"{error.filename or path}: missing; `synthcam verify` lists what else is") from None
+        except (KeyError, ValueError, TypeError, OSError, RecursionError) as error:  # pyarrow's are of all kinds
+            raise InputError(f"{self.folder}: damaged ({first_line(error)}); `synthcam verify` lists more") from None
+
+
+class RecordedFilm(Sequence[NDArray[Any]]):
+    """The frames of a stack on disk, each read when it is indexed; no frame is kept.
+
+    Examples
+    --------
+    >>> import numpy, synthcam
+    >>> film = synthcam.open_dataset("out/benchmark")[0].film()  # doctest: +SKIP
+    >>> numpy.asarray(film).shape  # doctest: +SKIP
+    (100, 480, 640)
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise InputError(f"{path}: no such file; expected a dataset with video")
+        self.path = path
+
+    @cached_property
+    def _count(self) -> int:
+        with self._open() as stack:
+            if not len(stack.pages):
+                raise self._damaged(ValueError("no frames"))
+            return len(stack.pages)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[NDArray[Any]]: ...
+    def __getitem__(self, index: int | slice) -> NDArray[Any] | list[NDArray[Any]]:
+        if isinstance(index, slice):
+            return list(self._read(range(len(self))[index]))
+        return next(self._read([range(len(self))[index]]))
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return self._read(range(len(self)))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.asarray(np.stack(list(self)), dtype=dtype)
+
+    def _read(self, numbers: Sequence[int]) -> Iterator[NDArray[Any]]:
+        with self._open() as stack:
+            for number in numbers:
+                try:
+                    yield stack.pages[number].asarray()
+                except Exception as error:  # decoders raise their own kinds
+                    raise self._damaged(error) from None
+
+    def _open(self) -> Any:
+        try:
+            return tifffile.TiffFile(self.path)
+        except Exception as error:
+            raise self._damaged(error) from None
+
+    def _damaged(self, error: Exception) -> InputError:
+        return InputError(f"{self.path}: damaged ({first_line(error)}); `synthcam verify` lists more")
+
+
+def _read_json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,7 +292,7 @@ class Dataset(Sequence[RecordedClip]):
     @cached_property
     def _folders(self) -> list[Path]:
         """The folder of each clip, in order."""
-        folders = clip_folders(self.folder)
+        folders = list_clip_folders(self.folder)
         if self.secret is not None and [int(f.name) for f in folders] != self.truth["clip"].tolist():
             raise InputError(f"{self.folder}: {len(folders)} clips for {len(self.truth)} rows of its truth")
         return folders
@@ -137,3 +365,8 @@ def open_dataset(folder: str | Path, truth: str | Path | None = None) -> Dataset
     if truth is not None and not known:
         raise InputError(f"{secret}: no truth/clips.parquet in it; expected the withheld truth of {folder}")
     return Dataset(folder, secret if known else None)
+
+
+def list_clip_folders(folder: Path) -> list[Path]:
+    """List the folders of the complete clips of a dataset in order."""
+    return sorted(p for p in (folder / "clips").glob("[0-9]*") if p.is_dir() and p.name.isascii() and p.name.isdigit())

@@ -19,8 +19,7 @@ import numpy as np
 import tifffile
 
 from synthcam.dataset.generate import MAX_CLIPS, hash_effect_files
-from synthcam.dataset.labelled_frame import LabelledFrame, encode_png
-from synthcam.dataset.stream import MAX_FAILURES_IN_A_ROW, make_clips
+from synthcam.dataset.labelled_frames import MAX_FAILURES_IN_A_ROW, LabelledFrame, encode_png, make_clips
 from synthcam.library import add_effects, list_added_folders
 from synthcam.scene.scene import Scene
 from synthcam_shared.errors import InputError

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam.scene.apparatus import MAX_AVI_FPS, VideoSettings, find_video_problem
 from synthcam_shared.errors import InputError
 from synthcam_shared.interruption import raise_if_interrupted
@@ -114,7 +114,10 @@ def parse_encoding(text: str, where: str) -> dict[str, str]:
 
 
 def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None:
-    """Write clips/NNNNNN as an ordinary camera's video, with camera.json that has `video`. text: as of `read_how`."""
+    """Write clips/NNNNNN as an ordinary camera's video, with camera.json that has `video`.
+
+    text: as of `parse_encoding`.
+    """
     given = {key: parse_yaml(value) for key, value in parse_encoding(text, "--format").items()}
     try:
         how = VideoSettings.model_validate(given).model_dump(exclude_none=True)

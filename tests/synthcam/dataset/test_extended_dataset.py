@@ -6,8 +6,9 @@ import pytest
 from synthcam_stub import plan, sums
 
 from synthcam.dataset import generate, partial_dataset
-from synthcam.dataset.files import SUMS, clip_folders, verify
+from synthcam.dataset.files import SUMS, verify
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
+from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam.scene.scene import Scene
 from synthcam_shared.errors import InputError
 
@@ -120,5 +121,5 @@ def test_fewer_clips_another_seed_and_several_scenes_are_refused(tmp_path, whole
     generate_dataset(GenerationPlan(two, 1, 0, False), tmp_path / "two", 1, quiet)
     with pytest.raises(InputError, match="only more clips of a single scene"):
         generate_dataset(GenerationPlan(two, 2, 0, False), tmp_path / "two", 1, quiet)
-    assert len(clip_folders(tmp_path / "two")) == 2
+    assert len(list_clip_folders(tmp_path / "two")) == 2
     assert (tmp_path / "two" / SUMS).is_file()

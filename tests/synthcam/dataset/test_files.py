@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 import tifffile
 
-from synthcam.dataset.files import clip_folders, finish_dataset, hash_file, verify, write_clip
+from synthcam.dataset.files import finish_dataset, hash_file, verify, write_clip
+from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -177,4 +178,4 @@ def test_verify_of_what_is_none(tmp_path):
         verify(tmp_path)
     (tmp_path / "clips" / "000000.tmp").mkdir(parents=True)
     (tmp_path / "clips" / "000001").mkdir()
-    assert [p.name for p in clip_folders(tmp_path)] == ["000001"]
+    assert [p.name for p in list_clip_folders(tmp_path)] == ["000001"]

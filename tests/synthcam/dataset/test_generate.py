@@ -16,8 +16,9 @@ from typer.testing import CliRunner
 
 from synthcam.cli import app
 from synthcam.dataset import generate
-from synthcam.dataset.files import clip_folders, verify
+from synthcam.dataset.files import verify
 from synthcam.dataset.generate import GenerationPlan, generate_dataset, make_clip
+from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -72,7 +73,7 @@ def test_so_does_the_other_order(one, tmp_path):
 def test_another_seed_is_another_dataset(one, tmp_path):
     generate_dataset(plan(seed=6), tmp_path / "d", 1, quiet)
     assert sums(tmp_path / "d") != sums(one)
-    rows = [json.loads((c / "truth/scene.json").read_text())["row"]["v0"] for c in clip_folders(one)]
+    rows = [json.loads((c / "truth/scene.json").read_text())["row"]["v0"] for c in list_clip_folders(one)]
     assert len(set(rows)) == 6
 
 
@@ -171,7 +172,7 @@ def test_a_clip_that_cannot_be_made_spares_the_rest(tmp_path):
     assert outcome.made + len(outcome.failed) == 12
     assert all("cannot rest" in line and line.startswith("clip ") for line in outcome.failed)
     assert not (tmp_path / "d").exists()
-    assert len(clip_folders(tmp_path / "d.partial")) == outcome.made
+    assert len(list_clip_folders(tmp_path / "d.partial")) == outcome.made
     assert not list((tmp_path / "d.partial/clips").glob("*.tmp"))
 
 
@@ -204,7 +205,7 @@ def test_killed_or_interrupted_it_goes_on(many, tmp_path, how, workers):
     said = first.communicate(timeout=20)[1]
     assert first.returncode == (130 if how == signal.SIGINT else -9)
     assert not out.exists()
-    made = len(clip_folders(partial))
+    made = len(list_clip_folders(partial))
     assert 10 <= made < MANY
     if how == signal.SIGINT:
         assert "Traceback" not in said

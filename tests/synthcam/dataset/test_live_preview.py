@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from synthcam import Scene
-from synthcam.dataset.live_preview import _draw_moved_scene, answer_request, answer_requests
-from synthcam.dataset.scene_sliders import list_sliders, move_sliders
+from synthcam.dataset.live_preview import _draw_moved_scene, answer_request, answer_requests, list_sliders, move_sliders
 from synthcam.scene.clip import Clip
 from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.scene import check_scene, read_scene

@@ -8,9 +8,10 @@ import shutil
 import pytest
 from synthcam_stub import make, plan, quiet, sums, with_dots
 
-from synthcam.dataset.files import clip_folders, verify
+from synthcam.dataset.files import verify
 from synthcam.dataset.generate import generate_dataset
 from synthcam.dataset.merge import merge
+from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam_shared.errors import InputError
 
 
@@ -31,7 +32,7 @@ def parts(shards, tmp_path, monkeypatch):
 
 
 def test_shards_share_the_clips(parts):
-    found = [[int(c.name) for c in clip_folders(p)] for p in parts]
+    found = [[int(c.name) for c in list_clip_folders(p)] for p in parts]
     assert found == [[0, 3], [1, 4], [2]]
     for part in parts:
         assert verify(part).problems == ()

@@ -19,8 +19,9 @@ from typer.testing import CliRunner
 
 from synthcam.cli import app, main
 from synthcam.dataset import generate, partial_dataset
-from synthcam.dataset.files import clip_folders, verify
+from synthcam.dataset.files import verify
 from synthcam.dataset.generate import generate_dataset
+from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam_shared import outputs
 from synthcam_shared.errors import InputError
 from tracker.detection.detect import DEFAULT
@@ -111,7 +112,7 @@ def test_a_disk_that_is_really_full(scene, small_disk):
     assert said.returncode == 2
     assert "No space left on device; the same command continues where it stopped" in said.stderr
     assert said.stderr.count("\n") == 1
-    made = len(clip_folders(small_disk / "d.partial"))
+    made = len(list_clip_folders(small_disk / "d.partial"))
     assert 0 < made < 16
     subprocess.run(["mount", "-o", "remount,size=20m", str(small_disk)], check=True)
     again = repeat(command(scene, small_disk / "d", 16, "--workers", "1", "--json"))

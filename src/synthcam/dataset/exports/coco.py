@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dataset.labelled_frame import LabelledFrame, encode_png, label_recorded, to_8_bits
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.labelled_frames import LabelledFrame, encode_png, label_recorded, to_8_bits
+from synthcam.dataset.recorded_dataset import RecordedClip
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import tifffile
 
-from synthcam.dataset.labelled_frame import label_recorded
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.labelled_frames import label_recorded
+from synthcam.dataset.recorded_dataset import RecordedClip
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import cv2
 
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam.dataset.video import check_video
 from synthcam_shared.errors import InputError
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from synthcam.camera.glints import find_glints
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.plate import BLACK_PLATE_RADIANCE, compute_irradiance
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import rebuild_clip
 

@@ -6,7 +6,7 @@ mjpeg:q=3,gamma=1,chroma=420 are the settings, here with their defaults.
 from collections.abc import Iterator
 from pathlib import Path
 
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam.dataset.video import write_videos
 
 

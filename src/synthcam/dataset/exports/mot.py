@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from synthcam.dataset.labelled_frame import encode_png
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.labelled_frames import encode_png
+from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam_shared.track_formats import MOT_CORNER_PX, mot_box
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam_shared.track_formats import make_trackmate_xml
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from synthcam.dataset.labelled_frame import encode_png, label_recorded, to_8_bits
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.labelled_frames import encode_png, label_recorded, to_8_bits
+from synthcam.dataset.recorded_dataset import RecordedClip
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:

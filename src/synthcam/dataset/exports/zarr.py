@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam_shared.errors import InputError
 
 STATES = ("rest", "roll", "slide", "fly")  # by the number that stands for each
