@@ -205,7 +205,7 @@ def measure(
     from tracker.tables.table_options import TableOptions
 
     options = TableOptions(point, columns, unit, decimal)
-    with progress_bar("clips") as progress:
+    with progress_bar("measured") as progress:
         outcome = measure_tables(tracks, output, camera, options, settings, edits, progress)
     extra = dict[str, Any]()
     if _wants_pages(pages, outcome, output):

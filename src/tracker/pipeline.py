@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import pandas as pd
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress, run_all_jobs, use_one_thread
 from synthcam_shared.outputs import check_utf8, check_writable, resume_folder
+from synthcam_shared.steps import showing_steps
 from tracker import results
 from tracker.camera.camera_notes import describe_camera_gaps
 from tracker.camera.frames import GREY, Frames
@@ -87,8 +89,9 @@ def run(
         said += make_notes(
             NoteKind.ASSUMED, [f"camera: {file}; --camera takes another" for file in films.camera_files()]
         )
-    selected = select_detector(first) if detector is None else None
     clips, frames, notes = len(films), 0, Counter[Note]()
+    with showing_steps("frames", progress) if clips == 1 else nullcontext():
+        selected = select_detector(first) if detector is None else None
     # A film that is open is not decoded again; of one clip, progress counts the frames.
     helpers = HelperProcesses(films, 0, workers, first.frames.contents)
     opened = replace(first, progress=progress, helpers=helpers) if clips == 1 and not scheduler else None
@@ -127,7 +130,7 @@ def measure_tables(
 
     path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program. output: RESULTS. camera: the
     camera file of the tracks. edits: corrections by hand of the tracks as they are written without edits. progress:
-    takes clips done and clips in all.
+    takes clips done and clips in all, or contacts of a single clip of a crowd.
     """
     check_utf8(output)
     chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)
@@ -145,7 +148,8 @@ def measure_tables(
             progress(len(numbers) - len(todo) + done, len(numbers))
             tracks, striker = given.clips[number]
             own = replace(given.camera, striker=striker or given.camera.striker)
-            result = measure_tracks(tracks, own, number, options.point, chosen.fit, edited)
+            with showing_steps("contacts", progress) if len(numbers) == 1 else nullcontext():
+                result = measure_tracks(tracks, own, number, options.point, chosen.fit, edited)
             of_clip = [note for note in result.notes if note.kind in (NoteKind.REPAIR, NoteKind.EDIT)]
             notes.update({replace(note, text=f"clip {number}: {note}"): 1 for note in of_clip})
             pictures = dict[str, bytes]()
@@ -249,7 +253,8 @@ def _track_clip(
     use_one_thread()
     clip = opened or source.open_clip(index)
     try:
-        result = track_and_measure(clip, name, settings, edits, selected)
+        with nullcontext() if clip.progress is None else showing_steps("frames", clip.progress):
+            result = track_and_measure(clip, name, settings, edits, selected)
     except (MemoryError, cv2.error) as error:
         if isinstance(error, cv2.error) and error.code != cv2.Error.StsNoMem:
             raise

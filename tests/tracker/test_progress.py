@@ -3,6 +3,7 @@
 from collections import Counter
 
 import numpy as np
+import pandas as pd
 import pytest
 import tifffile
 from tracker_discs import film
@@ -10,7 +11,7 @@ from tracker_discs import film
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Frames, spread_frames
 from tracker.detection.choose import choose_detector
-from tracker.pipeline import run
+from tracker.pipeline import measure_tables, run
 
 
 def counted(count=100, shape=(40, 50)):
@@ -58,4 +59,26 @@ def test_progress_counts_the_frames_of_one_film_and_the_clips_of_several(tmp_pat
     said = []
     run(tmp_path / "films", tmp_path / "out", "discs", 1, lambda *done: said.append(done))
     of = 12 if films == 1 else 2
-    assert said == [(k, of) for k in range(1 if films == 1 else 0, of + 1)]
+    survey, rest = said[: -12 * (films == 1)], said[-12 * (films == 1) :]
+    assert rest == [(k, of) for k in range(1 if films == 1 else 0, of + 1)]
+    assert [done for done, _ in survey] == list(range(1, len(survey) + 1))
+    if films == 1:  # the survey looks at 12 frames for the radii, and at 12 for the background, some of them twice
+        assert len(survey) == survey[-1][1] in (24, 36)
+
+
+def test_progress_within_one_clip_of_a_crowd_counts_its_contacts(tmp_path):
+    rng, frame, parts = np.random.default_rng(1), np.arange(80), []
+    hit = 33.3
+    for pair in range(3):  # a ball of 40 px gives its speed to another
+        late = 3 * np.clip(frame - hit, 0, None)
+        for ball, x in enumerate((200 + late, 60 + 3 * frame - late)):
+            noise = rng.normal(0, 0.02, (2, 80))
+            at = {"x": x + noise[0], "y": 60 + 70 * pair + noise[1], "x_std": 0.02, "y_std": 0.02}
+            parts.append(pd.DataFrame({"frame": frame, "particle": 2 * pair + ball, **at}))
+    pd.concat(parts).to_csv(tmp_path / "tracks.csv", index=False)
+    (tmp_path / "camera.json").write_text('{"size": [400, 300], "fps": 250, "scale": 5e-4, "ball_diameter": 0.02}')
+    said = []
+    paths = (tmp_path / name for name in ("tracks.csv", "out", "camera.json"))
+    outcome = measure_tables(*paths, progress=lambda *done: said.append(done))
+    assert outcome.estimates["status"].tolist() == ["crowd"] * 3
+    assert said == [(0, 1), *((k, 6) for k in range(6))]  # each of the three shows the friction, then its impact

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.steps import report_step
 from tracker.camera.colour_planes import is_plane
 from tracker.camera.frames import Frames, spread_frames
 from tracker.camera.lens import Array
@@ -45,6 +46,13 @@ class _Tally:
     shadows: int = 0
     cut_frames: int = 0  # frames with too many objects
     radii: list[float] = field(default_factory=list)  # of whole discs, px
+    surveyed: int = 0  # frames that the survey has looked at
+    to_survey: int = 0  # those that it looks at in all
+
+    def note_surveyed(self) -> None:
+        """Count one more frame of the survey, and report it as progress."""
+        self.surveyed += 1
+        report_step("frames", self.surveyed, self.to_survey)
 
 
 class Discs:
@@ -68,8 +76,9 @@ class Discs:
         large = not knows_radius or given > 7.5
         self.box = (5, 5) if self.is_noisy and large else (3, 3)
         self.low = max(self.settings.disc_contrast_sigma * self.noise / self.box[0], self.settings.disc_contrast_counts)
-        tally = _Tally()  # of the frames that the survey looks at
         samples, survey = self._choose_samples(), self._choose_survey()
+        # of the frames that the survey looks at
+        tally = _Tally(to_survey=len(survey) + sum(map(len, samples.values())))
         if isinstance(view.frames, Frames):
             view.frames.remember([*itertools.chain(*samples.values()), *survey])
         self.scenes = {
@@ -221,13 +230,17 @@ class Discs:
     def _clean_background(self, scene: int, sample: list[NDArray[Any]], tally: _Tally) -> StillBackground:
         """The background of a scene, without the balls, shadows and other objects in these of its frames."""
         ground = self._average_uncovered(sample, self.scenes[scene], tally)
-        return ground if ground.known.all() else self._average_uncovered(sample, ground, tally)
+        if ground.known.all():
+            return ground
+        tally.to_survey += len(sample)
+        return self._average_uncovered(sample, ground, tally)
 
     def _average_uncovered(self, sample: list[NDArray[Any]], ground: StillBackground, tally: _Tally) -> StillBackground:
         """The same, from objects found over a background that may be wrong where balls rest."""
         rim_px = 4  # around an object, which it may still affect
         covered, changes = [], []
         for frame in sample:
+            tally.note_surveyed()
             changes.append(_measure_change(frame, ground.level))
             light = _match_brightness(frame, ground.level)
             parts = self._split(self._find_areas(light, ground, tally))
@@ -348,6 +361,7 @@ class Discs:
 
     def _survey(self, number: int, frame: NDArray[Any], tally: _Tally) -> list[ContrastArea]:
         """The regions of a frame that do not touch the picture's rim."""
+        tally.note_surveyed()
         ground = self.scenes[self.scene_of[number]]
         light = _match_brightness(frame, ground.level)
         return [area for area in self._find_areas(light, ground, tally) if not area[0].touches_rim(light.shape)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from synthcam_shared.steps import report_step
 from tracker.camera.camera_json import BODIES
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, prepare_contact
@@ -50,7 +51,10 @@ def estimate_contacts(
         known = replace(camera, support="cloth")  # contacts of slow balls hide that they slide
     pairs = [contact for contact in found if len(contact.balls) == 2]
     longest = np.argsort([-_seen_slide(c, found, settings) for c in pairs], kind="stable")[:most_frictions]
-    first = {int(k): _estimate(pairs[k], found, tracks, known, settings) for k in longest}
+    first = dict[int, tuple[Contact | None, LocalEstimate | str]]()
+    for k in map(int, longest):
+        report_step("contacts", len(first), len(longest) + len(pairs))
+        first[k] = _estimate(pairs[k], found, tracks, known, settings)
     seen = [(each.value[MU_K], each.std[MU_K]) for _, each in first.values() if isinstance(each, LocalEstimate)]
     friction = [mu for mu, std in seen if mu > 0 and 0 < std < max_friction_error * mu]
     used, error, done = settings, settings.local_friction_factor, first
@@ -61,6 +65,7 @@ def estimate_contacts(
         error = min(float(np.std(np.log(friction))) / np.sqrt(len(friction)) * median_error, film_friction_factor)
     out = list[tuple[Contact | None, LocalEstimate | str]]()
     for k, pair in enumerate(pairs):
+        report_step("contacts", len(longest) + k, len(longest) + len(pairs))
         contact, each = done[k] if k in done else _estimate(pair, found, tracks, known, used)
         own = first[k][1] if k in first else each if used is settings else SHORT_SLIDE
         out.append((contact, _share_friction(each, own, used, error)))
