@@ -37,7 +37,7 @@ from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import TOGETHER
 from tracker.measurement.collision.contacts import find_contacts, prepare_contact
 from tracker.measurement.collision.staying_together import find_staying_pairs
-from tracker.measurement.local.local_columns import apply_errors, calibrate_rows, calibrate_set, local_columns
+from tracker.measurement.local.local_columns import apply_errors, calibrate_rows, calibrate_set, make_local_columns
 from tracker.measurement.local.local_estimate import estimate_locally
 from tracker.measurement.local.recommendation import recommend
 from tracker.measurement.positions import to_ball_tracks
@@ -62,19 +62,19 @@ def measure_hit(hit: RecordedHit, support: str, tied: bool = False) -> dict[str,
     camera = Camera.of(keys)
     balls = to_ball_tracks(tracks, camera)
     if any(not stay.bounces for stay in find_staying_pairs(balls[0], balls[1], camera.ball_diameter)):
-        return {"name": hit.name, "status": TOGETHER} | local_columns("the bodies stay together")
+        return {"name": hit.name, "status": TOGETHER} | make_local_columns("the bodies stay together")
     found = find_contacts(balls, camera.ball_diameter) or find_contacts(balls, 1.5 * camera.ball_diameter, 2.0)
     empty = {"name": hit.name, "status": "misfit"}
     if not found:
-        return empty | local_columns("no contact")
+        return empty | make_local_columns("no contact")
     contact = prepare_contact(found[0], camera.ball_diameter, {}, FitSettings())
     if contact.reason:
-        return empty | local_columns(contact.reason)
+        return empty | make_local_columns(contact.reason)
     particles = contact.pair.struck.particle, contact.pair.striker.particle
     one, two = (masses[k] for k in particles)
     local = estimate_locally(contact, camera, (one, two))
     row = empty | {"particle1": particles[0], "particle2": particles[1], "true_ratio": one / two}
-    return row | local_columns(local, "ball_masses" in keys)
+    return row | make_local_columns(local, "ball_masses" in keys)
 
 
 def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -58,7 +58,7 @@ from discrepancy.data.contacts import Contacts
 from discrepancy.data.launch import T_C, V0
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.search import search
-from discrepancy.select.contact_effects import ContactClaim, examine_contacts
+from discrepancy.select.contact_effects import ContactClaim, select_contact_laws
 from discrepancy.wording import describe_search
 from synthcam.model import Model, as_model
 from synthcam_shared.errors import InputError
@@ -474,7 +474,7 @@ def measure_recoil(name: str, hits: Sequence[RecordedHit], share: float) -> Cont
     for row in rows:
         row["striker"] = "a" if row.get("particle2") == 0 else "b"
     stated = {k: hit.camera["ball_masses"][0] / hit.camera["ball_masses"][1] for k, hit in enumerate(given)}
-    return next((c for c in examine_contacts(Contacts.of(rows, stated)) if c.quantity == "recoil"), None)
+    return next((c for c in select_contact_laws(Contacts.of(rows, stated)) if c.quantity == "recoil"), None)
 
 
 def _measure_information(fit: ModelFit, columns: Sequence[Array]) -> Array:

@@ -30,7 +30,7 @@ from discrepancy.planning.pair_advice import advise_on_pair, compare_designs
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy
 from discrepancy.preparation import SearchData, prepare_data
 from discrepancy.results import SearchResult
-from discrepancy.select.contact_effects import examine_contacts
+from discrepancy.select.contact_effects import select_contact_laws
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.select.free_law_contest import select_effects_and_law
 from discrepancy.select.law_fit import fit_unseen_clips
@@ -144,7 +144,7 @@ def search(
             left_out=(*given.left_out, *data.left_out),
             processed=(*given.processed, *result.processed),
             uniform=(*given.common, *result.uniform),
-            contacts=examine_contacts(contacts) if contacts else (),
+            contacts=select_contact_laws(contacts) if contacts else (),
         )
 
 

@@ -23,7 +23,7 @@ def split_by_particle(particle: Any, frame: Any, x: Any, y: Any) -> list[list[tu
     return [tracks[ball] for ball in sorted(tracks)]
 
 
-def mot_box(frame: int, particle: int, x: float, y: float, side: float, rest: str) -> str:
+def make_mot_line(frame: int, particle: int, x: float, y: float, side: float, rest: str) -> str:
     """Make one line of MOTChallenge: a square box round a ball, all numbers counted from 1.
 
     Milan et al. 2016, arXiv:1603.00831. rest: the columns after the box, from confidence on.

@@ -547,10 +547,10 @@ def _report(outcome: ClipOutcome, output: Path, extra: dict[str, Any], as_json: 
 def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
     """A row of estimates as --json has it: the recommended quantities in SI units, null for what is not known."""
     from tracker.measurement.collision.derived import QUANTITY_NAMES
-    from tracker.measurement.local.recommendation import recommended_suffix
+    from tracker.measurement.local.recommendation import find_recommended_suffix
     from tracker.results import replace_non_finite
 
-    columns = {name: f"{name}{recommended_suffix(row)}" for name in QUANTITY_NAMES}
+    columns = {name: f"{name}{find_recommended_suffix(row)}" for name in QUANTITY_NAMES}
     pairs = {
         name: {"value": replace_non_finite(row[at]), "std": replace_non_finite(row[f"{at}_std"])}
         for name, at in columns.items()

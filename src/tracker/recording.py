@@ -48,12 +48,12 @@ from tracker.edits import EditsSource, TrackEdits
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.contacts import MarkedContact
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.local.recommendation import recommended_suffix
+from tracker.measurement.local.recommendation import find_recommended_suffix
 from tracker.measurement.track_repair import RepairedTracks, repair_tracks
 from tracker.notes import Note, NoteKind, make_notes
 from tracker.settings import FitSettings, SettingsSource, TrackerSettings
 from tracker.tables.read import ClipTracks, read_frame, read_tracks
-from tracker.tables.rows import tracks_table
+from tracker.tables.rows import make_tracks_table
 from tracker.tables.table_options import TableKeywords, TableOptions
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Result:
         y_std (px), cov_xy (px^2); flux (counts); flags; glint_x, glint_y (px); x_fixed_std, y_fixed_std, cov_xy_fixed:
         the part of the covariance that is the same in every frame of a resting ball.
         """
-        table: pd.DataFrame = tracks_table(self.found).to_pandas()
+        table: pd.DataFrame = make_tracks_table(self.found).to_pandas()
         return table
 
     @cached_property
@@ -123,7 +123,7 @@ class Result:
         and the paper's differences, each with its _std; docs/format.md has all columns. Take ``estimates["clip"]`` and
         ``estimates["flags"]`` by brackets, because pandas has attributes of these names.
         """
-        return results.estimates_table({"clip": self.number, **row} for row in self.rows)
+        return results.make_estimates_table({"clip": self.number, **row} for row in self.rows)
 
     @cached_property
     def contacts(self) -> pd.DataFrame:
@@ -141,7 +141,7 @@ class Result:
         lines = [f"Clip {self.number}: {balls} ball{'s' * (balls != 1)} tracked{seen}"]
         units = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
         for row in self.rows:
-            best = recommended_suffix(row)
+            best = find_recommended_suffix(row)
             values = (
                 f"{name} {format_with_error(row[f'{name}{best}'], row[f'{name}{best}_std'])} {unit}".strip()
                 for name, unit in units.items()
@@ -160,7 +160,7 @@ class Result:
         parts = [f"<p>{repr(self).partition(chr(10))[0]}</p>"]
         for row in self.rows:
             title = f"collision {row['collision']}: {row['status']}"
-            if row["status"] not in MEASURED and not recommended_suffix(row):
+            if row["status"] not in MEASURED and not find_recommended_suffix(row):
                 parts.append(f"<p>{title}</p>")
                 continue
             kinds = {"tied fit": "", "free fit": "_free", "local estimate": "_local", "as the paper": "_paper"}
@@ -572,13 +572,13 @@ def measure_clip(
     tracks: Tracks, camera: Camera, settings: FitSettings | None = None, marked: Sequence[MarkedContact] = ()
 ) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     """Measure one recording's tracks, in memory: rows of estimates, and the motion about the first collision."""
-    from tracker.measurement.estimate import empty_row, failure_status, measure, motion_table
+    from tracker.measurement.estimate import failure_status, make_empty_row, make_motion_table, measure
 
     try:
         rows = measure(tracks, camera, settings, marked)
-        return rows, motion_table(tracks, camera, rows[0])
+        return rows, make_motion_table(tracks, camera, rows[0])
     except InputError:
         raise
     except (ArithmeticError, ValueError, IndexError) as error:  # one clip never costs the others
         nothing = replace(tracks, **{f.name: getattr(tracks, f.name)[:0] for f in fields(tracks)})
-        return [empty_row(camera, failure_status(error))], motion_table(nothing, camera, {})
+        return [make_empty_row(camera, failure_status(error))], make_motion_table(nothing, camera, {})

@@ -28,7 +28,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.detection.link import Tracks
 from tracker.tables.content import FileContent
-from tracker.tables.rows import check_columns, to_csv, to_tracks, tracks_table
+from tracker.tables.rows import check_columns, make_tracks_table, to_csv, to_tracks
 
 RUN = "run.json"
 CONTACTS = "contacts.parquet"
@@ -62,7 +62,7 @@ def write_clip_results(
     aside = final.with_suffix(".tmp")
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)
-    table = tracks_table(tracks)
+    table = make_tracks_table(tracks)
     columns = {name: pa.array(motion[name].to_numpy(), from_pandas=True) for name in motion.columns}
     try:
         _write_parquet(aside / "tracks.parquet", table)
@@ -162,10 +162,10 @@ def gather_estimates(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
     rows = []
     for number in numbers:
         rows += [{"clip": number, **row} for row in read_rows(results, number)]
-    return estimates_table(rows)
+    return make_estimates_table(rows)
 
 
-def estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+def make_estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Make the table of estimates in RESULTS, one row a collision; None of JSON stands for NaN."""
     table = pd.DataFrame([replace_non_finite(row) for row in rows])
     text_columns = "cov status striker noise flags motion_local local local_shared recommended why".split()

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.regression import gate as regression_gate
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.scoring.error_bars import error_statistics
+from tracker.scoring.error_bars import compute_error_statistics
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def watched(gate, claims, truth):
     out = gate.spreads(claims, truth)
     for q in QUANTITY_NAMES:
         for suffix in ("", "_free"):
-            got = error_statistics(
+            got = compute_error_statistics(
                 *(claims[f"{q}{suffix}{end}"].to_numpy() for end in ("", "_std")),
                 truth[q].to_numpy(),
                 np.ones(gate.TRACKS),

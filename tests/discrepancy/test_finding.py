@@ -18,7 +18,7 @@ import tracker
 from discrepancy import cli
 from discrepancy.data.reading import read_collisions
 from synthcam.model import Model, read_model
-from tracker.camera.views import first_difference
+from tracker.camera.views import find_first_difference
 
 RIVAL = ("restitution_speed",)  # the free law that describes what is hidden; others would only take time
 
@@ -56,7 +56,7 @@ def test_collisions_from_memory_are_those_of_the_folder_to_the_last_bit(recorded
     assert len(one) == len(other) == 6
     for a, b in zip(one, other, strict=True):
         assert (a.clip, a.striker, a.offset) == (b.clip, b.striker, b.offset)
-        assert first_difference(a.camera, b.camera) == ""
+        assert find_first_difference(a.camera, b.camera) == ""
         for name in ("frame", "ball", "xy", "covariance", "launch", "slide_ends"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name), name)
 

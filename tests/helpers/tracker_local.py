@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tracker.measurement.local.local_columns import local_columns
+from tracker.measurement.local.local_columns import make_local_columns
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, VELOCITIES, LocalEstimate
 
 AT = {name: k for k, name in enumerate(LOCAL_NAMES)}
@@ -39,7 +39,7 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=(), s
             effect = np.eye(len(value))[AT[name]] * share * value[AT[name]]
             wider = estimate.cov + np.outer(effect, effect)
             estimate = replace(estimate, cov=wider, shared=estimate.shared | {key: (1.0, effect)})
-        rows.append({"status": "misfit"} | local_columns(estimate, settings=settings))
+        rows.append({"status": "misfit"} | make_local_columns(estimate, settings=settings))
     return rows
 
 

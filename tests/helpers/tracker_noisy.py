@@ -15,7 +15,7 @@ from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement import estimate
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.estimate import fit_all_jointly, measure, motion_table
+from tracker.measurement.estimate import fit_all_jointly, make_motion_table, measure
 
 NOISE = 0.015  # px an axis
 BENCHMARK = {
@@ -103,7 +103,7 @@ def results(folder: Path, data: Path, clips: int, seed: int = 0, shift: float = 
         table |= {"x_std": noise, "y_std": noise, "cov_xy": 0.0, "flux": tracks.flux, "flags": ""}
         pd.DataFrame(table | {"glint_x": tracks.x, "glint_y": tracks.y}).to_parquet(home / "tracks.parquet")
         found = measure(tracks, camera)
-        motion_table(tracks, camera, found[0]).to_parquet(home / "motion.parquet")
+        make_motion_table(tracks, camera, found[0]).to_parquet(home / "motion.parquet")
         (home / "camera.json").write_text(json.dumps(camera.to_dict()))
         rows += [row | {"clip": clip} for row in found]
     estimates = pd.DataFrame(rows)

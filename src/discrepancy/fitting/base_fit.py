@@ -13,13 +13,13 @@ from discrepancy.data.launch import T_C, V0, B, allow_side_spin
 from discrepancy.data.outlier_points import remove_outliers
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import ModelFit
-from discrepancy.fitting.parameters import names_to_fit
+from discrepancy.fitting.parameters import list_names_to_fit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
 from synthcam.model import LAUNCH_SPIN, Model
 from synthcam_shared.errors import InputError
-from tracker.camera.views import first_difference
+from tracker.camera.views import find_first_difference
 
 CLAIMED_NOISE = Noise(NoiseComponent(1.0))  # white noise of the claimed size
 Progress = Callable[[str], None]
@@ -42,7 +42,7 @@ def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[Me
                 f"the ball of camera.json is {1e3 * c.camera.ball_diameter:.6g} mm wide (clip {c.clip}), that of the "
                 f"model {1e3 * held:.6g} mm; expected the same"
             )
-        if other := first_difference(c.camera, first, besides=("fps", "exposure")):
+        if other := find_first_difference(c.camera, first, besides=("fps", "exposure")):
             raise InputError(
                 f"camera.json: {other} of clip {c.clip} is not that of clip {clips[0].clip}; expected clips of one "
                 "camera; search each camera's clips separately"
@@ -61,7 +61,7 @@ def fit_base_model(
 
     progress: called with "fit" at each step. Raises InputError where the model has no motion for these collisions.
     """
-    names = names_to_fit(model)
+    names = list_names_to_fit(model)
     impact_parameters = ("restitution", "spin_transfer")  # free stretches do not show them
     free = all(clip.is_stretch for clip in clips)
     if free:

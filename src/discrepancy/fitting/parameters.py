@@ -114,7 +114,7 @@ def strength_names(effect: type[Effect]) -> tuple[str, ...]:
     return tuple(f"{effect.name()}.{p.name}" for p in effect.strengths())
 
 
-def names_to_fit(model: Model) -> tuple[str, ...]:
+def list_names_to_fit(model: Model) -> tuple[str, ...]:
     """The shared parameters of a fit: base parameters that are not zero, and those in the model's `free`."""
     named = (n for n in model.free if n != LAUNCH_SPIN)
     return tuple(dict.fromkeys([*(n for n in BASE_PARAMETERS if model.value(n) != 0), *named]))

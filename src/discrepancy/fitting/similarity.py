@@ -12,7 +12,7 @@ from synthcam.effect import Effect, Parameter
 from synthcam.model import Ball
 
 
-def size_exponent(unit: str) -> float:
+def find_size_exponent(unit: str) -> float:
     """The exponent with which a quantity scales with the ball's diameter: 0.5 for "m/s", -1 for "1/m".
 
     unit: a product of powers of m, s, rad and px, as "m/s^2"; "1" for a pure number.
@@ -27,7 +27,7 @@ def size_exponent(unit: str) -> float:
 
 def scale_to_ball(value: float, unit: str, diameter: float) -> float:
     """Scale a size that is realistic for the paper's balls to balls of that diameter, m."""
-    larger: float = (diameter / Ball().diameter) ** size_exponent(unit)
+    larger: float = (diameter / Ball().diameter) ** find_size_exponent(unit)
     return value * larger
 
 

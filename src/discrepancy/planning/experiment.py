@@ -19,7 +19,7 @@ from discrepancy.noise.model import Noise
 from discrepancy.policy import current_policy
 from synthcam.model import Model
 from tracker.camera.camera import Camera
-from tracker.detection.likelihood.cramer_rao import glint_shape, localisation_bound, localisation_bound_fixed
+from tracker.detection.likelihood.cramer_rao import compute_glint_shape, localisation_bound, localisation_bound_fixed
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class PredictedGlintErrors:
         if camera.sigma is None:
             raise ValueError("the bound needs psf.sigma_px")
         half = int(np.ceil(4 * camera.sigma))  # px; the window holds all light of a glint
-        share = float(glint_shape(np.zeros((1, 2)), np.zeros((1, 2)), camera.sigma, half).value.max())
+        share = float(compute_glint_shape(np.zeros((1, 2)), np.zeros((1, 2)), camera.sigma, half).value.max())
         flux = np.full(len(glints), self.peak / share)
         ground = camera.sensor.black_level + self.room * self.peak
         return localisation_bound(camera, flux, glints, blur, ground), localisation_bound_fixed(camera, flux, glints)

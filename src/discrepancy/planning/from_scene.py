@@ -10,7 +10,7 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.launch import equalise_launches
 from discrepancy.data.study_design import split_held_out
-from discrepancy.fitting.parameters import names_to_fit
+from discrepancy.fitting.parameters import list_names_to_fit
 from discrepancy.planning.experiment import (
     Errors,
     PlannedExperiment,
@@ -26,7 +26,7 @@ from synthcam.scene.scene import Scene
 from synthcam_shared.arguments import name_arguments
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.camera.views import first_difference
+from tracker.camera.views import find_first_difference
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
     launches = equalise_launches([_launch(c) for c in clips])
     whole = PlannedExperiment(
         model=model,
-        names=names_to_fit(model),
+        names=list_names_to_fit(model),
         clips=tuple(
             make_unmeasured_clip(k, str(c.drawn["launch"]["striker"]), camera, launches[k], range(c.frames))
             for k, c in enumerate(clips)
@@ -96,7 +96,7 @@ def _shared_model_and_camera(scene: Scene, clips: list[Clip]) -> tuple[Model, Ca
                 f"{scene.where}: ball, model or effects differ from clip to clip, but a search fits one model to all; "
                 "expected numbers, as by --model MODEL.yaml"
             )
-        if key := first_difference(Camera.from_dict(clip.camera_json, scene.where), camera):
+        if key := find_first_difference(Camera.from_dict(clip.camera_json, scene.where), camera):
             raise InputError(f"{scene.where}: the camera's {key} differs from clip to clip; expected one camera")
     free = tuple(scene.settings.get("free") or ())
     return dataclasses.replace(first.model, free=free), camera

@@ -15,7 +15,7 @@ from discrepancy.noise.model import Noise
 from discrepancy.planning import changes
 from discrepancy.planning.experiment import PlannedExperiment, StatedErrors
 from discrepancy.policy import current_policy
-from discrepancy.select.score_test import ScoreTests, derive_trial, largest_cosine
+from discrepancy.select.score_test import ScoreTests, largest_cosine, prepare_trial
 
 Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shape parameters
 
@@ -74,7 +74,7 @@ def _cosine(experiment: PlannedExperiment, one: Shaped, other: Shaped) -> float:
         here = experiment.fit()
         expected = predict_tracks(here.model, launches, evidence.clips)
         trials = tuple(
-            derive_trial(evidence, here.model, launches, candidate, shapes, expected)
+            prepare_trial(evidence, here.model, launches, candidate, shapes, expected)
             for candidate, shapes in (one, other)
         )
     except ValueError:

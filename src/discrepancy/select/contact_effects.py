@@ -175,7 +175,7 @@ LAWS: dict[str, tuple[ContactLaw, ...]] = {
 }
 
 
-def examine_contacts(contacts: Contacts, least: int = 8) -> tuple[ContactClaim, ...]:
+def select_contact_laws(contacts: Contacts, least: int = 8) -> tuple[ContactClaim, ...]:
     """Choose the law of each quantity of the impact that at least `least` contacts show."""
     found = []
     for quantity, laws in LAWS.items():

@@ -14,7 +14,7 @@ from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
 from discrepancy.fitting.shape_scan import MIN_SCANNED_VALUES, can_scan
 from discrepancy.policy import current_policy
-from discrepancy.select.score_test import CandidateScore, ScoreTests, derive_trial, largest_cosine
+from discrepancy.select.score_test import CandidateScore, ScoreTests, largest_cosine, prepare_trial
 from synthcam.model import Model
 
 
@@ -131,7 +131,7 @@ def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candi
     if len(found) > 1:  # along a valley that runs between the points of a coarse grid
         near = [found | {s: shapes[s]} for s in found for shapes in tries]
         tries += [shapes for k, shapes in enumerate(near) if shapes not in near[:k]]
-    trials = [derive_trial(evidence, plain, reduced.launches, candidate, shapes, here) for shapes in (*tries, found)]
+    trials = [prepare_trial(evidence, plain, reduced.launches, candidate, shapes, here) for shapes in (*tries, found)]
     tests = ScoreTests(reduced, tuple(trials))
     *others, (_, most, strengths) = tests.estimates()
     middle = dict(zip(candidate.strengths, strengths, strict=True)) | found

@@ -133,7 +133,7 @@ class ScoreTests:
             if can_scan(candidate, grid):
                 trials += _scanned(evidence, plain, fit.launches, candidate, grid, here)
             else:
-                trials += [derive_trial(evidence, plain, fit.launches, candidate, shapes, here) for shapes in grid]
+                trials += [prepare_trial(evidence, plain, fit.launches, candidate, shapes, here) for shapes in grid]
             progress()
         return cls(fit, tuple(trials))
 
@@ -256,7 +256,7 @@ class ScoreTests:
         for closer in range(2):  # the grid of a shape parameter is made finer twice
             for name in candidate.shapes:
                 for value in refine_tried_values(find_parameter(model, name), scored.shapes[name], closer):
-                    trial = derive_trial(evidence, plain, launches, candidate, scored.shapes | {name: value}, here)
+                    trial = prepare_trial(evidence, plain, launches, candidate, scored.shapes | {name: value}, here)
                     columns = self._stacked(trial.columns)
                     signature = columns - absorbed @ (absorbed.T @ columns)
                     score = self._score(trial, signature.T @ signature, signature.T @ left, _lengths(trial.columns))
@@ -346,7 +346,7 @@ class ScoreTests:
         )
 
 
-def derive_trial(
+def prepare_trial(
     evidence: WhitenedClips,
     model: Model,
     launches: Array,
@@ -375,7 +375,7 @@ def _scanned(
     here: Sequence[Array],
     max_numbers: int = 20_000_000,
 ) -> list[CandidateTrial]:
-    """Do `derive_trial` at many values of the shape parameters at once, by integrals over the motion (`shape_scan`).
+    """Do `prepare_trial` at many values of the shape parameters at once, by integrals over the motion (`shape_scan`).
 
     The function keeps the values at which the strengths move any track, or else the first value. With very many clips
     it tries only some of the values, so that memory holds at most `max_numbers` numbers.

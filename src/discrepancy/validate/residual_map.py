@@ -88,7 +88,7 @@ def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise:
     a wrong contact to the rolling that follows. Each test gives a chi^2 over all clips, and one for a trend with speed,
     impact parameter, heading or position. Sigma is corrected for the number of tests (Bonferroni).
     """
-    found = [*examine_phases(clips, fit, noise), *examine_ripples(clips, fit, noise)]
+    found = [*find_disagreements_by_phase(clips, fit, noise), *find_ripples(clips, fit, noise)]
     every = [
         Disagreement(
             phase,
@@ -108,7 +108,7 @@ def is_unexplained(disagreements: Sequence[Disagreement], policy: SearchPolicy) 
     return bool(disagreements) and disagreements[0].sigma > policy.unexplained_sigma
 
 
-def examine_phases(
+def find_disagreements_by_phase(
     clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise
 ) -> Iterator[tuple[Where, PhaseResult]]:
     """Locate disagreements by phase, ball and axis: see `find_disagreements`."""
@@ -220,7 +220,7 @@ def _corrected_sigma(chi2: float, dof: int, tests: int) -> float:
 # --- Ripples at the period of a ball's rotation ---
 
 
-def examine_ripples(
+def find_ripples(
     clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise
 ) -> Iterator[tuple[Where, PhaseResult]]:
     """Test whether residuals ripple once or twice a turn of a ball.

@@ -11,7 +11,7 @@ from synthcam.camera.pinhole import Array, PinholeCamera
 POINTS = 400  # of the outline of a ball, evenly spread, that are looked for behind the others
 
 
-def hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
+def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
     """Share (n, frames) of the outline of each ball, 0 to 1, that balls nearer to the camera cover, in and out of view.
 
     centres: (n, frames, 3), m; NaN in frames in which a ball is nowhere. radii: (n,), m; NaN for bodies that are not

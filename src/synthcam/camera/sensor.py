@@ -154,7 +154,7 @@ class _Background:
                 shift.flat[members] = means.flat[members] - mean
                 body, tails = (
                     np.ascontiguousarray(electrons / sensor.gain, dtype=np.float32)
-                    for electrons in noise_tables(mean, sensor.read_noise)
+                    for electrons in tabulate_noise(mean, sensor.read_noise)
                 )
                 self.groups.append((members, body, tails))
         self.level = ((shift + chip.offset) / sensor.gain + sensor.black_level).astype(np.float32)
@@ -194,7 +194,7 @@ def _look_up(table: Float32, cells: NDArray[np.uint16]) -> Float32:
     return np.take(table, cells)
 
 
-def noise_tables(mean: float, read_noise: float) -> tuple[Array, Array]:
+def tabulate_noise(mean: float, read_noise: float) -> tuple[Array, Array]:
     """Tabulate the noise of a pixel's electrons by their mean: shot noise and read noise.
 
     Returns the medians of 65536 equally likely cells, (65536,), and those of the divisions of the outer two cells,

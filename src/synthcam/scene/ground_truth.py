@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from synthcam.camera.occlusion import hidden_shares
+from synthcam.camera.occlusion import compute_hidden_shares
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
 from synthcam.dynamics.contacts.impact import join_inertia
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
@@ -106,7 +106,7 @@ def make_true_tracks(
     kinds = view.kinds(times)
     means = view.mean(spans, lambda states: camera.project(states[..., :3]))
     balls, discs = [], np.zeros(len(states), dtype=bool) if heights is None else heights > 0
-    hidden = hidden_shares(camera, states[..., :3], np.where(discs, np.nan, bodies.radius))
+    hidden = compute_hidden_shares(camera, states[..., :3], np.where(discs, np.nan, bodies.radius))
     for ball in range(len(states)):
         state, radius = states[ball], float(bodies.radius[ball])
         height = 0.0 if heights is None else float(heights[ball])

@@ -28,7 +28,7 @@ def scale_at(camera: Camera) -> float:
     return float(np.sqrt(np.abs(np.linalg.det(camera.unproject(middle)[1]))))
 
 
-def first_difference(camera: Camera, other: Camera, besides: Collection[str] = ()) -> str:
+def find_first_difference(camera: Camera, other: Camera, besides: Collection[str] = ()) -> str:
     """Compare two cameras: the first key of camera.json by which they see the same balls at other pixels, or "".
 
     They may differ in what each clip measures again (exposure from the blur, width of the glints), and in `besides`.

@@ -16,7 +16,7 @@ from tracker.detection.glints import Glints
 UNKNOWN_ERROR_PX = 0.1  # where trackpy gives no error
 
 
-def odd_diameter(width: float) -> int:
+def round_to_odd_diameter(width: float) -> int:
     """The odd number of pixels, 5 or more, nearest to a width: trackpy takes no other diameters."""
     return 2 * max(2, round((width - 1.0) / 2.0)) + 1
 
@@ -55,7 +55,7 @@ class TrackpyDetector:
 
     def locate_balls(self, frame: NDArray[Any]) -> Glints:
         """The two strongest features of the size of a ball."""
-        return self.locate(frame, odd_diameter(self.view.camera.diameter_px), separation=self.apart, topn=2)
+        return self.locate(frame, round_to_odd_diameter(self.view.camera.diameter_px), separation=self.apart, topn=2)
 
     def locate_glints(self, frame: NDArray[Any], diameter: int, least: float) -> Glints:
         """Features of this diameter, px, and of a mass of at least `least` standard deviations of the noise."""

@@ -22,7 +22,7 @@ BEFORE = ("u2ix", "u2iy", "side2i", "v1ix", "v1iy")  # columns of estimates: SPI
 COLUMNS = ("t_s", "particle", "vx", "vy", "energy", "p_along", "p_across")
 
 
-def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.DataFrame:
+def make_motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.DataFrame:
     """Velocity, energy and momentum of each ball frame by frame, per unit mass.
 
     Parameters

@@ -75,9 +75,9 @@ from tracker.measurement.collision.slip_friction import find_slope_of_friction
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, StayingPair, find_staying_pairs
 from tracker.measurement.crowd.crowd_rows import estimate_contacts
 from tracker.measurement.crowd.track_contacts import find_track_contacts
-from tracker.measurement.energy_momentum import BEFORE, motion_table
+from tracker.measurement.energy_momentum import BEFORE, make_motion_table
 from tracker.measurement.joint_fit import fit_all_jointly
-from tracker.measurement.local.local_columns import empty_columns, local_columns
+from tracker.measurement.local.local_columns import make_empty_columns, make_local_columns
 from tracker.measurement.local.local_estimate import LocalEstimate, estimate_locally
 from tracker.measurement.local.recommendation import recommend
 from tracker.measurement.lone_ball import PARAMETERS, add_camera_errors_to_lone_ball, fit_lone_ball
@@ -89,7 +89,7 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
     from tracker.detection.link import Tracks
 
-__all__ = ["fit_all_jointly", "fit_collision", "measure", "motion_table", "select_claims"]
+__all__ = ["fit_all_jointly", "fit_collision", "make_motion_table", "measure", "select_claims"]
 
 Floats = NDArray[np.float64]
 
@@ -118,10 +118,10 @@ def measure(
     """
     settings = settings or FitSettings()
     if not camera.metric:
-        return [empty_row(camera, ONE_BALL if len(np.unique(tracks.particle)) == 1 else NO_SCALE)]
+        return [make_empty_row(camera, ONE_BALL if len(np.unique(tracks.particle)) == 1 else NO_SCALE)]
     balls = to_ball_tracks(tracks, camera)
     if not any(len(track) >= 2 for track in balls):
-        return [empty_row(camera, "too few detections")]
+        return [make_empty_row(camera, "too few detections")]
     if marked and len(balls) >= settings.crowd_particles:
         raise InputError(f"contacts can be marked among fewer than {settings.crowd_particles} balls, not {len(balls)}")
     size = measure_scatter(balls) if balls[0].has_errors else None
@@ -169,9 +169,9 @@ def _measure_balls(
     noise = _noise_columns(balls[0], camera)
     if len(balls) > 1 and not camera.knows_diameter:
         reason = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
-        return [empty_row(camera, reason) | noise]
+        return [make_empty_row(camera, reason) | noise]
     if len(balls) >= settings.crowd_particles:
-        return _measure_crowd(balls, camera, settings) or [empty_row(camera, "no_collision") | noise]
+        return _measure_crowd(balls, camera, settings) or [make_empty_row(camera, "no_collision") | noise]
     found = find_contacts(balls, camera.ball_diameter, marked=marked) if len(balls) > 1 else []
     near = find_near_pairs(balls, MAX_DISTANCE * camera.ball_diameter, 1.0) if len(balls) > 1 else ()
     together = [stay for a, b in near for stay in find_staying_pairs(a, b, camera.ball_diameter)]
@@ -194,7 +194,7 @@ def _measure_balls(
     if any(row["status"] in MEASURED for row in rows):
         return rows
     flags = {"flags": str(Flag.NO_TOUCH)} if found else {}
-    return [empty_row(camera, "no_collision") | noise | _lone_ball(balls, camera, settings) | flags]
+    return [make_empty_row(camera, "no_collision") | noise | _lone_ball(balls, camera, settings) | flags]
 
 
 def _measure_crowd(balls: list[BallTrack], camera: Camera, settings: FitSettings) -> list[dict[str, Any]]:
@@ -203,13 +203,13 @@ def _measure_crowd(balls: list[BallTrack], camera: Camera, settings: FitSettings
     pairs = [contact for contact in found if len(contact.balls) == 2]
     estimates = estimate_contacts(found, balls, camera, settings)
     for index, (seen, (contact, local)) in enumerate(zip(pairs, estimates, strict=True)):
-        row = empty_row(camera, CROWD, index) | {"particle1": seen.one, "particle2": seen.other}
+        row = make_empty_row(camera, CROWD, index) | {"particle1": seen.one, "particle2": seen.other}
         row |= {"t_c": seen.time, "t_c_std": seen.time_std}
         if contact is not None:
             row |= {f"particle{i}": track.particle for i, track in contact.pair.balls}
             frames = np.concatenate([track.frame for _, track in contact.pair.balls])
             row |= {"frame_first": int(frames.min()), "frame_last": int(frames.max())}
-        row |= _noise_columns(balls[0], camera) | local_columns(local, settings=settings)
+        row |= _noise_columns(balls[0], camera) | make_local_columns(local, settings=settings)
         rows.append(row | recommend(row))
     return rows
 
@@ -228,7 +228,7 @@ def _measure_collisions(
     every = sorted([*every, *((stay.first, stay) for stay in stays)], key=lambda event: event[0])
     for i, (_, event) in enumerate(every):
         if isinstance(event, StayingPair):
-            row = empty_row(camera, TOGETHER, i) | _stay_columns(event) | noise
+            row = make_empty_row(camera, TOGETHER, i) | _stay_columns(event) | noise
             rows.append(row | recommend(row))
             earlier |= dict.fromkeys((event.struck.particle, event.striker.particle), EarlierHit(np.inf))
             continue
@@ -236,7 +236,7 @@ def _measure_collisions(
             row, left = _measure_collision(event, earlier, letters, camera, i, settings)
         except (ArithmeticError, ValueError, IndexError) as error:  # one collision never costs the others
             one, two = event.one.particle, event.other.particle
-            row = empty_row(camera, failure_status(error), i) | {"particle1": one, "particle2": two}
+            row = make_empty_row(camera, failure_status(error), i) | {"particle1": one, "particle2": two}
             left = dict.fromkeys((one, two), EarlierHit(np.inf))
         row |= recommend(row)
         rows.append(noise | row if row["noise"] == "scatter" else row | noise)
@@ -293,7 +293,7 @@ def _measure_collision(
         one, other = (track.where(track.frame < again) for track in (candidate.one, candidate.other))
         candidate = replace(candidate, one=one, other=other)
     contact = prepare_contact(candidate, camera.ball_diameter, earlier, settings)
-    row = empty_row(camera, contact.reason or "ok", index)
+    row = make_empty_row(camera, contact.reason or "ok", index)
     row |= {f"particle{i}": track.particle for i, track in contact.pair.balls}
     frames = np.concatenate([track.frame for _, track in contact.pair.balls])
     row |= {"frame_first": int(frames.min()), "frame_last": int(frames.max())}
@@ -307,7 +307,7 @@ def _measure_collision(
     masses = _masses_of(contact, camera, letters)
     straight = "" if isinstance(read, str) else "|".join(read.flags)
     local = _estimate_locally(seen, masses, camera)
-    row |= local_columns(local, camera.mass_ratio is not None, _why_foreign(masses, camera, straight), settings)
+    row |= make_local_columns(local, camera.mass_ratio is not None, _why_foreign(masses, camera, straight), settings)
     if isinstance(read, str):
         return row | {"status": read}, unknown
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
@@ -578,14 +578,14 @@ def _lone_ball(balls: list[BallTrack], camera: Camera, settings: FitSettings) ->
     return out
 
 
-def empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
+def make_empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
     """Make a row of estimates in which nothing is measured."""
     row: dict[str, Any] = {"collision": index, "striker": camera.striker, "status": status}
     for name in QUANTITY_NAMES:
         for kind in ("", "_free", "_paper"):
             row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
     row |= dict.fromkeys(("particle1", "particle2", "frame_first", "frame_last"), -1)
-    row |= empty_columns() | {"cov": "{}", "heading": np.nan, "x1": np.nan, "y1": np.nan}
+    row |= make_empty_columns() | {"cov": "{}", "heading": np.nan, "x1": np.nan, "y1": np.nan}
     row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
     row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
     row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}

@@ -162,7 +162,7 @@ def fit_random_effects(
     )
 
 
-def leave_one_out(value: Floats, std: Floats, shared: Floats) -> tuple[Floats, Floats, Floats]:
+def fit_means_without_each(value: Floats, std: Floats, shared: Floats) -> tuple[Floats, Floats, Floats]:
     """Compute the mean, its variance and that of the scatter, (n,) each, without each of n >= 3 values in turn."""
     n = len(value)
     found = np.empty((n, 3))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from synthcam_shared.report.page import make_axes
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.collision_model import mean_positions, tied_to_free
-from tracker.measurement.energy_momentum import BEFORE, motion_table
+from tracker.measurement.energy_momentum import BEFORE, make_motion_table
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def draw_energy(view: CollisionView, tracks: Tracks) -> Figure:
     figure, axes = make_axes(figsize=(8.2, 3.6))
     row = view.row
     whole = row["v0"] ** 2 / 2
-    table = motion_table(tracks, view.camera, {str(key): value for key, value in row.items()})
+    table = make_motion_table(tracks, view.camera, {str(key): value for key, value in row.items()})
     total: pd.Series | None = None
     for ball in (1, 2):
         colour, mark, label = STYLE[ball]

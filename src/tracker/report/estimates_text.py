@@ -14,7 +14,7 @@ import pandas as pd
 from synthcam_shared.report.numbers import NOT_KNOWN, format_with_error
 from tracker.measurement.collision.adequacy import CROWD, MEASURED, MISFIT, ONE_BALL, TOGETHER, Flag
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.local.recommendation import recommended_suffix
+from tracker.measurement.local.recommendation import find_recommended_suffix
 from tracker.report.quantities import QUANTITIES, Quantity
 from tracker.results import rows_as_dicts
 
@@ -38,7 +38,7 @@ def order_methods(row: Mapping[str, Any]) -> dict[str, str]:
 
     A fit that the tracks reject has values without errors. They are not shown beside a recommended estimate.
     """
-    first = recommended_suffix(row)
+    first = find_recommended_suffix(row)
     shown = {first: METHODS[first]} | METHODS
     if _has_recommended_values(row):
         shown = {s: method for s, method in shown.items() if s == first or not _is_rejected(row, s)}
@@ -53,7 +53,7 @@ def _is_rejected(row: Mapping[str, Any], suffix: str) -> bool:
 
 def has_values(row: Mapping[str, Any]) -> bool:
     """Decide whether there are measured values of a row to write as text, by a fit or by the local estimate."""
-    return row["status"] in MEASURED or recommended_suffix(row) == "_local"
+    return row["status"] in MEASURED or find_recommended_suffix(row) == "_local"
 
 
 def _has_recommended_values(row: Mapping[str, Any]) -> bool:
@@ -68,7 +68,7 @@ def describe_recommendation(row: Mapping[str, Any]) -> str:
         return ""
     if row["recommended"] == "none":
         return f"No estimate is recommended: {row['why']}"
-    return f"Recommended is the {METHODS[recommended_suffix(row)]}: {row['why']}"
+    return f"Recommended is the {METHODS[find_recommended_suffix(row)]}: {row['why']}"
 
 
 def describe_velocities(row: Mapping[str, Any]) -> str:
@@ -265,7 +265,7 @@ def format_for_terminal(estimates: pd.DataFrame, max_collisions: int = 6) -> Ite
         yield f"{'median of ' + str(len(used)) + ' hits':<18}{'value':>12}{'error of one':>14}  unit"
     for name in names if used else ():
         quantity = QUANTITIES[name]
-        pairs = [[row[f"{name}{recommended_suffix(row)}{kind}"] for kind in ("", "_std")] for row in used]
+        pairs = [[row[f"{name}{find_recommended_suffix(row)}{kind}"] for kind in ("", "_std")] for row in used]
         value, std = pd.DataFrame(pairs, dtype=float).median() * quantity.factor
         if math.isfinite(value):
             yield f"  {quantity.plain_symbol:<16}{value:>12.4g}{std:>14.2g}  {quantity.unit}".rstrip()

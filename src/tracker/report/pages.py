@@ -32,7 +32,7 @@ from tracker.camera.recordings import RecordingSource
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import CROWD, MEASURED
 from tracker.measurement.crowd.contact_table import summarise_contacts, tabulate_contacts
-from tracker.measurement.local.recommendation import recommended_suffix
+from tracker.measurement.local.recommendation import find_recommended_suffix
 from tracker.measurement.messages import list_messages
 from tracker.notes import Note
 from tracker.report.collision_figures import (
@@ -210,7 +210,7 @@ class RecordingPage:
         numbers = self.frames.numbers
         contacts = [float(np.searchsorted(numbers, row["t_c"] * self.camera.fps)) for row in self.collisions]
         first, last = choose_frames(len(self.frames), contacts)
-        overlay = Overlay(self.frames, self.tracks, self.camera, first, last, list_events(self.collisions))
+        overlay = Overlay(self.frames, self.tracks, self.camera, first, last, list_page_events(self.collisions))
         film = encode_mp4(overlay)
         write_atomically(folder / "overlay.mp4", film)
         steps = json.dumps(self._list_frames(first, last, views)).replace("<", "\\u003c")  # safe within a script
@@ -276,7 +276,7 @@ class RecordingPage:
         return PageTable(["setting", "value"], rows)
 
 
-def list_events(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[float, str], ...]:
+def list_page_events(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[float, str], ...]:
     """List the events on the page of a recording by time (s): contacts, and the ends of the slides."""
     events = []
     for row in rows:
@@ -314,7 +314,7 @@ class ResultPages:
         number = self.numbers[index]
         tracks, camera = results.read_clip(self.output, number)
         folder = results.clip_folder(self.output, number)
-        rows = rows_as_dicts(results.estimates_table(results.load_json(folder / "estimates.json")))
+        rows = rows_as_dicts(results.make_estimates_table(results.load_json(folder / "estimates.json")))
         motion = pd.read_parquet(folder / "motion.parquet")
         frames = None if self.source is None else self.source.open_clip(index).frames
         name = self.name if self.is_single else f"{self.name}, clip {number}"
@@ -333,7 +333,7 @@ class ResultPages:
         for row in rows_as_dicts(estimates):
             link = Markup('<a href="clips/{}/index.html">{}</a>').format(f"{row['clip']:06d}", row["clip"])
             quality = f"{row['chi2'] / row['dof']:.3g}" if row["dof"] else ""
-            values = [format_value(row, f"{name}{recommended_suffix(row)}") for name in names]
+            values = [format_value(row, f"{name}{find_recommended_suffix(row)}") for name in names]
             state = (row["collision"], row["status"], row.get("recommended", ""), quality)
             rows.append((link, *state, *values, row["flags"].replace("|", ", ")))
         known = [QUANTITIES[name] for name in names]

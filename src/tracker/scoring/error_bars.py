@@ -37,11 +37,11 @@ def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
                 value, std, true, bound = (
                     table[c].to_numpy(float) if c in table else np.full(len(table), np.nan) for c in columns
                 )
-                out[f"{name}{kind}"] = error_statistics(value, std, true, bound)
+                out[f"{name}{kind}"] = compute_error_statistics(value, std, true, bound)
     return out
 
 
-def error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str, float]:
+def compute_error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str, float]:
     """Compute the statistics of a quantity's errors over clips (n,); NaN marks values not claimed or not known."""
     use = np.isfinite(value) & np.isfinite(true)
     names = ("bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95")

@@ -13,7 +13,7 @@ from scipy.special import fdtrc
 
 from synthcam_shared.report.numbers import format_with_error
 from tracker.measurement.camera_errors import remove_shared
-from tracker.measurement.random_effects import GeneralisedQ, RandomEffects, fit_random_effects, leave_one_out
+from tracker.measurement.random_effects import GeneralisedQ, RandomEffects, fit_means_without_each, fit_random_effects
 
 Floats = NDArray[np.float64]
 WITHOUT_COLLISION = ("drag", "decel")  # that a ball alone shows too
@@ -105,7 +105,7 @@ def combine_quantity(
         slope = fit_random_effects(value[known], own[known], shared[known], design)
     without = np.full((3, len(value)), np.nan)
     if len(value) >= 3:
-        without = np.array(leave_one_out(value, own, shared))
+        without = np.array(fit_means_without_each(value, own, shared))
     of = values["result"].to_numpy()
     groups = {str(one): of == one for one in dict.fromkeys(of)}
     by_result = {one: fit_random_effects(value[rows], own[rows], shared[rows]) for one, rows in groups.items()}

@@ -35,7 +35,7 @@ from tracker.sets.combined_quantity import (
     list_warnings,
 )
 from tracker.sets.set_page import write_set
-from tracker.tables.rows import to_csv, tracks_table
+from tracker.tables.rows import make_tracks_table, to_csv
 
 Floats = NDArray[np.float64]
 SUFFIXES = {"tied": "", "free": "_free", "local": "_local"}  # of the columns, by the fit that is recommended
@@ -285,7 +285,7 @@ def _read_folder(folder: Path) -> tuple[pd.DataFrame, dict[int, list[str]]]:
 
 
 def _read_memory(result: Result) -> tuple[pd.DataFrame, dict[int, list[str]]]:
-    return result.estimates, {result.number: [hashlib.sha256(to_csv(tracks_table(result.found))).hexdigest()]}
+    return result.estimates, {result.number: [hashlib.sha256(to_csv(make_tracks_table(result.found))).hexdigest()]}
 
 
 def _leave_out_repeated(

@@ -20,7 +20,7 @@ from tracker.tables.dialect import LINE
 REQUIRED_COLUMNS = ("frame", "particle", "x", "y")
 
 
-def tracks_table(tracks: Tracks) -> pa.Table:
+def make_tracks_table(tracks: Tracks) -> pa.Table:
     """The columns of tracks.parquet."""
     times = {"t_s": tracks.time} if np.isfinite(tracks.time).any() else {}
     return pa.table(

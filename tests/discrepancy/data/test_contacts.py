@@ -7,7 +7,7 @@ import pytest
 
 import tracker
 from discrepancy.data.contacts import Contacts, read_contacts
-from discrepancy.select.contact_effects import examine_contacts
+from discrepancy.select.contact_effects import select_contact_laws
 from synthcam import Scene
 
 # A disc of 1 kg meets one of 2 kg at rest with 0.8 m/s along the line of centres and 0.6 m/s across it. r is 0.5, and a
@@ -90,7 +90,7 @@ def test_one_film_of_thirty_balls_shows_the_one_that_is_heavier(share):
     x, y = (true[f"{axis}_mean_px"] + 0.05 * rng.standard_normal(len(true)) for axis in "xy")
     table = true[["frame", "particle"]].assign(x=x, y=y, x_std=0.05, y_std=0.05, cov_xy=0.0)
     result = tracker.measure(table, scene.draw(seed=3).camera_json)
-    claims = {claim.quantity: claim for claim in examine_contacts(read_contacts([result]))}
+    claims = {claim.quantity: claim for claim in select_contact_laws(read_contacts([result]))}
     recoil = claims["recoil"]
     assert recoil.causes == (("mass_mismatch",) if share else ())
     assert not claims["restitution"].causes

@@ -7,7 +7,7 @@ from discrepancy.fitting.parameters import (
     difference_step,
     find_parameter,
     list_candidates,
-    names_to_fit,
+    list_names_to_fit,
     parameter_limits,
     refine_tried_values,
 )
@@ -18,14 +18,14 @@ TEXTBOOK = Model().replace({"sliding_friction": 0.0, "spin_transfer": 0.0})
 
 
 def test_base_parameters_are_fitted_unless_they_are_zero():
-    assert names_to_fit(Model()) == BASE_PARAMETERS
-    assert set(BASE_PARAMETERS) - set(names_to_fit(TEXTBOOK)) == {"sliding_friction", "spin_transfer"}
+    assert list_names_to_fit(Model()) == BASE_PARAMETERS
+    assert set(BASE_PARAMETERS) - set(list_names_to_fit(TEXTBOOK)) == {"sliding_friction", "spin_transfer"}
 
 
 def test_a_base_parameter_held_at_zero_is_a_candidate():
-    held = [s for s in list_candidates(TEXTBOOK, names_to_fit(TEXTBOOK)) if s.kind is None]
+    held = [s for s in list_candidates(TEXTBOOK, list_names_to_fit(TEXTBOOK)) if s.kind is None]
     assert [s.name for s in held] == ["sliding_friction", "spin_transfer"]
-    freed = names_to_fit(Model(sliding_friction=0.0, free=("sliding_friction",)))
+    freed = list_names_to_fit(Model(sliding_friction=0.0, free=("sliding_friction",)))
     assert "sliding_friction" in freed
     assert all(s.kind is not None for s in list_candidates(Model(), freed))
 
@@ -46,7 +46,7 @@ def test_a_shape_that_no_track_tells_is_not_looked_for():
 
 
 def test_laws_that_bend_friction_mean_nothing_without_any():
-    names = {s.name for s in list_candidates(TEXTBOOK, names_to_fit(TEXTBOOK))}
+    names = {s.name for s in list_candidates(TEXTBOOK, list_names_to_fit(TEXTBOOK))}
     assert {"stribeck", "viscous_friction", "adhesion", "drilling_spin"} & names == set()
     assert {"air_drag", "ball_friction", "hop"} <= names
 
@@ -54,7 +54,7 @@ def test_laws_that_bend_friction_mean_nothing_without_any():
 def test_what_is_taken_out_of_a_model_leaves_no_trace():
     stribeck = next(s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "stribeck")
     assert stribeck.remove_from(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2})) == Model()
-    friction = next(s for s in list_candidates(TEXTBOOK, names_to_fit(TEXTBOOK)) if s.name == "sliding_friction")
+    friction = next(s for s in list_candidates(TEXTBOOK, list_names_to_fit(TEXTBOOK)) if s.name == "sliding_friction")
     assert friction.remove_from(Model(spin_transfer=0.0)) == TEXTBOOK
 
 

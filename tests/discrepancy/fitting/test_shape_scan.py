@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import exact
 
 from discrepancy.fitting.jacobian import differentiate_tracks
-from discrepancy.fitting.parameters import list_candidates, names_to_fit
+from discrepancy.fitting.parameters import list_candidates, list_names_to_fit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.shape_scan import can_scan, scan_shapes
 from synthcam.model import Model
@@ -15,7 +15,7 @@ from synthcam.model import Model
 CLIPS = exact(Model(), 6, 11)
 LAMPLESS = [dataclasses.replace(c, camera=dataclasses.replace(c.camera, lamp=None)) for c in CLIPS]
 LAUNCHES = np.array([c.launch for c in CLIPS])
-CANDIDATES = {s.name: s for s in list_candidates(Model(), names_to_fit(Model()))}
+CANDIDATES = {s.name: s for s in list_candidates(Model(), list_names_to_fit(Model()))}
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from discrepancy.fitting.parameters import list_candidates, names_to_fit
+from discrepancy.fitting.parameters import list_candidates, list_names_to_fit
 from discrepancy.fitting.similarity import scale_parameter
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
@@ -44,7 +44,7 @@ def test_what_the_camera_does_does_not_grow_with_the_ball():
 
 def test_waves_of_a_billiard_table_are_longer_than_those_of_a_plate_for_beads():
     table = Model(ball=Ball(diameter=0.0615))
-    waves = next(c for c in list_candidates(table, names_to_fit(table)) if c.name == "plate_waviness")
+    waves = next(c for c in list_candidates(table, list_names_to_fit(table)) if c.name == "plate_waviness")
     lengths = {shapes["plate_waviness.wavelength"] for shapes in waves.grid(table)}
     assert min(lengths) > 0.1
     assert len(lengths) == 12

@@ -7,7 +7,7 @@ import pytest
 from tracker_local import draw_rows
 
 from discrepancy.data.contacts import Contacts
-from discrepancy.select.contact_effects import examine_contacts
+from discrepancy.select.contact_effects import select_contact_laws
 from tracker.measurement.local.local_columns import calibrate_set
 
 ERROR = {"restitution": 0.02, "friction": 0.01, "recoil": 0.01}
@@ -37,7 +37,7 @@ def draw(count=60, seed=1, shared=None, **laws):
 
 
 def law_of(contacts, quantity):
-    return next(claim for claim in examine_contacts(contacts) if claim.quantity == quantity)
+    return next(claim for claim in select_contact_laws(contacts) if claim.quantity == quantity)
 
 
 @pytest.mark.parametrize(
@@ -85,12 +85,12 @@ def test_laws_that_fit_as_well_are_named_together():
 
 
 def test_nothing_is_named_where_nothing_is_hidden():
-    named = [claim.causes for seed in range(40) for claim in examine_contacts(draw(seed=seed)) if claim.causes]
+    named = [claim.causes for seed in range(40) for claim in select_contact_laws(draw(seed=seed)) if claim.causes]
     assert len(named) <= 4  # of 120 claims; each has two or three laws to try at 3 sigma
 
 
 def test_few_contacts_name_nothing():
-    assert examine_contacts(draw(count=6, restitution=lambda c: 0.9 - 0.3 * c.speed_n)) == ()
+    assert select_contact_laws(draw(count=6, restitution=lambda c: 0.9 - 0.3 * c.speed_n)) == ()
 
 
 def test_the_bias_of_a_set_does_not_average_out():

@@ -13,7 +13,7 @@ from scipy.stats import kstest
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.linearise import linearise
-from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, names_to_fit
+from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, list_names_to_fit
 from discrepancy.noise.model import estimate_noise
 from discrepancy.policy import current_policy
 from discrepancy.select.library_search import (
@@ -76,7 +76,7 @@ def started(truth, base=None, count=6, seed=9):
     base = base or Model()
     clips = collisions(truth, count, seed)
     noise = estimate_noise(clips)
-    return clips, fit_model(clips, base, names_to_fit(base), noise), noise
+    return clips, fit_model(clips, base, list_names_to_fit(base), noise), noise
 
 
 def standing(truth, *state):
@@ -116,7 +116,7 @@ def test_an_effect_is_not_added_where_far_more_is_missing(size, names, monkeypat
     turns = [np.sin(clip.frame / 6 + rng.uniform(0, 2 * np.pi)) for clip in clips]
     sway = [size * STD * turn[:, None] * rng.standard_normal(2) for turn in turns]
     clips = [dataclasses.replace(clip, xy=clip.xy + off) for clip, off in zip(clips, sway, strict=True)]
-    steps = library_fits(clips, fit_model(clips, Model(), names_to_fit(Model()), noise), noise)
+    steps = library_fits(clips, fit_model(clips, Model(), list_names_to_fit(Model()), noise), noise)
     assert steps.ranking[0].sigma > steps.required_sigma
     assert [s.name for s in next(iterate_models(steps), ())] == names
 

@@ -13,7 +13,7 @@ from discrepancy.data.launch import HEADING
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.validate.residual_map import PHASE_TESTS, ClipSolution, examine_phases, find_disagreements
+from discrepancy.validate.residual_map import PHASE_TESTS, ClipSolution, find_disagreements, find_disagreements_by_phase
 from discrepancy.wording import describe_disagreement
 from synthcam.model import Model
 
@@ -41,7 +41,7 @@ def test_noise_alone_draws_uniform_chances():
     for _ in range(25):
         drawn = tuple(rng.standard_normal(len(r)) for r in fit.residuals)
         left = np.split(unabsorbed(fit, np.concatenate(drawn)), np.cumsum([len(r) for r in drawn])[:-1])
-        for look, (against, chi2, dof, _) in examine_phases(
+        for look, (against, chi2, dof, _) in find_disagreements_by_phase(
             clips, dataclasses.replace(fit, residuals=tuple(left)), CLAIMED
         ):
             chances.setdefault((look, against), []).append(chi2_law.sf(chi2, dof))
@@ -129,7 +129,7 @@ def test_too_few_clips_are_held_against_nothing():
 @pytest.mark.parametrize(("count", "trends"), [(5, False), (6, True)])
 def test_six_clips_are_held_against_speed_and_place(count, trends):
     clips = collisions(Model(), count, 5)
-    found = examine_phases(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)
+    found = find_disagreements_by_phase(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)
     assert any(against for _, (against, *_) in found) is trends
 
 

@@ -14,8 +14,8 @@ from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.validate.residual_map import (
     ClipAmplitudes,
     combine_clips,
-    examine_ripples,
     find_disagreements,
+    find_ripples,
 )
 from synthcam.model import Model
 
@@ -57,9 +57,7 @@ def test_noise_alone_draws_uniform_chances():
     for _ in range(25):
         drawn = tuple(rng.standard_normal(len(r)) for r in fit.residuals)
         left = np.split(unabsorbed(fit, np.concatenate(drawn)), np.cumsum([len(r) for r in drawn])[:-1])
-        for where, (_, chi2, dof, _) in examine_ripples(
-            clips, dataclasses.replace(fit, residuals=tuple(left)), CLAIMED
-        ):
+        for where, (_, chi2, dof, _) in find_ripples(clips, dataclasses.replace(fit, residuals=tuple(left)), CLAIMED):
             chances.setdefault(where, []).append(chi2_law.sf(chi2, dof))
     assert len(chances) == 8
     assert min(kstest(each, "uniform").pvalue for each in chances.values()) > 1e-3 / len(chances)
@@ -71,4 +69,4 @@ def test_a_ripple_that_shared_parameters_can_make_tells_nothing(monkeypatch):
     assert list(combine_clips([absorbed])) == []
     clips = marked(1, count=6)
     monkeypatch.setattr("discrepancy.validate.residual_map.combine_clips", lambda parts: combine_clips([absorbed]))
-    assert list(examine_ripples(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)) == []
+    assert list(find_ripples(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)) == []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.camera.occlusion import hidden_shares
+from synthcam.camera.occlusion import compute_hidden_shares
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.scene.scene import Scene
 
@@ -26,7 +26,7 @@ def test_a_larger_ball_that_touches_a_smaller_one_hides_a_part_of_it(ratio):
     large, small = 1e-3, ratio * 1e-3
     apart = 2 * np.sqrt(large * small)  # of the centres, seen from overhead
     centres = np.array([[[0, 0, large]], [[0.6 * apart, 0.8 * apart, small]]])
-    shares = hidden_shares(look(), centres, np.array([large, small]))
+    shares = compute_hidden_shares(look(), centres, np.array([large, small]))
     assert shares[0, 0] == 0
     assert shares[1, 0] == pytest.approx(overlap(large, small, apart), abs=0.01)
 
@@ -34,17 +34,17 @@ def test_a_larger_ball_that_touches_a_smaller_one_hides_a_part_of_it(ratio):
 def test_equal_balls_hide_one_another_only_from_the_side():
     radius, count = 1e-3, 5
     row = np.array([[[2 * radius * k, 0, radius]] for k in range(count)])
-    assert not hidden_shares(look(), row, np.full(count, radius)).any()
+    assert not compute_hidden_shares(look(), row, np.full(count, radius)).any()
     along = np.deg2rad(80)
-    shares = hidden_shares(look(tilt=(0.0, along)), row, np.full(count, radius))[:, 0]
+    shares = compute_hidden_shares(look(tilt=(0.0, along)), row, np.full(count, radius))[:, 0]
     nearer = overlap(radius, radius, 2 * radius * np.cos(along))
     assert sorted(shares) == pytest.approx([0, *[nearer] * (count - 1)], abs=0.01)
 
 
 def test_what_two_balls_cover_counts_once():
     centres = np.array([[[0, 0, 1e-3]], [[0, 0, 4e-3]], [[0, 0, 9e-3]]])
-    assert hidden_shares(look(), centres, np.array([2e-3, 1e-3, 1e-3]))[0, 0] == pytest.approx(0.25, abs=0.01)
-    alone = hidden_shares(look(), centres, np.array([2e-3, np.nan, 1e-3]))
+    assert compute_hidden_shares(look(), centres, np.array([2e-3, 1e-3, 1e-3]))[0, 0] == pytest.approx(0.25, abs=0.01)
+    alone = compute_hidden_shares(look(), centres, np.array([2e-3, np.nan, 1e-3]))
     assert np.isnan(alone[1, 0])
     assert alone[0, 0] == pytest.approx(0.25, abs=0.01)
 
@@ -53,7 +53,7 @@ def test_a_ball_hides_nothing_in_frames_in_which_it_is_nowhere():
     """The second ball hides a quarter of the first, and is nowhere in frame 1; the third, far off, is so in frame 2."""
     centres = np.array([[[0, 0, 1e-3]] * 3, [[0, 0, 4e-3]] * 3, [[9e-3, 0, 1e-3]] * 3])
     centres[1, 1], centres[2, 2] = np.nan, [np.nan, 0, np.nan]
-    shares = hidden_shares(look(), centres, np.array([2e-3, 1e-3, 1e-3]))
+    shares = compute_hidden_shares(look(), centres, np.array([2e-3, 1e-3, 1e-3]))
     assert shares[0] == pytest.approx([0.25, 0, 0.25], abs=0.01)
     assert np.isnan(shares).tolist() == [[False] * 3, [False, True, False], [False, False, True]]
 

@@ -81,7 +81,7 @@ def test_a_normal_in_place_of_poisson_would_be_seen():
 @pytest.mark.parametrize("read_noise", [0.0, 0.5, 20.0])
 def test_tables_follow_the_exact_quantiles_into_the_tails(read_noise):
     mean = 7.3
-    body, tails = module.noise_tables(mean, read_noise)
+    body, tails = module.tabulate_noise(mean, read_noise)
 
     def below(x):
         n = np.arange(0, 90)

@@ -21,7 +21,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.recordings import digest_films, open_source, read_ends
 from tracker.edits import TrackEdits
 from tracker.measurement.collision.adequacy import NOTHING_ROLLS
-from tracker.measurement.estimate import empty_row
+from tracker.measurement.estimate import make_empty_row
 from tracker.pipeline import measure_tables, run
 from tracker.results import read_clip
 
@@ -105,7 +105,7 @@ def test_numbers_and_tracks_with_their_residuals(bench, folder):
 
 def describe(folder, status, **values):
     """What the page says of a row of estimates with one status."""
-    row = {"clip": 0} | empty_row(Camera.from_dict(CAMERA), status) | values
+    row = {"clip": 0} | make_empty_row(Camera.from_dict(CAMERA), status) | values
     pd.DataFrame([row]).to_parquet(folder / "estimates.parquet")
     return OpenedResults(folder).describe_collisions(0)["collisions"][0]
 

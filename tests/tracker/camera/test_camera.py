@@ -15,7 +15,7 @@ from tracker_film import CAMERA
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.mirror_images import locate_secondary_glints, locate_zenith_point
-from tracker.camera.views import first_difference
+from tracker.camera.views import find_first_difference
 
 
 def bent_camera(tilt=(0.05, -0.03), dist=(-0.2, 0.1, 1e-3, -2e-3, 0.05)):
@@ -239,15 +239,15 @@ def test_another_camera_differs_in_what_locates_a_ball(key, told):
     other = {k: v for k, v in (CAMERA | {key: told}).items() if v is not None}
     one, two = Camera.from_dict(CAMERA), Camera.from_dict(other)
     named = "line_time" if key == "shutter" else key
-    assert first_difference(one, two) == first_difference(two, one) == named
+    assert find_first_difference(one, two) == find_first_difference(two, one) == named
 
 
 def test_a_turned_camera_differs():
     straight, turned = bent_camera((0, 0), (0,) * 5), bent_camera((0, 1e-4), (0,) * 5)
-    assert first_difference(straight, turned) == "R"
+    assert find_first_difference(straight, turned) == "R"
 
 
 def test_a_camera_differs_from_none_that_locates_a_ball_alike():
     anew = {"psf": {"sigma_px": 1.2}, "sensor": CAMERA["sensor"] | {"gain": 21}, "fps": 250.0 * (1 + 1e-9)}
     one, two = Camera.from_dict(CAMERA), Camera.from_dict(CAMERA | anew)
-    assert first_difference(one, dataclasses.replace(two, exposure_from_blur=6e-4, striker="a")) == ""
+    assert find_first_difference(one, dataclasses.replace(two, exposure_from_blur=6e-4, striker="a")) == ""

@@ -10,7 +10,7 @@ from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, scalars_of
 
 from tracker.measurement.collision.collision_model import FREE, mean_positions, tied_to_free
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.estimate import fit_all_jointly, measure, motion_table
+from tracker.measurement.estimate import fit_all_jointly, make_motion_table, measure
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 pytestmark = pytest.mark.usefixtures("not_local")
@@ -282,7 +282,7 @@ def test_energies_are_not_raised_by_noise(plain):
     for seed in range(20):
         tracks = noisy(truth, np.random.default_rng(seed), 0.1)
         (row,) = measure(tracks, camera)
-        motion = motion_table(tracks, camera, row)
+        motion = make_motion_table(tracks, camera, row)
         still = motion[(motion["particle"] == row["particle1"]) & (motion["t_s"] < 0.09)]
         rest.append(still["energy"].mean())
         raw.append(((still["vx"] ** 2 + still["vy"] ** 2) / 2).mean())
@@ -294,7 +294,7 @@ def test_momentum_across_the_slip_is_kept_and_along_it_is_not(plain):
     truth, camera = truth_of(plain, 0)
     tracks = noisy(truth, np.random.default_rng(0), 0.002)
     (row,) = measure(tracks, camera)
-    motion = motion_table(tracks, camera, row)
+    motion = make_motion_table(tracks, camera, row)
     for ball, tau in ((1, row["tau1"]), (2, row["tau2"])):
         mine = motion[motion["particle"] == row[f"particle{ball}"]].set_index("t_s")
         sliding = mine.loc[row["t_c"] + 0.006 : row["t_c"] + tau - 0.004]

@@ -7,7 +7,7 @@ W. Viechtbauer, Conducting meta-analyses in R with the metafor package, J. Stat.
 import numpy as np
 import pytest
 
-from tracker.measurement.random_effects import GeneralisedQ, fit_random_effects, leave_one_out
+from tracker.measurement.random_effects import GeneralisedQ, fit_means_without_each, fit_random_effects
 
 # infected and healthy with vaccine, infected and healthy without, latitude in degrees
 TRIALS = np.array(
@@ -78,7 +78,7 @@ def test_shared_errors_do_not_average_out():
 
 
 def test_leaving_one_out_is_the_fit_of_the_others():
-    mean, variance, scatter2 = leave_one_out(RISK, ERROR, NO_SHARED)
+    mean, variance, scatter2 = fit_means_without_each(RISK, ERROR, NO_SHARED)
     rest = fit_random_effects(RISK[1:], ERROR[1:])
     assert (mean[0], variance[0] ** 0.5, scatter2[0] ** 0.5) == pytest.approx(
         (rest.coefficients[0], rest.std[0], rest.scatter)

@@ -15,7 +15,7 @@ from tracker_film import CAMERA, film
 import tracker
 from synthcam_shared.report.page import PageFigure
 from tracker.camera.film_in_memory import wrap_frames
-from tracker.measurement.local.recommendation import recommended_suffix
+from tracker.measurement.local.recommendation import find_recommended_suffix
 from tracker.report.collision_figures import draw_speeds
 from tracker.report.pages import PAGE, RecordingPage
 
@@ -62,7 +62,7 @@ def test_its_numbers_are_those_measured(written, recorded):
     said = re.search(r"restitution in a scene\)\s+(-?[\d.]+)\((\d+)\)?\s", words) or re.search(
         r"restitution in a scene\)\s+(-?[\d.]+)", words
     )
-    assert float(said[1]) == pytest.approx(row[f"r{recommended_suffix(row)}"], abs=5e-3)
+    assert float(said[1]) == pytest.approx(row[f"r{find_recommended_suffix(row)}"], abs=5e-3)
 
 
 def test_its_film_has_every_frame_and_plays(written, tmp_path):

@@ -13,7 +13,7 @@ from tracker_noisy import BENCHMARK, NOISE, dataset, noisy, results, scalars_of,
 from synthcam_shared.errors import InputError
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import measure
-from tracker.scoring.error_bars import compute_true_parameters, error_statistics, quantity_bounds
+from tracker.scoring.error_bars import compute_error_statistics, compute_true_parameters, quantity_bounds
 from tracker.scoring.localisation import PositionSums, match, position_bounds, score_positions
 from tracker.scoring.score import _score_clip, score, to_track_points
 from tracker.scoring.tracking_metrics import TrackPoints, score_tracks
@@ -156,13 +156,17 @@ def test_figures_of_known_errors():
     n = 4000
     std = rng.uniform(0.5, 2.0, n)
     off = rng.normal(0, 1, n) * std
-    got = error_statistics(3 + off, std, np.full(n, 3.0), std)
+    got = compute_error_statistics(3 + off, std, np.full(n, 3.0), std)
     assert got["ratio"] == pytest.approx(1, abs=4 / np.sqrt(n))
     assert got["z_std"] == pytest.approx(1, abs=4 / np.sqrt(2 * n))
     assert got["cover68"] == pytest.approx(0.6827, abs=4 * np.sqrt(0.22 / n))
     assert got["cover95"] == pytest.approx(0.95, abs=4 * np.sqrt(0.0475 / n))
-    assert error_statistics(3 + off, std / 2, np.full(n, 3.0), std)["cover68"] < 0.45  # what too small errors look like
-    some = error_statistics(np.array([1.0, np.nan, 2.0]), np.array([0.1, 0.1, 0.0]), np.array([1.1, 1, 2]), np.ones(3))
+    assert (
+        compute_error_statistics(3 + off, std / 2, np.full(n, 3.0), std)["cover68"] < 0.45
+    )  # what too small errors look like
+    some = compute_error_statistics(
+        np.array([1.0, np.nan, 2.0]), np.array([0.1, 0.1, 0.0]), np.array([1.1, 1, 2]), np.ones(3)
+    )
     assert some["n"] == 2
     assert some["z_mean"] == pytest.approx(-1.0)  # an error of zero is no claim
 

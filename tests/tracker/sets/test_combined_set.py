@@ -13,13 +13,13 @@ import tracker
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.cli import app
-from tracker.measurement.estimate import empty_row
+from tracker.measurement.estimate import make_empty_row
 
 
 def row(clip, r, std=0.01, **more):
     """A row of estimates with r, v0 and b alone."""
     known = {"clip": clip, "v0": 0.1 + 0.05 * clip, "b": 0.0, "particle1": 0, "particle2": 1, "r": r, "r_std": std}
-    empty = empty_row(Camera.from_dict(CAMERA), "ok")
+    empty = make_empty_row(Camera.from_dict(CAMERA), "ok")
     return {name: value for name, value in empty.items() if name != "recommended"} | known | more
 
 

@@ -193,7 +193,7 @@ def get_canvas() -> Canvas:
 
 
 def _no_gl(why: str) -> str:
-    absent = windowless.missing_packages()
+    absent = windowless.list_missing_packages()
     advice = (
         f"missing (Debian, Ubuntu): apt install {' '.join(absent)}" if absent else "all its libraries are installed"
     )

@@ -28,7 +28,7 @@ def without_viewer() -> Iterator[None]:
         del sys.modules[name]
 
 
-def missing_packages() -> list[str]:
+def list_missing_packages() -> list[str]:
     """List Debian's packages whose libraries are needed and missing; EGL's drivers if all libraries are there."""
     if os.environ.get("PYOPENGL_PLATFORM") == "osmesa":
         return [] if osmesa() is not None else ["libosmesa6"]
@@ -44,14 +44,14 @@ def missing_packages() -> list[str]:
             ctypes.CDLL(library)
         except OSError:
             absent.append(package)
-    return absent or (["libgl1-mesa-dri"] if egl_device()[0] is None else [])
+    return absent or (["libgl1-mesa-dri"] if choose_egl_device()[0] is None else [])
 
 
 def choose_opengl() -> str:
     """Set PYOPENGL_PLATFORM and, for EGL, EGL_DEVICE_ID if the user has not. Returns the reason in a few words."""
     asked = os.environ.get("PYOPENGL_PLATFORM")
     if asked is None:
-        device, why = egl_device()
+        device, why = choose_egl_device()
         if device is None and osmesa() is not None:
             os.environ["PYOPENGL_PLATFORM"] = "osmesa"
             return f"{why}, OSMesa is there"
@@ -59,7 +59,7 @@ def choose_opengl() -> str:
     elif asked != "egl":
         return "asked for by PYOPENGL_PLATFORM"
     elif "EGL_DEVICE_ID" not in os.environ:
-        device, why = egl_device()
+        device, why = choose_egl_device()
     if "EGL_DEVICE_ID" in os.environ:
         return "device asked for by EGL_DEVICE_ID"
     if device is not None:
@@ -67,7 +67,7 @@ def choose_opengl() -> str:
     return why
 
 
-def egl_device() -> tuple[int | None, str]:
+def choose_egl_device() -> tuple[int | None, str]:
     """Number of the EGL device to draw on, graphics cards first, and the reason; None if no device starts."""
     try:
         egl = ctypes.CDLL("libEGL.so.1")

@@ -11,7 +11,7 @@ import numpy as np
 
 from synthcam.dataset.labelled_frames import encode_png
 from synthcam.dataset.recorded_dataset import RecordedClip
-from synthcam_shared.track_formats import MOT_CORNER_PX, mot_box
+from synthcam_shared.track_formats import MOT_CORNER_PX, make_mot_line
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
@@ -49,4 +49,4 @@ def _boxes(clip: RecordedClip) -> Iterator[str]:
     names = tracks[["frame", "particle", "visible"]].to_numpy(int)
     for (frame, ball, whole), (x, y), share in zip(names, positions, seen, strict=True):
         if share > 0:
-            yield mot_box(frame, ball, x, y, side, f"{whole},1,{share:.4f}")
+            yield make_mot_line(frame, ball, x, y, side, f"{whole},1,{share:.4f}")

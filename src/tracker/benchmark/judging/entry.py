@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 
 from tracker.benchmark.judging.defects import measure_shifts_by_defects, simulate_at_bound
-from tracker.benchmark.judging.position_errors import gap_curve, match_positions, phase_curve
+from tracker.benchmark.judging.position_errors import compute_gap_curve, compute_phase_curve, match_positions
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite
-from tracker.results import estimates_table, replace_non_finite
+from tracker.results import make_estimates_table, replace_non_finite
 from tracker.scoring.error_bars import score_quantities
 from tracker.scoring.score import drop_unclaimed, join_truth
 
@@ -43,8 +43,10 @@ def make_entry(
             parts, [name for name in chosen.headline if suite.has_bounds(suite.parts[name])]
         ),
         "parts": parts,
-        "phase": {name: phase_curve(held[name].pairs) for name in chosen.parts_of("phase") if name in run},
-        "gap": [point for name in chosen.parts_of("near") if name in run for point in gap_curve(held[name].pairs)],
+        "phase": {name: compute_phase_curve(held[name].pairs) for name in chosen.parts_of("phase") if name in run},
+        "gap": [
+            point for name in chosen.parts_of("near") if name in run for point in compute_gap_curve(held[name].pairs)
+        ],
         "quantities": {n: judge_quantities(suite, tracked, run[n]) for n in chosen.parts_of("measured") if n in run},
         "defects": defects,
     }
@@ -74,7 +76,7 @@ def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min
     limits = suite.quantity_bounds(part.truth)
     if any((scalars.get(name, pd.Series(0.0)).abs() > 1e-6).any() for name in ("u2ix", "u2iy", "side2i")):
         limits = limits[["clip"]]
-    table = drop_unclaimed(join_truth(scalars, estimates_table(rows).copy() if rows else empty, limits))
+    table = drop_unclaimed(join_truth(scalars, make_estimates_table(rows).copy() if rows else empty, limits))
     out: dict[str, Any] = {"clips": len(clips), "measured": int((table["status"] == "ok").sum())}
     scores = score_quantities(table)
     names = ("r", "mu_k", "C", "tau1", "tau2", "energy_fraction")

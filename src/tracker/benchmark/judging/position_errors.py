@@ -130,7 +130,7 @@ def fit_pixel_locking(pairs: pd.DataFrame, min_errors: int = 20) -> tuple[Floats
     return waves, float(worst)
 
 
-def phase_curve(pairs: pd.DataFrame, bins: int = 16, min_errors: int = 5) -> list[list[float | None]]:
+def compute_phase_curve(pairs: pd.DataFrame, bins: int = 16, min_errors: int = 5) -> list[list[float | None]]:
     """Phase, mean error (px) and its standard error by bins of the phase, for both axes of moving balls."""
     phase, off = (
         np.concatenate([pairs[f"{name}_{a}"].to_numpy(float)[pairs[f"moving_{a}"].to_numpy(bool)] for a in "xy"])
@@ -145,7 +145,7 @@ def phase_curve(pairs: pd.DataFrame, bins: int = 16, min_errors: int = 5) -> lis
     ]
 
 
-def gap_curve(pairs: pd.DataFrame, min_positions: int = 5) -> list[dict[str, float]]:
+def compute_gap_curve(pairs: pd.DataFrame, min_positions: int = 5) -> list[dict[str, float]]:
     """Rmse over bound, and mean error towards the other ball (px), by the gap between the balls (diameters)."""
     out = []
     for low, high in pairwise((0.0, 0.06, 0.15, 0.3, 0.6, 1.2, 2.4)):

@@ -191,7 +191,7 @@ def draw_published_quantities(entries: Entries, part: str, names: Sequence[str])
     """Draw a table with a row for each tracker and a column for each quantity: error ± published error bar."""
 
     def cell_of(entry: Entry, name: str) -> tuple[str, Any, str]:
-        return *publication_cell(entry["quantities"].get(part, {}), name), "black"
+        return *make_publication_cell(entry["quantities"].get(part, {}), name), "black"
 
     figure, axes = _draw_cells(entries, names, cell_of, (0.95, 0.75), 0.79)
     axes.set(xlim=(-0.5, len(names) - 0.5))
@@ -200,7 +200,7 @@ def draw_published_quantities(entries: Entries, part: str, names: Sequence[str])
     return figure
 
 
-def publication_cell(found: Mapping[str, Any], name: str) -> tuple[str, Any]:
+def make_publication_cell(found: Mapping[str, Any], name: str) -> tuple[str, Any]:
     """Text and colour: green within 2 error bars, yellow, red from 4 on; grey where nothing is published."""
     figures = found.get(name) or {}
     off, std = figures.get("published"), figures.get("published_std")

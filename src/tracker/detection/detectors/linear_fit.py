@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
-from tracker.detection.likelihood.cramer_rao import glint_shape
+from tracker.detection.likelihood.cramer_rao import compute_glint_shape
 from tracker.detection.spot_centroids import SpotCentroids
 
 # Standard errors by light that a plane does not describe, which lasts from frame to frame, from eight rendered crowds
@@ -60,7 +60,7 @@ class LinearFit:
         They are NaN where the fit has no light.
         """
         n, span = len(off), np.arange(-self.half, self.half + 1)
-        spot = glint_shape(off, blurs, self.sigma, self.half)
+        spot = compute_glint_shape(off, blurs, self.sigma, self.half)
         plane = np.stack([np.ones((len(span), len(span))), *np.meshgrid(span, span)])
         spots = np.stack([spot.value, spot.by_x, spot.by_y], axis=1)
         parts = np.concatenate([spots, np.broadcast_to(plane, (n, *plane.shape))], axis=1).reshape(n, 6, -1)

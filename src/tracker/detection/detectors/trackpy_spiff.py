@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tracker.detection.detector import Detections
 from tracker.detection.glints import Glints
-from tracker.detection.trackpy_features import TrackpyDetector, odd_diameter
+from tracker.detection.trackpy_features import TrackpyDetector, round_to_odd_diameter
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class TrackpySpiff(TrackpyDetector):
         """Glints of one frame, before SPIFF; the settings are those of trackpy_locate for dim glints."""
         if self.view.takes is not None:
             return self.locate_balls(frame)
-        return self.locate_glints(frame, odd_diameter(8.0 * self.view.sigma), 68.0)
+        return self.locate_glints(frame, round_to_odd_diameter(8.0 * self.view.sigma), 68.0)
 
     def detect(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Detections:
         """Glints of a whole clip."""

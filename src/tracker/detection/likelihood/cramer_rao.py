@@ -36,7 +36,7 @@ def _legendre(count: int) -> tuple[Array, Array]:
     return np.polynomial.legendre.leggauss(count)
 
 
-def glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> GlintShape:
+def compute_glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> GlintShape:
     """Compute the pixel model of glints of unit flux: Gaussians integrated over the pixels of square windows.
 
     Parameters
@@ -164,7 +164,7 @@ def _bound(
     out, fixed = np.empty((2, len(flux_), 2, 2))
     for start in range(0, len(flux_), 2048):  # blocks, so that memory stays small
         part = slice(start, start + 2048)
-        shape = glint_shape(positions[part] - np.round(positions[part]), lines[part], camera.sigma, half)
+        shape = compute_glint_shape(positions[part] - np.round(positions[part]), lines[part], camera.sigma, half)
         mean = ground[part, None, None] + flux_[part, None, None] * shape.value
         info, parts = compute_pixel_information(mean, camera.sensor), differentiate_pixels(shape, flux_[part])
         cov = np.linalg.inv(compute_fisher_information(info, parts))

@@ -23,8 +23,8 @@ from tracker.detection.likelihood.ball_profile import POWERS, BallProfile
 from tracker.detection.likelihood.cramer_rao import (
     ROOT_TWO_PI,
     compute_fisher_information,
+    compute_glint_shape,
     compute_pixel_information,
-    glint_shape,
     pixel_noise,
 )
 
@@ -127,7 +127,7 @@ def _model(
     `room` further ones are left empty.
     """
     half, secondaries = windows.half, windows.secondaries.shape[1]
-    shape = glint_shape(theta[:, :2], windows.blur, sigma, half)
+    shape = compute_glint_shape(theta[:, :2], windows.blur, sigma, half)
     flux = np.exp(theta[:, 2])[:, None, None]
     middle = theta[:, :2] + windows.bowl
     parts = np.empty((len(theta), 4 + (profile is None) + secondaries + room, *shape.value.shape[1:]))
@@ -146,7 +146,7 @@ def _model(
         parts[:, 1] += by_y
     for g in range(secondaries):
         secondary, at = windows.secondaries[:, g], 4 + (profile is None) + g
-        lit = glint_shape(secondary[:, :2], windows.blur, sigma, half).value
+        lit = compute_glint_shape(secondary[:, :2], windows.blur, sigma, half).value
         np.multiply(lit, secondary[:, 2, None, None], out=parts[:, at])
         mean += theta[:, at, None, None] * parts[:, at]
     return mean, parts
@@ -176,7 +176,7 @@ def _compare(windows: GlintWindows, mean: Array, parts: Array, sensor: SensorSpe
 
 def _start(windows: GlintWindows, sigma: float, sensor: SensorSpec, profile: BallProfile | None) -> Array:
     """Positions as given; flux and level by weighted linear least squares of the open pixels at those positions."""
-    shape = glint_shape(windows.start, windows.blur, sigma, windows.half)
+    shape = compute_glint_shape(windows.start, windows.blur, sigma, windows.half)
     weight = windows.used * (windows.counts < sensor.ceiling) / np.maximum(sensor.variance(windows.counts), 1e-9)
     total = np.maximum(weight.sum(axis=(1, 2)), 1e-300)
     mean_shape = (weight * shape.value).sum(axis=(1, 2)) / total
@@ -254,7 +254,7 @@ def score_blur_length(
     parts[:, 5], parts[:, 6], parts[:, 7] = wider, along - across, twist
     nudge = 0.05  # relative change of the blur, for a numerical derivative
     one, other = (
-        glint_shape(theta[:, :2], by * windows.blur, sigma, windows.half).value for by in (1 - nudge, 1 + nudge)
+        compute_glint_shape(theta[:, :2], by * windows.blur, sigma, windows.half).value for by in (1 - nudge, 1 + nudge)
     )
     parts[:, 8] = np.exp(theta[:, 2])[:, None, None] * (other - one) / (2.0 * nudge)
     seen = _compare(windows, mean, parts, sensor)
@@ -271,7 +271,7 @@ def _bends(theta: Array, windows: GlintWindows, sigma: float) -> tuple[Array, Ar
     """Second derivatives of glints by xx, xy and yy, counts/px^2, (n, s, s) each."""
     flux, by = np.exp(theta[:, 2])[:, None, None], 0.05 * sigma
     left, right, up, down = (
-        glint_shape(theta[:, :2] + shift, windows.blur, sigma, windows.half)
+        compute_glint_shape(theta[:, :2] + shift, windows.blur, sigma, windows.half)
         for shift in ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by))
     )
     factor = flux / (2.0 * by)

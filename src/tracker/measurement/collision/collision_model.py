@@ -94,7 +94,7 @@ def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> 
 
     speed at t = 0 in m/s, one or (n,); drag in 1/s; decel in m/s^2; times t (n,) in s, which may be negative.
     """
-    stop = stopping_time(speed, drag, decel)
+    stop = compute_stopping_time(speed, drag, decel)
     run = np.minimum(t, stop)
     _, p1, p2, p3, p4 = _phis(drag * run)
     square = run * run
@@ -113,7 +113,7 @@ def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> 
     return RollingMotion(distance, area, area_speed, area_drag, area_decel)
 
 
-def stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
+def compute_stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
     """Compute the time in which a = -(drag v + decel) stops a ball of the tracker's model; inf if it never does."""
     fast = np.asarray(speed, dtype=np.float64)
     if decel <= 0:

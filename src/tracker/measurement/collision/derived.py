@@ -66,7 +66,7 @@ def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats |
     spread = slope @ cov @ slope.T
     further = slope @ (np.zeros((len(free), 0)) if shift is None else shift)
     wide = spread + further @ further.T
-    merge, apart = mean_of_balls(wide), list[str]()
+    merge, apart = make_ball_average(wide), list[str]()
     for name, column in ONCE_FROM_EACH_BALL.items():
         pair = slice(column, column + 2)
         if abs(twice[column] - twice[column + 1]) > 5.0 * np.sqrt(_of_difference(wide[pair, pair])):
@@ -77,7 +77,7 @@ def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats |
     return DerivedValues(value, merge @ spread @ merge.T).without_errors([*apart, *lost])
 
 
-def mean_of_balls(cov: Floats) -> Floats:
+def make_ball_average(cov: Floats) -> Floats:
     """Build the matrix (n - 2, n) that averages mu_k and C over both balls, with weights from their covariance (n, n).
 
     The first 22 rows of `cov` are those of `derive_from_each_ball`; further ones are kept.

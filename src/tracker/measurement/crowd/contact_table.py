@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.crowd.track_contacts import NO_BALL, TrackContact, find_track_contacts
 from tracker.measurement.local.local_columns import find_covariance
-from tracker.measurement.local.recommendation import COMPARED, LOCAL, NONE, SUFFIXES, recommended_suffix
+from tracker.measurement.local.recommendation import COMPARED, LOCAL, NONE, SUFFIXES, find_recommended_suffix
 from tracker.measurement.positions import to_ball_tracks
 from tracker.measurement.random_effects import RandomEffects, fit_random_effects
 
@@ -91,7 +91,7 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
     out |= {"recommended": row.get("recommended", ""), "why": row.get("why", "")}
     if out["recommended"] == NONE:
         return out
-    suffix = recommended_suffix(row)
+    suffix = find_recommended_suffix(row)
     value, std = (
         np.array([_number(row.get(f"{name}{suffix}{end}")) for name in (*COMPARED, "mu_k")]) for end in ("", "_std")
     )

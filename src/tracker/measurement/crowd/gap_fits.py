@@ -34,7 +34,7 @@ class GapSettings(Protocol):
         """Of a path."""
 
 
-class TrackRows(NamedTuple):
+class ConsecutivePositions(NamedTuple):
     """Consecutive positions of one ball."""
 
     particle: int
@@ -43,10 +43,12 @@ class TrackRows(NamedTuple):
     position: Floats  # (n, 2) m
     variance: Floats  # (n,) of a coordinate, m^2
 
-    def between(self, low: float, high: float) -> TrackRows:
+    def between(self, low: float, high: float) -> ConsecutivePositions:
         """The positions in frames after `low` and before `high`."""
         rows = slice(*np.searchsorted(self.frame, (np.floor(low) + 1, np.ceil(high))))
-        return TrackRows(self.particle, self.frame[rows], self.time[rows], self.position[rows], self.variance[rows])
+        return ConsecutivePositions(
+            self.particle, self.frame[rows], self.time[rows], self.position[rows], self.variance[rows]
+        )
 
 
 class Slides(NamedTuple):
@@ -189,7 +191,7 @@ class ContactGaps(NamedTuple):
 
 
 def gather_gaps(
-    candidates: Sequence[Sequence[TrackRows]],
+    candidates: Sequence[Sequence[ConsecutivePositions]],
     gaps: Sequence[Sequence[tuple[int, int]]],
     last_slides: Sequence[Sequence[tuple[float, Floats] | None]],
     decel: float,

@@ -19,7 +19,14 @@ from scipy.special import expit
 
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import find_near_pairs
-from tracker.measurement.crowd.gap_fits import ContactFits, ContactGaps, TouchDistance, TrackRows, fit_gaps, gather_gaps
+from tracker.measurement.crowd.gap_fits import (
+    ConsecutivePositions,
+    ContactFits,
+    ContactGaps,
+    TouchDistance,
+    fit_gaps,
+    gather_gaps,
+)
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import StretchCutter, measure_path_noise
 
@@ -107,7 +114,7 @@ class TrackContact:
 class _Film:
     """A recording of balls, and what is known of their contacts so far."""
 
-    rows: dict[int, TrackRows]  # by ball
+    rows: dict[int, ConsecutivePositions]  # by ball
     exposure: float  # s
     frame_s: float
     diameter: float
@@ -123,7 +130,7 @@ class _Film:
                 if np.isfinite(slip).all():
                     self.slides.setdefault(ball, []).append((contact.time, slip))
 
-    def cut(self, ball: int, frame: float, away: float) -> TrackRows:
+    def cut(self, ball: int, frame: float, away: float) -> ConsecutivePositions:
         """The positions of a ball about a frame, up to its next event on either side.
 
         away: frames within which an event of a ball is the one at this frame.
@@ -135,7 +142,7 @@ class _Film:
         return self.rows[ball].between(max(low, np.nextafter(first, -np.inf)), min(high, np.nextafter(last, np.inf)))
 
     def gather(
-        self, candidates: Sequence[Sequence[TrackRows]], gaps: Sequence[Sequence[tuple[int, int]]]
+        self, candidates: Sequence[Sequence[ConsecutivePositions]], gaps: Sequence[Sequence[tuple[int, int]]]
     ) -> ContactGaps:
         """The gaps of candidates, each with the positions of its balls."""
         last = [[self._find_last_slide(part) for part in parts] for parts in candidates]
@@ -146,7 +153,7 @@ class _Film:
         touch = TouchDistance(self.diameter, self.settings.distance_share * self.diameter)
         return fit_gaps(gaps, self.settings, touch, self.exposure)
 
-    def _find_last_slide(self, part: TrackRows) -> tuple[float, Floats] | None:
+    def _find_last_slide(self, part: ConsecutivePositions) -> tuple[float, Floats] | None:
         """The last slide of a ball that starts before its positions."""
         if not len(part.time):
             return None
@@ -207,7 +214,7 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
     best = sorted((c for c in found if len(c.balls) == 2), key=lambda contact: -contact.gain)[: settings.most_slides]
     if len(best) < settings.least_slides:
         return settings
-    parts, gaps = list[list[TrackRows]](), list[list[tuple[int, int]]]()
+    parts, gaps = list[list[ConsecutivePositions]](), list[list[tuple[int, int]]]()
     for contact in best:
         frame = float(np.interp(contact.time, balls[contact.one].time, balls[contact.one].frame))
         parts.append([film.cut(n, frame, settings.other_frames) for n in contact.balls])
@@ -369,7 +376,7 @@ def _examine(
 
 def _examine_batch(candidates: Sequence[tuple[tuple[int, ...], float]], away: float, film: _Film) -> list[TrackContact]:
     reach, chosen = min(away, 1.5) + 1.0, list[tuple[int, ...]]()
-    parts, gaps = list[list[TrackRows]](), list[list[tuple[int, int]]]()
+    parts, gaps = list[list[ConsecutivePositions]](), list[list[tuple[int, int]]]()
     for balls, frame in candidates:
         own = [film.cut(ball, frame, away) for ball in balls]
         if not 2 * film.settings.least_positions <= max(len(part.frame) for part in own):
@@ -391,9 +398,9 @@ def _examine_batch(candidates: Sequence[tuple[tuple[int, ...], float]], away: fl
     return out
 
 
-def _to_rows(ball: BallTrack) -> TrackRows:
+def _to_rows(ball: BallTrack) -> ConsecutivePositions:
     variance = np.asarray(np.trace(ball.cov, axis1=1, axis2=2) / 2)
-    return TrackRows(ball.particle, ball.frame, ball.time, ball.position, variance)
+    return ConsecutivePositions(ball.particle, ball.frame, ball.time, ball.position, variance)
 
 
 def _weigh_gaps(fits: ContactFits) -> ContactFits:

@@ -51,7 +51,7 @@ class LocalErrors:
     hits: int = 0  # from which these are fitted; 0: a prior
 
 
-def empty_columns() -> dict[str, Any]:
+def make_empty_columns() -> dict[str, Any]:
     """Make the columns of a collision without a local estimate."""
     row: dict[str, Any] = {}
     for column in COLUMNS:
@@ -62,7 +62,7 @@ def empty_columns() -> dict[str, Any]:
     return row | {"local_shared": "{}", "recommended": "none", "why": ""}
 
 
-def local_columns(
+def make_local_columns(
     estimate: LocalEstimate | str, masses_known: bool = False, foreign: str = "", settings: FitSettings | None = None
 ) -> dict[str, Any]:
     """Write a local estimate as columns; its errors beyond the residuals are the prior of one recording.
@@ -70,7 +70,9 @@ def local_columns(
     A text is the reason why there is none. foreign: why the tied fit is not one of these bodies, "" if it is.
     """
     if isinstance(estimate, str):
-        return empty_columns() | {"local": json.dumps({"reason": estimate, "foreign": foreign}, separators=(",", ":"))}
+        return make_empty_columns() | {
+            "local": json.dumps({"reason": estimate, "foreign": foreign}, separators=(",", ":"))
+        }
     settings = settings or FitSettings()
     excess = max(estimate.chi2 / estimate.dof - 1 - 3 * np.sqrt(2 / max(estimate.dof, 1.0)), 0.0)
     prior = settings.local_velocity_error
@@ -92,7 +94,7 @@ def local_columns(
         "masses_known": masses_known,
         "foreign": foreign,
     }
-    row = empty_columns() | {"local": json.dumps(raw, separators=(",", ":"))}
+    row = make_empty_columns() | {"local": json.dumps(raw, separators=(",", ":"))}
     row |= {"chi2_local": estimate.chi2, "dof_local": estimate.dof}
     row["misfit_local"] = bool(estimate.adequate < settings.rejection_level)
     row["motion_local"] = "glide" if estimate.glides else "slide and roll"

@@ -13,7 +13,7 @@ from tracker.measurement.camera_errors import CameraError, camera_errors
 from tracker.measurement.collision.adequacy import compute_p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
 from tracker.measurement.collision.contacts import Contact, guess_launch
-from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, mean_of_balls
+from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, make_ball_average
 from tracker.measurement.local.local_fit import (
     LocalPriors,
     LocalSolution,
@@ -237,7 +237,7 @@ def _read_solution(
     by_mass = (heavier - value) / mass_step
     unknown = ~(np.isfinite(value) & np.isfinite(slope).all(axis=1))
     slope[unknown] = 0.0
-    merge = mean_of_balls(slope @ solution.cov @ slope.T)
+    merge = make_ball_average(slope @ solution.cov @ slope.T)
     by_mass = merge @ np.where(unknown, 0.0, by_mass)
     slope, value = merge @ slope, merge @ np.where(unknown, 0.0, value)
     value[merge[:, unknown].any(axis=1)] = np.nan
@@ -304,7 +304,7 @@ def _slide(solution: LocalSolution, x: Floats, k: int) -> tuple[Floats, Floats]:
 
 
 def _quantities(solution: LocalSolution, x: Floats, masses: tuple[float, float]) -> Floats:
-    """Quantities (m, 34) of parameters (m, n): those of each ball, see `mean_of_balls`, and the rest of LOCAL_NAMES."""
+    """Quantities (m, 34) of parameters (m, n): those of each ball (`make_ball_average`) and the rest of LOCAL_NAMES."""
     problem, (m1, m2) = solution.problem, np.array(masses) / np.mean(masses)
     v1i, v2i, v1o, v2o = velocities = [_velocity(solution, x, side) for side in SIDES]
     normal = x[:, 1:3] - x[:, 3:5]

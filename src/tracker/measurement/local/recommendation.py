@@ -120,6 +120,6 @@ def _find_difference(row: Mapping[str, Any], suffix: str, *, max_difference: flo
     return worst, sigmas
 
 
-def recommended_suffix(row: Mapping[str, Any]) -> str:
+def find_recommended_suffix(row: Mapping[str, Any]) -> str:
     """Give the column suffix of the recommended estimate of a row; of the tied fit where none is recommended."""
     return SUFFIXES.get(str(row.get("recommended", TIED)), "")

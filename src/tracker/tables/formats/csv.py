@@ -2,10 +2,10 @@
 
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.tables.rows import to_csv, tracks_table
+from tracker.tables.rows import make_tracks_table, to_csv
 
 SUFFIX = ".csv"
 
 
 def write(tracks: Tracks, camera: Camera) -> str:
-    return to_csv(tracks_table(tracks)).decode()
+    return to_csv(make_tracks_table(tracks)).decode()

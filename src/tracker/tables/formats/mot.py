@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from synthcam_shared.track_formats import MOT_CORNER_PX, mot_box
+from synthcam_shared.track_formats import MOT_CORNER_PX, make_mot_line
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import FileContent
@@ -56,4 +56,4 @@ def write(tracks: Tracks, camera: Camera) -> str:
     side = camera.diameter_px
     order = np.lexsort((tracks.particle, tracks.frame))
     rows = zip(tracks.frame[order], tracks.particle[order], tracks.x[order], tracks.y[order], strict=True)
-    return "".join(mot_box(int(frame), int(particle), x, y, side, "1,-1,-1,-1") for frame, particle, x, y in rows)
+    return "".join(make_mot_line(int(frame), int(particle), x, y, side, "1,-1,-1,-1") for frame, particle, x, y in rows)

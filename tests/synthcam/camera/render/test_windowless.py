@@ -89,7 +89,7 @@ def test_what_is_missing_is_named_by_its_package(monkeypatch):
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(ctypes, "CDLL", without_opengl)
-    assert windowless.missing_packages() == ["libopengl0"]
+    assert windowless.list_missing_packages() == ["libopengl0"]
 
 
 def test_without_a_library_there_is_none(monkeypatch):
@@ -99,7 +99,7 @@ def test_without_a_library_there_is_none(monkeypatch):
     monkeypatch.setattr(ctypes, "CDLL", nothing)
     monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
     assert windowless.osmesa() is None
-    assert windowless.egl_device() == (None, "EGL is missing")
+    assert windowless.choose_egl_device() == (None, "EGL is missing")
     with pytest.raises(RuntimeError, match="libOSMesa is missing"):
         windowless.OSMesa(4, 4).init_context()
 

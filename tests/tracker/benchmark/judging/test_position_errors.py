@@ -8,10 +8,10 @@ from tracker.benchmark.judging.defects import glint_share
 from tracker.benchmark.judging.entry import compute_overall_score
 from tracker.benchmark.judging.position_errors import (
     compute_efficiency,
+    compute_gap_curve,
+    compute_phase_curve,
     fit_pixel_locking,
-    gap_curve,
     match_positions,
-    phase_curve,
 )
 from tracker.benchmark.judging.tracker_results import ClipSample
 
@@ -43,7 +43,7 @@ def test_a_wave_within_the_pixel_is_read_back():
     waves, peak = fit_pixel_locking(found.pairs)
     assert peak == pytest.approx(0.1, rel=0.02)
     assert waves[0] == pytest.approx([0, 0.05, 0, 0], abs=1e-3)
-    curve = np.array(phase_curve(found.pairs))
+    curve = np.array(compute_phase_curve(found.pairs))
     assert curve[:, 1].max() > 0.01 > curve[:, 1].min()
 
 
@@ -86,7 +86,7 @@ def test_towards_the_other_ball_near_the_contact():
         unit = way / np.hypot(*way.T)[:, None]
         return table.assign(x=table["x"] + 0.02 * unit[:, 0], y=table["y"] + 0.02 * unit[:, 1])
 
-    curve = gap_curve(held(attracted).pairs)
+    curve = compute_gap_curve(held(attracted).pairs)
     assert len(curve) > 1
     for point in curve:
         assert point["towards_px"] == pytest.approx(0.02, rel=0.02)

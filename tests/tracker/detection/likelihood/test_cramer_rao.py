@@ -8,7 +8,7 @@ from scipy.stats import norm
 from tracker_film import CAMERA, spot
 
 from tracker.camera.camera import Camera, SensorSpec
-from tracker.detection.likelihood.cramer_rao import compute_pixel_information, glint_shape, localisation_bound
+from tracker.detection.likelihood.cramer_rao import compute_glint_shape, compute_pixel_information, localisation_bound
 
 SENSOR = SensorSpec(bits=8, gain=20, read_noise=20, prnu=0.005, dsnu=4, full_well=6000, black_level=8)
 
@@ -53,7 +53,7 @@ def test_full_well_below_the_converter_is_the_ceiling():
 @pytest.mark.parametrize("blur", [(0.0, 0.0), (3.0, -2.0), (0.3, 0.1), (11.0, 4.0)])
 def test_shape_is_the_integrated_spot(blur):
     half = 12
-    made = glint_shape(np.array([[0.3, -0.2]]), np.array([blur]), 1.1, half)
+    made = compute_glint_shape(np.array([[0.3, -0.2]]), np.array([blur]), 1.1, half)
     want = spot((25, 25), half + 0.3, half - 0.2, 1.1, blur, steps=2000)
     assert np.abs(made.value[0] - want).max() < 3e-4 * want.max()
     nudge = 1e-4

@@ -9,10 +9,10 @@ from tracker.measurement.collision.collision_model import (
     AFTER,
     FREE,
     TIED,
+    compute_stopping_time,
     compute_unit_vectors,
     mean_positions,
     roll_freely,
-    stopping_time,
     tied_to_free,
     tied_to_free_jacobian,
 )
@@ -105,7 +105,7 @@ def test_tied_derivative_is_that_of_the_release(spin):
 def test_rolling_solves_its_equation(drag, decel):
     times = np.array([-0.05, 0.0, 0.1, 1.0, 40.0])
     roll = roll_freely(0.3, drag, decel, times)
-    stop = stopping_time(0.3, drag, decel)
+    stop = compute_stopping_time(0.3, drag, decel)
 
     def rate(_, state):
         return [state[1], -(drag * state[1] + decel)]

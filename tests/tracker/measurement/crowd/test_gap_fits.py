@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.measurement.crowd.gap_fits import TouchDistance, TrackRows, fit_gaps, gather_gaps
+from tracker.measurement.crowd.gap_fits import ConsecutivePositions, TouchDistance, fit_gaps, gather_gaps
 from tracker.measurement.crowd.track_contacts import FinderSettings
 
 FRAME_S, DIAMETER, NOISE = 4e-3, 2e-3, 1e-7
@@ -17,7 +17,7 @@ def make_rows(particle, place, before, after, instant, decel=0.0):
     pull = -decel * np.asarray(after) / max(np.hypot(*after), 1e-12)
     late = np.maximum(since, 0)[:, None]
     way = np.where(since[:, None] < 0, since[:, None] * before, late * after + late**2 / 2 * pull)
-    return TrackRows(particle, FRAME, FRAME * FRAME_S, place + way, np.full(12, NOISE**2))
+    return ConsecutivePositions(particle, FRAME, FRAME * FRAME_S, place + way, np.full(12, NOISE**2))
 
 
 def fit(candidates, gaps, settings=GLIDES, decel=0.0, slides=None):
@@ -76,7 +76,7 @@ def test_an_earlier_slide_bends_the_path_before_a_contact():
     since = np.minimum(FRAME * FRAME_S, instant) - start
     slid = np.minimum(since, lasts)
     x = 0.4 * since - decel * slid * (since - slid / 2)
-    ball = TrackRows(0, FRAME, FRAME * FRAME_S, np.column_stack([x, 0 * x]), np.full(12, NOISE**2))
+    ball = ConsecutivePositions(0, FRAME, FRAME * FRAME_S, np.column_stack([x, 0 * x]), np.full(12, NOISE**2))
     slide = (start, np.array([7 * decel * lasts / 2, 0.0]))
     (with_slide,) = fit([[ball]], [[(5, 6)]], GLIDES, decel, [[slide]]).before[:, 0, 0]
     (without,) = fit([[ball]], [[(5, 6)]], GLIDES, decel).before[:, 0, 0]

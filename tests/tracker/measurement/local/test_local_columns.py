@@ -10,14 +10,14 @@ from tracker_local import AT, draw_rows, draw_unequal_rows
 
 from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import shared_effects
-from tracker.measurement.estimate import empty_row
+from tracker.measurement.estimate import make_empty_row
 from tracker.measurement.local.local_columns import (
     LocalErrors,
     apply_errors,
     calibrate_rows,
     calibrate_set,
-    empty_columns,
     find_covariance,
+    make_empty_columns,
 )
 from tracker.measurement.messages import list_messages
 from tracker.sets.combined_quantity import combine_quantity
@@ -125,11 +125,11 @@ def test_the_mass_ratio_of_two_bodies_is_fitted_from_recoil_on_either_side():
     one, other = (row["mass_ratio"] for row in calibrate_set(rows)[:2])
     assert other == pytest.approx(np.exp(errors.log_ratio))
     assert one == pytest.approx(1 / other)
-    table = pd.DataFrame([empty_row(Camera.from_dict(CAMERA), "misfit") | row for row in calibrate_set(rows)])
+    table = pd.DataFrame([make_empty_row(Camera.from_dict(CAMERA), "misfit") | row for row in calibrate_set(rows)])
     said = [str(note) for note in list_messages(table)]
     assert any("This takes a number for the same body in all clips" in text for text in said)
     crowd = calibrate_set([row | {"status": "crowd"} for row in draw_unequal_rows(heavier, shared=SCALE_OF_RATIO)])
-    table = pd.DataFrame([empty_row(Camera.from_dict(CAMERA), "crowd") | row for row in crowd])
+    table = pd.DataFrame([make_empty_row(Camera.from_dict(CAMERA), "crowd") | row for row in crowd])
     assert not any("of the mass of particle" in str(note) for note in list_messages(table))
 
 
@@ -165,7 +165,7 @@ def test_settings_reach_the_columns_and_a_later_calibration():
 
 
 def test_no_estimate_has_no_columns_to_change():
-    assert apply_errors(empty_columns(), LocalErrors(error_n=0.1)) == {}
+    assert apply_errors(make_empty_columns(), LocalErrors(error_n=0.1)) == {}
 
 
 def test_bodies_whose_names_mean_nothing_get_no_ratio():

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from tracker.measurement.local.recommendation import recommend, recommended_suffix
+from tracker.measurement.local.recommendation import find_recommended_suffix, recommend
 
 KNOWN = {"v0": (0.5, 0.001), "b": (0.1, 0.001), "r": (0.9, 0.01), "s": (math.nan, math.nan)}
 # of a set whose balances of momentum show that r is known to .02 only
@@ -58,4 +58,4 @@ def test_an_estimate_is_recommended_with_a_reason(row, recommended, why):
     found = recommend(row)
     assert found["recommended"] == recommended
     assert why in found["why"]
-    assert recommended_suffix(row | found) == {"tied": "", "none": ""}.get(recommended, f"_{recommended}")
+    assert find_recommended_suffix(row | found) == {"tied": "", "none": ""}.get(recommended, f"_{recommended}")
