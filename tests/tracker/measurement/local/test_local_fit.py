@@ -117,3 +117,23 @@ def test_a_duration_of_a_slide_starts_next_to_that_of_the_free_fit(monkeypatch):
     local_fit._solve_with_durations([(0.0, free)], 0, cells)
     edge = np.exp(np.sqrt(3) * 0.3)
     assert np.exp(seen) == pytest.approx([0.002 * edge, 0.010, 0.1 / edge])
+
+
+@pytest.mark.parametrize(("after", "may_slide_on"), [(False, True), (False, False), (True, True)])
+def test_a_roll_before_a_hit_may_have_begun_at_any_time(after, may_slide_on):
+    """A curve that no position contradicts: the roll is uniform over the 80 ms, beside a slide up to the contact."""
+    time = np.arange(1, 21) * 4e-3 * (1 if after else -1)
+    stretch = make_stretch(np.outer(time, [0.4, 0.1]), time, ball=2, after=after, size=0.0)
+    problem = LocalProblem((stretch,), (SLIDE_AND_ROLL,), LocalPriors(0.06), False)
+    free = SimpleNamespace(problem=problem, x=np.zeros(problem.size), sizes=(1.0,))
+    cells = local_fit._list_durations(free, 0, 6, may_slide_on)
+    shares = [np.exp(cell.log_prior) for cell in cells if cell.lasts < 0.08]
+    slides_on, begins = LocalPriors(0.06).slides_up_to_contact, 1 if may_slide_on and not after else 0
+    if after:
+        assert sum(shares) == pytest.approx(0.47, abs=0.02)  # of the normal prior of the logarithm
+        return
+    assert min(cell.lasts for cell in cells) < (1e-5 if may_slide_on else 1e-3)
+    if may_slide_on:
+        assert shares[0] == pytest.approx(slides_on, abs=1e-3)
+    density = [np.exp(c.log_prior) / (c.error * c.lasts * np.sqrt(12)) for c in cells[begins:] if c.lasts < 0.08]
+    assert density == pytest.approx([(1 - slides_on * begins) / 0.08] * len(density), rel=0.05)
