@@ -140,7 +140,7 @@ class SearchPolicy(Settings):
 
     leave_one_out_sigma: Positive = 3.0
     """Sigma that a claim needs in all collisions, each left out once, and from zero by their scatter where more is
-    missing or of free stretches. A convention (3 sigma)."""
+    missing or of free stretches, if noise does not explain that scatter. A convention (3 sigma)."""
 
     poor_chi2_per_point: Positive = 2.0
     """chi^2 per point above which a model does not describe the collisions, so that sigma says little.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 
 import numpy as np
-from scipy.special import fdtrc, ndtri
+from scipy.special import chdtrc, fdtrc, ndtri
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
@@ -142,14 +142,14 @@ def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> li
     return leave_each_out(fit, precision)[0]
 
 
-def leave_each_out(fit: ModelFit, precision: Array | None = None) -> tuple[list[Array], Array]:
+def leave_each_out(fit: ModelFit, precision: Array | None = None) -> tuple[list[Array], Array, Array]:
     """Leave each clip out of a fit in turn, to first order: its whitened residuals, and how the parameters change.
 
     The clip's own launch is fitted to it. Parameters at a limit stay there; their changes are NaN. The update is that
     of leave-one-out regression (Cook & Weisberg, Residuals and Influence in Regression, 1982).
 
     precision (J, J): the prior precision of the last J parameters, which are a free law's coefficients. Returns the
-    residuals of each clip, and the changes (clips, S).
+    residuals of each clip, the changes (clips, S), and the covariance (S, S) of the parameters by noise.
     """
 
     def is_free(name: str) -> bool:  # a name with a space is a coefficient of a free law, which has no limits
@@ -159,21 +159,26 @@ def leave_each_out(fit: ModelFit, precision: Array | None = None) -> tuple[list[
     own = fit.linearisation.launch_bases
     slopes = [s[:, free] - q @ (q.T @ s[:, free]) for q, s in zip(own, fit.slopes, strict=True)]
     left = [r - q @ (q.T @ r) for q, r in zip(own, fit.residuals, strict=True)]
-    changes = np.full((len(left), len(free)), np.nan)
+    changes, by_noise = np.full((len(left), len(free)), np.nan), np.full((len(free), len(free)), np.nan)
     if not free.any():
-        return left, changes
+        return left, changes, by_noise
     prior = np.zeros((len(free), len(free)))
     if precision is not None:
         prior[-len(precision) :, -len(precision) :] = precision
     information = np.array([s.T @ s for s in slopes])
     whole = information.sum(axis=0) + prior[np.ix_(free, free)]
     scale = np.sqrt(np.where(np.diag(whole) > 0, np.diag(whole), 1.0))
+
+    def invert(matrix: Array) -> Array:
+        units = np.outer(scale, scale)
+        return np.asarray(np.linalg.pinv(matrix / units, rcond=1e-10, hermitian=True) / units)
+
+    by_noise[np.ix_(free, free)] = invert(whole)
     out = []
     for k, (s, r, own_information) in enumerate(zip(slopes, left, information, strict=True)):
-        inverse = np.linalg.pinv((whole - own_information) / np.outer(scale, scale), rcond=1e-10, hermitian=True)
-        changes[k, free] = -inverse @ (s.T @ r / scale) / scale
+        changes[k, free] = -invert(whole - own_information) @ (s.T @ r)
         out.append(r - s @ changes[k, free])
-    return out, changes
+    return out, changes, by_noise
 
 
 @dataclass(frozen=True)
@@ -182,39 +187,52 @@ class Jackknife:
 
     It follows from the scatter of the clips, whatever the noise model says. It is the jackknife of MacKinnon & White,
     J. Econometrics 29 (1985) 305, with clips instead of points. A cause that changes all clips in the same way does not
-    enter. A parameter at a limit has the covariance NaN.
+    enter. by_noise: the covariance (S, S) that the noise model gives. A parameter at a limit has the covariance NaN.
     """
 
     names: tuple[str, ...]
     clips: int
     covariance: Array
+    by_noise: Array
 
     @classmethod
     def of(cls, fit: ModelFit, precision: Array | None = None) -> Jackknife:
         """Leave each clip out of a fit in turn; precision: that of `leave_each_out`."""
-        changes = leave_each_out(fit, precision)[1]
+        _, changes, by_noise = leave_each_out(fit, precision)
         off = changes - changes.mean(axis=0)
-        return cls(tuple(fit.names), len(changes), (len(changes) - 1) / len(changes) * off.T @ off)
+        return cls(tuple(fit.names), len(changes), (len(changes) - 1) / len(changes) * off.T @ off, by_noise)
 
     @property
     def std(self) -> dict[str, float]:
         """The standard deviation of each parameter."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
-    def distance_from_zero(self, strengths: Mapping[str, float]) -> float:
-        """The sigma by which the strengths of an effect, by name, differ jointly from zero; inf if none has an error.
+    def distance_from_zero(self, strengths: Mapping[str, float], *, least_p: float = 0.05) -> float:
+        """The sigma by which the strengths of an effect, by name, differ jointly from zero by the scatter of the clips.
 
-        Few clips determine their own scatter badly, so sigma follows from Hotelling's T^2. With one strength this is
-        Student's t with one degree of freedom less than there are clips. Cameron & Miller, J. Human Resources 50 (2015)
-        317, recommend it for errors by the scatter of few groups.
+        It is inf if no strength has an error, or if noise explains the scatter. Few clips determine their own scatter
+        badly, so sigma follows from Hotelling's T^2. With one strength this is Student's t with one degree of freedom
+        less than there are clips. Cameron & Miller, J. Human Resources 50 (2015) 317, recommend it for errors by the
+        scatter of few groups.
+
+        Where noise explains the scatter, such a test would lose half of all true claims of 6 sigma in five clips. The
+        scatter therefore counts only if noise makes it so large with a probability below `least_p`. The ratio of T^2 by
+        noise to that by scatter has a chi^2 distribution (Mardia, Kent & Bibby, Multivariate Analysis (1979), 3.4.7).
         """
         rows = [k for k, name in enumerate(self.names) if name in strengths and self.covariance[k, k] > 0]
         if not rows or len(rows) >= self.clips:
             return math.inf
-        values, size = np.array([strengths[self.names[k]] for k in rows]), len(rows)
-        t2 = float(values @ np.linalg.pinv(self.covariance[np.ix_(rows, rows)], hermitian=True) @ values)
-        freedom = self.clips - size
-        p = float(fdtrc(size, freedom, t2 * freedom / (size * (self.clips - 1))))
+        own = np.ix_(rows, rows)
+        size = np.sqrt(np.diag(self.covariance)[rows])  # strengths may have different units
+        values = np.array([strengths[self.names[k]] for k in rows]) / size
+        t2, t2_by_noise = (
+            float(values @ np.linalg.pinv(matrix[own] / np.outer(size, size), hermitian=True) @ values)
+            for matrix in (self.covariance, self.by_noise)
+        )
+        freedom = self.clips - len(rows)
+        if t2 > 0 and chdtrc(freedom, (self.clips - 1) * t2_by_noise / t2) > least_p:
+            return math.inf
+        p = float(fdtrc(len(rows), freedom, t2 * freedom / (len(rows) * (self.clips - 1))))
         return -float(ndtri(p / 2)) if p > 0 else math.inf
 
 

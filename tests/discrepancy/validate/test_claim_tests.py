@@ -26,13 +26,14 @@ from synthcam.model import Model
 
 NOISE = Noise(NoiseComponent(1.0))
 E = "velocity_restitution.e"
+BOTH = ("covariance", "by_noise")
 
 
 def test_each_clip_is_foretold_as_a_fit_to_all_others_foretells_it():
     """The fit itself done again without it, and its launch alone to it."""
     clips = collisions(Model().replace({E: 0.02}), 6, 3)
     fit = fit_model(clips, Model(), (*BASE_PARAMETERS, E), NOISE)
-    turned, changes = leave_each_out(fit)
+    turned, changes, _ = leave_each_out(fit)
     for k in (0, 4):
         others = fit_model([c for c in clips if c is not clips[k]], fit.model, fit.names, NOISE)
         alone = fit_model([clips[k]], others.model, (), NOISE)
@@ -92,10 +93,31 @@ def test_the_distance_from_zero_counts_that_few_clips_tell_little_of_their_scatt
 def test_two_strengths_differ_from_zero_jointly():
     """Correlated errors: their sum is known to 0.1, their difference to 2."""
     covariance = np.array([[1.0025, -0.9975], [-0.9975, 1.0025]])
-    jackknife = Jackknife(("a", "b", "fixed"), 1000, np.pad(covariance, (0, 1), constant_values=np.nan))
+    covariance = np.pad(covariance, (0, 1), constant_values=np.nan)
+    jackknife = Jackknife(("a", "b", "fixed"), 1000, covariance, covariance / 4)
     assert jackknife.distance_from_zero({"a": 0.5, "b": 0.5}) > 8
     assert jackknife.distance_from_zero({"a": 0.5, "b": -0.5}) < 0.3
     assert jackknife.distance_from_zero({"fixed": 1.0}) == np.inf
+    units = np.array([1e9, 1.0, 1.0])
+    other = dataclasses.replace(jackknife, **{name: getattr(jackknife, name) * np.outer(units, units) for name in BOTH})
+    assert other.distance_from_zero({"a": 0.5e9, "b": -0.5}) == pytest.approx(
+        jackknife.distance_from_zero({"a": 0.5, "b": -0.5})
+    )
+    assert other.distance_from_zero({"a": 0.0, "b": 0.0}) == 0
+
+
+def test_a_true_claim_is_kept_where_noise_explains_the_scatter_of_few_clips():
+    """The slope is 6 sigma by noise. By the scatter alone half of the claims of 5 clips were lost."""
+    clips, lost, rng = 5, 0, np.random.default_rng(4)
+    launch = np.ones((clips, 8, 1))
+    size = 6 / np.sqrt(32 * clips)
+    for _ in range(600):
+        x, y = draw_lines(rng, [size] * clips, 8)
+        slope = float((x * y).sum() / (x**2).sum())
+        jackknife = Jackknife.of(fit_lines(x, y - slope * x, launch))
+        assert jackknife.by_noise[0, 0] == pytest.approx(1 / (32 * clips))
+        lost += jackknife.distance_from_zero({E: slope}) < 3
+    assert lost / 600 < 0.09
 
 
 def test_jackknife_errors_count_how_clips_scatter():
