@@ -58,6 +58,14 @@ class Forces:
         known: dict[str, Any] = dict(gravity=model.gravity, radius=bodies.radius[:, None], mass=bodies.mass[:, None])
         return cls(model, known | dict(of_a=bodies.of_a[:, None], ball=model.ball), bodies.inertia[:, None])
 
+    @cached_property
+    def slip_rate(self) -> Array:
+        return np.asarray(slip_rate(self.inertia))
+
+    @cached_property
+    def push_share(self) -> Array:
+        return np.asarray(push_share(self.inertia))
+
     def __getitem__(self, rows: Any) -> Forces:
         constants = {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.constants.items()}
         return Forces(self.model, constants, self.inertia[rows])
@@ -82,7 +90,7 @@ class Forces:
         instant |= dict(slip_speed=slip, slip=move_vectors_to_last_axis(hat))
         friction = laws("friction", self.model.sliding_friction, instant)
         load = laws("normal_load", self.model.gravity, instant)
-        slowing = slip_rate(self.inertia) * friction * load + np.zeros_like(slip)
+        slowing = self.slip_rate * friction * load + np.zeros_like(slip)
         twist = 0.0
         if laws.has_effect_on("drilling"):
             twist = laws("drilling", 0.0, instant | {"friction": friction, "load": load})
@@ -101,7 +109,7 @@ class Forces:
         loss = model.laws("rolling", model.rolling_drag * speed + model.rolling_decel, instant)
         out = v * (-loss / np.maximum(speed, TINY))
         if model.laws.has_effect_on("push"):
-            out = out + push_share(self.inertia) * self.push(place, v, other)
+            out = out + self.push_share * self.push(place, v, other)
         return np.asarray(out)
 
     def push(self, place: Array, v: Array, other: Any) -> Array:

@@ -67,13 +67,14 @@ class PhaseIntegrator:
 
     def __init__(self, balls: BallStates, spans: Array, ender: Ints) -> None:
         self.balls, self.modes, states, laws = balls, balls.modes, balls.states, balls.model.laws
-        self.forces = Forces.of(balls.model, balls.bodies)
         inertia = balls.bodies.inertia[:, None]
         self.slip_share, self.push_share = 1 / slip_rate(inertia), push_share(inertia)
         found = {mode: np.flatnonzero(self.modes == mode) for mode in (ROLL, SLIDE, FLY)}
         self.rows: dict[int, Any] = {mode: rows for mode, rows in found.items() if len(rows)}
         if any(len(rows) == len(states) for rows in found.values()):
             self.rows = {mode: slice(None) for mode in self.rows}
+        forces = Forces.of(balls.model, balls.bodies)
+        self.forces = {mode: forces[rows] for mode, rows in self.rows.items()}
         k = len(balls)
         self.spans = np.tile(spans, balls.each)[:, None]
         self.pacer = np.tile(ender * k + np.arange(k), balls.each)  # the row whose slip paces each ball
@@ -140,12 +141,12 @@ class PhaseIntegrator:
         across: Any = 0.0
         twist: Any = 0.0
         if FLY in rows:
-            found[FLY] = self.forces[rows[FLY]].push(*known(FLY))
+            found[FLY] = self.forces[FLY].push(*known(FLY))
         if ROLL in rows:
-            found[ROLL] = self.forces[rows[ROLL]].accelerate_rolling(*known(ROLL))
+            found[ROLL] = self.forces[ROLL].accelerate_rolling(*known(ROLL))
         if self.slides:
             own = rows[SLIDE]
-            slowing, across, push, twist = self.forces[own].act_on_sliding(
+            slowing, across, push, twist = self.forces[SLIDE].act_on_sliding(
                 slip[own], y[:2, own], (y[2] * spins)[own], *known(SLIDE)
             )
             found[SLIDE] = self.push_share[own] * push
