@@ -218,6 +218,19 @@ def test_results_without_their_film_are_mended_and_measured_again(browser, tmp_p
         page.wait_for_selector("#mend-state:empty", state="attached")
         page.keyboard.press("u")
         page.wait_for_selector("#edits:empty", state="attached")
+        # a new ball, by one click a frame
+        page.select_option("#mend-ball", label="2 (new)")
+        page.keyboard.press("Home")
+        for frame in range(3):
+            page.wait_for_selector(f"#stage[data-frame='{frame}']")
+            page.locator("#stage").click(position={"x": 40 + 5 * frame, "y": 30}, modifiers=["Shift"])
+            says(page, "#edits li", rf"point of ball 2 in frame {frame} added at")
+        page.wait_for_selector("#stage[data-frame='3']")
+        page.keyboard.press("Home")
+        page.wait_for_selector("#stage[data-frame='0']")
+        page.locator("#stage").click(position={"x": 60, "y": 30}, modifiers=["Shift"])
+        says(page, "#mend-message", "ball 2 has a position in frame 0")
+        assert page.input_value("#frame") == "0"  # a refused point is no reason to go on
 
 
 def measured(folder, clips=6):
@@ -246,7 +259,7 @@ def test_a_search_is_drawn_over_the_film(browser, tmp_path):
         page.click("#search")
         says(page, "#compare-state", "Search")
         assert page.text_content("#run-state") == ""
-        page.wait_for_selector("#residuals-of:not([hidden])", timeout=90_000)
+        page.wait_for_selector("#residuals-of:not([hidden])", timeout=180_000)
         page.wait_for_function("document.getElementById('report-box').getBoundingClientRect().top < innerHeight / 2")
         assert page.input_value("#residuals-of") == "both models"
         says(page, "#arrows-legend", r"base model: rms \d.*with plate_tilt: rms \d.*The longest arrow is \d+ µm")

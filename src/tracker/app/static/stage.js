@@ -180,6 +180,7 @@ export class Stage extends EventTarget {
   }
 
   stroke(pen, colour, path, dash = []) {
+    pen.lineJoin = "round"; // else the scatter of a ball at rest has spikes
     for (const [style, width] of [["#000", 4], [colour, 2]]) { // a dark rim shows on bright films
       pen.setLineDash(dash);
       pen.strokeStyle = style;
