@@ -66,8 +66,8 @@ def _describe_disagreement(found: SearchOutcome) -> str:
     size = f", {format_number(worst.size, 2)} um rms" if np.isfinite(worst.size) else ""
     where = describe_disagreement(worst, base.model)
     return (
-        f"{chi2}. Its largest disagreement is {where}: {format_sigma(worst.sigma)} sigma "
-        f"after {len(found.base_disagreements)} trials{size}."
+        f"{chi2}. Its largest disagreement is {where}: {format_sigma(worst.sigma)} sigma, "
+        f"corrected for {len(found.base_disagreements)} tests{size}."
     )
 
 

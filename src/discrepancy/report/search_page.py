@@ -59,7 +59,7 @@ def write(found: SearchOutcome, folder: Path) -> None:
         PageSection("Experiment that would distinguish the candidates", [found.experiment] if found.experiment else []),
         *(PageSection(figure.title, [figure]) for figure in figures),
         PageSection(f"Residuals of held-out {unit}, in numbers", [_gap_table(found)]),
-        PageSection(f"Tests of each claim on {unit} that did not enter it", _test_table(found)),
+        PageSection(f"Tests of each claim on {unit} that its fit did not use", _test_table(found)),
         PageSection("Disagreements of the base model", _list_disagreements(found, base, 10)),
         PageSection(
             f"Disagreements that remain {name_best_model(found)}",
@@ -218,14 +218,14 @@ def _list_disagreements(
             rows.append((describe_disagreement(one, found.base_fit.model), format_sigma(one.sigma), size))
         note = (
             f"Residuals of the {len(found.data.clips)} fitted {found.data.unit}. The significance is corrected for "
-            f"{len(disagreements)} trials."
+            f"{len(disagreements)} tests."
         )
         return [PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)]
     if not disagreements:
         return []
     return [
-        f"No significant disagreement{remains} (largest: {format_sigma(disagreements[0].sigma)} sigma after "
-        f"{len(disagreements)} trials; significant is above {found.policy.unexplained_sigma:g}). The test uses the "
+        f"No significant disagreement{remains} (largest: {format_sigma(disagreements[0].sigma)} sigma, corrected for "
+        f"{len(disagreements)} tests; significant is above {found.policy.unexplained_sigma:g}). The test uses the "
         f"{len(found.data.clips)} fitted {found.data.unit}."
     ]
 

@@ -74,7 +74,9 @@ def test_no_table_lists_disagreements_that_are_not_significant(written):
     page = (folder / "index.html").read_text()
     left = found.base_disagreements if found.is_empty else found.disagreements
     remains = "" if found.is_empty else " remains"
-    sentence = f"No significant disagreement{remains} (largest: {left[0].sigma:.1f} sigma after {len(left)} trials;"
+    sentence = (
+        f"No significant disagreement{remains} (largest: {left[0].sigma:.1f} sigma, corrected for {len(left)} tests;"
+    )
     assert (sentence in page) == (left[0].sigma <= found.policy.unexplained_sigma)
 
 
