@@ -342,6 +342,12 @@ def test_an_effect_knows_of_effect_alone():
             assert {o for o in others if o.startswith("synthcam")} == {"synthcam.effect"}, name
 
 
+def test_slow_parts_of_scipy_are_not_loaded():
+    """scipy.signal loads scipy.stats, which takes half a second of the start of every command."""
+    slow = ("scipy.stats", "scipy.signal")
+    assert [module(path) for path in FILES if any(name.startswith(slow) for name in imported(path))] == []
+
+
 def test_files_are_named_after_what_they_hold():
     vague = {"utils", "helpers", "types", "base", "constants", "common", "misc"}
     assert [module(path) for path in FILES if path.stem in vague] == []

@@ -18,9 +18,8 @@ from functools import cached_property, lru_cache, partial
 from typing import TypeVar
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg.lapack import dtbtrs, dtrtrs
 from scipy.optimize import minimize
-from scipy.signal import lfilter, lfiltic
 from scipy.special import expit, logit
 
 from discrepancy.arrays import Array, Ints
@@ -61,10 +60,11 @@ class NoiseComponent:
             weights = np.append(weights - p * weights[::-1], p)
         order = len(weights)
         out[order + 1 :] = 0
-        if order:  # each later lag follows from the `order` lags before it
-            recursion = np.concatenate([[1.0], -weights])
-            state = lfiltic([1.0], recursion, out[order::-1])
-            out[order + 1 :] = lfilter([1.0], recursion, out[order + 1 :], zi=state)[0]
+        # each later lag follows from the `order` lags before it: equations with a lower triangle of `order` + 1 bands
+        bands = np.ones((order + 1, len(out)))
+        for back, weight in enumerate(weights, 1):
+            bands[back] = np.where(np.arange(len(out)) + back > order, -weight, 0.0)
+        out = dtbtrs(bands, out[:, None], uplo="L")[0][:, 0]
         out[1:] *= 1 - self.white_share
         lags: Array = self.variance * out[:count]
         lags.flags.writeable = False

@@ -16,7 +16,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, evaluate_path
@@ -706,7 +706,7 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
     )
     ends = np.concatenate([[1e-3 * first, first / 3, first], np.linspace(low, high, durations + 1), [last, 2 * last]])
     if stretch.after:
-        below = norm.cdf((np.log(np.append(ends[:-1], np.inf)) - np.log(priors.slide_s)) / priors.slide_factor)
+        below = ndtr((np.log(np.append(ends[:-1], np.inf)) - np.log(priors.slide_s)) / priors.slide_factor)
         below[0] = 0.0
     else:
         ends = np.append(1e-5 * first, ends)  # the first cell is a slide up to the contact
