@@ -26,7 +26,7 @@ from tracker.camera.frames import Frames
 from tracker.camera.recordings import RecordingSource, open_source, read_ends
 from tracker.detection.link import Tracks
 from tracker.edits import TrackEdits
-from tracker.measurement.collision.adequacy import NOTHING_ROLLS, TOGETHER
+from tracker.measurement.collision.adequacy import NO_DIAMETER, NOTHING_ROLLS, TOGETHER
 from tracker.report.collision_figures import list_residuals, view_collision
 from tracker.report.estimates_text import (
     METHODS,
@@ -47,7 +47,7 @@ MAX_FRAMES_ALONE = 10_000_000  # of results without their film: each has a numbe
 MAX_TRIED_FILMS = 100  # neighbours of results that may be their film
 MAX_SEARCH_S = 2.0  # among them
 MAX_CAMERA_BYTES = 1 << 20  # of a neighbour that may be their camera file
-UNMEASURED = ("no_collision", NOTHING_ROLLS)
+UNMEASURED = ("no_collision", NO_DIAMETER, NOTHING_ROLLS)
 NEXT_STEP = (
     "If one ball rolls here, point at it by Ball, and limit the search to its path by Region. "
     "If that does not help, remove the wrong tracks by Mend, and mark the ball in each frame by Shift and a click"

@@ -38,6 +38,7 @@ from tracker.measurement.collision.adequacy import (
     HIDDEN_SLIDE,
     MEASURED,
     MISFIT,
+    NO_DIAMETER,
     NO_SCALE,
     NOTHING_ROLLS,
     ONE_BALL,
@@ -168,8 +169,7 @@ def _measure_balls(
     """The rows of a clip, the size of its errors given."""
     noise = _noise_columns(balls[0], camera)
     if len(balls) > 1 and not camera.knows_diameter:
-        reason = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
-        return [make_empty_row(camera, reason) | noise]
+        return [make_empty_row(camera, NO_DIAMETER) | noise]
     if len(balls) >= settings.crowd_particles:
         return _measure_crowd(balls, camera, settings) or [make_empty_row(camera, "no_collision") | noise]
     found = find_contacts(balls, camera.ball_diameter, marked=marked) if len(balls) > 1 else []

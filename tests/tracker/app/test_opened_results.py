@@ -20,7 +20,7 @@ from tracker.app.workbench import OPENED, Workbench
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import digest_films, open_source, read_ends
 from tracker.edits import TrackEdits
-from tracker.measurement.collision.adequacy import NOTHING_ROLLS
+from tracker.measurement.collision.adequacy import NO_DIAMETER, NOTHING_ROLLS
 from tracker.measurement.estimate import make_empty_row
 from tracker.pipeline import measure_tables, run
 from tracker.results import read_clip
@@ -121,6 +121,7 @@ def test_a_ball_by_itself_has_its_speed_and_its_loss(tmp_path):
 def test_a_film_without_a_number_has_the_next_step(tmp_path):
     assert "mark the ball in each frame" in describe(tmp_path, "no_collision")["why"]
     assert "point at it by Ball" in describe(tmp_path, NOTHING_ROLLS)["why"]
+    assert "remove the wrong tracks" in describe(tmp_path, NO_DIAMETER)["why"]
     other = describe(tmp_path, "too few frames after the contact", frame_last=9)
     assert (other["title"], other["why"]) == ("Collision 0", "")
 

@@ -22,6 +22,7 @@ HIDDEN_SLIDE = (
 SHORT_SLIDE = "the balls move straight after the hit: they slide without friction, or roll at once"
 TOO_FEW = "too few frames outside the contact"
 NO_SCALE = "no scale: lengths need a camera file, which tracker calibrate makes"
+NO_DIAMETER = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
 NOTHING_ROLLS = "no collision in view, and no ball rolls freely"
 ONE_BALL = "one ball: no collision to measure; its speed needs a camera file, which tracker calibrate makes"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
