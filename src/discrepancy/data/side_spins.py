@@ -2,7 +2,8 @@
 
 A plain ball does not show its spin on film. But each contact shows the tangential impulse J. It changes the spin of
 both balls by J / (2/5 m R) against the slip. In a first approximation nothing else changes the spin. So a spin is known
-well as the contacts of its ball are measured. It is zero at the start. A wall, or a contact without a local estimate,
+well as the contacts of its ball are measured. Both balls share the error of their impulse, so it counts twice if they
+meet again. The spin is zero at the start. A wall, or a contact without a local estimate,
 changes it by an unknown amount, but at most by that of a usual friction. The direction of the wall is not known.
 """
 
@@ -44,20 +45,22 @@ def trace_slips(rows: Iterable[Mapping[Any, Any]], contacts: pd.DataFrame) -> di
     rows: the estimates of the film. contacts: the columns of contacts.parquet.
     """
     by_number = {int(row["collision"]): row for row in rows}
-    spin, variance, out = dict[int, float](), dict[int, float](), dict[int, Slip]()
-    for event in contacts.sort_values("t_s").to_dict("records"):
+    spin, errors, out = dict[int, float](), dict[int, dict[int, float]](), dict[int, Slip]()  # errors: by event
+    for number, event in enumerate(contacts.sort_values("t_s").to_dict("records")):
         row = by_number.get(int(event["collision"]))
         balls = [int(event[name]) for name in ("particle1", "particle2") if int(event[name]) >= 0]
         if row is None or not _is_measured(row):
-            unknown = (PER_IMPULSE * USUAL_FRICTION * float(event["kick"])) ** 2
-            variance |= {ball: variance.get(ball, 0.0) + unknown for ball in balls}
+            for ball in balls:
+                errors.setdefault(ball, {})[number] = PER_IMPULSE * USUAL_FRICTION * float(event["kick"])
             continue
         turning = sum(spin.get(ball, 0.0) for ball in balls)  # R times the sum of both spins
-        error = sum(variance.get(ball, 0.0) for ball in balls)
+        both = [errors.setdefault(ball, {}) for ball in balls]
+        error = sum(sum(own.get(k, 0.0) for own in both) ** 2 for k in set().union(*both))
         slip, change, change_std = _read_slip(row, turning, error, row.get("motion_local") == "glide")
         out[int(event["collision"])] = slip
         spin |= {ball: spin.get(ball, 0.0) + change for ball in balls}
-        variance |= {ball: variance.get(ball, 0.0) + change_std**2 for ball in balls}
+        for own in both:
+            own[number] = change_std
     return out
 
 

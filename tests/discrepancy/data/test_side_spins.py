@@ -83,3 +83,24 @@ def test_a_contact_without_an_estimate_leaves_the_spin_uncertain(truth):
     assert before not in lost
     assert known.across_std < 1e-6
     assert lost[turned].across_std == pytest.approx(2.5 * 0.15 * 0.1, rel=0.01)
+
+
+def test_two_balls_that_meet_again_share_the_error_of_their_spins():
+    """The scatter of the second slip, where the impulse of the first contact is drawn with its error."""
+    usual = {f"{name}_local_std": 1e-9 for name in ("v0", "b", "r", *(f"v{k}{x}" for k, *_ in AXES for x in "xy"))}
+    velocities = {"v1i": (0.0, 0.0), "v2i": (1.0, 0.0), "v1o": (0.5, 0.3), "v2o": (0.5, -0.3)}
+    row = usual | {f"{name}{x}_local": v for name, both in velocities.items() for x, v in zip("xy", both, strict=True)}
+    row |= {"v0_local": 1.0, "b_local": 0.5, "r_local": 0.9, "v1oy_local_std": 0.02, "v2oy_local_std": 0.02}
+    row |= {"v1ox_local_std": 0.02, "v2ox_local_std": 0.02}
+    table = pd.DataFrame({"t_s": [0.1, 0.2], "collision": [0, 1], "particle1": 4, "particle2": 7, "kick": 0.1})
+    rng, drawn = np.random.default_rng(1), []
+    for _ in range(1000):
+        first = {
+            f"{name}{x}_local": v + rng.normal(0, 0.02)
+            for name, both in velocities.items()
+            if name.endswith("o")
+            for x, v in zip("xy", both, strict=True)
+        }
+        drawn.append(trace_slips([row | first | {"collision": 0}, row | {"collision": 1}], table)[1].across)
+    claimed = trace_slips([row | {"collision": 0}, row | {"collision": 1}], table)[1].across_std
+    assert claimed == pytest.approx(np.std(drawn), rel=0.1)

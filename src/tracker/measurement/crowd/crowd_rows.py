@@ -14,6 +14,8 @@ from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, prepare_contact
 from tracker.measurement.crowd.track_contacts import TrackContact
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate, estimate_locally
+from tracker.measurement.local.local_fit import MAY_ROLL
+from tracker.measurement.local.stretches import SLIDE_AND_ROLL
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
 
@@ -139,7 +141,8 @@ def _estimate(
         prepared = replace(prepared, pair=pair)
         factor = float(np.hypot(own.local_friction_factor, slide_factor))
         slide = (_slide_duration(contact, settings), factor) if contact.kick > 0 else None
-        return prepared, estimate_locally(prepared, camera, (1.0, 1.0), slide)
+        striker = (SLIDE_AND_ROLL,) if any(sliding) else MAY_ROLL  # a short slide looks like a roll
+        return prepared, estimate_locally(prepared, camera, (1.0, 1.0), slide, striker)
     except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others
         return None, f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
 

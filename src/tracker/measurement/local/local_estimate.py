@@ -15,6 +15,7 @@ from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
 from tracker.measurement.collision.contacts import Contact, guess_launch
 from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, make_ball_average
 from tracker.measurement.local.local_fit import (
+    MAY_ROLL,
     LocalPriors,
     LocalSolution,
     choose_window,
@@ -68,12 +69,16 @@ class LocalEstimate:
 
 
 def estimate_locally(
-    contact: Contact, camera: Camera, masses: tuple[float, float], slide: tuple[float, float] | None = None
+    contact: Contact,
+    camera: Camera,
+    masses: tuple[float, float],
+    slide: tuple[float, float] | None = None,
+    striker: Sequence[MotionKind] = MAY_ROLL,
 ) -> LocalEstimate | str:
     """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
 
     masses: of ball 1 and ball 2, in any unit. slide: a prior of the duration of a slide, s, and the error of its
-    logarithm, if something shows it.
+    logarithm, if something shows it. striker: motions that ball 2 may have on a plate before the contact.
     """
     rests = not contact.pair.target_moves
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
@@ -99,7 +104,7 @@ def estimate_locally(
             for s in whole
         ]
         priors = _allow_for_duration(known, stretches, contact, camera)
-        found = fit_motions(stretches, instant, rests, glides, priors)
+        found = fit_motions(stretches, instant, rests, glides, priors, striker)
         late, instant = float(found[0].x[0]) - instant, float(found[0].x[0])
         again = _cut_stretches(contact, camera, instant)
         same = all(len(a) == len(b) for a, b in zip(whole, again, strict=True))

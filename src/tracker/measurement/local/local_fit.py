@@ -22,6 +22,7 @@ from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, evaluate_path
 
 Floats = NDArray[np.float64]
+MAY_ROLL = ROLL, SLIDE_AND_ROLL, SLIDE  # motions of a striking ball before the contact
 MAX_RESIDUAL = 2.0  # rms residual of a window, in errors
 MAX_SOLUTIONS = 16  # that are averaged
 MAX_COST = 16.0  # beyond that of the best duration of a slide
@@ -44,6 +45,8 @@ class LocalPriors:
     # Probability that a striker that slid in the window slides up to the contact. Chosen between, on 200 simulated hits
     # of billiard balls: 1/2 makes v0 of balls that rolled for less than 0.1 s wrong by 1.9 errors, 1/4 by 1.3.
     slides_up_to_contact: float = 0.25
+    roll_s: float = 0.1  # how long a ball has rolled before the contact, after a slide
+    roll_factor: float = 3.0  # error of its logarithm
     loss: float = 0.05  # of rolling, m/s^2; its error is as large
     loss_scatter: float = 0.03  # from stretch to stretch, m/s^2: balls of steel lose more the faster they roll
     push: float = 1.0  # acceleration of bodies that glide, m/s^2
@@ -97,6 +100,11 @@ class LocalProblem:
         The end is that of the slide or that of the stretch, whichever is earlier.
         """
         return self.stretches[k].after and self.motions[k].ends
+
+    def usual_duration(self, k: int) -> tuple[float, float]:
+        """The prior duration of the slide after the contact, or of the roll before it, s; error of its logarithm."""
+        p = self.priors
+        return (p.slide_s, p.slide_factor) if self.stretches[k].after else (p.roll_s, p.roll_factor)
 
     def place(self, k: int) -> slice:
         """Find the position of a stretch's body in the vector of parameters."""
@@ -179,7 +187,7 @@ class LocalProblem:
             elif motion.pushed:
                 rows.append((0.0, p.friction_scatter, {at + 4: 1.0}))
             if motion.ends:
-                lasts, factor = self.slides.get(k, (p.slide_s, p.slide_factor))
+                lasts, factor = self.slides.get(k, self.usual_duration(k))
                 rows.append((np.log(lasts), factor, {at + 6: 1.0}))
             if motion.rolls:
                 rows.append((0.0, p.loss_scatter, {last: 1.0, 6: -1.0}))
@@ -462,8 +470,13 @@ def _line(stretch: Stretch, contact: float, most: int = 6) -> tuple[Floats, Floa
     return x.mean(axis=0) - v * t.mean(), v
 
 
-def list_motions(stretches: Sequence[Stretch], rests: bool, glide: bool) -> Iterator[tuple[MotionKind, ...]]:
-    """List the motions that the stretches of a local fit may have, on air (glide) or on a plate."""
+def list_motions(
+    stretches: Sequence[Stretch], rests: bool, glide: bool, striker: Sequence[MotionKind] = MAY_ROLL
+) -> Iterator[tuple[MotionKind, ...]]:
+    """List the motions that the stretches of a local fit may have, on air (glide) or on a plate.
+
+    striker: motions that the striking ball may have on a plate before the contact, the simplest first.
+    """
     choices: list[tuple[MotionKind, ...]] = []
     for s in stretches:
         if s.ball == 1 and not s.after and rests:
@@ -473,12 +486,17 @@ def list_motions(stretches: Sequence[Stretch], rests: bool, glide: bool) -> Iter
         elif s.after:
             choices.append((SLIDE_AND_ROLL,))
         else:
-            choices.append((ROLL, SLIDE_AND_ROLL, SLIDE) if s.ball == 2 else (ROLL,))
+            choices.append(tuple(striker) if s.ball == 2 else (ROLL,))
     yield from product(*choices)
 
 
 def fit_motions(
-    stretches: Sequence[Stretch], contact: float, rests: bool, glides: Sequence[bool], priors: LocalPriors
+    stretches: Sequence[Stretch],
+    contact: float,
+    rests: bool,
+    glides: Sequence[bool],
+    priors: LocalPriors,
+    striker: Sequence[MotionKind] = MAY_ROLL,
 ) -> list[LocalSolution]:
     """Fit the motions that the stretches may have, the simplest first, until one describes the positions.
 
@@ -486,7 +504,7 @@ def fit_motions(
     """
     found: list[LocalSolution] = []
     for glide in glides:
-        for motions in list_motions(stretches, rests, glide):
+        for motions in list_motions(stretches, rests, glide, striker):
             problem = LocalProblem(tuple(stretches), motions, priors, glide)
             x = np.zeros(problem.size)
             x[0], x[5], x[6] = contact, np.log(priors.friction), priors.loss

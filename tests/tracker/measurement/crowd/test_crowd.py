@@ -164,6 +164,31 @@ def test_the_contacts_with_the_longest_slides_give_the_friction_of_the_film():
     assert np.median(np.abs(z)) < 2
 
 
+def test_a_ball_that_still_slides_from_a_contact_before_makes_no_recoil_too_certain():
+    """Four positions of a slide look like a roll, whose velocity is known five times as well."""
+    diameter, z = 0.00238, []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        sine = rng.uniform(-0.5, 0.5)
+        way = np.array([np.sqrt(1 - sine**2), sine])
+        second = way * (diameter + 0.0097) + np.array([-way[1], way[0]]) * rng.uniform(-0.6, 0.6) * diameter
+        launches = [
+            {"position": [-0.012, 0.0], "velocity": [0.5, 0.0]},
+            {"position": [0.0, sine * diameter]},
+            {"position": (second + np.array([0.0, sine * diameter])).tolist()},
+        ]
+        clip = synthcam.Scene.build("chain", launches=launches, timing={"frames": 40}).draw()
+        read = to_pixels(TrackTable(add_noise(clip, 0.01, seed)), "truth", clip.camera_json)
+        balls = to_ball_tracks(read.clips[0][0], read.camera)
+        found = find_track_contacts(balls, read.camera.ball_diameter)
+        assert [contact.balls for contact in found] == [(0, 1), (1, 2)]
+        estimate = estimate_contacts(found, balls, read.camera, FitSettings())[1][1]
+        assert isinstance(estimate, LocalEstimate)
+        ratio = LOCAL_NAMES.index("mass_ratio")
+        z.append((estimate.value[ratio] - 1) / estimate.std[ratio])
+    assert np.sqrt(np.mean(np.square(z))) < 1.8
+
+
 def test_errors_of_derived_values_are_those_of_draws():
     """Correlated errors of v0, b, r and s: the energy that is lost has the mean and scatter of draws."""
     value, std = np.array([0.2, -0.3, 0.9, 0.8]), np.array([0.01, 0.03, 0.08, 0.1])
